@@ -1,0 +1,222 @@
+"""Record: one run of a test as named channels with SI units and a memory of what was done to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from classic_ml.errors import InputError
+
+__all__ = ["Channel", "Dropped", "FloatArray", "LedgerEntry", "Record"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Something that a step left out, and why.
+
+    Parameters
+    ----------
+    what : str
+        The channel, probe pair, segment or kind of row.
+    count : int
+        How many rows (or probes, or segments) it concerns.
+    why : str
+        The reason, in words.
+    """
+
+    what: str
+    count: int
+    why: str
+
+
+@dataclass(frozen=True)
+class LedgerEntry:
+    """What one step did to a record.
+
+    Parameters
+    ----------
+    step : str
+        Name of the step, e.g. ``"calibrate"``.
+    did : str
+        One sentence with the numbers that mattered.
+    parameters : mapping of str to str, int, float or bool
+        The settings the step ran with.
+    dropped : tuple of Dropped
+        What was left out, and why; empty when nothing was.
+    flags : tuple of str
+        Warnings for the reader: data that were kept but are suspect.
+    """
+
+    step: str
+    did: str
+    parameters: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+    dropped: tuple[Dropped, ...] = ()
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured or derived signal.
+
+    Parameters
+    ----------
+    name : str
+        Channel name, unique in its record.
+    values : ndarray of shape (n_samples,)
+        The samples; stored as a read-only float64 copy.
+    unit : str
+        SI unit (``"Pa"``, ``"K"``, ``"kg/s"``, ``"1"``), or ``"count"`` before calibration.
+    """
+
+    name: str
+    values: FloatArray
+    unit: str
+
+    def __post_init__(self) -> None:
+        values = np.array(self.values, dtype=np.float64)
+        if values.ndim != 1:
+            raise InputError(
+                f"channel {self.name}", expected="one value a sample", found=f"shape {values.shape}"
+            )
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: channels that share a uniform clock, where they came from, and their history.
+
+    Parameters
+    ----------
+    channels : mapping of str to Channel
+        The channels by name, all of one length.
+    sample_rate_hz : float
+        Samples a second.
+    start_s : float
+        Facility clock at the first sample.
+    source : str
+        File or generator that the record came from.
+    history : tuple of LedgerEntry
+        One entry for each step applied so far.
+
+    Raises
+    ------
+    InputError
+        When the channels differ in length or the sample rate is not positive.
+    """
+
+    channels: Mapping[str, Channel]
+    sample_rate_hz: float
+    start_s: float = 0.0
+    source: str = ""
+    history: tuple[LedgerEntry, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        lengths = {channel.values.size for channel in self.channels.values()}
+        if len(lengths) > 1:
+            raise InputError(
+                f"record {self.source}",
+                expected="channels of one length",
+                found=f"lengths {sorted(lengths)}",
+            )
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0.0):
+            raise InputError(
+                f"record {self.source}",
+                expected="a positive sample rate in Hz",
+                found=f"{self.sample_rate_hz}",
+            )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        arrays: Mapping[str, tuple[ArrayLike, str]],
+        *,
+        sample_rate_hz: float,
+        start_s: float = 0.0,
+        source: str = "",
+    ) -> Record:
+        """Build a record from ``{name: (values, unit)}``."""
+        channels = {
+            name: Channel(name, np.asarray(values, dtype=np.float64), unit)
+            for name, (values, unit) in arrays.items()
+        }
+        return cls(channels, sample_rate_hz, start_s, source)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """Return the samples of one channel."""
+        return self.channel(name).values
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether the record holds a channel of that name."""
+        return name in self.channels
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Survive pickling, which a mapping proxy does not."""
+        fields = (
+            dict(self.channels),
+            self.sample_rate_hz,
+            self.start_s,
+            self.source,
+            self.history,
+        )
+        return (Record, fields)
+
+    def channel(self, name: str) -> Channel:
+        """Return one channel, or raise an InputError that names those there are."""
+        if name not in self.channels:
+            raise InputError(
+                f"channel {name}",
+                expected="it in the record",
+                found="only " + ", ".join(self.channels),
+            )
+        return self.channels[name]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples in each channel."""
+        return next((c.values.size for c in self.channels.values()), 0)
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time between two samples, in seconds."""
+        return 1.0 / self.sample_rate_hz
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Facility clock of each sample, in seconds."""
+        return self.start_s + np.arange(self.n_samples) / self.sample_rate_hz
+
+    def after(
+        self,
+        entry: LedgerEntry,
+        *,
+        add: Iterable[Channel] = (),
+        drop: Iterable[str] = (),
+    ) -> Record:
+        """Return the record after one step.
+
+        Parameters
+        ----------
+        entry : LedgerEntry
+            What the step did; appended to the history.
+        add : iterable of Channel
+            Channels that are new or replace those of the same name.
+        drop : iterable of str
+            Names of channels that the step leaves out.
+
+        Returns
+        -------
+        Record
+            A new record; this one is unchanged.
+        """
+        gone = set(drop)
+        kept = {name: channel for name, channel in self.channels.items() if name not in gone}
+        kept.update({channel.name: channel for channel in add})
+        return replace(self, channels=kept, history=(*self.history, entry))

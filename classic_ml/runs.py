@@ -1,0 +1,47 @@
+"""Stretches of rows: the segments of a series, and the scored stretches within one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+
+__all__ = ["runs_of", "scored_pieces"]
+
+
+def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
+    """Return the rows of each segment: stretches of equal label, in order.
+
+    Parameters
+    ----------
+    segments : array-like of int, shape (n_rows,), or None
+        Labels; rows of one label that do not follow each other are different segments.
+    n_rows : int
+        Rows of the data.
+
+    Raises
+    ------
+    InputError
+        When there is not one label a row.
+    """
+    if segments is None:
+        return [slice(0, n_rows)]
+    labels = np.asarray(segments)
+    if labels.shape != (n_rows,):
+        raise InputError(
+            "segments", expected=f"one label for each of {n_rows} rows", found=f"{labels.shape}"
+        )
+    cuts = np.flatnonzero(labels[1:] != labels[:-1]) + 1
+    bounds = [0, *cuts.tolist(), n_rows]
+    return [slice(low, high) for low, high in pairwise(bounds)]
+
+
+def scored_pieces(weight: FloatArray, run: slice) -> list[slice]:
+    """Return the stretches of a run whose rows all have weight (at least two rows each)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], weight[run] > 0.0, [0]])))
+    bounds = edges.reshape(-1, 2) + run.start
+    return [slice(int(low), int(high)) for low, high in bounds if high - low > 1]

@@ -1,0 +1,323 @@
+"""LagRegressor recovers known lags, and says how sure it is."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer, SplineTransformer
+
+from support.lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
+
+from classic_ml import LagRegressor, PiecewiseLinear
+from classic_ml.errors import InputError
+from classic_ml.fit_state import FitState
+
+
+NOISES = ("arx", "armax", "output-error")
+HOLDS = ("zero", "first")
+
+
+def clean(n: int = 1500, hold: str = "zero", seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    phi = flow(n, np.random.default_rng(seed))
+    return phi[:, None], lagged(phi, hold)
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize("noise", NOISES)
+def test_exact_data_give_the_exact_answer(noise: str, hold: str) -> None:
+    X, y = clean(hold=hold)
+    m = LagRegressor(PERIOD_S, noise=noise, hold=hold).fit(X, y)
+    assert m.time_constant_s_ == pytest.approx(TAU_S, rel=1e-7)
+    np.testing.assert_allclose(m.coef_, BETA, rtol=1e-6)
+    assert m.terms_ == ["1", "phi", "phi^2"]
+    np.testing.assert_allclose(m.predict(X), y, atol=1e-8)
+
+
+@pytest.mark.parametrize(("true", "wrong", "low", "high"), [("first", "zero", -0.04, -0.02)])
+def test_the_wrong_hold_biases_tau_by_two_to_four_percent(
+    true: str, wrong: str, low: float, high: float
+) -> None:
+    X, y = clean(hold=true)
+    m = LagRegressor(PERIOD_S, noise="output-error", hold=wrong).fit(X, y)
+    assert low < m.time_constant_s_ / TAU_S - 1.0 < high
+
+
+def test_one_sample_of_misalignment_biases_tau_by_several_percent() -> None:
+    X, y = clean(hold="first")
+    m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X[:-1], y[1:])
+    assert m.time_constant_s_ < 0.97 * TAU_S
+
+
+@pytest.mark.parametrize("c", [-0.6, 0.4])
+def test_armax_is_unbiased_and_its_errors_are_honest(c: float) -> None:
+    estimates, errors, ma = [], [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        phi = flow(2000, rng)
+        y = lagged(phi, "zero") + coloured(2000, c, 0.002, rng)
+        m = LagRegressor(PERIOD_S, noise="armax").fit(phi[:, None], y)
+        estimates.append([m.time_constant_s_, *m.coef_])
+        errors.append([m.time_constant_stderr_s_, *np.sqrt(np.diag(m.covariance_))])
+        ma.append(m.moving_average_[0])
+    z = (np.array(estimates) - [TAU_S, *BETA]) / np.array(errors)
+    assert np.all(np.abs(z.mean(axis=0)) < 4.0 / np.sqrt(30))
+    assert np.all((z.std(axis=0) > 0.65) & (z.std(axis=0) < 1.5))
+    assert np.mean(ma) == pytest.approx(c, abs=4 * np.std(ma) / np.sqrt(30) + 0.01)
+
+
+def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
+    z, textbook = [], []
+    for seed in range(25):
+        rng = np.random.default_rng(100 + seed)
+        phi = flow(4000, rng)
+        y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
+        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
+        z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
+        white = LagRegressor(PERIOD_S, noise="output-error", hold="first")
+        white.fit(phi[:, None], y)
+        textbook.append(m.residual_lag_)
+    assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
+    assert np.std(z) < 1.6
+    assert np.median(textbook) > 10  # the residual's colour was seen
+
+
+def test_arx_reads_output_noise_as_a_shorter_lag() -> None:
+    rng = np.random.default_rng(5)
+    phi = flow(4000, rng)
+    y = lagged(phi, "zero") + 0.003 * rng.standard_normal(4000)
+    arx = LagRegressor(PERIOD_S, noise="arx").fit(phi[:, None], y)
+    armax = LagRegressor(PERIOD_S, noise="armax").fit(phi[:, None], y)
+    assert arx.time_constant_s_ < 0.8 * TAU_S
+    assert abs(armax.time_constant_s_ - TAU_S) < 4 * armax.time_constant_stderr_s_
+
+
+def segmented(seed: int, n_segments: int = 10, n: int = 300) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    X, y, labels = [], [], []
+    for label in range(n_segments):
+        phi = flow(n, rng)
+        start = rng.uniform(-0.2, 0.2)
+        decay = start * np.exp(-np.arange(n) * PERIOD_S / TAU_S)
+        X.append(phi)
+        y.append(lagged(phi, "zero") + decay + 0.001 * rng.standard_normal(n))
+        labels.append(np.full(n, label + 1))
+    return np.concatenate(X)[:, None], np.concatenate(y), np.concatenate(labels)
+
+
+@pytest.mark.parametrize("noise", ["armax", "output-error"])
+def test_segments_keep_their_own_start_and_linking_them_does_harm(noise: str) -> None:
+    X, y, labels = segmented(7)
+    apart = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=labels)
+    linked = LagRegressor(PERIOD_S, noise=noise, link_segments=True).fit(X, y, segments=labels)
+    assert abs(apart.time_constant_s_ - TAU_S) < 4 * apart.time_constant_stderr_s_
+    apart_off = np.abs(apart.characteristic([0.1, 0.3, 0.5])[0] - _truth([0.1, 0.3, 0.5])).max()
+    linked_off = np.abs(linked.characteristic([0.1, 0.3, 0.5])[0] - _truth([0.1, 0.3, 0.5])).max()
+    assert linked_off > 3 * apart_off
+
+
+def _truth(phi: list[float]) -> np.ndarray:
+    return np.polynomial.polynomial.polyval(np.asarray(phi), BETA)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
+    X, y, labels = segmented(8, n_segments=4)
+    m = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=labels)
+    renamed = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=100 - 7 * labels)
+    order = np.concatenate([np.flatnonzero(labels == k) for k in (3, 1, 4, 2)])
+    shuffled = LagRegressor(PERIOD_S, noise=noise).fit(X[order], y[order], segments=labels[order])
+    assert renamed.time_constant_s_ == m.time_constant_s_
+    assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
+    np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_what_stands_in_rows_of_weight_zero_does_not_matter(noise: str) -> None:
+    rng = np.random.default_rng(9)
+    phi = flow(1500, rng)
+    y = lagged(phi, "first") + 0.001 * rng.standard_normal(1500)
+    weight = np.ones(1500)
+    weight[400:450] = weight[900] = weight[0] = 0.0
+    spoiled = y.copy()
+    spoiled[weight == 0.0] = 1e3
+    fits = [
+        LagRegressor(PERIOD_S, noise=noise, hold="first").fit(
+            phi[:, None], values, sample_weight=weight
+        )
+        for values in (y, spoiled)
+    ]
+    assert fits[0].time_constant_s_ == pytest.approx(fits[1].time_constant_s_, rel=1e-9)
+    np.testing.assert_allclose(fits[0].coef_, fits[1].coef_, rtol=1e-8)
+    if noise != "arx":
+        assert abs(fits[0].time_constant_s_ - TAU_S) < 5 * fits[0].time_constant_stderr_s_
+
+
+def test_rows_of_weight_zero_are_simulated_through() -> None:
+    X, y = clean(hold="first")
+    weight = np.zeros(y.size)
+    weight[500:520] = weight[700:730] = 1.0
+    m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X, y, sample_weight=weight)
+    assert m.n_scored_ == 50
+    assert m.time_constant_s_ == pytest.approx(TAU_S, rel=1e-6)
+
+
+def test_equal_weights_scale_out() -> None:
+    X, y, labels = segmented(11, n_segments=3)
+    for noise in NOISES:
+        one = LagRegressor(PERIOD_S, noise=noise).fit(X, y, labels)
+        two = LagRegressor(PERIOD_S, noise=noise).fit(X, y, labels, np.full(y.size, 2.5))
+        assert two.time_constant_s_ == pytest.approx(one.time_constant_s_, rel=1e-7)
+        np.testing.assert_allclose(two.covariance_, one.covariance_, rtol=1e-4)
+
+
+def test_a_drift_is_read_as_a_long_lag_unless_it_has_a_spline() -> None:
+    rng = np.random.default_rng(12)
+    n = 8000
+    phi = flow(n, rng)
+    t = np.arange(n) * PERIOD_S
+    drift = 0.15 * np.sin(2 * np.pi * t / 9.0)
+    y = lagged(phi, "first") + drift + 0.002 * rng.standard_normal(n)
+    plain = LagRegressor(PERIOD_S, noise="armax", hold="first").fit(phi[:, None], y)
+    cured = LagRegressor(PERIOD_S, noise="output-error", drift="spline", hold="first")
+    cured.fit(phi[:, None], y)
+    assert plain.time_constant_s_ > 1.5 * TAU_S
+    assert abs(cured.time_constant_s_ - TAU_S) < 4 * cured.time_constant_stderr_s_
+    assert cured.time_constant_s_ == pytest.approx(TAU_S, rel=0.02)
+
+
+def test_piecewise_linear_inputs_of_fig_22_recover_their_slopes() -> None:
+    rng = np.random.default_rng(13)
+    phi = flow(3000, rng)
+    basis = PiecewiseLinear(breakpoints=(0.2, 0.35)).fit(phi[:, None])
+    slopes = np.array([3.4, -12.0, 4.0, -3.0])
+    f = basis.transform(phi[:, None]) @ slopes
+    a = np.exp(-PERIOD_S / TAU_S)
+    y = np.empty_like(f)
+    y[0] = f[0]
+    for k in range(1, f.size):
+        y[k] = a * y[k - 1] + (1 - a) * f[k - 1]
+    m = LagRegressor(PERIOD_S, basis=PiecewiseLinear(breakpoints=(0.2, 0.35)))
+    m.fit(phi[:, None], y)
+    np.testing.assert_allclose(m.coef_, slopes, rtol=1e-5)
+    assert m.terms_ == ["1", "min(phi,0.2)", "clip(phi-0.2,0,0.15)", "relu(phi-0.35)"]
+
+
+def test_any_transformer_and_several_inputs_serve_as_basis() -> None:
+    rng = np.random.default_rng(14)
+    phi, other = flow(2000, rng), flow(2000, rng)
+    X = pd.DataFrame({"phi": phi, "speed": other})
+    y = lagged(phi, "zero") + lagged(other, "zero")
+    m = LagRegressor(PERIOD_S).fit(X, y)
+    assert m.terms_ == ["1", "phi", "speed", "phi^2", "phi speed", "speed^2"]
+    np.testing.assert_allclose(m.coef_, [0.6, 1.2, 1.2, -1.5, 0.0, -1.5], atol=1e-5)
+    spline = LagRegressor(PERIOD_S, basis=SplineTransformer(n_knots=5, degree=3))
+    spline.fit(phi[:, None], lagged(phi, "zero"))
+    assert spline.time_constant_s_ == pytest.approx(TAU_S, rel=1e-3)
+    nameless = LagRegressor(PERIOD_S, basis=FunctionTransformer(lambda v: np.hstack([v**0, v])))
+    nameless.fit(phi[:, None], lagged(phi, "zero"))
+    assert nameless.terms_ == ["s1", "s2"]
+
+
+def test_characteristic_band_covers_the_truth() -> None:
+    at = np.linspace(0.1, 0.5, 9)
+    inside = []
+    for seed in range(30):
+        rng = np.random.default_rng(300 + seed)
+        phi = flow(1500, rng)
+        y = lagged(phi, "zero") + coloured(1500, -0.5, 0.003, rng)
+        value, stderr = LagRegressor(PERIOD_S).fit(phi[:, None], y).characteristic(at)
+        inside.append(np.abs(value - _truth(at.tolist())) < 1.96 * stderr)
+    # 30 seeds with correlated points: 95 % within four standard errors of a proportion.
+    assert np.mean(inside) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / 30)
+
+
+def test_one_step_predictions_are_those_the_fit_minimised() -> None:
+    X, y, labels = segmented(15, n_segments=3)
+    for noise in NOISES:
+        m = LagRegressor(PERIOD_S, noise=noise).fit(X, y, labels)
+        prediction, known = m.one_step(X, y, labels)
+        rms = np.sqrt(np.mean((y - prediction)[known] ** 2))
+        assert rms == pytest.approx(m.residual_std_, rel=0.02)
+        assert np.count_nonzero(~known) == (0 if noise == "output-error" else 3)
+
+
+def test_simulate_starts_where_it_is_told() -> None:
+    X, y, labels = segmented(16, n_segments=3)
+    m = LagRegressor(PERIOD_S).fit(X, y, labels)
+    told = m.simulate(X, labels, start=y)
+    firsts = np.flatnonzero(np.diff(np.concatenate([[0], labels])))
+    np.testing.assert_array_equal(told[firsts], y[firsts])
+
+
+def test_too_few_rows_are_a_state_with_advice_not_an_error() -> None:
+    rng = np.random.default_rng(17)
+    m = LagRegressor(PERIOD_S).fit(rng.standard_normal((4, 1)), rng.standard_normal(4))
+    assert m.fit_state_ is FitState.TOO_FEW_ROWS
+    assert np.isnan(m.time_constant_s_)
+    assert "fewer scored rows" in m.fit_state_.advice
+    assert np.all(np.isfinite(m.predict(np.zeros((3, 1)))))
+
+
+def test_data_without_a_lag_give_a_time_constant_far_below_the_sample_period() -> None:
+    rng = np.random.default_rng(18)
+    phi = rng.standard_normal(1000) * 0.1
+    y = 0.3 + phi + 1e-4 * rng.standard_normal(1000)
+    m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
+    assert m.time_constant_s_ < 0.1 * PERIOD_S
+
+
+@pytest.mark.parametrize(
+    ("parameters", "name"),
+    [
+        ({"noise": "bj"}, "noise"),
+        ({"hold": "second"}, "hold"),
+        ({"drift": "linear"}, "drift"),
+        ({"degree": -1}, "degree"),
+        ({"degree": 2.0}, "degree"),
+        ({"sample_period_s": 0.0}, "sample_period_s"),
+        ({"sample_period_s": "1 ms"}, "sample_period_s"),
+        ({"noise_order": 3}, "noise_order"),
+        ({"knot_spacing_s": -1.0}, "knot_spacing_s"),
+    ],
+)
+def test_bad_parameters_are_refused_by_name(parameters: dict[str, object], name: str) -> None:
+    X, y = clean(200)
+    with pytest.raises(InputError, match=rf"^{name}: expected .*, found "):
+        LagRegressor(**parameters).fit(X, y)
+
+
+def test_bad_data_are_refused() -> None:
+    X, y = clean(200)
+    with pytest.raises(InputError, match="segments: expected one label for each of 200 rows"):
+        LagRegressor().fit(X, y, segments=np.ones(150))
+    with pytest.raises(ValueError, match="NaN"):
+        LagRegressor().fit(np.where(X > 0.4, np.nan, X), y)
+    with pytest.raises(ValueError, match=r"[Nn]egative"):
+        LagRegressor().fit(X, y, sample_weight=-np.ones(200))
+    with pytest.raises(InputError, match="breakpoints"):
+        LagRegressor(basis=PiecewiseLinear(breakpoints=(0.3, 0.2))).fit(X, y)
+
+
+def test_pickles_and_works_in_pipeline_and_grid_search() -> None:
+    X, y, labels = segmented(19, n_segments=4)
+    m = LagRegressor(PERIOD_S).fit(X, y, labels)
+    again = pickle.loads(pickle.dumps(m))
+    np.testing.assert_array_equal(again.predict(X, labels), m.predict(X, labels))
+    pipe = make_pipeline(FunctionTransformer(), LagRegressor(PERIOD_S, hold="first"))
+    pipe.fit(X, y, lagregressor__segments=labels)
+    search = GridSearchCV(LagRegressor(PERIOD_S), {"degree": [1, 2]}, cv=LeaveOneGroupOut())
+    search.fit(X, y, groups=labels)
+    assert search.best_params_ == {"degree": 2}
+
+
+def test_input_arrays_are_left_as_they_were() -> None:
+    X, y = clean(300)
+    X0, y0 = X.copy(), y.copy()
+    LagRegressor(drift="spline").fit(X, y).predict(X)
+    np.testing.assert_array_equal(X, X0)
+    np.testing.assert_array_equal(y, y0)
