@@ -7,16 +7,14 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
+from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, SplineTransformer
 
-from support.lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
-
 from classic_ml import LagRegressor, PiecewiseLinear
 from classic_ml.errors import InputError
 from classic_ml.fit_state import FitState
-
 
 NOISES = ("arx", "armax", "output-error")
 HOLDS = ("zero", "first")
