@@ -1,0 +1,234 @@
+"""The command `sindy-surge`: what each sub-command takes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+__all__ = ["build_parser", "main"]
+
+EXIT_DONE = 0
+EXIT_UNUSABLE = 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments; those of the process without it.
+
+    Returns
+    -------
+    int
+        0: done, whatever the verdict; 2: unusable input, said in one sentence on stderr.
+    """
+    from classic_ml.errors import InputError
+
+    arguments = build_parser().parse_args(argv)
+    try:
+        arguments.run(arguments)
+    except InputError as error:
+        print(f"sindy-surge: {error}", file=sys.stderr)
+        return EXIT_UNUSABLE
+    except BrokenPipeError:
+        # `sindy-surge … | head` closes our output: that is not a failure.
+        sys.stderr.close()
+        return EXIT_DONE
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"sindy-surge: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_UNUSABLE
+    return EXIT_DONE
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser with all sub-commands."""
+    parser = argparse.ArgumentParser(
+        prog="sindy-surge",
+        description="Post-stall characteristics and the time constant of a compressor from its "
+        "surge records, by two rival estimators side by side.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_demo(commands)
+    _add_simulate(commands)
+    _add_reduce(commands)
+    _add_compare(commands)
+    _add_reconstruct(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Print the version; the package metadata is read only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"sindy-surge {version('sindy-surge')}")
+        parser.exit()
+
+
+_Commands = argparse._SubParsersAction  # type: ignore[type-arg]
+
+
+def _add_demo(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "demo",
+        help="simulate a surge test, reduce it, fit both estimators, write a report",
+        description="Simulate an E3-like surge test at 98.5 % and 90 % speed, reduce the raw "
+        "counts, run the estimators on both coefficients and write one HTML report.",
+    )
+    parser.add_argument("--out", type=Path, default=Path("demo"), help="folder (default: demo)")
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
+    parser.set_defaults(run=_command("demo"))
+
+
+def _add_simulate(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "simulate",
+        help="run the simulated test rig and write its raw record",
+        description="Run the simulated test rig: DIR/raw.csv and DIR/test.toml as a real rig "
+        "would leave them, and apart from them the truth in DIR/truth.",
+    )
+    parser.add_argument("--case", default="985", help="parameter set (default: 985)")
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
+    parser.add_argument(
+        "--duration", type=float, default=4.0, metavar="SECONDS", help="length (default: 4)"
+    )
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
+    parser.set_defaults(run=_command("simulate"))
+
+
+def _add_reduce(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "reduce",
+        help="raw counts to φ, ψ' and ψ",
+        description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ "
+        "and the intervals to be fitted.",
+    )
+    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (.csv)")
+    parser.add_argument("--test", type=Path, required=True, help="description of the test (.toml)")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
+    )
+    parser.add_argument(
+        "--filter-order", type=int, default=None, metavar="N", help="Butterworth order, 3 or 5"
+    )
+    parser.add_argument(
+        "--cutoff", type=float, default=None, metavar="HZ", help="filter cut-off (default: 48)"
+    )
+    parser.add_argument(
+        "--phase", choices=("zero", "causal", "none"), default=None, help="filter direction"
+    )
+    parser.add_argument(
+        "--probes", choices=("all", "tip", "hub"), default=None, help="probes that are averaged"
+    )
+    parser.add_argument(
+        "--threshold", type=float, default=None, metavar="LBM_S", help="corrected flow of stall"
+    )
+    parser.add_argument(
+        "--hysteresis", type=float, default=None, metavar="LBM_S", help="width of the threshold"
+    )
+    parser.add_argument(
+        "--window",
+        type=float,
+        nargs=2,
+        default=None,
+        metavar=("FROM_S", "TO_S"),
+        help="window of the quasi-steady cycles, else from test.toml, else found",
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="report of the reduction")
+    parser.set_defaults(run=_command("reduce"))
+
+
+def _add_compare(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "compare",
+        help="fit the estimators to the same series and set them side by side",
+        description="Fit the paper's maximum-likelihood lag model and the sparse regression to "
+        "the same rows: characteristics, time constants, reconstructions, held-out errors.",
+    )
+    _add_series(parser)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report")
+    parser.add_argument("--save", type=Path, metavar="MODEL", help="save the fitted models")
+    parser.add_argument(
+        "--degree",
+        type=_degree,
+        default=2,
+        metavar="N",
+        help="degree of the classical characteristic (default: 2)",
+    )
+    parser.add_argument(
+        "--hold", choices=("first", "zero"), default="first", help="φ between its samples"
+    )
+    parser.set_defaults(run=_command("compare"))
+
+
+def _add_reconstruct(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "reconstruct",
+        help="run a saved model over another record",
+        description="Run models saved by `compare --save` over other records, with nothing "
+        "refitted, and score the reconstruction.",
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help="saved by compare --save")
+    _add_series(parser)
+    parser.add_argument(
+        "--estimator", default=None, metavar="NAME", help="one estimator; all without it"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the scores as JSON")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE.csv",
+        help="write the reconstruction (of one record by one estimator)",
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report")
+    parser.set_defaults(run=_command("reconstruct"))
+
+
+def _add_series(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "series", type=Path, nargs="+", metavar="SERIES", help="series (.csv or .nc)"
+    )
+
+
+class _command:
+    """Import the commands only when one is run: `--help` answers at once."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, arguments: argparse.Namespace) -> None:
+        from comparisons import commands
+
+        getattr(commands, f"run_{self.name}")(arguments)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0, 2**32 - 1)
+
+
+def _degree(text: str) -> int:
+    return _whole(text, 1, 12)
+
+
+def _whole(text: str, low: int, high: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = low - 1
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"expected a whole number from {low} to {high}: '{text}'")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,340 @@
+"""Several estimators on the same rows: fits, reconstructions, held-out scores, and the table."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from classic_ml.first_order_lag import Hold
+from classic_ml.records import FloatArray
+from classic_ml.residual_checks import CheckRow, coverage, input_correlation, whiteness
+from classic_ml.series import CoefficientSeries
+from comparisons.estimators import EstimatorSpec, default_estimators
+from comparisons.fit_quality import (
+    FitScore,
+    block_errors,
+    paired_difference,
+    score_fit,
+    trusted_range,
+)
+from comparisons.fit_rows import FitRows, minimum_phi_of, stack_rows
+from comparisons.lag_value import FittedLag
+
+__all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
+
+CURVE_POINTS = 121
+# Estimators that differ by more than this in τ are not measuring one thing.
+TAU_AGREEMENT = 0.15
+Progress = Callable[[Iterable[EstimatorSpec]], Iterable[EstimatorSpec]]
+
+
+@dataclass(frozen=True)
+class EstimatorResult:
+    """What one estimator made of the rows.
+
+    Parameters
+    ----------
+    name, label : str
+        Key and what people call it.
+    model : FittedLag
+        The fitted model as a value, from all rows.
+    state, advice : str
+        Code of how the fit ended and what to do about it.
+    equation : str
+        The model in one line.
+    free_run, one_step : FitScore
+        Scores over all rows.
+    held_out : FitScore or None
+        Free run on the rows held out, by a fit to the others; None where there were too few.
+    reconstruction : ndarray of shape (n,)
+        Free run over the fitted rows from each segment's measured start.
+    errors_one_step : ndarray of shape (n,)
+        One-step errors.
+    held_out_blocks : ndarray of shape (n_blocks, 2)
+        Squared error and rows of each held-out block, for paired differences.
+    checks : tuple of CheckRow
+        Residual checks.
+    seconds : float
+        Time of the fit.
+    """
+
+    name: str
+    label: str
+    model: FittedLag
+    state: str
+    advice: str
+    equation: str
+    free_run: FitScore
+    one_step: FitScore
+    held_out: FitScore | None
+    reconstruction: FloatArray
+    errors_one_step: FloatArray
+    held_out_blocks: FloatArray
+    checks: tuple[CheckRow, ...]
+    seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit ended well."""
+        return self.state == "converged"
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """One line of the comparison table.
+
+    Parameters
+    ----------
+    estimator, label : str
+        Key and what people call it.
+    rank : int
+        1 for the least held-out error.
+    held_out_rms : float
+        Free-run error on held-out rows.
+    difference, paired_error : float
+        Of that rms to the best estimator's, on the same blocks.
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error.
+    trust : str
+        A word on what to trust in this line.
+    """
+
+    estimator: str
+    label: str
+    rank: int
+    held_out_rms: float
+    difference: float
+    paired_error: float
+    time_constant_s: float
+    time_constant_stderr_s: float
+    trust: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Estimators side by side on the same rows of one or several records.
+
+    Parameters
+    ----------
+    records : tuple of CoefficientSeries
+        What was compared.
+    rows : FitRows
+        The rows that were fitted.
+    results : tuple of EstimatorResult
+        One for each estimator.
+    table : tuple of ComparisonRow
+        Best first.
+    valid_phi : tuple of float
+        Range of φ in which the curves can be trusted.
+    cautions : tuple of str
+        What a reader should know of all lines, from the records' ledgers.
+    """
+
+    records: tuple[CoefficientSeries, ...]
+    rows: FitRows
+    results: tuple[EstimatorResult, ...]
+    table: tuple[ComparisonRow, ...]
+    valid_phi: tuple[float, float]
+    cautions: tuple[str, ...]
+
+    def result(self, name: str) -> EstimatorResult:
+        """Return the result of one estimator."""
+        return next(result for result in self.results if result.name == name)
+
+
+def compare_records(
+    records: Sequence[CoefficientSeries],
+    *,
+    target: str = "psi_p",
+    degree: int = 2,
+    hold: Hold = "first",
+    estimators: Sequence[EstimatorSpec] | None = None,
+    progress: Progress = iter,
+) -> Comparison:
+    """Fit each estimator to the same rows and set them side by side.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        One or several records at one sample rate.
+    target : {"psi_p", "psi"}
+        Which coefficient is modelled.
+    degree : int
+        Degree of the classical pressure characteristic.
+    hold : {"zero", "first"}
+        How φ acts between samples, for all estimators.
+    estimators : sequence of EstimatorSpec, optional
+        In place of :func:`default_estimators`.
+    progress : callable
+        Wraps the iteration over the estimators, to show how far it is.
+
+    Raises
+    ------
+    InputError
+        When the records do not go together or there is nothing to fit.
+    """
+    rows = stack_rows(records, target, minimum_phi_of(target))
+    specs = estimators or default_estimators(degree=degree, hold=hold, target=target)
+    valid_phi = trusted_range(rows.phi)
+    results = tuple(_run(spec, rows, hold, valid_phi) for spec in progress(specs))
+    return Comparison(
+        tuple(records),
+        rows,
+        results,
+        _table(results),
+        valid_phi,
+        _cautions(records, results),
+    )
+
+
+def _run(
+    spec: EstimatorSpec, rows: FitRows, hold: Hold, valid_phi: tuple[float, float]
+) -> EstimatorResult:
+    begin = time.perf_counter()
+    estimator = spec.build(rows).fit(rows.X, rows.measured, segments=rows.labels)
+    seconds = time.perf_counter() - begin
+    model = _value(estimator, spec, rows, hold, valid_phi)
+    reconstruction = model.free_run(
+        rows.phi, rows.sample_period_s, rows.labels, start=rows.measured
+    )
+    predicted, known = _one_step(estimator, model, rows)
+    held_out, blocks = _held_out(spec, rows, hold, valid_phi)
+    state = getattr(estimator, "fit_state_", None)
+    errors = np.where(known, rows.measured - predicted, 0.0)
+    return EstimatorResult(
+        spec.name,
+        spec.label,
+        model,
+        getattr(state, "code", "converged"),
+        getattr(state, "advice", ""),
+        _equation(estimator, rows.target),
+        score_fit(rows.measured, reconstruction),
+        score_fit(rows.measured, predicted, known),
+        held_out,
+        reconstruction,
+        errors,
+        blocks,
+        (
+            whiteness(errors, rows.runs),
+            input_correlation(errors, rows.phi, rows.runs),
+            coverage(rows.phi, rows.runs, valid_phi),
+        ),
+        seconds,
+    )
+
+
+def _value(
+    estimator: Any,
+    spec: EstimatorSpec,
+    rows: FitRows,
+    hold: Hold,
+    valid_phi: tuple[float, float],
+) -> FittedLag:
+    grid = np.linspace(float(rows.phi.min()), float(rows.phi.max()), CURVE_POINTS)
+    return FittedLag.from_estimator(estimator, spec.name, rows.target, hold, grid, valid_phi)
+
+
+def _one_step(estimator: Any, model: FittedLag, rows: FitRows) -> tuple[FloatArray, Any]:
+    """Ask the estimator for its own one-step predictor, or take the plain lag's."""
+    if hasattr(estimator, "one_step"):
+        prediction, known = estimator.one_step(rows.X, rows.measured, rows.labels)
+        return prediction, known
+    prediction = model.one_step(rows.phi, rows.measured, rows.sample_period_s, rows.labels)
+    known = np.ones(rows.measured.size, dtype=np.bool_)
+    known[[run.start for run in rows.runs]] = False
+    return prediction, known
+
+
+def _held_out(
+    spec: EstimatorSpec, rows: FitRows, hold: Hold, valid_phi: tuple[float, float]
+) -> tuple[FitScore | None, FloatArray]:
+    train, test = rows.part(rows.train), rows.part(~rows.train)
+    if test.phi.size == 0 or train.phi.size == 0:
+        return None, np.zeros((0, 2))
+    estimator = spec.build(train).fit(train.X, train.measured, segments=train.labels)
+    model = _value(estimator, spec, train, hold, valid_phi)
+    free_run = model.free_run(test.phi, test.sample_period_s, test.labels, start=test.measured)
+    score = score_fit(test.measured, free_run)
+    return score, block_errors(test.measured - free_run, test.runs)
+
+
+def _equation(estimator: Any, target: str) -> str:
+    text = str(estimator.equation()) if hasattr(estimator, "equation") else ""
+    return text.replace("dy/dt + y =", "dψ'/dt + ψ' =" if target == "psi_p" else "dψ/dt + ψ =")
+
+
+def _table(results: tuple[EstimatorResult, ...]) -> tuple[ComparisonRow, ...]:
+    def held_out_rms(result: EstimatorResult) -> float:
+        return result.held_out.rms if result.held_out else math.nan
+
+    ranked = sorted(results, key=lambda r: (math.isnan(held_out_rms(r)), held_out_rms(r)))
+    best = ranked[0]
+    rows = []
+    for rank, result in enumerate(ranked, start=1):
+        difference, paired_error = 0.0, 0.0
+        if result is not best and result.held_out and best.held_out:
+            difference, paired_error = paired_difference(
+                result.held_out_blocks, best.held_out_blocks
+            )
+        rows.append(
+            ComparisonRow(
+                result.name,
+                result.label,
+                rank,
+                held_out_rms(result),
+                difference,
+                paired_error,
+                result.model.time_constant_s,
+                result.model.time_constant_stderr_s,
+                _trust(result, results, difference, paired_error),
+            )
+        )
+    return tuple(rows)
+
+
+def _trust(
+    result: EstimatorResult,
+    results: tuple[EstimatorResult, ...],
+    difference: float,
+    paired_error: float,
+) -> str:
+    """Say in words what in this line should not be relied on."""
+    words = []
+    if not result.converged:
+        words.append(result.advice)
+    if result.held_out is None:
+        words.append("no held-out rows: the rms is of the fit itself")
+    elif result.held_out.r2 < 0.0:
+        words.append("worse than a constant on held-out cycles")
+    elif 0.0 < abs(difference) < 2.0 * paired_error:
+        words.append("no worse than the best within the paired error")
+    taus = [r.model.time_constant_s for r in results if math.isfinite(r.model.time_constant_s)]
+    if len(taus) > 1 and math.isfinite(result.model.time_constant_s):
+        middle = float(np.median(taus))
+        if abs(result.model.time_constant_s / middle - 1.0) > TAU_AGREEMENT:
+            words.append("τ off the others by more than 15 %")
+    failed = [check.check for check in result.checks if not check.passed]
+    if failed:
+        words.append("failed: " + ", ".join(failed))
+    return "; ".join(words) or "nothing speaks against it"
+
+
+def _cautions(
+    records: Sequence[CoefficientSeries], results: tuple[EstimatorResult, ...]
+) -> tuple[str, ...]:
+    cautions = []
+    for record in records:
+        for entry in record.history:
+            cautions += [f"{record.source}: {flag}" for flag in entry.flags]
+    taus = [r.model.time_constant_s for r in results if math.isfinite(r.model.time_constant_s)]
+    if len(taus) > 1 and max(taus) > (1.0 + 2.0 * TAU_AGREEMENT) * min(taus):
+        cautions.append(
+            f"the estimators put τ between {1e3 * min(taus):.3g} and {1e3 * max(taus):.3g} ms: "
+            "what they disagree on is not measured by this record"
+        )
+    return tuple(dict.fromkeys(cautions))

@@ -1,0 +1,191 @@
+"""The rows that a comparison fits: several records stacked, no segment straddling two."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from classic_ml.runs import runs_of
+from classic_ml.series import CoefficientSeries
+
+__all__ = ["FitRows", "minimum_phi_of", "stack_rows"]
+
+TRAIN_SHARE = 2.0 / 3.0
+# An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
+# start of its own.
+MINIMUM_SEGMENT_ROWS = 15
+
+
+@dataclass(frozen=True)
+class FitRows:
+    """Rows to be fitted, with their segments.
+
+    Parameters
+    ----------
+    phi, measured : ndarray of shape (n,)
+        Flow coefficient and the coefficient that is modelled.
+    time_s : ndarray of shape (n,)
+        Facility clock.
+    labels : ndarray of int, shape (n,)
+        Segment of each row, counted through over all records.
+    record : ndarray of int, shape (n,)
+        Index of the record of each row.
+    sample_period_s : float
+        Sample period, in seconds.
+    target : {"psi_p", "psi"}
+        Which coefficient ``measured`` is.
+    train : ndarray of bool, shape (n,)
+        Rows that the held-out score is fitted to; the rest is held out.
+    """
+
+    phi: FloatArray
+    measured: FloatArray
+    time_s: FloatArray
+    labels: NDArray[np.int64]
+    record: NDArray[np.int64]
+    sample_period_s: float
+    target: str
+    train: NDArray[np.bool_]
+
+    @property
+    def X(self) -> FloatArray:
+        """φ as the one column scikit-learn's estimators take."""
+        return self.phi[:, None]
+
+    @property
+    def runs(self) -> list[slice]:
+        """Rows of each segment."""
+        return runs_of(self.labels, self.labels.size)
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments."""
+        return len(self.runs)
+
+    def part(self, keep: NDArray[np.bool_]) -> FitRows:
+        """Return some of the rows."""
+        return FitRows(
+            self.phi[keep],
+            self.measured[keep],
+            self.time_s[keep],
+            self.labels[keep],
+            self.record[keep],
+            self.sample_period_s,
+            self.target,
+            self.train[keep],
+        )
+
+
+def minimum_phi_of(target: str) -> float:
+    """Return the magnitude of φ below which a row of this coefficient says nothing.
+
+    Parameters
+    ----------
+    target : {"psi_p", "psi"}
+        The work coefficient divides by the flow (paper, Eq 13) and is singular at φ = 0.
+    """
+    if target != "psi":
+        return 0.0
+    from classic_ml.coefficients import PSI_MINIMUM_PHI
+
+    return PSI_MINIMUM_PHI
+
+
+def stack_rows(
+    records: Sequence[CoefficientSeries], target: str = "psi_p", minimum_phi: float = 0.0
+) -> FitRows:
+    """Stack the rows in the intervals to be fitted of one or several records.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        At one sample rate.
+    target : {"psi_p", "psi"}
+        Which coefficient is modelled.
+    minimum_phi : float
+        Rows with a smaller magnitude of φ are left out and cut their segment in two: the work
+        coefficient is singular at zero flow.
+
+    Raises
+    ------
+    InputError
+        When the sample rates differ, a record lacks the target, or nothing is left to fit.
+    """
+    periods = [record.sample_period_s for record in records]
+    if max(periods) - min(periods) > 1e-6 * periods[0]:
+        raise InputError(
+            ", ".join(record.source for record in records),
+            expected="records of one sample rate",
+            found=" and ".join(f"{1.0 / period:g} Hz" for period in periods),
+            remedy="compare them one at a time",
+        )
+    columns: list[tuple[NDArray[np.generic], ...]] = []
+    n_labels = 0
+    for index, record in enumerate(records):
+        values = getattr(record, target)
+        if values is None:
+            raise InputError(record.source, expected=f"a column {target}", found="none")
+        keep = record.scored & (np.abs(record.phi) >= minimum_phi)
+        labels, n_labels = _labels(record.segment, keep, n_labels)
+        rows = np.flatnonzero(labels)
+        columns.append(
+            (
+                record.phi[rows],
+                values[rows],
+                record.time_s[rows],
+                labels[rows],
+                np.full(rows.size, index),
+            )
+        )
+    phi, measured, time_s, labels, record_index = (
+        np.concatenate(parts) for parts in zip(*columns, strict=True)
+    )
+    if phi.size < MINIMUM_SEGMENT_ROWS:
+        raise InputError(
+            ", ".join(record.source for record in records),
+            expected=f"at least {MINIMUM_SEGMENT_ROWS} rows in an interval to be fitted",
+            found=f"{phi.size}",
+            remedy="check the column segment: 0 marks the rows that are left out",
+        )
+    labels, train = _hold_out(labels.astype(np.int64))
+    return FitRows(
+        phi.astype(np.float64),
+        measured.astype(np.float64),
+        time_s.astype(np.float64),
+        labels,
+        record_index.astype(np.int64),
+        periods[0],
+        target,
+        train,
+    )
+
+
+def _labels(
+    segment: NDArray[np.int64], keep: NDArray[np.bool_], n_before: int
+) -> tuple[NDArray[np.int64], int]:
+    """Label the kept stretches, dropping those too short to be a segment."""
+    labels = np.zeros(segment.size, dtype=np.int64)
+    for run in runs_of(np.where(keep, segment, 0), segment.size):
+        if keep[run.start] and run.stop - run.start >= MINIMUM_SEGMENT_ROWS:
+            n_before += 1
+            labels[run] = n_before
+    return labels, n_before
+
+
+def _hold_out(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Hold out the last third: whole segments where there are several, else the end of the one."""
+    runs = runs_of(labels, labels.size)
+    train = np.zeros(labels.size, dtype=np.bool_)
+    target = TRAIN_SHARE * labels.size
+    if len(runs) < 3:
+        train[: int(target)] = True
+        return labels, train
+    for run in runs:
+        if run.stop <= target or run.start == 0:
+            train[run] = True
+    return labels, train

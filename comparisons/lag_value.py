@@ -1,0 +1,275 @@
+"""A fitted lag model as a value: it can be saved, read back and run on another record."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from classic_ml.errors import InputError
+from classic_ml.first_order_lag import FirstOrderLag, Hold
+from classic_ml.records import FloatArray
+from classic_ml.runs import runs_of
+from comparisons.files import write_whole
+from comparisons.terms import evaluate_terms, is_known_term
+
+__all__ = ["MODEL_SCHEMA", "FittedLag", "LagEstimator", "load_models", "save_models"]
+
+MODEL_SCHEMA = "sindy-surge/model/1"
+
+
+class LagEstimator(Protocol):
+    """What the harness asks of a fitted estimator (DESIGN section 5)."""
+
+    time_constant_s_: float
+    time_constant_stderr_s_: float
+    terms_: list[str]
+    coef_: FloatArray
+    covariance_: FloatArray
+
+    def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the quasi-steady characteristic and its standard error."""
+
+
+@dataclass(frozen=True)
+class FittedLag:
+    """τ dy/dt + y = Σ β_i s_i(φ) with numbers in it.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator that found it.
+    target : {"psi_p", "psi"}
+        The coefficient it gives.
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error, in seconds.
+    terms : tuple of str
+        Names of the s_i.
+    coefficients, stderr : tuple of float
+        β_i and their standard errors.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    valid_phi : tuple of float
+        Range of φ in which the curve can be trusted.
+    table : tuple of tuple of float
+        The characteristic as (φ, value, standard error), for plots and for terms whose function
+        is not known by name.
+    """
+
+    estimator: str
+    target: str
+    time_constant_s: float
+    time_constant_stderr_s: float
+    terms: tuple[str, ...]
+    coefficients: tuple[float, ...]
+    stderr: tuple[float, ...]
+    hold: Hold
+    valid_phi: tuple[float, float]
+    table: tuple[tuple[float, float, float], ...]
+
+    @classmethod
+    def from_estimator(
+        cls,
+        estimator: LagEstimator,
+        name: str,
+        target: str,
+        hold: Hold,
+        phi: FloatArray,
+        valid_phi: tuple[float, float],
+    ) -> FittedLag:
+        """Take the numbers out of a fitted estimator.
+
+        Parameters
+        ----------
+        estimator : LagEstimator
+            Fitted.
+        name, target : str
+            How it is called and which coefficient it gives.
+        hold : {"zero", "first"}
+            The hold it was fitted with.
+        phi : ndarray of shape (n,)
+            Points at which its characteristic is kept.
+        valid_phi : tuple of float
+            Range of trust.
+        """
+        value, stderr = estimator.characteristic(phi)
+        return cls(
+            name,
+            target,
+            float(estimator.time_constant_s_),
+            float(estimator.time_constant_stderr_s_),
+            tuple(estimator.terms_),
+            tuple(float(b) for b in estimator.coef_),
+            tuple(float(s) for s in np.sqrt(np.maximum(np.diag(estimator.covariance_), 0.0))),
+            hold,
+            valid_phi,
+            tuple(zip(phi.tolist(), value.tolist(), stderr.tolist(), strict=True)),
+        )
+
+    @property
+    def ci95_s(self) -> tuple[float, float]:
+        """95 % interval of τ, in seconds; taken on log τ, so that it stays positive."""
+        if not math.isfinite(self.time_constant_stderr_s):
+            return (math.nan, math.nan)
+        factor = math.exp(min(1.96 * self.time_constant_stderr_s / self.time_constant_s, 700.0))
+        return (self.time_constant_s / factor, self.time_constant_s * factor)
+
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return the characteristic at φ, of shape (n,)."""
+        if all(is_known_term(term) for term in self.terms):
+            terms = evaluate_terms(list(self.terms), phi)
+            return np.asarray(terms @ np.asarray(self.coefficients))
+        grid, value, _ = np.asarray(self.table).T
+        return np.asarray(np.interp(np.asarray(phi, dtype=np.float64), grid, value))
+
+    def lag(self, sample_period_s: float) -> FirstOrderLag:
+        """Return the discrete lag for a sample period."""
+        return FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
+
+    def free_run(
+        self,
+        phi: FloatArray,
+        sample_period_s: float,
+        labels: ArrayLike | None = None,
+        start: FloatArray | None = None,
+    ) -> FloatArray:
+        """Reconstruct the coefficient from φ: no measurement of it but each segment's start.
+
+        Parameters
+        ----------
+        phi : ndarray of shape (n,)
+            Measured flow coefficient.
+        sample_period_s : float
+            Sample period of φ, in seconds; need not be that of the fit.
+        labels : array-like of int, shape (n,), optional
+            Segments.
+        start : ndarray of shape (n,), optional
+            Measured coefficient; only the first row of each segment is used.
+        """
+        quasi_steady = self.quasi_steady(phi)
+        if not math.isfinite(self.time_constant_s):
+            return quasi_steady
+        begin = quasi_steady if start is None else start
+        lag = self.lag(sample_period_s)
+        out = np.empty_like(quasi_steady)
+        for run in runs_of(labels, quasi_steady.size):
+            out[run] = lag.respond(quasi_steady[run], begin[run.start])
+        return out
+
+    def one_step(
+        self,
+        phi: FloatArray,
+        target: FloatArray,
+        sample_period_s: float,
+        labels: ArrayLike | None = None,
+    ) -> FloatArray:
+        """Predict each row from the measured row before it; first rows predict themselves."""
+        quasi_steady = self.quasi_steady(phi)
+        if not math.isfinite(self.time_constant_s):
+            return quasi_steady
+        lag = self.lag(sample_period_s)
+        out = target.copy()
+        for run in runs_of(labels, target.size):
+            before = target[run][:-1]
+            out[run.start + 1 : run.stop] = lag.a * before + lag.drive(quasi_steady[run])
+        return out
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the value as plain JSON types."""
+        return {
+            "estimator": self.estimator,
+            "target": self.target,
+            "time_constant_s": _finite(self.time_constant_s),
+            "time_constant_stderr_s": _finite(self.time_constant_stderr_s),
+            "terms": [
+                {"name": name, "coefficient": value, "stderr": _finite(stderr)}
+                for name, value, stderr in zip(
+                    self.terms, self.coefficients, self.stderr, strict=True
+                )
+            ],
+            "hold": self.hold,
+            "valid_phi": list(self.valid_phi),
+            "characteristic": [[_finite(v) for v in row] for row in self.table],
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> FittedLag:
+        """Build from what :meth:`to_json` gave; KeyError, TypeError or ValueError otherwise."""
+        if data["hold"] not in ("zero", "first"):
+            raise ValueError(f"hold {data['hold']!r}")
+        tau_s = _number(data["time_constant_s"])
+        if tau_s <= 0.0:
+            raise ValueError(f"a time constant of {tau_s} s")
+        low, high = (float(edge) for edge in data["valid_phi"])
+        return cls(
+            str(data["estimator"]),
+            str(data["target"]),
+            tau_s,
+            _number(data["time_constant_stderr_s"]),
+            tuple(str(term["name"]) for term in data["terms"]),
+            tuple(float(term["coefficient"]) for term in data["terms"]),
+            tuple(_number(term["stderr"]) for term in data["terms"]),
+            data["hold"],
+            (low, high),
+            tuple((float(p), _number(v), _number(s)) for p, v, s in data["characteristic"]),
+        )
+
+
+def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
+    """Write fitted models as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    models : mapping of str to FittedLag
+        By estimator.
+    path : str or path
+        Target.
+    """
+    document = {
+        "schema": MODEL_SCHEMA,
+        "models": {name: model.to_json() for name, model in models.items()},
+    }
+    write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def load_models(path: str | Path) -> dict[str, FittedLag]:
+    """Read models that :func:`save_models` wrote; the file is data, nothing in it is executed.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+
+    Raises
+    ------
+    InputError
+        When it is missing or is not a model file.
+    """
+    file = Path(path)
+    expected = "a model file written by `sindy-surge compare --save`"
+    if not file.is_file():
+        raise InputError(str(file), expected=expected, found="no such file")
+    try:
+        document = json.loads(file.read_text("utf-8"))
+        if document["schema"] != MODEL_SCHEMA:
+            raise ValueError(f"the schema {document['schema']!r}")
+        models = {str(k): FittedLag.from_json(v) for k, v in document["models"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(str(file), expected=expected, found=f"something else ({error})") from None
+    if not models:
+        raise InputError(str(file), expected=expected, found="a file without a model")
+    return models
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

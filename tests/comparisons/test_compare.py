@@ -1,0 +1,188 @@
+"""Estimators side by side: scores, pairing, held-out cycles and words of trust."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
+
+from classic_ml.errors import InputError
+from classic_ml.series import CoefficientSeries
+from comparisons.compare import compare_records
+from comparisons.estimators import default_estimators, psi_breakpoints
+from comparisons.fit_quality import block_errors, paired_difference, score_fit, trusted_range
+from comparisons.fit_rows import stack_rows
+from comparisons.json_output import comparison_document, to_strict_json
+from comparisons.lag_value import FittedLag
+from comparisons.reconstruction import reconstruct_record, reconstruction_csv
+
+CLASSICAL = default_estimators()[:3]
+
+
+def series(seed: int, n: int = 3000, n_segments: int = 6, **columns: object) -> CoefficientSeries:
+    rng = np.random.default_rng(seed)
+    phi = flow(n, rng)
+    y = lagged(phi, "first") + 0.003 * rng.standard_normal(n)
+    segment = np.zeros(n, dtype=np.int64)
+    edges = np.linspace(0, n, n_segments + 1).astype(int)
+    for label, (low, high) in enumerate(pairwise(edges), start=1):
+        segment[low : high - 20] = label
+    if n_segments == 1:
+        segment[:] = 1
+    return CoefficientSeries(
+        np.arange(n) * PERIOD_S + 10.0, phi, y, segment, source=f"record {seed}", **columns
+    )
+
+
+def test_scores_of_known_errors() -> None:
+    y = np.array([1.0, 2.0, 3.0, 4.0])
+    perfect = score_fit(y, y)
+    assert (perfect.rms, perfect.fit_percent, perfect.r2) == (0.0, 100.0, 1.0)
+    mean = score_fit(y, np.full(4, 2.5))
+    assert mean.r2 == pytest.approx(0.0)
+    assert mean.fit_percent == pytest.approx(0.0)
+    off = score_fit(y, y + 0.5, np.array([True, True, False, True]))
+    assert off.rms == pytest.approx(0.5)
+    assert off.n_rows == 3
+
+
+def test_trusted_range_is_the_bulk_of_phi() -> None:
+    low, high = trusted_range(np.linspace(0.0, 1.0, 1001))
+    assert (low, high) == pytest.approx((0.05, 0.95))
+
+
+def test_paired_error_is_smaller_than_the_errors_apart() -> None:
+    rng = np.random.default_rng(5)
+    hard = rng.uniform(0.5, 2.0, 40)  # some cycles are hard for both
+    runs = [slice(50 * i, 50 * i + 50) for i in range(40)]
+    base = (hard[:, None] * rng.standard_normal((40, 50))).ravel()
+    one, two = block_errors(base, runs), block_errors(1.1 * base, runs)
+    difference, paired = paired_difference(two, one)
+    assert difference == pytest.approx(0.1 * np.sqrt(np.mean(base**2)))
+    other = (rng.permutation(hard)[:, None] * rng.standard_normal((40, 50))).ravel()
+    _, unpaired = paired_difference(block_errors(other, runs), one)
+    assert paired < 0.2 * unpaired
+
+
+def test_one_long_segment_still_gives_six_blocks() -> None:
+    assert block_errors(np.ones(100), [slice(0, 100)]).shape == (6, 2)
+    assert block_errors(np.ones(100), [slice(0, 100)])[:, 1].sum() == 100
+
+
+@pytest.mark.parametrize("n_segments", [1, 2, 6])
+def test_all_estimators_find_the_truth_and_are_scored_on_rows_they_did_not_see(
+    n_segments: int,
+) -> None:
+    comparison = compare_records([series(1, n_segments=n_segments)], estimators=CLASSICAL)
+    for name in ("classic_ml", "classic_ml_output_error"):
+        result = comparison.result(name)
+        value, error = result.model.time_constant_s, result.model.time_constant_stderr_s
+        assert abs(value - TAU_S) < 4 * error
+        assert result.held_out is not None
+        assert result.held_out.rms == pytest.approx(0.003, rel=0.25)
+        assert result.free_run.r2 > 0.98
+    assert 0.5 < comparison.rows.train.mean() < 0.8
+    assert [row.rank for row in comparison.table] == [1, 2, 3]
+    assert comparison.table[0].difference == 0.0
+
+
+def test_arx_is_told_apart_on_noisy_output() -> None:
+    comparison = compare_records([series(2)], estimators=CLASSICAL)
+    row = next(row for row in comparison.table if row.estimator == "classic_ml_arx")
+    assert row.rank == 3
+    assert row.difference > 2 * row.paired_error
+    assert "τ off the others" in row.trust
+    assert any("put τ between" in caution for caution in comparison.cautions)
+
+
+def test_held_out_segments_are_never_trained_on() -> None:
+    rows = stack_rows([series(3)])
+    train, test = rows.part(rows.train), rows.part(~rows.train)
+    assert set(train.labels).isdisjoint(test.labels)
+    assert train.time_s.max() < test.time_s.min()
+
+
+def test_two_records_are_stacked_without_a_straddling_segment() -> None:
+    rows = stack_rows([series(4), series(5)])
+    assert rows.n_segments == 12
+    assert all(np.unique(rows.record[run]).size == 1 for run in rows.runs)
+
+
+def test_the_order_of_records_does_not_change_the_fit() -> None:
+    one, two = series(6), series(7)
+    forward = compare_records([one, two], estimators=CLASSICAL[:1]).results[0].model
+    backward = compare_records([two, one], estimators=CLASSICAL[:1]).results[0].model
+    assert forward.time_constant_s == pytest.approx(backward.time_constant_s, rel=1e-6)
+
+
+def test_records_of_different_rates_and_without_rows_are_refused() -> None:
+    slow = series(8)
+    slow = CoefficientSeries(slow.time_s * 2, slow.phi, slow.psi_p, slow.segment, source="slow")
+    with pytest.raises(InputError, match="one sample rate"):
+        compare_records([series(8), slow], estimators=CLASSICAL)
+    unmarked = series(9)
+    unmarked = CoefficientSeries(
+        unmarked.time_s, unmarked.phi, unmarked.psi_p, np.zeros(3000, dtype=np.int64)
+    )
+    with pytest.raises(InputError, match="segment"):
+        compare_records([unmarked], estimators=CLASSICAL)
+    with pytest.raises(InputError, match="column psi"):
+        compare_records([series(9)], target="psi", estimators=CLASSICAL)
+
+
+def test_json_keeps_the_contract_and_holds_no_nan() -> None:
+    comparison = compare_records([series(10)], estimators=CLASSICAL)
+    document = json.loads(to_strict_json(comparison_document(comparison)))
+    assert document["schema"] == "sindy-surge/compare/1"
+    assert set(document) >= {"schema", "records", "estimators", "comparison"}
+    estimate = document["estimators"]["classic_ml"]
+    assert set(estimate["time_constant_s"]) == {"value", "stderr", "ci95"}
+    assert [term["name"] for term in estimate["terms"]] == ["1", "phi", "phi^2"]
+    np.testing.assert_allclose([t["coefficient"] for t in estimate["terms"]], BETA, atol=0.05)
+    assert set(estimate["characteristic"]) == {"phi", "psi_p", "stderr"}
+    for score in ("free_run", "held_out", "one_step"):
+        assert set(estimate["fit"][score]) == {"rms", "fit_percent", "r2"}
+    low, high = estimate["valid_phi"]
+    assert low < high
+    assert {"check", "statistic", "threshold", "passed", "meaning"} <= set(estimate["checks"][0])
+    assert estimate["seconds"] > 0.0
+
+
+def test_strict_json_turns_what_is_not_finite_into_null() -> None:
+    assert json.loads(to_strict_json({"a": [np.nan, 1.0], "b": float("inf")})) == {
+        "a": [None, 1.0],
+        "b": None,
+    }
+
+
+def test_reconstruction_of_another_record() -> None:
+    model = compare_records([series(11)], estimators=CLASSICAL).result("classic_ml").model
+    result = reconstruct_record(model, series(12))
+    assert result.score.rms == pytest.approx(0.003, rel=0.2)
+    assert 0.0 <= result.outside < 0.5
+    lines = reconstruction_csv(result).splitlines()
+    assert lines[0] == "time_s,segment,phi,psi_p,psi_p_reconstructed"
+    assert len(lines) == result.rows.phi.size + 1
+    wrong = FittedLag(**{**model.__dict__, "time_constant_s": 0.243})
+    assert reconstruct_record(wrong, series(12)).score.rms > 5 * result.score.rms
+
+
+def test_breakpoints_of_fig_22_are_found_near_the_truth() -> None:
+    rng = np.random.default_rng(13)
+    phi = flow(4000, rng)
+    f = 3.4 - 12.0 * np.minimum(phi, 0.2) + 6.0 * np.clip(phi - 0.2, 0, 0.2)
+    f -= 3.0 * np.maximum(phi - 0.4, 0.0)
+    a = np.exp(-PERIOD_S / TAU_S)
+    y = np.empty_like(f)
+    y[0] = f[0]
+    for k in range(1, f.size):
+        y[k] = a * y[k - 1] + (1 - a) * f[k - 1]
+    record = CoefficientSeries(
+        np.arange(4000) * PERIOD_S, phi, y, np.ones(4000, dtype=np.int64), psi=y
+    )
+    low, high = psi_breakpoints(stack_rows([record], "psi"))
+    assert low == pytest.approx(0.2, abs=0.06)
+    assert high == pytest.approx(0.4, abs=0.06)
