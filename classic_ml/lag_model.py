@@ -11,7 +11,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
-from classic_ml.covariance import bartlett_lag, sandwich
+from classic_ml.covariance import block_jackknife, correlation_length
 from classic_ml.drift import spline_columns
 from classic_ml.errors import InputError
 from classic_ml.first_order_lag import FirstOrderLag, Hold
@@ -86,6 +86,9 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         How the fit ended, with advice.
     residual_std_ : float
         Root mean square of the scored prediction errors.
+    n_blocks_ : int
+        Blocks (segments, or pieces of a long one) over which the jackknife behind the standard
+        errors ran.
     n_scored_ : int
         Equations (or rows, for output error) that were scored.
 
@@ -404,8 +407,10 @@ class LagRegressor(RegressorMixin, BaseEstimator):
 
     def _store(self, outcome: Outcome, n_terms: int) -> None:
         n_rows, n_parameters = outcome.jacobian.shape
-        n_lags = bartlett_lag(outcome.innovations, outcome.piece_lengths)
-        covariance = sandwich(outcome.jacobian, outcome.innovations, outcome.piece_lengths, n_lags)
+        n_lags = correlation_length(outcome.innovations, outcome.piece_lengths)
+        covariance, self.n_blocks_ = block_jackknife(
+            outcome.jacobian, outcome.innovations, outcome.piece_lengths, n_lags
+        )
         n_shape = outcome.shape.size
         keep = [0, *range(n_shape, n_shape + n_terms)]
         covariance = covariance[np.ix_(keep, keep)]
@@ -439,6 +444,7 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         self.fit_state_ = FitState.TOO_FEW_ROWS
         self.residual_std_ = float(np.sqrt(np.mean(error**2)))
         self.residual_lag_ = 1
+        self.n_blocks_ = 0
         self.n_scored_ = int(np.count_nonzero(data.weight))
 
 

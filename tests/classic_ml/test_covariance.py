@@ -1,0 +1,66 @@
+"""Standard errors that hold: colour, segments, and the white limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
+
+from classic_ml import LagRegressor
+from classic_ml.covariance import block_jackknife, correlation_length
+
+
+def test_white_errors_give_the_textbook_covariance() -> None:
+    rng = np.random.default_rng(0)
+    jacobian = rng.standard_normal((20_000, 3)) * [1.0, 10.0, 0.01]
+    errors = 0.5 * rng.standard_normal(20_000)
+    covariance, n_blocks = block_jackknife(jacobian, errors, [20_000], 1)
+    textbook = 0.25 * np.linalg.inv(jacobian.T @ jacobian)
+    # A variance from twenty blocks is known to sqrt(2/19) = 32 %.
+    np.testing.assert_allclose(np.diag(covariance), np.diag(textbook), rtol=0.9)
+    assert n_blocks == 20
+
+
+def test_it_is_the_jackknife_of_a_linear_fit() -> None:
+    rng = np.random.default_rng(1)
+    jacobian = rng.standard_normal((60, 2))
+    y = jacobian @ [1.0, -2.0] + rng.standard_normal(60)
+    beta = np.linalg.lstsq(jacobian, y)[0]
+    covariance, _ = block_jackknife(jacobian, y - jacobian @ beta, [10] * 6, 1000)
+    left_out = []
+    for block in range(6):
+        keep = np.arange(60) // 10 != block
+        left_out.append(np.linalg.lstsq(jacobian[keep], y[keep])[0])
+    spread = np.array(left_out) - np.mean(left_out, axis=0)
+    np.testing.assert_allclose(covariance, 5.0 / 6.0 * spread.T @ spread, rtol=1e-9)
+
+
+def test_correlation_length_sees_colour() -> None:
+    rng = np.random.default_rng(2)
+    white = rng.standard_normal(20_000)
+    slow = np.zeros(20_000)
+    for k in range(1, 20_000):
+        slow[k] = 0.95 * slow[k - 1] + white[k]
+    assert correlation_length(white, [20_000]) <= 10
+    assert 60 < correlation_length(slow, [20_000]) < 400
+    assert correlation_length(slow, [200] * 100) <= 200
+
+
+@pytest.mark.parametrize("noise", ["armax", "output-error"])
+def test_stated_errors_hold_on_short_segments(noise: str) -> None:
+    z = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        X, y, labels = [], [], []
+        for label in range(12):
+            phi = flow(200, rng)[100:]
+            X.append(phi)
+            y.append(lagged(phi, "zero") + coloured(400, 0.0, 0.002, rng)[300:])
+            labels.append(np.full(100, label))
+        m = LagRegressor(PERIOD_S, noise=noise)
+        m.fit(np.concatenate(X)[:, None], np.concatenate(y), np.concatenate(labels))
+        stderr = [m.time_constant_stderr_s_, *np.sqrt(np.diag(m.covariance_))]
+        z.append((np.array([m.time_constant_s_, *m.coef_]) - [TAU_S, *BETA]) / stderr)
+    # A root mean square of 40 z-scores scatters by 1/sqrt(80) = 11 % about one.
+    assert np.all(np.sqrt(np.mean(np.square(z), axis=0)) < 1.45)
+    assert np.all(np.sqrt(np.mean(np.square(z), axis=0)) > 0.6)
