@@ -1,0 +1,249 @@
+"""The plant: compressor with lag and branches, its plenums, and the facility around it.
+
+Greitzer's lumped model with what the surge of a high-pressure-ratio compressor in a refrigerated
+test cell adds to it (``paper/equations-claims-rig.md`` section 5):
+
+    dW/dt = (P25 PR − P31) / I,    PR = (1 + ψ'_i U² / (2 c_p T25))^3.5
+    ψ'_i = ψ' + k_rev φ² [φ < 0]                       the reverse loss is not lagged
+    τ dψ'/dt = q ψ'_stall(φ) + (1 − q) ψ'_unstalled(φ, N_c) − ψ'
+    P25 = P_in − loss − I_in dW/dt                     the spike at each flow reversal
+
+with a discharge and an exhaust volume behind two orifices, an inlet volume fed by the
+refrigeration plant, and a face volume that reversed gas and in-stall recirculation heat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+from comparisons.rig.cases import RigCase
+from comparisons.rig.gas import (
+    CP_J_KG_K,
+    GAMMA,
+    GAS_CONSTANT_J_KG_K,
+    P_REF_PA,
+    corrected_flow_kg_s,
+    physical_flow_kg_s,
+)
+
+__all__ = ["PLANT_RATE_HZ", "PlantRun", "run_plant"]
+
+FloatArray = NDArray[np.float64]
+
+PLANT_RATE_HZ = 10_000.0
+# Exit flow below which the storage correction of T31 fades; 3 kg/s is phi of about 0.03.
+_MIXING_KG_S = 3.0
+# The millisecond of a flow reversal, in which dW25/dt jumps, would make gas of any temperature.
+_LARGEST_CORRECTION_K = 60.0
+
+
+@dataclass(frozen=True)
+class PlantRun:
+    """What the plant did, at `PLANT_RATE_HZ`, before any sensor.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray
+        One array a signal; all SI, named as in `comparisons.rig.plant_kernel.OUTPUTS`.
+    """
+
+    signals: Mapping[str, FloatArray]
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """Return one signal."""
+        return self.signals[name]
+
+
+def run_plant(case: RigCase, *, n_rows: int, substeps: int = 2) -> PlantRun:
+    """Integrate the plant of a case from its near-stall equilibrium.
+
+    Parameters
+    ----------
+    case : RigCase
+        The plant.
+    n_rows : int
+        Number of output rows at `PLANT_RATE_HZ`.
+    substeps : int
+        Runge-Kutta steps in each row.
+
+    Returns
+    -------
+    PlantRun
+        The signals.
+
+    Raises
+    ------
+    InputError
+        When an altered case has no equilibrium to start from, or does not stay finite.
+    """
+    from comparisons.rig import plant_kernel
+
+    constants, start = _equilibrium(case)
+    rows = plant_kernel.integrate(constants, start, n_rows, 1.0 / PLANT_RATE_HZ, substeps)
+    bad = ~np.all(np.isfinite(rows), axis=1)
+    if np.any(bad):
+        raise InputError(
+            f"case {case.name}",
+            expected="a plant that stays finite",
+            found=f"one that diverges after {np.argmax(bad) / PLANT_RATE_HZ:.3f} s",
+            remedy="change its parameters by a few percent only",
+        )
+    signals = {
+        name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(plant_kernel.OUTPUTS)
+    }
+    return PlantRun(signals | {"T31": _exit_temperature_k(case, signals)})
+
+
+def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the gas temperature at plane 31 from the compressor's energy balance (form E1).
+
+    c_p (W25 T2 − W31 T31) = V_c/(γ − 1) dP̄/dt with P̄ = P25 + κ (P31 + I dW25/dt − P25) and T2 the
+    temperature that the work ψ makes. Solved for T31 it divides by W31; below 3 kg/s, where the
+    gas at the plane mixes with what lies behind it, the correction T31 − T2 fades instead. The
+    discharge volume takes T2 itself: over a cycle the storage adds nothing.
+    """
+    t2 = signals["T25"] + signals["psi"] * case.rotor_velocity_m_s**2 / (2.0 * CP_J_KG_K)
+    blading = signals["P31"] + case.inertia_per_m * signals["dW25"]
+    mean = signals["P25"] + case.internal_weight * (blading - signals["P25"])
+    stored = (
+        case.internal_volume_m3
+        / (GAMMA * GAS_CONSTANT_J_KG_K)
+        * np.gradient(mean, 1.0 / PLANT_RATE_HZ)
+    )
+    flow = signals["W31"]
+    left = (signals["W25"] - flow) * t2 - stored
+    correction = left * flow**3 / (flow**4 + _MIXING_KG_S**4)
+    correction = np.clip(correction, -_LARGEST_CORRECTION_K, _LARGEST_CORRECTION_K)
+    return np.where(flow > 0.0, signals["T_exit"] + correction, signals["T_exit"])
+
+
+def _equilibrium(case: RigCase) -> tuple[tuple[float, ...], FloatArray]:
+    """Size flow, orifices and supply so that the case starts at rest, just above stall."""
+    from comparisons.rig import plant_kernel as kernel
+
+    u = case.rotor_velocity_m_s
+    x = (case.corrected_speed_frac - case.stall_speeds[0]) / (
+        case.stall_speeds[1] - case.stall_speeds[0]
+    )
+    phi_s = case.stall_phis[0] + x * (case.stall_phis[1] - case.stall_phis[0])
+    phi = phi_s * case.near_stall_phi_ratio
+    # C_z = M sqrt(gamma R T / (1 + 0.2 M²)) solved for M.
+    speed2 = (phi * u) ** 2 / (GAMMA * GAS_CONSTANT_J_KG_K * case.supply_temperature_k)
+    if not 0.0 < speed2 < 1.0 / 1.2:
+        raise InputError(
+            f"case {case.name}",
+            expected="a subsonic forward flow to start from",
+            found=f"φ = {phi:.3f} at U = {u:.0f} m/s",
+        )
+    mach = np.sqrt(speed2 / (1.0 - 0.2 * speed2))
+    flow = float(
+        physical_flow_kg_s(
+            corrected_flow_kg_s(mach, case.inlet_area_m2),
+            case.face_pressure_pa,
+            case.supply_temperature_k,
+        )
+    )
+    loss = case.inlet_loss_frac * case.face_pressure_pa / flow**2
+    t25 = case.supply_temperature_k
+    c = _constants(case, flow=flow, loss=loss, throttle=1.0, exhaust=1.0)
+    psi_p = float(kernel.unstalled_psi_p(c, phi, t25))
+    if psi_p <= 0.0:
+        raise InputError(
+            f"case {case.name}",
+            expected="a pressure rise at the initial flow",
+            found=f"ψ' = {psi_p:.3f} at φ = {phi:.3f}",
+        )
+    psi = psi_p / case.unstalled_efficiency
+    head = u**2 / (2.0 * CP_J_KG_K)
+    p31 = case.face_pressure_pa * (1.0 + psi_p * head / t25) ** 3.5
+    t31 = t25 + psi * head
+    p_ex = case.exhaust_pressure_frac * p31
+    throttle = flow / kernel.orifice_flow(1.0, p31, t31, p_ex, t31)[0]
+    exhaust = flow / kernel.orifice_flow(1.0, p_ex, t31, P_REF_PA, t31)[0]
+    start = {
+        "W": flow,
+        "psi_p": psi_p,
+        "psi": psi,
+        "P31": p31,
+        "T31": t31,
+        "P_in": case.face_pressure_pa + loss * flow**2,
+        "T_in": t25,
+        "T_face": t25,
+        "P_ex": p_ex,
+        "T_ex": t31,
+        "blend": 0.0,
+        "cells": 0.0,
+        "T_coil": t25,
+        "throttle": 1.0,
+    }
+    state = np.array([start[name] for name in kernel.STATES])
+    return _constants(case, flow=flow, loss=loss, throttle=throttle, exhaust=exhaust), state
+
+
+def _constants(
+    case: RigCase, *, flow: float, loss: float, throttle: float, exhaust: float
+) -> tuple[float, ...]:
+    """Gather the numbers of the compiled loop."""
+    from comparisons.rig.plant_kernel import Constants
+
+    u = case.rotor_velocity_m_s
+    return Constants(
+        tau=case.tau_s,
+        beta1=case.pressure_terms[0],
+        beta2=case.pressure_terms[1],
+        beta3=case.pressure_terms[2],
+        work0=case.work_intercept,
+        work1=case.work_slopes[0],
+        work2=case.work_slopes[1],
+        work3=case.work_slopes[2],
+        break1=case.work_breaks[0],
+        break2=case.work_breaks[1],
+        reverse_loss=case.reverse_loss,
+        recovery_phi=case.recovery_phi,
+        rearm_phi=case.rearm_phi,
+        speed_low=case.stall_speeds[0],
+        speed_high=case.stall_speeds[1],
+        phi_low=case.stall_phis[0],
+        phi_high=case.stall_phis[1],
+        psi_low=case.stall_psi_ps[0],
+        psi_high=case.stall_psi_ps[1],
+        droop=case.unstalled_droop,
+        efficiency=case.unstalled_efficiency,
+        blend=case.blend_s,
+        cell_rise=case.cell_rise_s,
+        always_cells=case.always_cells,
+        inertia=case.inertia_per_m,
+        inlet_inertia=case.inlet_inertia_per_m,
+        internal_volume=case.internal_volume_m3,
+        internal_weight=case.internal_weight,
+        discharge_volume=case.discharge_volume_m3,
+        exhaust_volume=case.exhaust_volume_m3,
+        inlet_volume=case.inlet_volume_m3,
+        face_volume=case.face_volume_m3,
+        loss=loss,
+        supply_flow=flow,
+        supply_pressure=case.face_pressure_pa + loss * flow**2,
+        supply_temperature=case.supply_temperature_k,
+        pump=case.supply_pump_kg_s_pa,
+        recirculation=case.recirculation_frac,
+        recirculation_heat=case.recirculation_work * u**2 / (2.0 * CP_J_KG_K),
+        exchange=case.recirculation_exchange,
+        reverse_heat=case.reverse_heat_frac,
+        coil=case.coil_effectiveness,
+        coil_lag=case.coil_lag_s,
+        throttle=throttle,
+        exhaust=exhaust,
+        ambient=P_REF_PA,
+        close_start=case.close_start_s,
+        close_rate=case.close_rate_per_s,
+        open_ratio=case.open_reference * case.open_ratio,
+        open_lag=case.open_lag_s,
+        corrected_speed=case.corrected_speed_frac,
+        rotor_velocity=u,
+        area=case.inlet_area_m2,
+    )

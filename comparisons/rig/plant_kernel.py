@@ -1,0 +1,358 @@
+"""Compiled loop of the plant: right-hand side, stall logic and fixed-step integration.
+
+Imported only when a simulation runs, because it pulls in numba. `comparisons.rig.plant` explains
+the model and its equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from comparisons.rig.gas import (
+    CP_J_KG_K,
+    FLOW_CONSTANT_KG_S_M2,
+    GAMMA,
+    GAS_CONSTANT_J_KG_K,
+    P_REF_PA,
+    T_REF_K,
+)
+
+__all__ = [
+    "OUTPUTS",
+    "STATES",
+    "Constants",
+    "integrate",
+    "orifice_flow",
+    "unstalled_psi_p",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile with an on-disk cache where some directory can be written, else without."""
+    try:
+        compiled: Callable[..., Any] = njit(cache=True)(function)
+    except RuntimeError:
+        compiled = njit(function)
+    return compiled
+
+
+class Constants(NamedTuple):
+    """What the loop needs, all in SI; see `RigCase` for the meaning of each."""
+
+    tau: float
+    beta1: float
+    beta2: float
+    beta3: float
+    work0: float
+    work1: float
+    work2: float
+    work3: float
+    break1: float
+    break2: float
+    reverse_loss: float
+    recovery_phi: float
+    rearm_phi: float
+    speed_low: float
+    speed_high: float
+    phi_low: float
+    phi_high: float
+    psi_low: float
+    psi_high: float
+    droop: float
+    efficiency: float
+    blend: float
+    cell_rise: float
+    always_cells: float
+    inertia: float
+    inlet_inertia: float
+    internal_volume: float
+    internal_weight: float
+    discharge_volume: float
+    exhaust_volume: float
+    inlet_volume: float
+    face_volume: float
+    loss: float
+    supply_flow: float
+    supply_pressure: float
+    supply_temperature: float
+    pump: float
+    recirculation: float
+    recirculation_heat: float
+    exchange: float
+    reverse_heat: float
+    coil: float
+    coil_lag: float
+    throttle: float
+    exhaust: float
+    ambient: float
+    close_start: float
+    close_rate: float
+    open_ratio: float
+    open_lag: float
+    corrected_speed: float
+    rotor_velocity: float
+    area: float
+
+
+# Positions in the state vector.
+STATES = ("W", "psi_p", "psi", "P31", "T31", "P_in", "T_in", "T_face", "P_ex", "T_ex", "blend",
+          "cells", "T_coil", "throttle")  # fmt: skip
+(W, PSI_P, PSI, P31, T31, P_IN, T_IN, T_FACE, P_EX, T_EX, BLEND, CELLS, T_COIL, THROTTLE) = range(
+    14
+)
+# Positions in the output row.
+OUTPUTS = ("phi", "psi_p_total", "psi_p_lagged", "psi_p_qs", "psi", "psi_qs", "W25", "dW25",
+           "W31", "P25", "P31", "T25", "T_exit", "blend", "cells", "in_stall", "P_in", "T_in",
+           "W_throttle", "throttle", "T_plenum")  # fmt: skip
+
+_R = GAS_CONSTANT_J_KG_K
+_G = GAMMA
+_FLOW = float(FLOW_CONSTANT_KG_S_M2)
+_CHOKED = 1.2**-3
+_CRITICAL = (2.0 / (_G + 1.0)) ** (_G / (_G - 1.0))
+# Mass flow of a choked orifice: W = A P sqrt(gamma/(R T)) (2/(gamma+1))^((gamma+1)/(2(gamma-1))).
+_CHOKED_FLOW = sqrt(_G / _R) * (2.0 / (_G + 1.0)) ** ((_G + 1.0) / (2.0 * (_G - 1.0)))
+
+
+@_compile
+def _phi_of(
+    flow: float, pressure: float, temperature: float, area: float, velocity: float
+) -> float:
+    """Return φ of a mass flow (Eq 3, 4 and 7)."""
+    w = abs(flow) * sqrt(temperature / T_REF_K) * P_REF_PA / (pressure * area * _FLOW)
+    # A trial state beyond choking would leave Newton without a root; the plant stays far below.
+    w = min(w, 0.999 * _CHOKED)
+    m = w
+    for _ in range(60):
+        b = 1.0 + 0.2 * m * m
+        step = (w - m / (b * b * b)) * b * b * b * b / (1.0 - m * m)
+        m += step
+        if abs(step) < 1e-13:
+            break
+    phi = m * sqrt(_G * _R * temperature / (1.0 + 0.2 * m * m)) / velocity
+    return phi if flow >= 0.0 else -phi
+
+
+@_compile
+def orifice_flow(
+    area: float, p_up: float, t_up: float, p_down: float, t_down: float
+) -> tuple[float, float]:
+    """Return mass flow through a compressible orifice, either way, and its temperature."""
+    if p_up >= p_down:
+        high, low, temperature, sign = p_up, p_down, t_up, 1.0
+    else:
+        high, low, temperature, sign = p_down, p_up, t_down, -1.0
+    ratio = low / high
+    base = area * high / sqrt(temperature)
+    if ratio <= _CRITICAL:
+        return sign * base * _CHOKED_FLOW, temperature
+    head = ratio ** (2.0 / _G) - ratio ** ((_G + 1.0) / _G)
+    return sign * base * sqrt(2.0 * _G / ((_G - 1.0) * _R) * max(head, 0.0)), temperature
+
+
+@_compile
+def _stall_point(c: Constants, face_temperature: float) -> tuple[float, float]:
+    """Return φ_s and ψ'_s at the present corrected speed (a table of two points)."""
+    speed = c.corrected_speed * sqrt(c.supply_temperature / face_temperature)
+    x = (speed - c.speed_low) / (c.speed_high - c.speed_low)
+    return c.phi_low + x * (c.phi_high - c.phi_low), c.psi_low + x * (c.psi_high - c.psi_low)
+
+
+@_compile
+def unstalled_psi_p(c: Constants, phi: float, face_temperature: float) -> float:
+    """Return ψ'_QS of the unstalled branch: flat up to the stall point, a parabola beyond."""
+    phi_s, psi_s = _stall_point(c, face_temperature)
+    value: float = psi_s - c.droop * max(phi - phi_s, 0.0) ** 2
+    return value
+
+
+@_compile
+def _targets(c: Constants, phi: float, face_temperature: float, q: float) -> tuple[float, float]:
+    """Return ψ'_QS and ψ_QS, both branches blended by q; stalled never above unstalled."""
+    free = unstalled_psi_p(c, phi, face_temperature)
+    p = min(c.beta1 + c.beta2 * phi + c.beta3 * phi * phi, free)
+    w = (
+        c.work0
+        + c.work1 * min(phi, c.break1)
+        + c.work2 * min(max(phi - c.break1, 0.0), c.break2 - c.break1)
+        + c.work3 * max(phi - c.break2, 0.0)
+    )
+    return q * p + (1.0 - q) * free, q * w + (1.0 - q) * free / c.efficiency
+
+
+@_compile
+def _duct(c: Constants, s: FloatArray) -> tuple[float, float, float]:
+    """Return dW/dt, P25 and the total ψ'.
+
+    The reverse loss takes φ at the pressure before the inlet duct's inertia. Taken at P25 itself,
+    the loss and the spike that it makes in P25 feed back on each other with a gain above one in
+    the first blowdown, and no unique pressure exists.
+    """
+    p_free = s[P_IN] - c.loss * s[W] * abs(s[W])
+    psi_p = s[PSI_P]
+    if s[W] < 0.0:
+        psi_p += c.reverse_loss * _phi_of(s[W], p_free, s[T_FACE], c.area, c.rotor_velocity) ** 2
+    head = c.rotor_velocity**2 / (2.0 * CP_J_KG_K * s[T_FACE])
+    ratio = max(1.0 + psi_p * head, 0.05) ** 3.5
+    p25 = (c.inertia * p_free + c.inlet_inertia * s[P31]) / (c.inertia + c.inlet_inertia * ratio)
+    return (p25 * ratio - s[P31]) / c.inertia, p25, psi_p
+
+
+@_compile
+def _face(c: Constants, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> None:
+    """Fill in the rates of inlet volume, face volume and coil.
+
+    In stall the tips stir `c_rec ρ U A` of gas, heat it by `psi_rec U²/2` and exchange `c_x` times
+    as much between face and inlet volume.
+    """
+    forward, backward = max(s[W], 0.0), max(-s[W], 0.0)
+    stirred = s[BLEND] * c.recirculation * p25 / (_R * s[T_FACE]) * c.rotor_velocity * c.area
+    exchange = c.exchange * stirred
+    supply = max(c.supply_flow - c.pump * (s[P_IN] - c.supply_pressure), 0.0)
+    t_supply = c.supply_temperature + c.coil * (s[T_COIL] - c.supply_temperature)
+    enthalpy = (
+        supply * t_supply
+        - forward * s[T_IN]
+        + backward * s[T_FACE]
+        + exchange * (s[T_FACE] - s[T_IN])
+    )
+    d[P_IN] = _G * _R / c.inlet_volume * enthalpy
+    mass = s[P_IN] * c.inlet_volume / (_R * s[T_IN])
+    d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - s[W]) / mass)
+    t_reversed = s[T_FACE] + c.reverse_heat * (t_back - s[T_FACE])
+    heat = (
+        forward * (s[T_IN] - s[T_FACE])
+        + backward * (t_reversed - s[T_FACE])
+        + stirred * c.recirculation_heat
+        - exchange * (s[T_FACE] - s[T_IN])
+        + c.face_volume / CP_J_KG_K * d[P_IN]
+    )
+    d[T_FACE] = heat * _R * s[T_FACE] / (s[P_IN] * c.face_volume)
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag
+
+
+@_compile
+def _discharge(c: Constants, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, float]:
+    """Fill in the rates behind the compressor; return W31 and the throttle flow.
+
+    Gas is stored inside the compressor at its mean temperature T̄ while κ of the exit pressure acts
+    on V_c: W25 − W31 = κ V_c/(R T̄) dP31/dt.
+    """
+    wt, tt = orifice_flow(c.throttle * s[THROTTLE], s[P31], s[T31], s[P_EX], s[T_EX])
+    storage = c.internal_weight * c.internal_volume / (_R * 0.5 * (s[T_FACE] + t2))
+    k31 = _G * _R / c.discharge_volume
+    # The gas that crosses plane 31 has the temperature of the side it comes from.
+    d[P31] = k31 * (s[W] * t2 - wt * tt) / (1.0 + k31 * storage * t2)
+    w31 = s[W] - storage * d[P31]
+    if w31 < 0.0:
+        d[P31] = k31 * (s[W] * s[T31] - wt * tt) / (1.0 + k31 * storage * s[T31])
+        w31 = s[W] - storage * d[P31]
+    mass = s[P31] * c.discharge_volume / (_R * s[T31])
+    d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
+
+    we, te = orifice_flow(c.exhaust, s[P_EX], s[T_EX], c.ambient, c.supply_temperature)
+    d[P_EX] = _G * _R / c.exhaust_volume * (wt * tt - we * te)
+    mass = s[P_EX] * c.exhaust_volume / (_R * s[T_EX])
+    d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
+    return w31, wt
+
+
+@_compile
+def _rates(
+    c: Constants, time: float, s: FloatArray, stalled: float, ever: float, d: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill in the state's rates and the output row."""
+    rate, p25, psi_p = _duct(c, s)
+    phi = _phi_of(s[W], p25, s[T_FACE], c.area, c.rotor_velocity)
+    qs_p, qs_w = _targets(c, phi, s[T_FACE], s[BLEND])
+    d[W] = rate
+    d[PSI_P] = (qs_p - s[PSI_P]) / c.tau
+    d[PSI] = (qs_w - s[PSI]) / c.tau
+    d[BLEND] = (stalled - s[BLEND]) / c.blend
+    d[CELLS] = (max(stalled, c.always_cells * ever) - s[CELLS]) / c.cell_rise
+    if ever > 0.0:
+        d[THROTTLE] = (c.open_ratio - s[THROTTLE]) / c.open_lag
+    elif time >= c.close_start:
+        d[THROTTLE] = -c.close_rate
+    else:
+        d[THROTTLE] = 0.0
+    t2 = s[T_FACE] + s[PSI] * c.rotor_velocity**2 / (2.0 * CP_J_KG_K)
+    _face(c, s, p25, s[T31], d)
+    w31, wt = _discharge(c, s, t2, d)
+    out[0] = phi
+    out[1] = psi_p
+    out[2] = s[PSI_P]
+    out[3] = qs_p
+    out[4] = s[PSI]
+    out[5] = qs_w
+    out[6] = s[W]
+    out[7] = rate
+    out[8] = w31
+    out[9] = p25
+    out[10] = s[P31]
+    out[11] = s[T_FACE]
+    out[12] = t2 if w31 >= 0.0 else s[T31]
+    out[13] = s[BLEND]
+    out[14] = s[CELLS]
+    out[15] = stalled
+    out[16] = s[P_IN]
+    out[17] = s[T_IN]
+    out[18] = wt
+    out[19] = s[THROTTLE]
+    out[20] = s[T31]
+
+
+@_compile
+def _switch(c: Constants, phi: float, t_face: float, latch: FloatArray) -> None:
+    """Move the stall latch: (stalled, armed, ever stalled).
+
+    Into stall below φ_s, armed only once φ has been above φ_s; out of stall above φ_rec, armed
+    only once φ has been below φ_rec − 0.05. A flow that never reaches φ_s again and falls through
+    φ_rec − 0.05 stalls too, or the compressor would reverse on its unstalled branch.
+    """
+    phi_s, _ = _stall_point(c, t_face)
+    if latch[0] > 0.0:
+        if phi < c.recovery_phi - c.rearm_phi:
+            latch[1] = 1.0
+        elif latch[1] > 0.0 and phi > c.recovery_phi:
+            latch[0], latch[1] = 0.0, 0.0
+    elif phi > phi_s:
+        latch[1] = 1.0
+    elif latch[1] > 0.0 or phi < c.recovery_phi - c.rearm_phi:
+        latch[0], latch[1], latch[2] = 1.0, 0.0, 1.0
+
+
+@_compile
+def integrate(
+    c: Constants, start: FloatArray, n_rows: int, row_s: float, substeps: int
+) -> FloatArray:
+    """Integrate by classical Runge-Kutta with a fixed step; one output row each `row_s`."""
+    rows = np.empty((n_rows, 21))
+    s, trial = start.copy(), np.empty(14)
+    k1, k2, k3, k4 = np.empty(14), np.empty(14), np.empty(14), np.empty(14)
+    scratch = np.empty(21)
+    latch = np.zeros(3)
+    latch[1] = 1.0
+    h = row_s / substeps
+    for i in range(n_rows):
+        for j in range(substeps):
+            time = i * row_s + j * h
+            _rates(c, time, s, latch[0], latch[2], k1, rows[i] if j == 0 else scratch)
+            _switch(c, rows[i, 0] if j == 0 else scratch[0], s[T_FACE], latch)
+            trial[:] = s + 0.5 * h * k1
+            _rates(c, time + 0.5 * h, trial, latch[0], latch[2], k2, scratch)
+            trial[:] = s + 0.5 * h * k2
+            _rates(c, time + 0.5 * h, trial, latch[0], latch[2], k3, scratch)
+            trial[:] = s + h * k3
+            _rates(c, time + h, trial, latch[0], latch[2], k4, scratch)
+            s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return rows

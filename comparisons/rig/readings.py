@@ -1,0 +1,228 @@
+"""Readings around a record: ZOC zero and calibrate, the ZOC reference, the near-stall point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.rig.cases import RigCase
+from comparisons.rig.gas import PSI_PA
+from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
+from comparisons.rig.sensors import (
+    ADC_HIGH_V,
+    ADC_LOW_V,
+    SensorSettings,
+    counts_from_volts,
+    lag,
+)
+
+__all__ = [
+    "CALIBRATE_PA",
+    "NEAR_STALL_S",
+    "NearStall",
+    "Transducer",
+    "TransducerReading",
+    "ZocReference",
+    "draw_reference",
+    "draw_transducer",
+    "read_near_stall",
+    "read_transducer",
+]
+
+FloatArray = NDArray[np.float64]
+
+# Nominal ranges ±10 psi (plane 25) and ±110 psi (plane 31) over ±5 V; calibrate pressures 6 and
+# 66 psi: section 5 and the independent record.
+_RANGE_PA = {25: 10.0 * PSI_PA, 31: 110.0 * PSI_PA}
+CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
+# Facility readings average this long before the throttle closes, as in the independent record.
+NEAR_STALL_S = (0.0, 0.14)
+
+
+@dataclass(frozen=True)
+class Transducer:
+    """One differential transducer as it really is.
+
+    Parameters
+    ----------
+    sensitivity_v_pa : float
+        Sensitivity in V/Pa at the rake temperature of the calibrate reading.
+    bias_v : float
+        Electrical bias in V.
+    """
+
+    sensitivity_v_pa: float
+    bias_v: float
+
+
+@dataclass(frozen=True)
+class TransducerReading:
+    """Mean counts of the three ZOC modes, taken one after the other before the surge.
+
+    Parameters
+    ----------
+    zero_count, calibrate_count, operate_count : float
+        Sense side coupled to the reference; known pressure difference applied; normal operation.
+    """
+
+    zero_count: float
+    calibrate_count: float
+    operate_count: float
+
+
+@dataclass(frozen=True)
+class ZocReference:
+    """The reference pressure of one plane, and what tape and facility read of it.
+
+    Parameters
+    ----------
+    true_pa, tape_pa, facility_pa : float
+        The pressure and its two readings.
+    """
+
+    true_pa: float
+    tape_pa: float
+    facility_pa: float
+
+
+@dataclass(frozen=True)
+class NearStall:
+    """The facility's steady reading before the surge.
+
+    Parameters
+    ----------
+    p25_pa, t25_k, p31_pa, t31_k : float
+        Plane averages of total pressure and temperature.
+    """
+
+    p25_pa: float
+    t25_k: float
+    p31_pa: float
+    t31_k: float
+
+
+def draw_transducer(plane: int, settings: SensorSettings, rng: np.random.Generator) -> Transducer:
+    """Draw one transducer's unknown sensitivity and bias.
+
+    Parameters
+    ----------
+    plane : int
+        25 or 31.
+    settings : SensorSettings
+        The spreads.
+    rng : numpy.random.Generator
+        Source of randomness; two numbers are drawn whatever the spreads.
+
+    Returns
+    -------
+    Transducer
+        The transducer.
+    """
+    scatter, bias = rng.standard_normal(2)
+    nominal = ADC_HIGH_V / _RANGE_PA[plane]
+    return Transducer(
+        nominal * (1.0 + settings.sensitivity_scatter * float(scatter)),
+        settings.bias_scatter_v * float(bias),
+    )
+
+
+def draw_reference(
+    case: RigCase, plane: int, settings: SensorSettings, rng: np.random.Generator
+) -> ZocReference:
+    """Return the ZOC reference of a plane with its two readings.
+
+    Parameters
+    ----------
+    case : RigCase
+        States the reference pressures.
+    plane : int
+        25 or 31.
+    settings : SensorSettings
+        Relative error of the readings.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    ZocReference
+        The reference.
+    """
+    true = case.zoc_inlet_pa if plane == 25 else case.zoc_exit_pa
+    tape, facility = true * (1.0 + settings.reference_error * rng.standard_normal(2))
+    return ZocReference(true, float(tape), float(facility))
+
+
+def read_transducer(
+    transducer: Transducer,
+    operate_pa: float,
+    plane: int,
+    settings: SensorSettings,
+    rng: np.random.Generator,
+) -> TransducerReading:
+    """Take the zero, calibrate and operate readings of one transducer.
+
+    Parameters
+    ----------
+    transducer : Transducer
+        The transducer.
+    operate_pa : float
+        Steady pressure difference against the reference in operate mode.
+    plane : int
+        25 or 31; states the calibrate pressure.
+    settings : SensorSettings
+        Noise and length of the readings, resolution of the converter.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    TransducerReading
+        Mean counts.
+    """
+    noise = settings.reading_noise_percent / 100.0 * 0.5 * (ADC_HIGH_V - ADC_LOW_V)
+    means = []
+    for difference in (0.0, CALIBRATE_PA[plane], operate_pa):
+        volts = transducer.bias_v + transducer.sensitivity_v_pa * difference
+        samples = volts + noise * rng.standard_normal(settings.reading_samples)
+        means.append(float(np.mean(counts_from_volts(samples, settings.bits))))
+    return TransducerReading(*means)
+
+
+def read_near_stall(run: PlantRun, settings: SensorSettings, rng: np.random.Generator) -> NearStall:
+    """Take the facility's near-stall reading.
+
+    Pressures come from the slow remote transducers on the leak path of the rakes' tubes,
+    temperatures from the facility's own thermocouples.
+
+    Parameters
+    ----------
+    run : PlantRun
+        What the plant did.
+    settings : SensorSettings
+        Lag of the remote transducers and errors of the readings.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    NearStall
+        Means over `NEAR_STALL_S`.
+    """
+    last = round(NEAR_STALL_S[1] * PLANT_RATE_HZ) + 1
+    errors = rng.standard_normal(4)
+
+    def pressure(name: str, error: float) -> float:
+        remote = lag(run[name][:last], time_constant_s=settings.leak_lag_s, rate_hz=PLANT_RATE_HZ)
+        return float(np.mean(remote)) * (1.0 + settings.facility_error * error)
+
+    def temperature(name: str, error: float) -> float:
+        return float(np.mean(run[name][:last])) + settings.facility_temperature_error_k * error
+
+    return NearStall(
+        p25_pa=pressure("P25", float(errors[0])),
+        t25_k=temperature("T25", float(errors[1])),
+        p31_pa=pressure("P31", float(errors[2])),
+        t31_k=temperature("T31", float(errors[3])),
+    )

@@ -1,0 +1,304 @@
+"""The sensors between the gas and the tape: tubes, thermocouples, transducers, converter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from math import isfinite, pi, tan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+
+__all__ = [
+    "ADC_BITS",
+    "ADC_HIGH_V",
+    "ADC_LOW_V",
+    "SensorSettings",
+    "anti_alias",
+    "counts_from_volts",
+    "lag",
+    "rake_temperature_k",
+    "tube",
+]
+
+FloatArray = NDArray[np.float64]
+
+# The paper names 12 bits; the range is that of the independent record.
+ADC_BITS = 12
+ADC_LOW_V = -5.0
+ADC_HIGH_V = 5.0
+
+# Rakes at plane 25 are held by oil at 100 °F, transducers at plane 31 below 110 °F by water.
+_OIL_K = 310.93
+_WATER_K = 305.0
+_WATER_LIMIT_K = 316.48
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Every imperfection of the instrumentation as one number that can be set to nothing.
+
+    Parameters
+    ----------
+    noise_percent : float
+        Standard deviation of the tape noise, in percent of full scale (half the converter's range),
+        white at 10 kHz before the anti-alias filter.
+    bits : int or None
+        Resolution of the converter; None: no rounding and no clipping.
+    tube_frequency_hz, tube_damping : float or None, float
+        Second-order response of tube and transducer; None: none.
+    anti_alias_hz : float or None
+        Corner of a fourth-order Butterworth filter before sampling; None: none (the paper names
+        none).
+    thermocouple_lag_s, thermocouple_noise_k, recovery_factor : float
+        Lag, noise of a sample, and T_indicated/T of the thermocouples.
+    cells, hub_tip : float
+        Factors on the amplitude of the stall cells and on the hub/tip shift.
+    probe_offset : float
+        Factor on b of Eq 2; 0 takes the dead band of the probe pairs away.
+    sensitivity_scatter, bias_scatter_v : float
+        Spread of the transducers' sensitivity (relative) and electrical bias (V).
+    sensitivity_per_k, rake_coupling, rake_lag_s : float
+        Relative change of sensitivity per kelvin of rake temperature, the share of the gas
+        temperature's change that reaches the cooled rake, and how slowly.
+    reading_noise_percent, reading_samples : float, int
+        Noise of one sample of a zero, calibrate or operate reading in percent of full scale, and
+        the number of samples averaged.
+    reference_error : float
+        Relative error of the facility's (and of the tape's) reading of the ZOC reference.
+    facility_error, facility_temperature_error_k : float
+        Error of the facility's near-stall reading: pressures (relative) and temperatures (K).
+    leak_lag_s : float
+        Time constant of the remote transducers on the tubes' leak path, which give the facility's
+        steady pressures.
+    acquisition_limits : bool
+        Whether T31 readings clip at the range of the case.
+    """
+
+    noise_percent: float = 0.2
+    bits: int | None = ADC_BITS
+    tube_frequency_hz: float | None = 400.0
+    tube_damping: float = 0.25
+    anti_alias_hz: float | None = 450.0
+    thermocouple_lag_s: float = 0.010
+    # Scatter of the independent record's thermocouples before the surge.
+    thermocouple_noise_k: float = 0.41
+    recovery_factor: float = 0.994
+    cells: float = 1.0
+    hub_tip: float = 1.0
+    probe_offset: float = 1.0
+    # Spread of the zero and calibrate readings in the independent record.
+    sensitivity_scatter: float = 0.02
+    bias_scatter_v: float = 0.05
+    # 1 % in 100 °F is usual for a strain-gauge transducer; a few kelvin reach the cooled rake.
+    sensitivity_per_k: float = 1.8e-4
+    rake_coupling: float = 0.02
+    rake_lag_s: float = 1.0
+    reading_noise_percent: float = 0.2
+    reading_samples: int = 400
+    reference_error: float = 5e-5
+    facility_error: float = 2e-4
+    facility_temperature_error_k: float = 0.2
+    leak_lag_s: float = 0.5
+    acquisition_limits: bool = True
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None and field.name in _OPTIONAL:
+                continue
+            number = isinstance(value, float | int)
+            if not number or not isfinite(value) or (value < 0.0):
+                raise InputError(
+                    f"SensorSettings.{field.name}",
+                    expected="a finite number that is not negative",
+                    found=f"{value!r}",
+                )
+        if self.bits is not None and not (isinstance(self.bits, int) and 2 <= self.bits <= 24):
+            raise InputError(
+                "SensorSettings.bits", expected="None or 2 to 24", found=f"{self.bits!r}"
+            )
+        if self.reading_samples < 1 or not isinstance(self.reading_samples, int):
+            raise InputError(
+                "SensorSettings.reading_samples",
+                expected="a whole number above zero",
+                found=f"{self.reading_samples!r}",
+            )
+        for name in ("tube_frequency_hz", "anti_alias_hz"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < 5_000.0:
+                raise InputError(
+                    f"SensorSettings.{name}", expected="0 to 5000 Hz, or None", found=f"{value!r}"
+                )
+        if self.recovery_factor == 0.0:
+            raise InputError(
+                "SensorSettings.recovery_factor", expected="a positive number", found="0"
+            )
+
+    @classmethod
+    def ideal(cls) -> SensorSettings:
+        """Return sensors that hide nothing: reduction of their record must give the truth."""
+        return cls(
+            noise_percent=0.0,
+            bits=None,
+            tube_frequency_hz=None,
+            anti_alias_hz=None,
+            thermocouple_lag_s=0.0,
+            thermocouple_noise_k=0.0,
+            cells=0.0,
+            hub_tip=0.0,
+            probe_offset=0.0,
+            sensitivity_scatter=0.0,
+            bias_scatter_v=0.0,
+            sensitivity_per_k=0.0,
+            reading_noise_percent=0.0,
+            reference_error=0.0,
+            facility_error=0.0,
+            facility_temperature_error_k=0.0,
+            leak_lag_s=0.0,
+            acquisition_limits=False,
+        )
+
+
+_OPTIONAL = ("bits", "tube_frequency_hz", "anti_alias_hz")
+
+
+def tube(
+    signal: FloatArray, *, frequency_hz: float | None, damping: float, rate_hz: float
+) -> FloatArray:
+    """Return the pressure behind a tube: a second-order response that starts at rest.
+
+    Equation: p̈ + 2ζω ṗ + ω² p = ω² p_gas, by the bilinear map with its warping undone at ω.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (n,)
+        Pressure at the tube's mouth.
+    frequency_hz : float or None
+        Natural frequency; None returns the signal.
+    damping : float
+        Damping ratio ζ.
+    rate_hz : float
+        Sample rate.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Pressure at the transducer.
+    """
+    if frequency_hz is None:
+        return signal
+    from scipy.signal import bilinear, lfilter, lfilter_zi
+
+    omega = 2.0 * rate_hz * tan(pi * frequency_hz / rate_hz)
+    b, a = bilinear([omega**2], [1.0, 2.0 * damping * omega, omega**2], rate_hz)
+    out, _ = lfilter(b, a, signal, zi=lfilter_zi(b, a) * signal[0])
+    return np.asarray(out, dtype=np.float64)
+
+
+def lag(signal: FloatArray, *, time_constant_s: float, rate_hz: float) -> FloatArray:
+    """Return a signal behind a first-order lag that starts at rest.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (n,)
+        The signal, taken as straight lines between samples.
+    time_constant_s : float
+        Time constant; 0 returns the signal.
+    rate_hz : float
+        Sample rate.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        The lagged signal.
+    """
+    if time_constant_s == 0.0:
+        return signal
+    from scipy.signal import lfilter
+
+    x = 1.0 / (rate_hz * time_constant_s)
+    a = np.exp(-x)
+    # First-order hold: exact for a signal made of straight lines.
+    late = (1.0 - a) / x - a
+    soon = 1.0 - (1.0 - a) / x
+    start = np.array([late * signal[0] + a * signal[0]])
+    out, _ = lfilter([soon, late], [1.0, -a], signal, zi=start)
+    return np.asarray(out, dtype=np.float64)
+
+
+def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -> FloatArray:
+    """Return a signal behind a causal fourth-order Butterworth low-pass that starts at rest.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (n,)
+        The signal.
+    corner_hz : float or None
+        Corner frequency; None returns the signal.
+    rate_hz : float
+        Sample rate.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        The filtered signal.
+    """
+    if corner_hz is None:
+        return signal
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
+    sos = butter(4, corner_hz, fs=rate_hz, output="sos")
+    out, _ = sosfilt(sos, signal, zi=sosfilt_zi(sos) * signal[0])
+    return np.asarray(out, dtype=np.float64)
+
+
+def rake_temperature_k(
+    plane: int, gas_temperature_k: FloatArray, settings: SensorSettings, *, rate_hz: float
+) -> FloatArray:
+    """Return the temperature of the transducers in a cooled rake.
+
+    Parameters
+    ----------
+    plane : int
+        25 (oil at 100 °F) or 31 (water, below 110 °F).
+    gas_temperature_k : ndarray of shape (n,)
+        Gas temperature at the plane.
+    settings : SensorSettings
+        Coupling and lag.
+    rate_hz : float
+        Sample rate.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Transducer temperature in K.
+    """
+    change = settings.rake_coupling * (gas_temperature_k - gas_temperature_k[0])
+    change = lag(change, time_constant_s=settings.rake_lag_s, rate_hz=rate_hz)
+    if plane == 25:
+        return _OIL_K + change
+    return np.minimum(_WATER_K + change, _WATER_LIMIT_K)
+
+
+def counts_from_volts(volts: FloatArray, bits: int | None) -> FloatArray:
+    """Return converter codes of voltages.
+
+    Parameters
+    ----------
+    volts : ndarray
+        Voltages.
+    bits : int or None
+        Resolution; None returns exact, unclipped fractions of a 12-bit code.
+
+    Returns
+    -------
+    ndarray
+        Codes 0 … 2^bits − 1 as floats.
+    """
+    scale = 2.0 ** (ADC_BITS if bits is None else bits) / (ADC_HIGH_V - ADC_LOW_V)
+    codes = (volts - ADC_LOW_V) * scale
+    if bits is None:
+        return np.asarray(codes)
+    return np.clip(np.round(codes), 0.0, 2.0**bits - 1.0)

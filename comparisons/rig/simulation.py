@@ -1,0 +1,238 @@
+"""One simulated surge test: the raw record, what describes it, and apart from both the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import isfinite
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import LedgerEntry, Record
+from comparisons.rig.cases import RigCase, find_case
+from comparisons.rig.cells import corrected_plane_flow_kg_s
+from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
+from comparisons.rig.instrument import RAW_RATE_HZ, Instrumented, instrument
+from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
+from comparisons.rig.readings import NEAR_STALL_S, NearStall, read_near_stall
+from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
+
+__all__ = ["RigRun", "simulate"]
+
+# The near-stall reading ends at 0.14 s; a record must hold it and a little more. The whole run is
+# held in memory at 10 kHz, 2 MB a second.
+_SHORTEST_S = 0.2
+_LONGEST_S = 120.0
+
+
+@dataclass(frozen=True)
+class RigRun:
+    """What one simulated test leaves behind.
+
+    Parameters
+    ----------
+    raw : Record
+        Sixteen pressure channels in counts and four temperatures in K, at 1 kHz.
+    test : mapping
+        What ``test.toml`` holds: everything a reduction may know.
+    truth : Record
+        The plant at 1 kHz, before any sensor.
+    truth_parameters : mapping
+        The parameters behind it: τ, characteristic, plant, and each transducer's own values.
+    """
+
+    raw: Record
+    test: Mapping[str, Any]
+    truth: Record
+    truth_parameters: Mapping[str, Any]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Survive pickling, which a mapping proxy does not."""
+        return (RigRun, (self.raw, dict(self.test), self.truth, dict(self.truth_parameters)))
+
+
+def simulate(
+    case: str | RigCase = "985",
+    *,
+    seed: int = 0,
+    duration_s: float = 4.0,
+    sensors: SensorSettings | None = None,
+) -> RigRun:
+    """Simulate one surge test; the same arguments always give the same run.
+
+    Parameters
+    ----------
+    case : str or RigCase
+        A name out of `CASES`, or a case altered with `dataclasses.replace`.
+    seed : int
+        Seed of the sensors' noise, bias and sensitivity. The plant itself has no randomness.
+    duration_s : float
+        Length of the record in seconds, 0.2 to 120.
+    sensors : SensorSettings, optional
+        The imperfections; by default those of the paper's instrumentation.
+
+    Returns
+    -------
+    RigRun
+        Raw record, test description, truth.
+
+    Raises
+    ------
+    InputError
+        When the case is unknown, the duration or seed is unusable, or the altered plant does not
+        stay finite.
+    """
+    plant = find_case(case)
+    settings = SensorSettings() if sensors is None else sensors
+    if not (
+        isinstance(duration_s, float | int)
+        and isfinite(duration_s)
+        and _SHORTEST_S <= duration_s <= _LONGEST_S
+    ):
+        raise InputError(
+            "duration_s",
+            expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
+            found=f"{duration_s!r}",
+        )
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError("seed", expected="a whole number that is not negative", found=f"{seed!r}")
+    n_samples = round(duration_s * RAW_RATE_HZ) + 1
+    run = run_plant(plant, n_rows=(n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1)
+    rng = np.random.default_rng(seed)
+    near_stall = read_near_stall(run, settings, rng)
+    chain = instrument(plant, run, settings, rng)
+    source = f"simulated rig, case {plant.name}, seed {seed}"
+    did = LedgerEntry(
+        "simulate",
+        f"simulated {n_samples} samples of case {plant.name}",
+        {"case": plant.name, "seed": int(seed), "duration_s": float(duration_s)},
+    )
+    raw = Record.from_arrays(
+        {name: (values, chain.channels[name]["unit"]) for name, values in chain.values.items()},
+        sample_rate_hz=RAW_RATE_HZ,
+        source=source,
+    ).after(did)
+    truth = _truth(plant, run, source + ", truth").after(did)
+    return RigRun(
+        raw=raw,
+        test=MappingProxyType(_test_table(plant, settings, near_stall, chain)),
+        truth=truth,
+        truth_parameters=MappingProxyType(_truth_table(plant, settings, int(seed), chain, truth)),
+    )
+
+
+def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
+    """Return the plant's own signals at 1 kHz."""
+    wc25 = corrected_plane_flow_kg_s(run, 25)
+    shift = case.hub_tip_flow_kg_s * run["blend"]
+    speed = case.corrected_speed_frac * np.sqrt(case.supply_temperature_k / run["T25"])
+    arrays = {
+        "phi": (run["phi"], "1"),
+        "psi_p": (run["psi_p_total"], "1"),
+        "psi": (run["psi"], "1"),
+        "psi_p_lagged": (run["psi_p_lagged"], "1"),
+        "psi_p_qs": (run["psi_p_qs"], "1"),
+        "psi_qs": (run["psi_qs"], "1"),
+        "W25_kg_s": (run["W25"], "kg/s"),
+        "dW25_kg_s2": (run["dW25"], "kg/s^2"),
+        "W31_kg_s": (run["W31"], "kg/s"),
+        "Wc25_kg_s": (wc25, "kg/s"),
+        "Wc25_hub_kg_s": (wc25 + shift, "kg/s"),
+        "Wc25_tip_kg_s": (wc25 - shift, "kg/s"),
+        "P25_Pa": (run["P25"], "Pa"),
+        "P31_Pa": (run["P31"], "Pa"),
+        "T25_K": (run["T25"], "K"),
+        "T31_K": (run["T31"], "K"),
+        "Nc_frac": (speed, "1"),
+        "in_stall": (run["in_stall"], "1"),
+        "stall_blend": (run["blend"], "1"),
+        "cell_amplitude": (run["cells"], "1"),
+        "throttle_frac": (run["throttle"], "1"),
+    }
+    step = round(PLANT_RATE_HZ / RAW_RATE_HZ)
+    return Record.from_arrays(
+        {name: (values[::step], unit) for name, (values, unit) in arrays.items()},
+        sample_rate_hz=RAW_RATE_HZ,
+        source=source,
+    )
+
+
+def _test_table(
+    case: RigCase, settings: SensorSettings, near_stall: NearStall, chain: Instrumented
+) -> dict[str, Any]:
+    """Return what ``test.toml`` holds, in the order of the file."""
+    table: dict[str, Any] = {
+        "test": {
+            "name": f"simulated rig, case {case.name}",
+            "sample_rate_hz": RAW_RATE_HZ,
+            "rotor_speed_rpm": case.rotor_speed_rpm,
+            "design_corrected_speed_rpm": case.design_speed_rpm,
+        },
+        "compressor": {
+            "mean_radius_m": case.mean_radius_m,
+            "inertia_per_m": case.inertia_per_m,
+            "internal_volume_m3": case.internal_volume_m3,
+            "gamma": GAMMA,
+            "gas_constant_J_kg_K": GAS_CONSTANT_J_KG_K,
+        },
+        "planes": {
+            "25": {"area_m2": case.inlet_area_m2},
+            "31": {"area_m2": case.exit_area_m2},
+        },
+        "adc": {
+            "bits": ADC_BITS if settings.bits is None else settings.bits,
+            "low_V": ADC_LOW_V,
+            "high_V": ADC_HIGH_V,
+        },
+        "near_stall": {
+            "from_s": NEAR_STALL_S[0],
+            "to_s": NEAR_STALL_S[1],
+            "P25_Pa": near_stall.p25_pa,
+            "T25_K": near_stall.t25_k,
+            "P31_Pa": near_stall.p31_pa,
+            "T31_K": near_stall.t31_k,
+        },
+        "segmentation": {
+            "threshold_lbm_s": "none" if case.segmentation is None else case.segmentation
+        },
+    }
+    if settings.acquisition_limits and case.t31_limit_k is not None:
+        table["limits"] = {f"T31_{rake}": list(case.t31_limit_k) for rake in ("A", "B")}
+    table["channels"] = {name: dict(entry) for name, entry in chain.channels.items()}
+    return table
+
+
+def _truth_table(
+    case: RigCase, settings: SensorSettings, seed: int, chain: Instrumented, truth: Record
+) -> dict[str, Any]:
+    """Return the parameters behind a run; everything that must not reach a reduction."""
+    stalled = truth["in_stall"] > 0.0
+    onsets = np.flatnonzero(np.diff(stalled.astype(np.int64)) > 0) + 1
+    recoveries = np.flatnonzero(np.diff(stalled.astype(np.int64)) < 0) + 1
+    return {
+        "tau_s": case.tau_s,
+        "beta": list(case.pressure_terms),
+        "reverse_loss": case.reverse_loss,
+        "psi_intercept": case.work_intercept,
+        "psi_slopes": list(case.work_slopes),
+        "psi_breaks": list(case.work_breaks),
+        "rotor_velocity_m_s": case.rotor_velocity_m_s,
+        "seed": seed,
+        "stall_times_s": [float(t) for t in truth.time_s[onsets]],
+        "recovery_times_s": [float(t) for t in truth.time_s[recoveries]],
+        "case": _plain(asdict(case)),
+        "sensor_settings": _plain(asdict(settings)),
+        "sensors": {name: dict(entry) for name, entry in chain.truth.items()},
+    }
+
+
+def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table without the values that TOML cannot hold: tuples become lists, None goes."""
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in table.items()
+        if value is not None
+    }

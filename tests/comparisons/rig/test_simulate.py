@@ -1,0 +1,236 @@
+from __future__ import annotations
+
+import pickle
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from classic_ml.errors import InputError
+from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
+
+Runs = Callable[[str], RigRun]
+Table = dict[str, np.ndarray]
+
+
+def _decode(run: RigRun) -> Table:
+    """Counts to local flow by the paper's equations, written here a third time."""
+    test: Any = run.test
+    out: Table = {}
+    pressures: Table = {}
+    for name, channel in test["channels"].items():
+        values = run.raw[name]
+        if channel["kind"] == "temperature":
+            out[name] = values / channel["recovery_factor"]
+            continue
+        per_pa = (channel["calibrate_count"] - channel["zero_count"]) / channel[
+            "calibrate_pressure_Pa"
+        ]
+        pressures[name] = (values - channel["zero_count"]) / per_pa + channel["zoc_reference_Pa"]
+    for plane in (25, 31):
+        area = test["planes"][str(plane)]["area_m2"]
+        flows, totals = [], []
+        for rake in "AB":
+            for immersion in ("tip", "hub"):
+                stem = f"P{plane}_{rake}_{immersion}"
+                front, back = pressures[f"{stem}_forward"], pressures[f"{stem}_aft"]
+                ratio = np.maximum(front, back) / np.minimum(front, back)
+                mach = np.sqrt(5.0 * (ratio ** (2.0 / 7.0) - 1.0))
+                pair = test["channels"][f"{stem}_forward"]
+                mach = np.where(mach > 0.0, pair["probe_slope"] * mach + pair["probe_offset"], 0.0)
+                flow = np.sign(front - back) * area * 416.8648 * mach / (1.0 + 0.2 * mach**2) ** 3
+                out[stem] = flow
+                flows.append(flow)
+                totals.append(np.maximum(front, back))
+        out[f"Wc{plane}"] = np.mean(flows, axis=0)
+        out[f"P{plane}"] = np.mean(totals, axis=0)
+        out[f"T{plane}"] = 0.5 * (out[f"T{plane}_A"] + out[f"T{plane}_B"])
+        out[f"W{plane}"] = (
+            out[f"Wc{plane}"] * out[f"P{plane}"] / 101_325.0 * np.sqrt(288.15 / out[f"T{plane}"])
+        )
+    return out
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_ideal_sensors_hide_nothing(ideal_run: Runs, name: str) -> None:
+    run = ideal_run(name)
+    got, truth = _decode(run), run.truth
+    for mine, theirs in (("P25", "P25_Pa"), ("P31", "P31_Pa"), ("T25", "T25_K"), ("T31", "T31_K")):
+        assert got[mine] == pytest.approx(truth[theirs], rel=1e-9)
+    # The lumped plant knows no choking at plane 31: recoveries of the blowdown case, whose large
+    # volume keeps P31 low, pass it for a few rows, and probes cannot show more than M = 1.
+    theta, delta = truth["T31_K"] / 288.15, truth["P31_Pa"] / 101_325.0
+    subsonic = truth["W31_kg_s"] * np.sqrt(theta) / delta < 0.99 * 0.065 * 416.86 / 1.728
+    assert np.mean(subsonic) > (0.97 if name == "blowdown" else 0.999)
+    for mine, theirs in (("Wc25", "Wc25_kg_s"), ("W25", "W25_kg_s"), ("W31", "W31_kg_s")):
+        error = np.abs(got[mine] - truth[theirs])[subsonic]
+        assert np.max(error) < 1e-4 * np.max(np.abs(truth[theirs]))
+
+
+@pytest.mark.parametrize("name", ["985", "90"])
+def test_reduction_of_ideal_sensors_returns_both_coefficients(ideal_run: Runs, name: str) -> None:
+    run = ideal_run(name)
+    got, truth, test = _decode(run), run.truth, run.test
+    speed = 2.0 * np.pi * test["test"]["rotor_speed_rpm"] / 60.0
+    u2 = (speed * test["compressor"]["mean_radius_m"]) ** 2
+    delivered = got["P31"] + test["compressor"]["inertia_per_m"] * truth["dW25_kg_s2"]
+    psi_p = 2.0 * 1004.675 * got["T25"] / u2 * ((delivered / got["P25"]) ** (2.0 / 7.0) - 1.0)
+    assert np.max(np.abs(psi_p - truth["psi_p"])) < 1e-5
+    # The paper's own derivative, from samples at 1 kHz: good away from the reversals.
+    rate = np.gradient(got["W25"], 1e-3)
+    rows = np.abs(rate - truth["dW25_kg_s2"]) < 50.0
+    assert np.mean(rows) > 0.95
+
+    area = test["planes"]["25"]["area_m2"]
+    mach = np.zeros(run.raw.n_samples)
+    for _ in range(60):
+        mach = np.abs(got["Wc25"]) / (area * 416.8648) * (1.0 + 0.2 * mach**2) ** 3
+    static = got["T25"] / (1.0 + 0.2 * mach**2)
+    phi = np.sign(got["Wc25"]) * mach * np.sqrt(1.4 * 287.05 * static) / np.sqrt(u2)
+    assert np.max(np.abs(phi - truth["phi"])) < 1e-5
+
+
+def test_local_flows_differ_by_cells_and_shift_and_cancel_in_the_mean() -> None:
+    settings = replace(SensorSettings.ideal(), hub_tip=1.0)
+    run = simulate("985", sensors=settings)
+    got, truth = _decode(run), run.truth
+    assert np.max(np.abs(got["Wc25"] - truth["Wc25_kg_s"])) < 2e-3
+    assert got["P25_A_tip"] == pytest.approx(truth["Wc25_tip_kg_s"], abs=2e-3)
+    assert got["P25_B_hub"] == pytest.approx(truth["Wc25_hub_kg_s"], abs=2e-3)
+
+
+def test_dead_band_of_the_pairs_hides_flows_near_zero() -> None:
+    settings = replace(SensorSettings.ideal(), probe_offset=1.0)
+    run = simulate("985", sensors=settings)
+    got, truth = _decode(run), run.truth
+    # b = 0.012 at the tip: M below it, which is 1.5 kg/s corrected, shows as no flow at all.
+    hidden = np.abs(truth["Wc25_kg_s"]) < 0.2938 * 416.86 * 0.0119
+    assert np.count_nonzero(hidden) > 50
+    assert np.max(np.abs(got["P25_A_tip"][hidden])) < 1e-6
+    clear = np.abs(truth["Wc25_kg_s"]) > 0.2938 * 416.86 * 0.0125
+    assert got["P25_A_tip"][clear] == pytest.approx(truth["Wc25_kg_s"][clear], abs=0.01)
+
+
+def test_channels_are_those_of_the_raw_format(default_run: Runs) -> None:
+    run = default_run("985")
+    expected = []
+    for plane in (25, 31):
+        for rake in "AB":
+            expected += [
+                f"P{plane}_{rake}_{immersion}_{facing}"
+                for immersion in ("tip", "hub")
+                for facing in ("forward", "aft")
+            ]
+            expected.append(f"T{plane}_{rake}")
+    assert list(run.raw.channels) == expected
+    assert list(run.test["channels"]) == expected
+    assert run.raw.n_samples == 4_001
+    for name in expected:
+        unit = run.raw.channel(name).unit
+        assert unit == ("count" if name.startswith("P") else "K")
+        if unit == "count":
+            codes = run.raw[name]
+            assert np.all((codes >= 0.0) & (codes <= 4095.0))
+            assert np.all(codes == np.round(codes))
+            assert np.unique(codes).size > 200
+
+
+def test_truth_never_reaches_the_test_table(default_run: Runs) -> None:
+    text = str(dict(default_run("985").test))
+    for secret in ("0.018", "1.2135", "47.358", "1443", "sensitivity", "bias"):
+        assert secret not in text
+
+
+def test_limits_are_a_switch() -> None:
+    off = simulate("985", duration_s=0.3, sensors=SensorSettings(acquisition_limits=False))
+    assert "limits" not in off.test
+    assert np.max(off.raw["T31_A"]) > 680.0
+    case = replace(CASES["985"], t31_limit_k=None)
+    assert "limits" not in simulate(case, duration_s=0.3).test
+    on = simulate("985", duration_s=0.3)
+    assert on.test["limits"] == {"T31_A": [200.0, 620.0], "T31_B": [200.0, 620.0]}
+    assert np.max(on.raw["T31_A"]) == 620.0
+
+
+def test_written_files_hold_the_run(default_run: Runs, tmp_path: Path) -> None:
+    run = default_run("90")
+    write_run(run, tmp_path / "out" / "run")
+    folder = tmp_path / "out" / "run"
+    assert sorted(p.name for p in folder.iterdir()) == ["raw.csv", "test.toml", "truth"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["run"]
+    with (folder / "test.toml").open("rb") as file:
+        assert tomllib.load(file) == dict(run.test)
+    with (folder / "truth" / "truth.toml").open("rb") as file:
+        assert tomllib.load(file) == dict(run.truth_parameters)
+    for record, path in ((run.raw, "raw.csv"), (run.truth, "truth/truth.csv")):
+        header = (folder / path).read_text(encoding="utf-8").splitlines()[0].split(",")
+        assert header == ["time_s", *record.channels]
+        table = np.loadtxt(folder / path, delimiter=",", skiprows=1)
+        assert table[:, 0] == pytest.approx(record.time_s, abs=1e-9)
+        for column, name in enumerate(record.channels, start=1):
+            if record.channel(name).unit == "count":
+                assert np.array_equal(table[:, column], record[name])
+            else:
+                assert table[:, column] == pytest.approx(record[name], abs=6e-4, rel=1e-8)
+    assert "." not in (folder / "raw.csv").read_text(encoding="utf-8").splitlines()[1].split(",")[1]
+
+
+def test_unrounded_counts_survive_the_file(tmp_path: Path) -> None:
+    run = simulate("985", duration_s=0.3, sensors=SensorSettings.ideal())
+    write_run(run, tmp_path / "ideal")
+    table = np.loadtxt(tmp_path / "ideal" / "raw.csv", delimiter=",", skiprows=1)
+    assert table[:, 1] == pytest.approx(run.raw["P25_A_tip_forward"], rel=1e-8)
+
+
+def test_write_refuses_a_folder_in_use(default_run: Runs, tmp_path: Path) -> None:
+    (tmp_path / "kept.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError, match="new or empty folder"):
+        write_run(default_run("985"), tmp_path)
+    with pytest.raises(InputError, match="found a file"):
+        write_run(default_run("985"), tmp_path / "kept.txt")
+    assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
+
+
+def test_failed_write_leaves_nothing(
+    default_run: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from comparisons.rig import raw_format
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(raw_format.np, "savetxt", full)
+    with pytest.raises(InputError, match="No space left"):
+        write_run(default_run("985"), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_run_survives_pickling(default_run: Runs) -> None:
+    run = default_run("985")
+    back = pickle.loads(pickle.dumps(run))
+    assert np.array_equal(back.raw["P31_A_hub_aft"], run.raw["P31_A_hub_aft"])
+    assert back.test == dict(run.test)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"case": "98.5"}, "case: expected one of 985, 90"),
+        ({"duration_s": -1.0}, "duration_s: expected 0.2 to 120 seconds, found -1.0"),
+        ({"duration_s": float("nan")}, "duration_s"),
+        ({"duration_s": 1e9}, "duration_s"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1.5}, "seed"),
+    ],
+)
+def test_unusable_arguments_are_named_in_one_sentence(
+    arguments: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        simulate(**{"case": "985", **arguments})
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
