@@ -1,0 +1,184 @@
+"""Weak form of the lag: sliding test functions instead of a derivative of noisy data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.free_run import Segments
+
+__all__ = ["MIN_HALF_WIDTH", "WeakLag", "half_width_samples", "weak_lag", "weak_rows"]
+
+FloatArray = NDArray[np.float64]
+
+# Below 4 samples the trapezoid sums of (1 - z²)⁴ and of its slope are no longer accurate.
+MIN_HALF_WIDTH = 4
+# Exponent of the test function: three derivatives vanish at its ends.
+_EXPONENT = 4
+# 2 τ lies between the 1.5 and 3 τ within which the study found no bias (30-50 ms at 18 ms).
+_HALF_WIDTH_IN_TAU = 2.0
+
+
+@dataclass(frozen=True)
+class WeakLag:
+    """Two weak estimates of τ that bracket it when the signals are noisy.
+
+    Parameters
+    ----------
+    forward_s : float
+        τ from regressing dψ'/dt on ψ' and the terms, in seconds: noise in ψ' pulls it up.
+    reverse_s : float
+        τ from regressing ψ' on dψ'/dt and the terms, in seconds: noise pulls it down.
+    half_width_s : float
+        Half width of the test function in seconds.
+    n_rows : int
+        Number of weak equations.
+    """
+
+    forward_s: float
+    reverse_s: float
+    half_width_s: float
+    n_rows: int
+
+    @property
+    def gap(self) -> float:
+        """Relative distance of the two estimates: a measure of the noise (0 without any)."""
+        return (self.forward_s - self.reverse_s) / self.reverse_s
+
+
+def half_width_samples(
+    segments: Segments, time_constant_s: float, sample_period_s: float
+) -> int | None:
+    """Return the half width in samples: 2 τ, never more than the segments allow.
+
+    Half of the rows must lie in segments that hold at least one whole test function; with
+    segments too short for a half width of 4 samples the answer is None.
+
+    Parameters
+    ----------
+    segments : Segments
+        The runs of rows.
+    time_constant_s : float
+        A guess at τ in seconds.
+    sample_period_s : float
+        Sample period in seconds.
+
+    Returns
+    -------
+    int or None
+        Half width of the test function in samples.
+    """
+    lengths = np.sort(segments.lengths)[::-1]
+    # The longest width that still leaves half of all rows in segments long enough.
+    longest = int(lengths[np.searchsorted(np.cumsum(lengths), lengths.sum() / 2)])
+    # Twice as many rows as one test function spans, so that it can slide.
+    room = (longest - 1) // 4 if longest > 8 * MIN_HALF_WIDTH else (longest - 1) // 2
+    wanted = _HALF_WIDTH_IN_TAU * time_constant_s / sample_period_s
+    width = int(min(max(round(min(wanted, 1e9)), MIN_HALF_WIDTH), room))
+    return width if width >= MIN_HALF_WIDTH else None
+
+
+def weak_rows(
+    y: FloatArray, terms: FloatArray, segments: Segments, half_width: int, sample_period_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Integrate every signal against sliding test functions w(z) = (1 - z²)⁴.
+
+    By parts, ∫ w (dψ'/dt) dt = -∫ (dw/dt) ψ' dt, so nothing is differentiated. The terms are
+    built from the raw φ and integrated with the very same w; smoothing φ first would not
+    commute with its powers. A test function starts every quarter of a half width.
+
+    Parameters
+    ----------
+    y : ndarray of shape (n_rows,)
+        ψ'.
+    terms : ndarray of shape (n_rows, n_terms)
+        The candidate terms.
+    segments : Segments
+        The runs of rows; segments shorter than one test function give no equation.
+    half_width : int
+        Half width m in samples.
+    sample_period_s : float
+        Sample period in seconds.
+
+    Returns
+    -------
+    derivative, signal : ndarray of shape (n_weak,)
+        Weak dψ'/dt (1/s) and ψ'.
+    columns : ndarray of shape (n_weak, n_terms)
+        Weak terms.
+    """
+    from scipy.signal import oaconvolve
+
+    z = np.arange(-half_width, half_width + 1) / half_width
+    weight = (1 - z**2) ** _EXPONENT
+    slope = -2 * _EXPONENT * z * (1 - z**2) ** (_EXPONENT - 1) / (half_width * sample_period_s)
+    weight, slope = weight / weight.sum(), slope / weight.sum()
+    stride = max(1, half_width // 4)
+    signals = np.column_stack((y, terms))
+    parts: list[tuple[FloatArray, FloatArray]] = []
+    for rows in segments.slices():
+        piece = signals[rows]
+        if piece.shape[0] < z.size:
+            continue
+        # A convolution flips its kernel: w is even, and dw/dt odd, which is the minus sign.
+        smooth = oaconvolve(piece, weight[:, None], mode="valid", axes=0)[::stride]
+        change = oaconvolve(piece[:, :1], slope[:, None], mode="valid", axes=0)[::stride]
+        parts.append((change[:, 0], smooth))
+    if not parts:
+        return np.empty(0), np.empty(0), np.empty((0, terms.shape[1]))
+    smooth = np.concatenate([part[1] for part in parts])
+    return np.concatenate([part[0] for part in parts]), smooth[:, 0], smooth[:, 1:]
+
+
+def weak_lag(
+    y: FloatArray,
+    terms: FloatArray,
+    segments: Segments,
+    sample_period_s: float,
+    guess_s: float | None = None,
+) -> WeakLag | None:
+    """Estimate τ by weak regression in both directions.
+
+    Parameters
+    ----------
+    y : ndarray of shape (n_rows,)
+        ψ'.
+    terms : ndarray of shape (n_rows, n_terms)
+        The candidate terms.
+    segments : Segments
+        The runs of rows.
+    sample_period_s : float
+        Sample period in seconds.
+    guess_s : float or None
+        A first τ in seconds; None begins at 20 samples and repeats with what comes out.
+
+    Returns
+    -------
+    WeakLag or None
+        None if the segments are too short or the equations too few.
+    """
+    guess = 20 * sample_period_s if guess_s is None else guess_s
+    result: WeakLag | None = None
+    for _ in range(2):
+        width = half_width_samples(segments, guess, sample_period_s)
+        if width is None:
+            return None
+        change, signal, columns = weak_rows(y, terms, segments, width, sample_period_s)
+        if signal.size < columns.shape[1] + 3:
+            return result
+        forward = _solve(np.column_stack((signal, columns)), change)[0]
+        reverse = _solve(np.column_stack((change, columns)), signal)[0]
+        if not (forward < 0 and reverse < 0):
+            return result
+        result = WeakLag(-1 / forward, -reverse, width * sample_period_s, signal.size)
+        guess = result.reverse_s
+    return result
+
+
+def _solve(columns: FloatArray, target: FloatArray) -> FloatArray:
+    norms = np.linalg.norm(columns, axis=0)
+    norms[norms == 0] = 1.0
+    solution: FloatArray = np.linalg.lstsq(columns / norms, target, rcond=1e-10)[0] / norms
+    return solution

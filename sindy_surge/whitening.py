@@ -1,0 +1,298 @@
+"""White noise on both channels: its level, and the exact whitening of the lag's equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.free_run import HoldCoefficients, Segments
+
+__all__ = ["NoiseLevels", "Whitener", "autoregression", "difference_noise", "refine_noise"]
+
+FloatArray = NDArray[np.float64]
+
+# The least noise assumed is that of a 12-bit converter whose range is five standard deviations,
+# 5 / 4096 / √12: below it, rounding and interpolation would ask for terms.
+_RELATIVE_FLOOR = 3.5e-4
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Standard deviations of the white measurement noise and, if any, its colour.
+
+    Parameters
+    ----------
+    output : float
+        Noise of ψ'.
+    inputs : ndarray of shape (n_inputs,)
+        Noise of each input.
+    colour : ndarray of shape (order,)
+        Autoregressive coefficients of what the whitening leaves; empty for white noise.
+    """
+
+    output: float
+    inputs: FloatArray
+    colour: FloatArray
+
+
+def difference_noise(signal: FloatArray, segments: Segments) -> float:
+    """Estimate the white noise of a smooth signal from its fourth differences.
+
+    The median absolute fourth difference over 0.6745 √70: the median passes over jumps.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (n_rows,)
+        The signal.
+    segments : Segments
+        The runs of rows.
+
+    Returns
+    -------
+    float
+        Standard deviation; 0 if no segment has five rows.
+    """
+    pieces = [np.diff(signal[rows], 4) for rows in segments.slices()]
+    differences = np.concatenate(pieces) if pieces else np.empty(0)
+    if differences.size == 0:
+        return 0.0
+    return float(np.median(np.abs(differences)) / (0.6745 * np.sqrt(70.0)))
+
+
+class Whitener:
+    """Whitens the equations A e = A v - B D n of one fit (v, n white).
+
+    With A e[k] = e[k] - a e[k-1], and n entering through the slope d of ψ'_QS, the covariance
+    of A e is tridiagonal: σ_ψ²(1 + a²) + σ_φ²(c0² d[k]² + c1² d[k-1]²) on the diagonal and
+    -a σ_ψ² + σ_φ² c0 c1 d[k]² beside it. One banded Cholesky factor whitens a column in O(N).
+    Leaving out the first row of each segment is the same as a free initial state.
+
+    Parameters
+    ----------
+    coefficients : HoldCoefficients
+        Of the lag.
+    slopes : ndarray of shape (n_inputs, n_rows)
+        dψ'_QS/dφ along the record.
+    noise : NoiseLevels
+        The noise.
+    segments : Segments
+        The runs of rows.
+    """
+
+    def __init__(
+        self,
+        coefficients: HoldCoefficients,
+        slopes: FloatArray,
+        noise: NoiseLevels,
+        segments: Segments,
+    ) -> None:
+        from scipy.linalg import cholesky_banded
+
+        pole, now, before = coefficients
+        later = segments.later
+        carried = (noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0)
+        # Keeps the factor exact to eight digits even about a wild intermediate characteristic.
+        carried = np.minimum(carried, 1e8 * noise.output**2)
+        band = np.zeros((2, later.size))
+        band[0] = noise.output**2 * (1 + pole**2)
+        band[0] += now**2 * carried[later] + before**2 * carried[later - 1]
+        joined = np.diff(later) == 1
+        band[1, :-1] = np.where(
+            joined, -pole * noise.output**2 + now * before * carried[later[:-1]], 0.0
+        )
+        self._factor = cholesky_banded(band, lower=True)
+        self._colour = noise.colour
+        # An autoregression of order q has no residual for the first q rows of a segment.
+        first = np.flatnonzero(np.concatenate(([True], ~joined)))
+        self.equation_segments = Segments(
+            first, np.concatenate((first[1:], [later.size])).astype(np.intp)
+        )
+        self._keep = self.equation_segments.offsets() >= noise.colour.size
+
+    @property
+    def groups(self) -> Segments:
+        """The runs of the whitened rows."""
+        number = np.repeat(
+            np.arange(self.equation_segments.starts.size), self.equation_segments.lengths
+        )[self._keep]
+        return Segments.from_labels(number, number.size)
+
+    def __call__(self, columns: FloatArray) -> FloatArray:
+        """Whiten equations.
+
+        Parameters
+        ----------
+        columns : ndarray of shape (n_equations,) or (n_equations, n_columns)
+            Each column is one vector over the equations.
+
+        Returns
+        -------
+        ndarray
+            Whitened columns; fewer rows if the noise is coloured.
+        """
+        from scipy.linalg.lapack import dtbtrs
+
+        white, info = dtbtrs(self._factor, columns, uplo="L")
+        if info != 0:
+            raise FloatingPointError("the covariance of the noise is singular")
+        white = white.reshape(columns.shape)
+        if self._colour.size == 0:
+            return np.asarray(white)
+        filtered = white.copy()
+        for lag, coefficient in enumerate(self._colour, start=1):
+            # Rows that would reach into the segment before are dropped below.
+            filtered[lag:] -= coefficient * white[:-lag]
+        return np.asarray(filtered[self._keep])
+
+    def precision(self, column: FloatArray) -> FloatArray:
+        """Apply the inverse covariance of the white part to one vector over the equations."""
+        from scipy.linalg import cho_solve_banded
+
+        return np.asarray(cho_solve_banded((self._factor, True), column))
+
+    def log_determinant(self) -> float:
+        """Return the logarithm of the determinant of the covariance."""
+        return float(2 * np.log(self._factor[0]).sum())
+
+
+def refine_noise(
+    residual: FloatArray,
+    coefficients: HoldCoefficients,
+    slopes: FloatArray,
+    guess: NoiseLevels,
+    segments: Segments,
+    output_scale: float,
+) -> NoiseLevels:
+    """Split the residual of a fit between the noise of ψ' and that of the inputs.
+
+    Fourth differences count a truly rough signal (a random excitation) as noise; the residual
+    does not. So the ratio of the two levels and their common scale maximise the likelihood
+    of the residual, and the fourth differences are only the upper limit.
+
+    Parameters
+    ----------
+    residual : ndarray of shape (n_equations,)
+        A e of a fit with all terms.
+    coefficients : HoldCoefficients
+        Of the lag.
+    slopes : ndarray of shape (n_inputs, n_rows)
+        dψ'_QS/dφ along the record.
+    guess : NoiseLevels
+        From fourth differences.
+    segments : Segments
+        The runs of rows.
+    output_scale : float
+        Standard deviation of ψ', for the floor.
+
+    Returns
+    -------
+    NoiseLevels
+        White levels (no colour).
+    """
+    from scipy.optimize import minimize_scalar
+
+    n = residual.size
+    tiny = _RELATIVE_FLOOR * output_scale
+    unit = NoiseLevels(max(guess.output, tiny), guess.inputs, np.empty(0))
+
+    def level(log_ratio: float) -> tuple[float, float]:
+        trial = replace(unit, inputs=unit.inputs * np.exp(log_ratio))
+        white = Whitener(coefficients, slopes, trial, segments)
+        variance = float(np.mean(white(residual) ** 2))
+        return n * np.log(max(variance, 1e-300)) + white.log_determinant(), variance
+
+    best = minimize_scalar(
+        lambda v: level(v)[0], bounds=(-5.0, 5.0), method="bounded", options={"xatol": 0.05}
+    )
+    ratio = float(np.exp(best.x))
+    scale = float(np.sqrt(level(best.x)[1]))
+    # Twice the sampling error of a median over n correlated differences, about 2/√n.
+    top = 1 + 4 / np.sqrt(n)
+    inputs = unit.inputs * min(ratio * scale, top)
+    return floored(
+        NoiseLevels(min(scale, top) * unit.output, inputs, np.empty(0)),
+        coefficients,
+        slopes,
+        output_scale,
+    )
+
+
+def floored(
+    noise: NoiseLevels, coefficients: HoldCoefficients, slopes: FloatArray, output_scale: float
+) -> NoiseLevels:
+    """Keep the noise of ψ' off zero: a tenth of what the lag passes of the inputs' noise.
+
+    Without any, a record whose ψ' is exact makes the covariance singular wherever the
+    characteristic is flat.
+
+    Parameters
+    ----------
+    noise : NoiseLevels
+        The noise.
+    coefficients : HoldCoefficients
+        Of the lag.
+    slopes : ndarray of shape (n_inputs, n_rows)
+        dψ'_QS/dφ along the record.
+    output_scale : float
+        Standard deviation of ψ'.
+
+    Returns
+    -------
+    NoiseLevels
+        With `output` raised if need be.
+    """
+    carried = float((noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0).mean())
+    # A first-order lag passes white noise with the variance (1 - a)/(1 + a).
+    passed = carried * (1 - coefficients.pole) / (1 + coefficients.pole)
+    floor = max(0.1 * float(np.sqrt(passed)), _RELATIVE_FLOOR * output_scale)
+    return replace(noise, output=max(noise.output, floor))
+
+
+def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> FloatArray:
+    """Fit an autoregression to a whitened residual by Burg's method, order by BIC.
+
+    Parameters
+    ----------
+    white : ndarray of shape (n_white,)
+        Whitened residual.
+    groups : Segments
+        The runs of its rows; sums run over all, none reaches across.
+    largest : int
+        Highest order tried; also at most a tenth of the median run.
+
+    Returns
+    -------
+    ndarray of shape (order,)
+        Coefficients of w[k] = Σ α_i w[k-i] + white; empty when order 0 wins.
+    """
+    pieces = [white[rows] for rows in groups.slices() if rows.stop - rows.start > 1]
+    if not pieces:
+        return np.empty(0)
+    largest = min(largest, int(np.median([p.size for p in pieces])) // 10)
+    n = sum(p.size for p in pieces)
+    variance = sum(float(p @ p) for p in pieces) / n
+    if variance <= 0:
+        return np.empty(0)
+    forward, backward = list(pieces), list(pieces)
+    coefficients = np.empty(0)
+    best, best_score = coefficients, n * np.log(variance)
+    for order in range(1, largest + 1):
+        ahead = [f[1:] for f in forward]
+        behind = [b[:-1] for b in backward]
+        top = 2 * sum(float(f @ b) for f, b in zip(ahead, behind, strict=True))
+        bottom = sum(float(f @ f + b @ b) for f, b in zip(ahead, behind, strict=True))
+        if bottom <= 0:
+            break
+        reflection = top / bottom
+        coefficients = np.append(coefficients - reflection * coefficients[::-1], reflection)
+        forward = [f - reflection * b for f, b in zip(ahead, behind, strict=True)]
+        backward = [b - reflection * f for f, b in zip(ahead, behind, strict=True)]
+        variance *= 1 - reflection**2
+        if variance <= 0:
+            break
+        score = n * np.log(variance) + order * np.log(n)
+        if score < best_score:
+            best, best_score = coefficients.copy(), score
+    return best

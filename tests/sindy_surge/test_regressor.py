@@ -1,0 +1,350 @@
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from pysindy.feature_library import PolynomialLibrary
+from sklearn import config_context
+from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer
+
+from sindy_surge import FitState, InputError, SparseLagRegressor
+
+from .conftest import CURVES, PERIOD_S, TAU_S, TERMS, lag
+
+
+def _labels(phi: np.ndarray, threshold: float = 0.27, shortest: int = 30) -> np.ndarray:
+    """Number the in-stall intervals 1, 2, …, 0 elsewhere."""
+    inside = np.concatenate(([0], (phi < threshold).astype(int), [0]))
+    edges = np.flatnonzero(np.diff(inside))
+    labels = np.zeros(phi.size, dtype=int)
+    number = 0
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start >= shortest:
+            number += 1
+            labels[start:stop] = number
+    return labels
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+@pytest.mark.parametrize("curve", list(CURVES))
+def test_exact_signals_give_the_exact_truth(
+    surge: Callable[..., Any], hold: str, curve: str
+) -> None:
+    phi = surge("quadratic", 0.0, 7).clean_phi
+    psi_p = lag(CURVES[curve](phi), PERIOD_S, hold)
+    model = SparseLagRegressor(PERIOD_S, hold).fit(phi[:, None], psi_p)
+    assert dict.fromkeys(model.terms_) == dict.fromkeys(TERMS[curve])
+    np.testing.assert_allclose(model.coef_, list(TERMS[curve].values()), rtol=1e-7)
+    assert model.time_constant_s_ == pytest.approx(TAU_S, rel=1e-7)
+    assert model.fit_state_ == "ok"
+
+
+@pytest.fixture(scope="module")
+def many(surge: Callable[..., Any]) -> list[tuple[str, SparseLagRegressor]]:
+    fits = []
+    for curve in ("quadratic", "hinge", "reverse"):
+        for seed in range(60, 66):
+            record = surge(curve, 0.02, seed)
+            fits.append((curve, SparseLagRegressor().fit(record.phi[:, None], record.psi_p)))
+    return fits
+
+
+def test_structure_is_found_at_two_per_cent(many: list[tuple[str, SparseLagRegressor]]) -> None:
+    assert all(set(model.terms_) == set(TERMS[curve]) for curve, model in many)
+
+
+def test_tau_is_unbiased_and_its_error_honest(
+    many: list[tuple[str, SparseLagRegressor]],
+) -> None:
+    tau = np.array([model.time_constant_s_ for _, model in many])
+    stderr = np.array([model.time_constant_stderr_s_ for _, model in many])
+    z = (tau - TAU_S) / stderr
+    # The three truths of a seed share its noise: six independent draws, not eighteen.
+    assert abs(tau.mean() / TAU_S - 1) < 0.005
+    assert abs(z.mean()) < 4 / np.sqrt(6)
+    assert 0.4 < np.sqrt(np.mean(z**2)) < 1.9
+
+
+def test_coefficients_and_curve_lie_within_their_errors(
+    many: list[tuple[str, SparseLagRegressor]],
+) -> None:
+    scores, curve_scores = [], []
+    phi = np.linspace(-0.03, 0.5, 25)
+    for curve, model in many:
+        true = np.array([TERMS[curve][name] for name in model.terms_])
+        scores += list((model.coef_ - true) / np.sqrt(np.diag(model.covariance_)))
+        value, stderr = model.characteristic(phi)
+        curve_scores += list((value - CURVES[curve](phi)) / stderr)
+    for found in (np.array(scores), np.array(curve_scores)):
+        assert np.max(np.abs(found)) < 5
+        assert 0.4 < np.sqrt(np.mean(found**2)) < 1.7
+
+
+def test_wrong_hold_biases_tau(surge: Callable[..., Any]) -> None:
+    phi = surge("quadratic", 0.0, 7).clean_phi
+    rng = np.random.default_rng(0)
+    found = {}
+    for true in ("first", "zero"):
+        clean = lag(CURVES["quadratic"](phi), PERIOD_S, true)
+        noisy = clean + 0.01 * clean.std() * rng.standard_normal(clean.size)
+        for used in ("first", "zero"):
+            model = SparseLagRegressor(PERIOD_S, used, library=PolynomialLibrary(2))
+            model.fit(phi[:, None], noisy)
+            found[true, used] = model.time_constant_s_ / TAU_S - 1
+    assert abs(found["first", "first"]) < 0.003
+    assert abs(found["zero", "zero"]) < 0.003
+    # Half a sample is 2.8 % of τ; whitening weighs the fast part, which feels it more.
+    assert -0.08 < found["first", "zero"] < -0.02
+    assert 0.02 < found["zero", "first"] < 0.08
+
+
+def test_short_in_stall_segments(surge: Callable[..., Any]) -> None:
+    z, right = [], 0
+    for seed in range(40, 44):
+        record = surge("quadratic", 0.02, seed)
+        labels = _labels(record.clean_phi)
+        rows = labels > 0
+        model = SparseLagRegressor().fit(
+            record.phi[rows, None], record.psi_p[rows], segments=labels[rows]
+        )
+        lengths = np.bincount(labels[rows])[1:]
+        assert lengths.size > 15
+        assert lengths.max() < 150
+        assert model.initial_states_.size == lengths.size
+        right += set(model.terms_) == set(TERMS["quadratic"])
+        z.append((model.time_constant_s_ - TAU_S) / model.time_constant_stderr_s_)
+    assert right == 4
+    assert np.max(np.abs(z)) < 4
+
+
+def test_no_equation_straddles_two_segments(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 41)
+    labels = _labels(record.clean_phi)
+    rows = np.flatnonzero(labels)
+    phi, psi_p, labels = record.phi[rows], record.psi_p[rows], labels[rows]
+    model = SparseLagRegressor().fit(phi[:, None], psi_p, segments=labels)
+
+    renamed = SparseLagRegressor().fit(phi[:, None], psi_p, segments=1000 - 7 * labels)
+    np.testing.assert_array_equal(renamed.coef_, model.coef_)
+
+    order = np.random.default_rng(0).permutation(np.unique(labels))
+    shuffled = np.concatenate([np.flatnonzero(labels == label) for label in order])
+    mixed = SparseLagRegressor().fit(
+        phi[shuffled, None], psi_p[shuffled], segments=labels[shuffled]
+    )
+    assert mixed.terms_ == model.terms_
+    np.testing.assert_allclose(mixed.coef_, model.coef_, rtol=1e-5)
+    assert mixed.time_constant_s_ == pytest.approx(model.time_constant_s_, rel=1e-5)
+
+    linked = SparseLagRegressor().fit(phi[:, None], psi_p)
+    error = abs(linked.time_constant_s_ - TAU_S)
+    assert error > 5 * abs(model.time_constant_s_ - TAU_S)
+
+
+def test_free_run_follows_the_record(surge: Callable[..., Any]) -> None:
+    train, test = surge("reverse", 0.02, 3), surge("reverse", 0.0, 4)
+    model = SparseLagRegressor().fit(train.phi[:, None], train.psi_p)
+    predicted = model.predict(test.phi[:, None])
+    # Beyond 10 τ the start no longer matters.
+    late = slice(180, None)
+    assert np.std((predicted - test.psi_p)[late]) < 0.01 * np.std(test.psi_p)
+    assert predicted[0] == pytest.approx(model.characteristic(test.phi[:1])[0][0])
+    two = model.predict(test.phi[:, None], segments=np.repeat([1, 2], [2000, 2000]))
+    np.testing.assert_allclose(two[2000:], model.predict(test.phi[2000:, None]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+def test_vanishing_lag_is_called_so(surge: Callable[..., Any], hold: str) -> None:
+    phi = surge("quadratic", 0.0, 7).clean_phi
+    forcing = CURVES["quadratic"](phi)
+    rng = np.random.default_rng(1)
+    psi_p = forcing if hold == "first" else np.concatenate((forcing[:1], forcing[:-1]))
+    psi_p = psi_p + 0.01 * psi_p.std() * rng.standard_normal(phi.size)
+    model = SparseLagRegressor(PERIOD_S, hold).fit(phi[:, None], psi_p)
+    assert model.fit_state_ is FitState.LAG_BELOW_RESOLUTION
+    assert model.time_constant_s_ < PERIOD_S / 3
+    assert set(model.terms_) == set(TERMS["quadratic"])
+
+
+def test_coloured_noise_is_whitened(surge: Callable[..., Any]) -> None:
+    from scipy.signal import lfilter
+
+    z = []
+    for seed in range(3):
+        clean = surge("quadratic", 0.0, 20 + seed)
+        white = np.random.default_rng(seed).standard_normal((2, clean.phi.size))
+        noise = lfilter([np.sqrt(1 - 0.81)], [1, -0.9], white, axis=1)
+        phi = clean.phi + 0.02 * clean.phi.std() * noise[0]
+        psi_p = clean.psi_p + 0.02 * clean.psi_p.std() * noise[1]
+        model = SparseLagRegressor().fit(phi[:, None], psi_p)
+        assert set(model.terms_) == set(TERMS["quadratic"])
+        z.append((model.time_constant_s_ - TAU_S) / model.time_constant_stderr_s_)
+    assert np.max(np.abs(z)) < 4
+
+
+def test_rough_excitation_is_not_taken_for_noise() -> None:
+    rng = np.random.default_rng(5)
+    phi = rng.uniform(-0.03, 0.27, 2000)
+    clean = lag(CURVES["quadratic"](phi), PERIOD_S, "zero")
+    psi_p = clean + 0.02 * clean.std() * rng.standard_normal(2000)
+    model = SparseLagRegressor(PERIOD_S, "zero").fit(phi[:, None], psi_p)
+    assert set(model.terms_) == set(TERMS["quadratic"])
+    assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
+
+
+@pytest.mark.parametrize("optimizer", ["STLSQ", "FROLS"])
+def test_other_optimizers_reach_the_same_structure(
+    surge: Callable[..., Any], optimizer: str
+) -> None:
+    record = surge("hinge", 0.02, 60)
+    model = SparseLagRegressor(optimizer=optimizer).fit(record.phi[:, None], record.psi_p)
+    assert set(model.terms_) == set(TERMS["hinge"])
+
+
+def test_time_scale_and_output_scale_carry_through(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 61)
+    model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
+    slow = SparseLagRegressor(1.0).fit(record.phi[:, None], 1000 * record.psi_p)
+    assert slow.terms_ == model.terms_
+    assert slow.time_constant_s_ == pytest.approx(1000 * model.time_constant_s_, rel=1e-5)
+    np.testing.assert_allclose(slow.coef_, 1000 * model.coef_, rtol=1e-5)
+
+
+def test_names_follow_the_data_frame(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 61, 1500)
+    frame = pd.DataFrame({"flow": record.phi})
+    model = SparseLagRegressor().fit(frame, record.psi_p)
+    assert "flow^2" in model.candidate_terms_
+    assert set(model.terms_) == {"1", "flow", "flow^2"}
+
+
+def test_two_inputs() -> None:
+    rng = np.random.default_rng(8)
+    inputs = rng.uniform(-1, 1, (3000, 2))
+    forcing = 0.3 + inputs[:, 0] - 0.8 * inputs[:, 0] * inputs[:, 1]
+    clean = lag(forcing, PERIOD_S, "zero")
+    psi_p = clean + 0.02 * clean.std() * rng.standard_normal(3000)
+    model = SparseLagRegressor(hold="zero").fit(inputs, psi_p)
+    assert set(model.terms_) == {"1", "x0", "x0 x1"}
+    assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
+
+
+def test_path_tells_what_was_tried(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.05, 62)
+    model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
+    chosen = [row for row in model.path_ if row.chosen]
+    assert len(chosen) == 1
+    assert set(chosen[0].terms) == set(model.terms_)
+    assert chosen[0].consistent
+    assert chosen[0].time_constant_s == model.time_constant_s_
+    assert {row.size for row in model.path_} >= {1, 2, 3, 4}
+
+
+def test_fit_repeats_itself_and_survives_pickling(surge: Callable[..., Any]) -> None:
+    record = surge("hinge", 0.02, 60, 2000)
+    model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
+    again = pickle.loads(pickle.dumps(model))
+    np.testing.assert_array_equal(
+        again.predict(record.phi[:, None]), model.predict(record.phi[:, None])
+    )
+    assert again.fit_state_ is model.fit_state_
+    assert again.fit_state_.advice == model.fit_state_.advice
+    refit = again.fit(record.phi[:, None], record.psi_p)
+    np.testing.assert_array_equal(refit.coef_, model.coef_)
+
+
+def test_pipeline_and_grid_search_pass_segments_on(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 61, 1500)
+    segments = np.repeat([1, 2, 3], 500)
+    phi = record.phi[:, None]
+    direct = SparseLagRegressor().fit(phi, record.psi_p, segments=segments)
+    pipe = make_pipeline(FunctionTransformer(), SparseLagRegressor())
+    pipe.fit(phi, record.psi_p, sparselagregressor__segments=segments)
+    np.testing.assert_array_equal(pipe[-1].coef_, direct.coef_)
+    with config_context(enable_metadata_routing=True):
+        routed = SparseLagRegressor()
+        routed.set_fit_request(segments=True).set_score_request(segments=True)
+        search = GridSearchCV(
+            routed, {"max_terms": [2, 4]}, cv=GroupKFold(3).set_split_request(groups=True)
+        )
+        search.fit(phi, record.psi_p, segments=segments, groups=segments)
+    assert search.best_params_ == {"max_terms": 4}
+    np.testing.assert_array_equal(search.best_estimator_.coef_, direct.coef_)
+
+
+def test_too_little_data_gives_a_static_fit_with_advice() -> None:
+    phi = np.array([[0.1], [0.2], [0.4]])
+    model = SparseLagRegressor().fit(phi, [1.0, 2.0, 4.0])
+    assert model.fit_state_ is FitState.TOO_FEW_ROWS
+    assert "segments" in model.fit_state_.advice
+    assert np.isnan(model.time_constant_s_)
+    np.testing.assert_allclose(model.predict(phi), [1.0, 2.0, 4.0])
+    lonely = SparseLagRegressor().fit(
+        np.linspace(0, 1, 50)[:, None], np.linspace(0, 1, 50), segments=np.arange(50)
+    )
+    assert lonely.fit_state_ is FitState.TOO_FEW_ROWS
+
+
+def test_constant_signals_give_a_static_fit() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(200)
+    pinned = SparseLagRegressor().fit(np.full((200, 1), 0.2), 3 + noise)
+    assert pinned.fit_state_ is FitState.CONSTANT_SIGNAL
+    assert pinned.terms_ == ("1",)
+    assert pinned.coef_[0] == pytest.approx(3 + noise.mean())
+    flat = SparseLagRegressor().fit(rng.uniform(0, 1, (200, 1)), np.full(200, 0.7))
+    assert flat.fit_state_ is FitState.CONSTANT_SIGNAL
+    np.testing.assert_allclose(flat.predict(np.array([[0.5]])), 0.7)
+    assert len(pinned.candidate_terms_) >= 15
+
+
+def test_unrelated_output_does_not_pass_for_a_lag() -> None:
+    rng = np.random.default_rng(3)
+    phi = np.sin(np.arange(600) / 20)[:, None]
+    model = SparseLagRegressor().fit(phi, rng.standard_normal(600))
+    assert model.fit_state_ is not FitState.OK
+
+
+@pytest.mark.parametrize(
+    ("options", "where"),
+    [
+        ({"sample_period_s": 0.0}, "sample_period_s"),
+        ({"sample_period_s": np.nan}, "sample_period_s"),
+        ({"sample_period_s": "1 ms"}, "sample_period_s"),
+        ({"hold": "second"}, "hold"),
+        ({"optimizer": "lasso"}, "optimizer"),
+        ({"library": 3}, "library"),
+        ({"max_terms": 0}, "max_terms"),
+        ({"degree": 0}, "degree"),
+        ({"knots": [np.nan]}, "knots"),
+    ],
+)
+def test_bad_parameters_are_named(options: dict[str, Any], where: str) -> None:
+    rng = np.random.default_rng(0)
+    phi = rng.uniform(-1, 1, (200, 1))
+    psi_p = lag(phi[:, 0], PERIOD_S) + 0.01 * rng.standard_normal(200)
+    with pytest.raises(InputError) as caught:
+        SparseLagRegressor(**options).fit(phi, psi_p)
+    assert caught.value.where == where
+
+
+def test_bad_data_are_refused() -> None:
+    phi = np.linspace(0, 1, 100)[:, None]
+    psi_p = np.linspace(0, 1, 100)
+    broken = psi_p.copy()
+    broken[3] = np.nan
+    for X, y in ((phi, broken), (np.where(phi > 0.5, np.inf, phi), psi_p), (phi[:50], psi_p)):
+        with pytest.raises(ValueError, match=r"NaN|infinity|inconsistent"):
+            SparseLagRegressor().fit(X, y)
+    with pytest.raises(InputError, match="segments"):
+        SparseLagRegressor().fit(phi, psi_p, segments=np.zeros(99, dtype=int))
+    model = SparseLagRegressor(library=PolynomialLibrary(1)).fit(phi, psi_p)
+    with pytest.raises(InputError, match="phi"):
+        model.characteristic(np.zeros((4, 2)))
+    assert model.characteristic([])[0].size == 0

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from pysindy.optimizers import SSR, STLSQ
+
+from sindy_surge import InputError
+from sindy_surge.lag_fit import LinearProblem
+from sindy_surge.sparse_paths import beam_search, proposed_supports, support_chi2
+
+
+def _problem(seed: int = 0, noise: float = 0.1) -> LinearProblem:
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((30, 9)) + rng.standard_normal((30, 1))
+    columns /= np.linalg.norm(columns, axis=0)
+    target = columns @ np.array([0, 3.0, 0, 0, -2.0, 0, 0, 1.5, 0])
+    return LinearProblem(columns, target + noise * rng.standard_normal(30), np.ones(9), 2.0, 500)
+
+
+def test_beam_search_equals_exhaustive_search() -> None:
+    problem = _problem()
+    ranked = beam_search(problem, 4)
+    for size in (1, 2, 3, 4):
+        exhaustive = {s: support_chi2(problem, s) for s in combinations(range(9), size)}
+        best = min(exhaustive, key=lambda s: exhaustive[s])
+        assert ranked[size][0][1] == best
+        for chi2, support in ranked[size][:20]:
+            assert chi2 == pytest.approx(exhaustive[support], rel=1e-9)
+
+
+def test_chi2_is_that_of_least_squares() -> None:
+    problem = _problem()
+    solution = np.linalg.lstsq(problem.columns[:, [1, 4]], problem.target, rcond=None)[0]
+    rest = problem.target - problem.columns[:, [1, 4]] @ solution
+    assert support_chi2(problem, (1, 4)) == pytest.approx(rest @ rest + 2.0)
+
+
+@pytest.mark.parametrize(
+    "optimizer",
+    ["SSR", "STLSQ", "FROLS", SSR(alpha=0.0, max_iter=9), STLSQ(threshold=0.7, alpha=0.0)],
+)
+def test_every_optimizer_meets_the_truth(optimizer: object) -> None:
+    assert (1, 4, 7) in proposed_supports(_problem(), optimizer, 6)
+
+
+def test_optimizer_instance_is_not_changed() -> None:
+    optimizer = STLSQ(threshold=0.7, alpha=0.0)
+    proposed_supports(_problem(), optimizer, 6)
+    assert not hasattr(optimizer, "coef_")
+
+
+@pytest.mark.parametrize("optimizer", ["ssr", "LASSO", 3, None])
+def test_unknown_optimizer_is_refused(optimizer: object) -> None:
+    with pytest.raises(InputError, match="optimizer"):
+        proposed_supports(_problem(), optimizer, 6)
+
+
+def test_dependent_columns_do_not_break_the_search() -> None:
+    problem = _problem()
+    columns = np.column_stack((problem.columns, problem.columns[:, 1]))
+    doubled = LinearProblem(columns, problem.target, np.ones(10), 2.0, 500)
+    ranked = beam_search(doubled, 4)
+    assert all(not {1, 9} <= set(support) for size in ranked for _, support in ranked[size])
+    assert ranked[3][0][0] == pytest.approx(support_chi2(problem, (1, 4, 7)))

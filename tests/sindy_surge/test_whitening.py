@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sindy_surge.free_run import Segments, hold_coefficients
+from sindy_surge.whitening import NoiseLevels, Whitener, autoregression, difference_noise
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+def test_whitening_matches_the_dense_covariance(hold: str) -> None:
+    rng = np.random.default_rng(0)
+    n = 40
+    runs = Segments.from_labels(np.repeat([0, 1, 2], [15, 1, 24]), n)
+    lag = hold_coefficients(0.006, 1e-3, hold)
+    slopes = rng.standard_normal((1, n))
+    noise = NoiseLevels(0.3, np.array([0.2]), np.empty(0))
+    # A e = A v - B D n, written out as matrices over one segment after the other.
+    later = runs.later
+    a_matrix = np.zeros((later.size, n))
+    b_matrix = np.zeros((later.size, n))
+    for row, k in enumerate(later):
+        a_matrix[row, k], a_matrix[row, k - 1] = 1.0, -lag.pole
+        b_matrix[row, k] = lag.now * slopes[0, k]
+        b_matrix[row, k - 1] = lag.before * slopes[0, k - 1]
+    covariance = 0.3**2 * a_matrix @ a_matrix.T + 0.2**2 * b_matrix @ b_matrix.T
+    whitener = Whitener(lag, slopes, noise, runs)
+    white = whitener(np.eye(later.size))
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(later.size), atol=1e-10)
+    assert whitener.log_determinant() == pytest.approx(np.linalg.slogdet(covariance)[1])
+    vector = rng.standard_normal(later.size)
+    np.testing.assert_allclose(
+        whitener.precision(vector), np.linalg.solve(covariance, vector), rtol=1e-8
+    )
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+def test_fourth_differences_find_the_noise(surge: Callable[..., Any], noise: float) -> None:
+    record = surge("quadratic", noise, 5)
+    whole = Segments.from_labels(None, record.phi.size)
+    for noisy, clean in (
+        (record.phi, record.clean_phi),
+        (record.psi_p, record.clean_psi_p),
+    ):
+        found = difference_noise(noisy, whole)
+        # Sampling error of the median: about 2/sqrt(n) = 3 %.
+        assert found == pytest.approx(noise * clean.std(), rel=0.12)
+
+
+def test_autoregression_finds_order_and_coefficients() -> None:
+    rng = np.random.default_rng(2)
+    white = rng.standard_normal(6000)
+    runs = Segments.from_labels(np.repeat(range(12), 500), 6000)
+    assert autoregression(white, runs).size == 0
+    coloured = white.copy()
+    for rows in runs.slices():
+        for k in range(rows.start + 2, rows.stop):
+            coloured[k] += 1.1 * coloured[k - 1] - 0.5 * coloured[k - 2]
+    found = autoregression(coloured, runs)
+    assert found.size == 2
+    # Standard error of either: sqrt((1 - 0.5^2)/6000) = 0.011.
+    np.testing.assert_allclose(found, [1.1, -0.5], atol=0.045)
+
+
+def test_coloured_rows_do_not_reach_across_segments() -> None:
+    runs = Segments.from_labels(np.repeat([0, 1], [20, 30]), 50)
+    lag = hold_coefficients(0.006, 1e-3, "first")
+    noise = NoiseLevels(1.0, np.zeros(1), np.array([0.5, 0.2]))
+    whitener = Whitener(lag, np.ones((1, 50)), noise, runs)
+    column = np.zeros(48)
+    column[:19] = 1.0
+    assert whitener.groups.lengths.tolist() == [17, 27]
+    assert np.all(whitener(column)[17:] == 0)
