@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     from classic_ml.errors import InputError
     from classic_ml.fit_state import FitState
     from classic_ml.lag_model import LagRegressor
+    from classic_ml.readers.series_files import read_series, write_series
     from classic_ml.records import Record
-    from classic_ml.series import CoefficientSeries, read_series, write_series
+    from classic_ml.series import CoefficientSeries
 
 __all__ = [
     "CoefficientSeries",
@@ -31,8 +32,8 @@ _HOME = {
     "LagRegressor": "lag_model",
     "PiecewiseLinear": "characteristics",
     "Record": "records",
-    "read_series": "series",
-    "write_series": "series",
+    "read_series": "readers.series_files",
+    "write_series": "readers.series_files",
 }
 
 

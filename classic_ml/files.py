@@ -1,0 +1,80 @@
+"""Writing results whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from classic_ml.errors import InputError
+
+__all__ = ["check_target", "replace_whole", "write_whole"]
+
+
+def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
+    """Refuse, before any work is done, a target that cannot be written.
+
+    Parameters
+    ----------
+    path : path
+        Where a result is to go.
+    suffixes : tuple of str
+        Suffixes that are allowed; empty for any.
+
+    Raises
+    ------
+    InputError
+        When the folder does not exist, the target is a folder, or the suffix is another.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError(
+            str(path),
+            expected="an output file ending in " + " or ".join(suffixes),
+            found=f"the suffix '{path.suffix}'",
+        )
+    if path.is_dir():
+        raise InputError(str(path), expected="a file to write to", found="a folder")
+    if not path.parent.is_dir():
+        raise InputError(str(path), expected="an existing folder", found=f"no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(str(path), expected="a folder that can be written to", found="no right")
+
+
+def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary neighbour, then put it in place of the target.
+
+    Parameters
+    ----------
+    path : path
+        Target.
+    write : callable
+        ``write(temporary)`` fills the file; if it fails, nothing is left behind.
+    """
+    check_target(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes files for the owner alone; a result is as public as the folder it lies in.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Target.
+    text : str
+        Its content, written as UTF-8.
+    """
+    replace_whole(path, lambda temporary: temporary.write_text(text, "utf-8"))

@@ -1,0 +1,160 @@
+"""Typed look-ups in a TOML table that answer a mistake with file, table and key."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from math import isfinite
+from typing import Any
+
+from classic_ml.errors import InputError
+
+__all__ = ["Table"]
+
+
+class Table:
+    """One table of a TOML file; remembers which keys were asked for.
+
+    Parameters
+    ----------
+    file : str
+        The file, for errors.
+    path : str
+        Dotted name of the table, empty for the file's top.
+    values : mapping
+        The parsed table.
+    """
+
+    def __init__(self, file: str, path: str, values: Mapping[str, Any]) -> None:
+        self.file = file
+        self.path = path
+        self._values = values
+        self._asked: set[str] = set()
+
+    def error(self, key: str, expected: str, found: str, remedy: str = "") -> InputError:
+        """Return an InputError that names file, table and key."""
+        table = f" [{self.path}]" if self.path else ""
+        return InputError(
+            f"{self.file}:{table} {key}", expected=expected, found=found, remedy=remedy
+        )
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the keys in file order."""
+        return iter(self._values)
+
+    def __contains__(self, key: object) -> bool:
+        """Tell whether the table holds a key, which counts as asking for it."""
+        self._asked.add(str(key))
+        return key in self._values
+
+    def table(self, key: str) -> Table:
+        """Return a table inside this one."""
+        path = f"{self.path}.{key}" if self.path else key
+        if key not in self._values:
+            raise InputError(self.file, expected=f"a table [{path}]", found="none")
+        self._asked.add(key)
+        values = self._values[key]
+        if not isinstance(values, Mapping):
+            raise self.error(key, f"a table [{path}]", repr(values))
+        return Table(self.file, path, values)
+
+    def _get(self, key: str, expected: str) -> Any:
+        self._asked.add(key)
+        if key not in self._values:
+            near = get_close_matches(key, [k for k in self._values if k not in self._asked], 1)
+            raise self.error(key, expected, "nothing", f"is '{near[0]}' meant?" if near else "")
+        return self._values[key]
+
+    def number(
+        self,
+        key: str,
+        *,
+        above: float | None = None,
+        below: float | None = None,
+        least: float | None = None,
+        most: float | None = None,
+        default: float | None = None,
+    ) -> float:
+        """Return a finite number inside its bounds (``above``, ``below`` exclusive)."""
+        if default is not None and key not in self._values:
+            return default
+        bounds = [
+            f"{word} {bound:g}"
+            for word, bound in (
+                ("above", above),
+                ("below", below),
+                ("at least", least),
+                ("at most", most),
+            )
+            if bound is not None
+        ]
+        expected = " ".join(["a number", " and ".join(bounds)]).strip()
+        value = self._get(key, expected)
+        # TOML's true and false are ints to Python.
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            raise self.error(key, expected, repr(value))
+        outside = (
+            (above is not None and value <= above)
+            or (below is not None and value >= below)
+            or (least is not None and value < least)
+            or (most is not None and value > most)
+        )
+        if outside:
+            raise self.error(key, expected, f"{value:g}")
+        return float(value)
+
+    def number_or(self, key: str, word: str, *, default: float) -> float | None:
+        """Return a positive number, or None where the file holds ``word``."""
+        if self._values.get(key) == word:
+            self._asked.add(key)
+            return None
+        if isinstance(self._values.get(key), str):
+            self._asked.add(key)
+            raise self.error(key, f'a number above 0 or "{word}"', repr(self._values[key]))
+        return self.number(key, above=0.0, default=default)
+
+    def whole(self, key: str, *, least: int, most: int) -> int:
+        """Return a whole number."""
+        expected = f"a whole number from {least} to {most}"
+        value = self._get(key, expected)
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise self.error(key, expected, repr(value))
+        return int(value)
+
+    def text(self, key: str) -> str:
+        """Return a text that is not empty."""
+        value = self._get(key, "a text")
+        if not isinstance(value, str) or not value.strip():
+            raise self.error(key, "a text", repr(value))
+        return value
+
+    def choice(self, key: str, choices: Sequence[str | int]) -> str | int:
+        """Return one of a few values."""
+        expected = " or ".join(repr(c) for c in choices).replace("'", '"')
+        value = self._get(key, expected)
+        if isinstance(value, bool) or value not in choices:
+            raise self.error(key, expected, repr(value).replace("'", '"'))
+        return choices[list(choices).index(value)]
+
+    def interval(self, key: str) -> tuple[float, float]:
+        """Return a range [low, high]."""
+        expected = "a range [low, high] of two numbers"
+        value = self._get(key, expected)
+        numbers = isinstance(value, list) and all(
+            isinstance(v, int | float) and not isinstance(v, bool) and isfinite(v) for v in value
+        )
+        if not numbers or len(value) != 2 or value[0] >= value[1]:
+            raise self.error(key, expected, repr(value))
+        return float(value[0]), float(value[1])
+
+    def finish(self) -> None:
+        """Refuse keys that nobody asked for: a misspelt option must not be ignored."""
+        for key in self._values:
+            if key not in self._asked:
+                known = get_close_matches(key, sorted(self._asked), 1)
+                raise self.error(
+                    key,
+                    "only " + ", ".join(sorted(self._asked)),
+                    f"'{key}'",
+                    f"is '{known[0]}' meant?" if known else "",
+                )

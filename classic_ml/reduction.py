@@ -1,0 +1,273 @@
+"""The whole reduction: a raw record in, the series of coefficients out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.airflow import local_flows, plane_averages
+from classic_ml.calibration import calibrate, invert_thermocouples, match_near_stall
+from classic_ml.coefficients import coefficients, corrected_speed_fraction
+from classic_ml.errors import InputError
+from classic_ml.faults import choose_channels, inspect_readings
+from classic_ml.filtering import filter_channels
+from classic_ml.readers.test_description import TestDescription
+from classic_ml.records import Channel, LedgerEntry, Record
+from classic_ml.segments import FEW_CYCLES, find_cycles, segment, window_rows
+from classic_ml.series import CoefficientSeries
+
+__all__ = ["Reduction", "ReductionSettings", "reduce_record"]
+
+_CHOICES = {
+    "filter_order": (3, 5),
+    "phase": ("zero", "causal", "none"),
+    "probes": ("all", "tip", "hub"),
+    "near_stall_match": ("pair", "forward", "none"),
+    "stall_rule": ("threshold", "hub-tip"),
+}
+
+
+@dataclass(frozen=True)
+class ReductionSettings:
+    """The switches of the reduction; the defaults are what a careful reduction uses.
+
+    Parameters
+    ----------
+    filter_order : {3, 5}
+        Order of the Butterworth low-pass.
+    cutoff_hz : float
+        Its −3 dB frequency in one pass.
+    phase : {"zero", "causal", "none"}
+        Forth and back; once, as in the paper (delays by about 8 ms); or no filter at all.
+    probes : {"all", "tip", "hub"}
+        Immersions in the plane averages.
+    threshold_lbm_s : float, "none" or None
+        Corrected flow between in-stall and unstalled; None takes what test.toml says.
+    hysteresis_lbm_s : float or None
+        Half width of the band around it; None takes what test.toml says.
+    stall_rule : {"threshold", "hub-tip"}
+        How the stall state is told.
+    inertia_factor : float
+        Multiplies ∫dx/A in Eq 5; 0 drops the inertia term.
+    thermocouple_inversion : bool
+        Undo the lag of the thermocouples.
+    near_stall_match : {"pair", "forward", "none"}
+        What the near-stall match moves.
+    window_s : tuple of float, optional
+        Quasi-steady cycles on the facility clock; None takes test.toml's, else they are found.
+
+    Raises
+    ------
+    InputError
+        Naming the setting at fault.
+    """
+
+    filter_order: int = 3
+    cutoff_hz: float = 48.0
+    phase: str = "zero"
+    probes: str = "all"
+    threshold_lbm_s: float | str | None = None
+    hysteresis_lbm_s: float | None = None
+    stall_rule: str = "threshold"
+    inertia_factor: float = 1.0
+    thermocouple_inversion: bool = True
+    near_stall_match: str = "pair"
+    window_s: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise _refused(name, " or ".join(repr(c) for c in choices), getattr(self, name))
+        if not _is_number(self.cutoff_hz, above=0.0):
+            raise _refused("cutoff_hz", "a number above 0", self.cutoff_hz)
+        threshold = self.threshold_lbm_s
+        if threshold not in (None, "none") and not _is_number(threshold, above=0.0):
+            raise _refused("threshold_lbm_s", "a number above 0, 'none' or None", threshold)
+        if not _is_number(self.inertia_factor, least=0.0):
+            raise _refused("inertia_factor", "a number from 0 on", self.inertia_factor)
+        hysteresis = self.hysteresis_lbm_s
+        if hysteresis is not None and not _is_number(hysteresis, least=0.0):
+            raise _refused("hysteresis_lbm_s", "a number from 0 on, or None", hysteresis)
+        window = self.window_s
+        if window is not None and not (
+            len(window) == 2 and all(_is_number(v) for v in window) and window[0] < window[1]
+        ):
+            raise _refused("window_s", "two times, the earlier first", window)
+
+
+def _is_number(value: object, *, above: float = -np.inf, least: float = -np.inf) -> bool:
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and bool(np.isfinite(value))
+        and value > above
+        and value >= least
+    )
+
+
+def _refused(name: str, expected: str, found: object) -> InputError:
+    return InputError(f"ReductionSettings.{name}", expected=expected, found=repr(found))
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What a reduction gives.
+
+    Parameters
+    ----------
+    series : CoefficientSeries
+        φ, ψ', ψ over the whole record, with the segments to be fitted.
+    record : Record
+        The channels behind it, filtered and not, and the full history.
+    settings : ReductionSettings
+        The switches it ran with.
+    test : TestDescription
+        The test.
+    window_s : tuple of float
+        The quasi-steady cycles.
+    """
+
+    series: CoefficientSeries
+    record: Record
+    settings: ReductionSettings
+    test: TestDescription
+    window_s: tuple[float, float]
+
+
+def reduce_record(
+    record: Record, test: TestDescription, settings: ReductionSettings | None = None
+) -> Reduction:
+    """Reduce a raw record to the series of coefficients.
+
+    Parameters
+    ----------
+    record : Record
+        Counts and kelvin, as :func:`classic_ml.readers.read_raw` returns them.
+    test : TestDescription
+        The test they belong to.
+    settings : ReductionSettings, optional
+        The switches.
+
+    Returns
+    -------
+    Reduction
+        Series, record with its history, settings.
+
+    Raises
+    ------
+    InputError
+        When the record cannot be used; the sentence says why.
+    """
+    chosen = settings if settings is not None else ReductionSettings()
+    record = inspect_readings(record, test)
+    record = calibrate(record, test)
+    record = match_near_stall(record, test, chosen.near_stall_match)
+    window_s, found = _window(record, test, chosen)
+    window = window_rows(record, window_s)
+    record = choose_channels(record.after(found), test, window)
+    unfiltered = _unfiltered_averages(record, test, chosen)
+    record = _averages(record, test, chosen)
+    record = coefficients(record, test, inertia_factor=chosen.inertia_factor)
+    record = _with_channels(record, unfiltered)
+    record = _segmented(record, test, chosen, window)
+    return Reduction(_series(record), record, chosen, test, window_s)
+
+
+def _averages(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
+    """Filter, undo the thermocouple lag, and average flows and pressures over each plane."""
+    names = tuple(name for name in test.channel_names if name in record)
+    record = filter_channels(
+        record,
+        names,
+        order=settings.filter_order,
+        cutoff_hz=settings.cutoff_hz,
+        phase=settings.phase,
+    )
+    record = invert_thermocouples(record, test, invert=settings.thermocouple_inversion)
+    return plane_averages(local_flows(record, test), test, settings.probes)
+
+
+def _unfiltered_averages(
+    record: Record, test: TestDescription, settings: ReductionSettings
+) -> list[Channel]:
+    """Plane averages of the unfiltered pressures, for spectra and Fig 5 and 6."""
+    plain = plane_averages(local_flows(record, test), test, settings.probes)
+    names = {
+        "P25_Pa": "P25_unfiltered_Pa",
+        "P31_Pa": "P31_unfiltered_Pa",
+        "Wc25_kg_s": "Wc25_unfiltered_kg_s",
+    }
+    return [Channel(new, plain[old], plain.channel(old).unit) for old, new in names.items()]
+
+
+def _with_channels(record: Record, channels: list[Channel]) -> Record:
+    entry = LedgerEntry("keep", "plane averages of the unfiltered pressures kept for the report")
+    return record.after(entry, add=channels)
+
+
+def _window(
+    record: Record, test: TestDescription, settings: ReductionSettings
+) -> tuple[tuple[float, float], LedgerEntry]:
+    """Return the quasi-steady window and where it came from."""
+    for window_s, origin in ((settings.window_s, "the settings"), (test.window_s, test.source)):
+        if window_s is not None:
+            return window_s, LedgerEntry(
+                "window",
+                f"{window_s[0]:g} to {window_s[1]:g} s, as {origin} says",
+                {"from_s": window_s[0], "to_s": window_s[1], "origin": origin},
+            )
+    # A look ahead with every channel in it: which of them can be used depends on the window.
+    preview = _averages(record, test, ReductionSettings(phase="zero"))
+    speed = Channel("Nc_frac", corrected_speed_fraction(preview["T25_K"], test), "1")
+    cycles = find_cycles(_with_channels(preview, [speed]))
+    flags: tuple[str, ...] = ()
+    if cycles.n_cycles < FEW_CYCLES:
+        flags = (f"only {cycles.n_cycles} cycles: the time constant will be uncertain",)
+    return (cycles.from_s, cycles.to_s), LedgerEntry(
+        "window",
+        f"{cycles.from_s:.3f} to {cycles.to_s:.3f} s: {cycles.n_cycles} cycles of "
+        f"{cycles.period_s * 1e3:.0f} ms that repeat each other; the first reversal is at "
+        f"{cycles.first_reversal_s:.3f} s",
+        {
+            "from_s": round(cycles.from_s, 6),
+            "to_s": round(cycles.to_s, 6),
+            "n_cycles": cycles.n_cycles,
+            "left_out_cycles": cycles.left_out,
+            "origin": "found",
+        },
+        flags=flags,
+    )
+
+
+def _segmented(
+    record: Record, test: TestDescription, settings: ReductionSettings, window: NDArray[np.bool_]
+) -> Record:
+    threshold = test.threshold_lbm_s if settings.threshold_lbm_s is None else None
+    if settings.threshold_lbm_s not in (None, "none"):
+        threshold = float(settings.threshold_lbm_s)
+    hysteresis = settings.hysteresis_lbm_s
+    return segment(
+        record,
+        window,
+        threshold_lbm_s=threshold,
+        hysteresis_lbm_s=test.hysteresis_lbm_s if hysteresis is None else hysteresis,
+        stall_rule=settings.stall_rule,
+    )
+
+
+def _series(record: Record) -> CoefficientSeries:
+    work_known = "psi" in record
+    return CoefficientSeries(
+        time_s=record.time_s,
+        phi=record["phi"],
+        psi_p=record["psi_p"],
+        psi=record["psi"] if work_known else None,
+        T25_K=record["T25_K"],
+        Nc_frac=record["Nc_frac"],
+        in_stall=record["in_stall"] > 0.5,
+        segment=record["segment"].astype(np.int64),
+        source=record.source,
+        history=record.history,
+    )

@@ -1,0 +1,37 @@
+"""A clock is uniform, or refused with the row at fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from classic_ml.clock import uniform_period_s
+from classic_ml.errors import InputError
+
+CLOCK = np.arange(500) * 1e-3
+
+
+def test_the_period_of_a_rounded_clock_is_its_mean_step() -> None:
+    rate = 1234.5
+    clock = np.round(5.0 + np.arange(2000) / rate, 4)
+    assert uniform_period_s(clock, "x") == pytest.approx(1 / rate, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: np.delete(t, 100), "a step of 0.002 s after 0.099 s"),
+        (lambda t: np.insert(t, 100, t[99]), "repeats at row 101"),
+        (lambda t: np.concatenate((t[:100], t[50:])), "runs back at row 101"),
+        (lambda t: np.where(np.arange(500) < 250, t, t + 0.6e-3), "a step of 0.0016 s"),
+        (lambda t: t * (1 + 0.2 * t), "uniform step"),
+    ],
+)
+def test_a_clock_that_is_not_uniform_is_refused(
+    change: Callable[[np.ndarray], np.ndarray], words: str
+) -> None:
+    with pytest.raises(InputError, match=words) as refusal:
+        uniform_period_s(change(CLOCK), "run.csv: column time_s")
+    assert str(refusal.value).startswith("run.csv: column time_s: expected ")

@@ -1,0 +1,292 @@
+"""From counts back to the coefficients that made them, with every switch doing what it says."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from raw_data import INERTIA_PER_M, U_M_S, RawTest, make_test
+
+from classic_ml.airflow import LBM_KG
+from classic_ml.coefficients import psi_is_known
+from classic_ml.errors import InputError
+from classic_ml.filtering import low_pass
+from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+
+
+@pytest.fixture(scope="module")
+def made() -> RawTest:
+    return make_test(cells_lbm_s=8.0, noise_counts=1.5, lag_thermocouples=True)
+
+
+def reduced(made: RawTest, **settings: Any) -> Reduction:
+    return reduce_record(*made.load(), ReductionSettings(**settings))
+
+
+def rms(made: RawTest, reduction: Reduction, name: str, late: int = 0) -> float:
+    """Return the rms error in the segments, the reduction taken ``late`` rows later."""
+    rows = np.flatnonzero(reduction.series.scored)
+    rows = rows[rows + late < reduction.series.n_samples]
+    error = getattr(reduction.series, name)[rows + late] - made.truth[name][rows]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def test_without_noise_and_filter_the_coefficients_come_back() -> None:
+    ideal = make_test(quantise=False, lag_thermocouples=True)
+    reduction = reduced(ideal, phase="none")
+    # What is left is the dead band of the probes, |M| < b, where the flow cannot be seen.
+    assert rms(ideal, reduction, "phi") < 0.002
+    assert rms(ideal, reduction, "psi_p") < 0.015
+    fast = np.abs(ideal.truth["phi"]) > 0.12
+    fast &= reduction.record["window"] > 0.5
+    error = reduction.series.phi[fast] - ideal.truth["phi"][fast]
+    assert np.abs(error).max() < 5e-4
+
+
+@pytest.mark.parametrize("order", [3, 5])
+def test_the_zero_phase_filter_keeps_phi_within_0_02(made: RawTest, order: int) -> None:
+    reduction = reduced(made, filter_order=order)
+    assert rms(made, reduction, "phi") < 0.02
+    assert rms(made, reduction, "psi_p") < 0.06
+
+
+@pytest.mark.parametrize(("order", "delay"), [(3, 7), (5, 11)])
+def test_the_causal_filter_delays_and_does_little_else(
+    made: RawTest, order: int, delay: int
+) -> None:
+    reduction = reduced(made, phase="causal", filter_order=order)
+    assert rms(made, reduction, "phi") > 0.03
+    assert rms(made, reduction, "phi", late=delay) < 0.02
+    assert rms(made, reduction, "psi_p", late=delay) < 0.06
+
+
+def test_the_cells_are_filtered_out_of_the_flow(made: RawTest) -> None:
+    record = reduced(made).record
+    window = record["window"] > 0.5
+    rough = np.diff(record["Wc25_unfiltered_kg_s"][window])
+    smooth = np.diff(record["Wc25_kg_s"][window])
+    assert np.std(smooth) < 0.5 * np.std(rough)
+
+
+def test_filter_first_and_flow_afterwards() -> None:
+    """The filter acts on the pressures: near zero flow that is not the filtered flow."""
+    rough = make_test(cells_lbm_s=8.0, quantise=False)
+    record = reduced(rough).record
+    other = low_pass(record["Wc25_unfiltered_kg_s"], 1000.0, order=3, cutoff_hz=48.0, phase="zero")
+    window = record["window"] > 0.5
+    assert np.abs(other - record["Wc25_kg_s"])[window].max() > 2 * LBM_KG
+
+
+@pytest.mark.parametrize("probes", ["tip", "hub"])
+def test_tip_or_hub_alone_is_off_by_the_shift_between_them(made: RawTest, probes: str) -> None:
+    both, one = reduced(made), reduced(made, probes=probes)
+    np.testing.assert_allclose(
+        one.record["Wc25_kg_s"], both.record[f"Wc25_{probes}_kg_s"], rtol=1e-12
+    )
+    deep = (both.record["window"] > 0.5) & (made.truth["flow"] < 30) & (made.truth["flow"] > 20)
+    shift = np.mean((one.record["Wc25_kg_s"] - both.record["Wc25_kg_s"])[deep]) / LBM_KG
+    assert shift == pytest.approx(8.0 if probes == "hub" else -8.0, abs=1.0)
+
+
+def test_the_inertia_term_matters() -> None:
+    ideal = make_test(quantise=False)
+    with_term = reduced(ideal, phase="none")
+    without = reduced(ideal, phase="none", inertia_factor=0.0)
+    np.testing.assert_array_equal(with_term.series.phi, without.series.phi)
+    assert rms(ideal, without, "psi_p") > 4 * rms(ideal, with_term, "psi_p")
+
+
+def test_the_thermocouple_switch_undoes_the_lag(made: RawTest) -> None:
+    inverted = reduced(made, phase="none")
+    lagged = reduced(made, phase="none", thermocouple_inversion=False)
+    rows = slice(300, 500)
+    truth = made.truth["T25"][rows]
+    assert (
+        np.abs(inverted.series.T25_K[rows] - truth).mean()
+        < 0.2 * np.abs(lagged.series.T25_K[rows] - truth).mean()
+    )
+
+
+def test_thresholds_and_hysteresis_move_the_segments_alone(made: RawTest) -> None:
+    base = reduced(made)
+    rows = {t: reduced(made, threshold_lbm_s=t).series.scored.sum() for t in (40.0, 50.0, 55.0)}
+    assert rows[40.0] < rows[50.0] < rows[55.0]
+    assert rows[50.0] == base.series.scored.sum()
+    band = reduced(made, hysteresis_lbm_s=8.0)
+    np.testing.assert_array_equal(band.series.phi, base.series.phi)
+    assert band.series.n_segments == base.series.n_segments
+
+
+def test_segments_of_the_series_are_those_of_the_record(made: RawTest) -> None:
+    reduction = reduced(made)
+    series, record = reduction.series, reduction.record
+    np.testing.assert_array_equal(series.segment, record["segment"])
+    inside = (series.time_s >= reduction.window_s[0] - 1e-9) & (
+        series.time_s <= reduction.window_s[1] + 1e-9
+    )
+    assert np.all(inside[series.scored])
+    assert series.n_segments == pytest.approx(
+        (reduction.window_s[1] - reduction.window_s[0]) / 0.14, abs=1.0
+    )
+    assert series.in_stall is not None
+    assert np.all(series.in_stall[series.scored])
+
+
+def test_without_an_unstalled_regime_there_is_one_segment(made: RawTest) -> None:
+    description = {**made.description, "segmentation": {"threshold_lbm_s": "none"}}
+    told = dataclasses.replace(made, description=description)
+    for reduction in (reduced(told), reduced(made, threshold_lbm_s="none")):
+        assert reduction.series.n_segments == 1
+        assert reduction.series.scored.sum() == (reduction.record["window"] > 0.5).sum()
+    # A number in the settings wins over the file.
+    assert reduced(told, threshold_lbm_s=50.0).series.n_segments > 10
+
+
+def test_a_window_is_taken_from_settings_then_file_then_cycles(made: RawTest) -> None:
+    description = {**made.description, "window": {"from_s": 1.2, "to_s": 2.2}}
+    told = dataclasses.replace(made, description=description)
+    assert reduced(told).window_s == (1.2, 2.2)
+    assert reduced(told, window_s=(1.0, 2.0)).window_s == (1.0, 2.0)
+    found = reduced(made)
+    assert found.window_s != (1.2, 2.2)
+    origins = [e.parameters["origin"] for e in found.record.history if e.step == "window"]
+    assert origins == ["found"]
+    with pytest.raises(InputError, match="a window inside the record"):
+        reduced(made, window_s=(2.0, 30.0))
+
+
+def test_the_work_coefficient_follows_the_temperature_rise() -> None:
+    ideal = make_test(quantise=False, lag_thermocouples=True)
+    reduction = reduced(ideal, phase="none")
+    series = reduction.series
+    assert series.psi is not None
+    assert np.all(np.isfinite(series.psi))
+    rows = np.flatnonzero(series.scored & (series.phi > 0.15))
+    heat = 1.4 * 287.05 / 0.4
+    truth = ideal.truth
+    # The made-up exit flow stores nothing, so that only the pressure's own storage is left.
+    delivered = truth["P31"] + INERTIA_PER_M * np.gradient(truth["W25_kg_s"], 1e-3)
+    storage = 0.08 / 0.4 * np.gradient(0.5 * (truth["P25"] + delivered), 1e-3)
+    rise = truth["T31"] - truth["T25"] + storage / heat / truth["W25_kg_s"]
+    expected = 2 * heat / U_M_S**2 * rise
+    assert np.median(np.abs(series.psi[rows] - expected[rows])) < 0.01
+
+
+def test_exit_temperatures_beyond_their_limits_leave_no_psi(made: RawTest) -> None:
+    description = {**made.description, "limits": {"T31_A": [200, 620], "T31_B": [200, 620]}}
+    reduction = reduced(dataclasses.replace(made, description=description))
+    assert reduction.series.psi is None
+    assert "W31_kg_s" not in reduction.record
+    said = [d.why for e in reduction.record.history for d in e.dropped if "ψ" in d.what]
+    assert "no T31 that counts, so no W31" in said
+    kept = reduced(made).series
+    assert kept.psi is not None
+    assert psi_is_known(kept.phi).any()
+
+
+def test_the_history_tells_the_whole_story_in_order(made: RawTest) -> None:
+    history = reduced(made).series.history
+    assert [entry.step for entry in history] == [
+        "read",
+        "inspect readings",
+        "calibrate",
+        "near-stall match",
+        "window",
+        "choose channels",
+        "filter",
+        "thermocouples",
+        "local flows",
+        "plane averages",
+        "coefficients",
+        "work coefficient",
+        "keep",
+        "segment",
+    ]
+    assert all(entry.did for entry in history)
+
+
+def test_the_raw_record_is_left_as_it_was(made: RawTest) -> None:
+    record, test = made.load()
+    before = {name: record[name].copy() for name in record.channels}
+    first = reduce_record(record, test)
+    assert len(record.history) == 1
+    for name, values in before.items():
+        np.testing.assert_array_equal(record[name], values)
+    again = reduce_record(record, test)
+    np.testing.assert_array_equal(first.series.phi, again.series.phi)
+    assert first.series.history == again.series.history
+
+
+def test_the_channels_that_a_report_wants_are_there(made: RawTest) -> None:
+    record = reduced(made).record
+    units = {
+        "P25_Pa": "Pa",
+        "P25_unfiltered_Pa": "Pa",
+        "P31_Pa": "Pa",
+        "P31_unfiltered_Pa": "Pa",
+        "T25_K": "K",
+        "W25_kg_s": "kg/s",
+        "W31_kg_s": "kg/s",
+        "Wc25_kg_s": "kg/s",
+        "Wc25_unfiltered_kg_s": "kg/s",
+        "Wc25_tip_kg_s": "kg/s",
+        "Wc25_hub_kg_s": "kg/s",
+        "pressure_ratio": "1",
+        "Nc_frac": "1",
+        "phi": "1",
+        "psi_p": "1",
+        "psi": "1",
+        "in_stall": "1",
+        "segment": "1",
+        "window": "1",
+    }
+    assert {name: record.channel(name).unit for name in units} == units
+
+
+def test_a_record_without_surge_is_refused() -> None:
+    with pytest.raises(InputError, match="no surge in the record"):
+        reduced(make_test(surge=False, seconds=1.0))
+
+
+def test_dead_pairs_are_left_out_and_the_answer_stays(made: RawTest) -> None:
+    columns = dict(made.columns)
+    columns["P25_A_tip_forward"] = np.full(columns["time_s"].size, 1000.0)
+    columns["P31_B_hub_aft"] = np.where(columns["time_s"] > 1.5, 0.0, columns["P31_B_hub_aft"])
+    one = reduced(dataclasses.replace(made, columns=columns))
+    dropped = [d.what for e in one.record.history for d in e.dropped if "pair" in d.what]
+    assert dropped == ["pair 25_A_tip", "pair 31_B_hub"]
+    assert rms(made, one, "phi") < 0.02
+    assert rms(made, one, "psi_p") < 0.06
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"filter_order": 4}, "filter_order: expected 3 or 5, found 4"),
+        ({"phase": "both"}, "phase: expected 'zero' or 'causal' or 'none', found 'both'"),
+        ({"probes": "mid"}, "probes: expected 'all' or 'tip' or 'hub'"),
+        ({"near_stall_match": "aft"}, "near_stall_match"),
+        ({"stall_rule": "x"}, "stall_rule"),
+        ({"cutoff_hz": 0.0}, "cutoff_hz: expected a number above 0"),
+        ({"cutoff_hz": float("nan")}, "cutoff_hz"),
+        ({"cutoff_hz": "none"}, "cutoff_hz"),
+        ({"threshold_lbm_s": -1.0}, "threshold_lbm_s"),
+        ({"threshold_lbm_s": True}, "threshold_lbm_s"),
+        ({"threshold_lbm_s": "off"}, "threshold_lbm_s"),
+        ({"hysteresis_lbm_s": -1.0}, "hysteresis_lbm_s: expected a number from 0 on"),
+        ({"inertia_factor": -0.1}, "inertia_factor"),
+        ({"inertia_factor": None}, "inertia_factor"),
+        ({"window_s": (2.0, 1.0)}, "window_s: expected two times, the earlier first"),
+        ({"window_s": (2.0,)}, "window_s"),
+    ],
+)
+def test_a_setting_that_means_nothing_is_refused(settings: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ReductionSettings(**settings)
+
+
+def test_a_cutoff_above_half_the_sample_rate_is_refused(made: RawTest) -> None:
+    with pytest.raises(InputError, match="below half the sample rate"):
+        reduced(made, cutoff_hz=600.0)

@@ -1,0 +1,90 @@
+"""The reduction against the simulated rig, whose truth is known and whose equations are its own."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from classic_ml.readers import TestDescription, read_raw
+from classic_ml.records import Record
+from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from comparisons.rig import simulate, write_run
+
+
+@cache
+def rig_test(case: str, seed: int) -> tuple[Record, TestDescription, Record]:
+    run = simulate(case, seed=seed)
+    with TemporaryDirectory() as folder:
+        write_run(run, folder)
+        record, test = read_raw(Path(folder) / "raw.csv", Path(folder) / "test.toml")
+    return record, test, run.truth
+
+
+@cache
+def reduced(case: str, seed: int, phase: str = "zero") -> Reduction:
+    record, test, _ = rig_test(case, seed)
+    return reduce_record(record, test, ReductionSettings(phase=phase))
+
+
+def rms(case: str, seed: int, name: str, phase: str = "zero", late: int = 0) -> float:
+    reduction, truth = reduced(case, seed, phase), rig_test(case, seed)[2]
+    rows = np.flatnonzero(reduction.series.scored)
+    rows = rows[rows + late < reduction.series.n_samples]
+    error = getattr(reduction.series, name)[rows + late] - truth[name][rows]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+@pytest.mark.parametrize("case", ["985", "90"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_phi_is_the_rig_s_within_0_02(case: str, seed: int) -> None:
+    assert rms(case, seed, "phi") < 0.02
+    # The causal filter is 8 ms late, with the 1 ms of tubes and anti-alias filter.
+    assert rms(case, seed, "phi", "causal", late=8) < 0.02
+    assert rms(case, seed, "phi", "causal") > 0.05
+
+
+@pytest.mark.parametrize("case", ["985", "90", "95", "985-second"])
+def test_psi_p_is_the_rig_s_within_0_1(case: str) -> None:
+    # Of 1.2 to 3.6; zero-phase filtering keeps tubes' and anti-alias filter's 1 ms.
+    assert rms(case, 0, "psi_p") < 0.1
+    assert rms(case, 0, "psi_p", late=1) < rms(case, 0, "psi_p")
+
+
+@pytest.mark.parametrize(
+    ("case", "known"), [("985", False), ("95", False), ("985-second", False), ("90", True)]
+)
+def test_the_work_coefficient_is_known_at_90_percent_alone(case: str, known: bool) -> None:
+    reduction = reduced(case, 0)
+    assert (reduction.series.psi is not None) is known
+    assert ("W31_kg_s" in reduction.record) is known
+
+
+def test_cells_throughout_leave_one_segment_at_90_percent() -> None:
+    assert reduced("90", 0).series.n_segments == 1
+    assert reduced("985", 0).series.n_segments > 15
+
+
+def test_more_flow_reverses_at_the_inlet_than_at_the_exit_at_90_percent() -> None:
+    reduction = reduced("90", 0)
+    window = reduction.record["window"] > 0.5
+    inlet, leaving = reduction.record["W25_kg_s"], reduction.record["W31_kg_s"]
+    assert np.quantile(inlet[window], 0.02) < np.quantile(leaving[window], 0.02) < 0.5
+
+
+@pytest.mark.parametrize("case", ["985", "90", "95", "985-second", "blowdown"])
+def test_the_window_holds_the_repeating_cycles_of_every_plant(case: str) -> None:
+    reduction = reduced(case, 0)
+    truth = rig_test(case, 0)[2]
+    entry = next(e for e in reduction.record.history if e.step == "window")
+    assert int(entry.parameters["n_cycles"]) >= 8
+    start, stop = reduction.window_s
+    assert start > 0.3
+    inside = (truth.time_s >= start) & (truth.time_s <= stop)
+    speed = truth["Nc_frac"]
+    settled = np.median(speed[inside])
+    half = inside & (truth.time_s < 0.5 * (start + stop))
+    assert np.abs(np.median(speed[half]) - settled) < 0.02

@@ -1,0 +1,224 @@
+"""Cycles are found where they are and only there; segments follow the threshold to the row."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from raw_data import LBM, surge_waves
+
+from classic_ml.errors import InputError
+from classic_ml.records import Record
+from classic_ml.segments import (
+    cell_frequency_hz,
+    find_cycles,
+    hub_tip_stall,
+    in_stall_by_threshold,
+    label_intervals,
+    segment,
+    window_rows,
+)
+
+RATE = 1000.0
+
+
+def record_of(
+    *, seconds: float = 3.0, period_s: float = 0.14, surge: bool = True, **changes: np.ndarray
+) -> Record:
+    time_s = np.arange(round(seconds * RATE)) / RATE
+    waves = surge_waves(time_s, period_s, surge) | changes
+    speed = 0.985 * np.sqrt(255.0 / waves["T25"])
+    cells = 3e3 * np.sin(2 * np.pi * 82.5 * time_s) * waves["after"]
+    return Record.from_arrays(
+        {
+            "P31_Pa": (waves["P31"], "Pa"),
+            "Wc25_kg_s": (waves["flow"] * LBM, "kg/s"),
+            "Wc25_hub_kg_s": (
+                (waves["flow"] + 8 * waves["after"] * (waves["flow"] < 50)) * LBM,
+                "kg/s",
+            ),
+            "Wc25_tip_kg_s": (
+                (waves["flow"] - 8 * waves["after"] * (waves["flow"] < 50)) * LBM,
+                "kg/s",
+            ),
+            "P25_unfiltered_Pa": (waves["P25"] + cells, "Pa"),
+            "Nc_frac": (speed, "1"),
+        },
+        sample_rate_hz=RATE,
+        source="made up",
+    )
+
+
+@pytest.mark.parametrize("period_s", [0.08, 0.14, 0.35])
+def test_cycles_are_found_with_their_period(period_s: float) -> None:
+    cycles = find_cycles(record_of(period_s=period_s, seconds=4.0))
+    assert cycles.period_s == pytest.approx(period_s, rel=0.02)
+    assert cycles.first_reversal_s == pytest.approx(0.31, abs=0.02)
+    # Quasi-steady: the growth (150 ms) and the heating of the inlet (200 ms) are over.
+    assert 0.5 < cycles.from_s < 1.5
+    assert cycles.to_s > 4.0 - 2 * period_s
+    assert cycles.n_cycles == pytest.approx((cycles.to_s - cycles.from_s) / period_s, abs=0.1)
+
+
+def test_noise_and_cells_do_not_move_the_window() -> None:
+    clean = record_of()
+    rng = np.random.default_rng(5)
+    noisy = record_of()
+    rough = {
+        name: (noisy[name] * (1 + 0.03 * rng.standard_normal(noisy.n_samples)), "1")
+        for name in noisy.channels
+    }
+    one = find_cycles(clean)
+    other = find_cycles(Record.from_arrays(rough, sample_rate_hz=RATE))
+    assert one.n_cycles == other.n_cycles
+    assert other.from_s == pytest.approx(one.from_s, abs=0.01)
+    assert other.to_s == pytest.approx(one.to_s, abs=0.01)
+
+
+def test_a_mild_oscillation_between_deep_cycles_is_not_a_cycle() -> None:
+    time_s = np.arange(4000) / RATE
+    waves = surge_waves(time_s, 0.15, True)
+    angle = 2 * np.pi * np.maximum(time_s - 0.3, 0) / 0.15
+    mixed = waves["P31"] + 60e3 * np.sin(2 * angle) * waves["after"]
+    assert find_cycles(record_of(seconds=4.0, period_s=0.15, P31=mixed)).period_s == pytest.approx(
+        0.15, rel=0.02
+    )
+
+
+def test_without_surge_the_record_is_refused() -> None:
+    with pytest.raises(InputError, match=r"no surge in the record, .* stays above 112\.0 lbm/s"):
+        find_cycles(record_of(surge=False))
+
+
+def test_stall_that_does_not_cycle_is_refused() -> None:
+    time_s = np.arange(3000) / RATE
+    locked = 1.285e6 * np.exp(-np.maximum(time_s - 0.3, 0) / 0.06) + 2.2e5
+    with pytest.raises(InputError, match="no surge in the record, no rise of P31"):
+        find_cycles(record_of(P31=locked))
+
+
+def test_too_few_cycles_are_refused() -> None:
+    with pytest.raises(InputError, match="at least 3 surge cycles"):
+        find_cycles(record_of(seconds=0.8, period_s=0.2))
+
+
+def test_cycles_that_stop_repeating_are_left_out() -> None:
+    time_s = np.arange(4000) / RATE
+    waves = surge_waves(time_s, 0.14, True)
+    level = 300e3
+    fading = np.where(time_s > 3.0, level + 0.4 * (waves["P31"] - level), waves["P31"])
+    cycles = find_cycles(record_of(seconds=4.0, P31=fading))
+    assert cycles.to_s == pytest.approx(3.0, abs=0.15)
+
+
+def test_the_threshold_is_exact_and_monotone() -> None:
+    flow = np.array([60.0, 50.0, 49.9, 0.0, -10.0, 50.0, 70.0])
+    expected = np.array([False, False, True, True, True, False, False])
+    np.testing.assert_array_equal(in_stall_by_threshold(flow, 50.0), expected)
+    rng = np.random.default_rng(0)
+    wild = rng.uniform(-20, 80, 500)
+    counts = [in_stall_by_threshold(wild, t).sum() for t in (20.0, 40.0, 60.0)]
+    assert counts == sorted(counts)
+
+
+def test_hysteresis_holds_the_state_inside_the_band() -> None:
+    flow = np.array([60.0, 50.0, 45.0, 41.9, 45.0, 57.9, 58.0, 45.0, 41.0])
+    state = in_stall_by_threshold(flow, 50.0, 8.0)
+    np.testing.assert_array_equal(state, [0, 0, 0, 1, 1, 1, 0, 0, 1])
+    # Starting inside the band, the middle decides.
+    assert in_stall_by_threshold(np.array([45.0, 46.0]), 50.0, 8.0).all()
+    assert not in_stall_by_threshold(np.array([55.0, 46.0]), 50.0, 8.0).any()
+
+
+def test_hysteresis_never_makes_more_intervals() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        flow = 50 + np.cumsum(rng.standard_normal(2000))
+        numbers = [
+            label_intervals(in_stall_by_threshold(flow, 50.0, h), 1)[0].max() for h in (0, 2, 8)
+        ]
+        assert numbers == sorted(numbers, reverse=True)
+
+
+def test_intervals_are_numbered_in_order_and_short_ones_left_out() -> None:
+    state = np.array([1, 1, 1, 0, 1, 0, 1, 1, 1, 1], dtype=bool)
+    labels, short = label_intervals(state, 2)
+    np.testing.assert_array_equal(labels, [1, 1, 1, 0, 0, 0, 2, 2, 2, 2])
+    assert short == [1]
+    assert label_intervals(np.zeros(4, dtype=bool), 1) == (pytest.approx(np.zeros(4)), [])
+
+
+def test_segments_lie_in_stall_and_in_the_window() -> None:
+    record = record_of()
+    window = window_rows(record, (1.0, 2.5))
+    out = segment(record, window, threshold_lbm_s=50.0)
+    inside = out["segment"] > 0
+    assert np.all(out["in_stall"][inside] == 1)
+    assert np.all(window[inside])
+    assert np.all(out["Wc25_kg_s"][inside] / LBM < 50.0)
+    assert out["segment"].max() == pytest.approx(1.5 / 0.14, abs=1.0)
+    # Rows of stall outside the window are marked as stall, but not as segments.
+    assert np.any((out["in_stall"] == 1) & ~window)
+    assert out.history[-1].dropped[-1].count == np.count_nonzero(~inside)
+
+
+def test_without_an_unstalled_regime_the_window_is_one_segment() -> None:
+    record = record_of()
+    window = window_rows(record, (1.0, 2.5))
+    out = segment(record, window, threshold_lbm_s=None)
+    np.testing.assert_array_equal(out["segment"], window.astype(float))
+    assert np.all(out["in_stall"][window] == 1)
+    assert out["in_stall"][0] == 0
+    assert out.history[-1].parameters["threshold_lbm_s"] == "none"
+
+
+def test_a_short_graze_of_the_threshold_is_named() -> None:
+    record = record_of()
+    window = window_rows(record, (0.99, 1.9))
+    state = in_stall_by_threshold(record["Wc25_kg_s"], 50.0 * LBM)
+    # A window that begins 10 ms before the end of a stall holds a graze of 10 ms.
+    ends = np.flatnonzero(np.diff(state.astype(int)) == -1)
+    start = float(record.time_s[ends[ends > 1000][0] - 9])
+    out = segment(record, window_rows(record, (start, 1.9)), threshold_lbm_s=50.0)
+    assert out.history[-1].dropped[0].what == "in-stall interval"
+    assert out.history[-1].dropped[0].count == 10
+    assert segment(record, window, threshold_lbm_s=50.0).history[-1].dropped[0].what == "rows"
+
+
+def test_a_window_without_stall_is_refused() -> None:
+    record = record_of(surge=False)
+    with pytest.raises(InputError, match="in-stall intervals inside the window, found none"):
+        segment(record, window_rows(record, (1.0, 2.0)), threshold_lbm_s=50.0)
+
+
+@pytest.mark.parametrize("window_s", [(-1.0, 2.0), (1.0, 9.0), (1.0, 1.001)])
+def test_a_window_that_the_record_does_not_hold_is_refused(window_s: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="window: expected a window"):
+        window_rows(record_of(), window_s)
+
+
+def test_the_cell_frequency_is_read_from_the_spectrum() -> None:
+    record = record_of()
+    window = window_rows(record, (0.9, 2.9))
+    assert cell_frequency_hz(record, window) == pytest.approx(82.5, abs=0.3)
+
+
+def test_the_hub_minus_tip_flow_tells_the_stall_state() -> None:
+    record = record_of()
+    window = window_rows(record, (1.0, 2.5))
+    got = hub_tip_stall(record, window, 82.5)[window]
+    true = (record["Wc25_kg_s"] / LBM < 50.0)[window]
+    # The average over 12 ms blurs each switch, but does not move it by more than a row or two.
+    changes = np.flatnonzero(np.diff(true.astype(int)))
+    wrong = np.flatnonzero(got != true)
+    assert all(np.abs(changes - row).min() <= 2 for row in wrong)
+    out = segment(record, window, threshold_lbm_s=50.0, stall_rule="hub-tip")
+    assert out.history[-1].parameters["cell_hz"] == pytest.approx(82.5, abs=0.3)
+
+
+def test_without_a_hub_tip_shift_that_rule_is_refused() -> None:
+    record = record_of()
+    same = {name: (record[name], "1") for name in record.channels}
+    same["Wc25_hub_kg_s"] = same["Wc25_tip_kg_s"]
+    flat = Record.from_arrays(same, sample_rate_hz=RATE, source="flat")
+    with pytest.raises(InputError, match="more flow at the hub than at the tip"):
+        hub_tip_stall(flat, window_rows(flat, (1.0, 2.5)), 82.5)

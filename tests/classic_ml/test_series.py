@@ -1,0 +1,121 @@
+"""A series refuses everything that an estimator could not use."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from classic_ml import CoefficientSeries
+from classic_ml.errors import InputError
+from classic_ml.records import LedgerEntry
+
+N = 300
+
+
+def columns(n: int = N) -> dict[str, Any]:
+    time_s = 2.0 + np.arange(n) / 1000.0
+    phi = 0.1 + 0.08 * np.sin(40 * time_s)
+    return {
+        "time_s": time_s,
+        "phi": phi,
+        "psi_p": 1.2 + 3 * phi,
+        "segment": np.where(np.arange(n) % 100 < 70, 1 + np.arange(n) // 100, 0),
+        "psi": 3.0 - phi,
+        "T25_K": np.full(n, 440.0),
+        "Nc_frac": np.full(n, 0.75),
+        "in_stall": np.arange(n) % 100 < 80,
+    }
+
+
+def put(name: str, row: int, value: float) -> Callable[[dict[str, Any]], None]:
+    def change(known: dict[str, Any]) -> None:
+        known[name] = known[name].astype(float)
+        known[name][row] = value
+
+    return change
+
+
+def test_a_sound_series_knows_its_clock_and_segments() -> None:
+    series = CoefficientSeries(**columns())
+    assert series.n_samples == N
+    assert series.sample_period_s == pytest.approx(1e-3, rel=1e-9)
+    assert series.n_segments == 3
+    assert series.scored.sum() == 210
+    assert series.segment.dtype == np.int64
+    assert series.in_stall is not None
+    assert series.in_stall.dtype == np.bool_
+    assert list(series.columns()) == [
+        "time_s",
+        "phi",
+        "psi_p",
+        "psi",
+        "T25_K",
+        "Nc_frac",
+        "in_stall",
+        "segment",
+    ]
+
+
+def test_a_series_cannot_be_changed_behind_its_back() -> None:
+    known = columns()
+    series = CoefficientSeries(**known)
+    known["phi"][0] = 99.0
+    assert series.phi[0] < 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        series.phi[0] = 1.0
+
+
+def test_a_series_survives_pickling() -> None:
+    series = CoefficientSeries(**columns(), history=(LedgerEntry("x", "y", {"a": 1}),))
+    back = pickle.loads(pickle.dumps(series))
+    np.testing.assert_array_equal(back.psi, series.psi)
+    assert back.history == series.history
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (put("phi", 4, np.nan), "column phi: expected a finite number .* nan in row 5"),
+        (put("psi_p", 9, np.inf), "column psi_p: .* inf in row 10"),
+        (put("psi", 9, np.nan), "column psi: .* nan in row 10"),
+        (put("time_s", 50, 2.0495), "column time_s: expected a uniform step"),
+        (put("time_s", 50, 2.049), "repeats at row 51"),
+        (put("time_s", 50, 1.0), "runs back at row 51"),
+        (put("phi", 7, 3.5), "column phi: expected values between -3 and 3, found 3.5 in row 8"),
+        (put("psi_p", 7, -101.0), "column psi_p: expected values between -100 and 100"),
+        (put("psi", 7, 2000.0), "column psi: expected values between -1000 and 1000"),
+        (put("T25_K", 7, 20.0), "column T25_K: expected values between 50 and 3000 K"),
+        (put("Nc_frac", 7, 75.0), "column Nc_frac: .* found 75 in row 8; check the units"),
+        (put("segment", 7, 1.5), "column segment: expected whole numbers from 0 on, found 1.5"),
+        (put("segment", 7, -1.0), "column segment: .* found -1"),
+        (put("in_stall", 7, 0.5), "column in_stall: expected 0 or 1, found 0.5"),
+        (lambda c: c.update(phi=np.full(N, 0.1)), "column phi: expected a signal that moves"),
+        (lambda c: c.update(psi_p=np.full(N, 2.0)), "column psi_p: expected a signal that moves"),
+        (lambda c: c.update(phi=c["phi"][:-1]), "columns of one length"),
+        (lambda c: c.update(phi=c["phi"][:, None]), "one value a row, found shape"),
+    ],
+)
+def test_what_no_estimator_can_use_is_refused(
+    change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    known = columns()
+    change(known)
+    with pytest.raises(InputError, match=words) as caught:
+        CoefficientSeries(**known, source="run.csv")
+    assert str(caught.value).startswith("run.csv: ")
+
+
+def test_a_gap_is_refused() -> None:
+    known = {name: np.delete(values, 60) for name, values in columns().items()}
+    with pytest.raises(InputError, match=r"found a step of 0\.002 s after 2\.059 s"):
+        CoefficientSeries(**known)
+
+
+def test_fewer_than_a_hundred_rows_are_refused() -> None:
+    assert CoefficientSeries(**columns(100)).n_samples == 100
+    with pytest.raises(InputError, match="at least 100 rows, found 99"):
+        CoefficientSeries(**columns(99))

@@ -1,0 +1,226 @@
+"""Series files: what is written comes back bit for bit, and a bad file is refused whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from classic_ml import CoefficientSeries, read_series, write_series
+from classic_ml.errors import InputError
+from classic_ml.readers import series_files
+from classic_ml.records import Dropped, LedgerEntry
+from classic_ml.series import ledger_path
+
+HISTORY = (
+    LedgerEntry(
+        "read", "3 rows, ψ' known", {"rows": 3, "rate_hz": 1e3, "raw": "a.csv", "ok": True}
+    ),
+    LedgerEntry("segment", "1 segment", {}, (Dropped("rows", 7, "φ < 0.05"),), ("clipped",)),
+)
+
+
+def made(n: int = 400, *, optional: bool = True, seed: int = 0) -> CoefficientSeries:
+    rng = np.random.default_rng(seed)
+    more = {
+        "psi": rng.standard_normal(n),
+        "T25_K": 440.0 + rng.standard_normal(n),
+        "Nc_frac": 0.75 + 1e-3 * rng.standard_normal(n),
+        "in_stall": rng.integers(0, 2, n).astype(bool),
+    }
+    return CoefficientSeries(
+        time_s=86400.0 + np.arange(n) / 1000.0,
+        phi=rng.standard_normal(n) * 0.1,
+        psi_p=np.exp(rng.standard_normal(n)),
+        segment=np.repeat([0, 1, 2, 0], n // 4),
+        history=HISTORY,
+        **(more if optional else {}),
+    )
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".nc", ".nc4", ".netcdf", ".CSV"])
+@pytest.mark.parametrize("optional", [True, False])
+def test_a_series_survives_its_file_bit_for_bit(
+    tmp_path: Path, suffix: str, optional: bool
+) -> None:
+    series = made(optional=optional)
+    file = tmp_path / f"run{suffix}"
+    write_series(series, file)
+    back = read_series(file)
+    for name, values in series.columns().items():
+        read = getattr(back, name)
+        assert read.dtype == values.dtype
+        np.testing.assert_array_equal(read, values)
+    assert back.columns().keys() == series.columns().keys()
+    assert back.history == HISTORY
+    assert back.source == str(file)
+
+
+def test_without_a_segment_column_all_rows_are_one_segment(tmp_path: Path) -> None:
+    file = tmp_path / "plain.csv"
+    series = made()
+    pd.DataFrame({"time_s": series.time_s, "phi": series.phi, "psi_p": series.psi_p}).to_csv(
+        file, index=False
+    )
+    back = read_series(file)
+    assert back.n_segments == 1
+    assert back.scored.all()
+    assert back.history == ()
+
+
+def test_columns_of_other_names_are_let_pass(tmp_path: Path) -> None:
+    file = tmp_path / "more.csv"
+    write_series(made(), file)
+    pd.read_csv(file).assign(comment="x").to_csv(file, index=False)
+    np.testing.assert_array_equal(read_series(file).phi, made().phi)
+
+
+def test_a_netcdf_file_of_another_program_is_read_with_its_history(tmp_path: Path) -> None:
+    import xarray as xr
+
+    file = tmp_path / "other.nc"
+    series = made()
+    xr.Dataset(
+        {"phi": ("time_s", series.phi), "psi_p": ("time_s", series.psi_p)},
+        coords={"time_s": series.time_s},
+        attrs={"history": "made by hand"},
+    ).to_netcdf(file, engine="h5netcdf")
+    back = read_series(file)
+    np.testing.assert_array_equal(back.psi_p, series.psi_p)
+    assert "made by hand" in back.history[0].did
+
+
+def written(folder: Path) -> Path:
+    file = folder / "run.csv"
+    write_series(made(), file)
+    return file
+
+
+Edit = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def cell(row: int, column: str, value: object) -> Edit:
+    def edit(table: pd.DataFrame) -> pd.DataFrame:
+        table = table.astype(object)
+        table.loc[row, column] = value
+        return table
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda t: t.drop(columns="phi"), "no column phi; a raw record goes through"),
+        (lambda t: t.drop(columns=["phi", "psi_p"]), "no column phi, psi_p"),
+        (lambda t: t.iloc[:99], "at least 100 rows, found 99"),
+        (lambda t: t.iloc[:0], "at least 100 rows, found 0"),
+        (lambda t: t.drop(index=77), "a step of 0.002 s after 86400.1 s"),
+        (lambda t: t.iloc[[*range(50), *range(49, 400)]], "repeats at row 51"),
+        (lambda t: t.iloc[[*range(50), *range(20, 400)]], "runs back at row 51"),
+        (cell(11, "psi_p", None), "column psi_p: .* nan in row 12"),
+        (cell(11, "psi_p", "inf"), "column psi_p: .* inf in row 12"),
+        (cell(11, "psi_p", "1,5"), "column psi_p: expected numbers, found '1,5' in row 12"),
+        (cell(11, "phi", "four"), "column phi: expected numbers, found 'four' in row 12"),
+        (lambda t: t.assign(phi=0.1), "column phi: expected a signal that moves"),
+        (lambda t: t.assign(psi_p=2), "column psi_p: expected a signal that moves"),
+        (lambda t: t.assign(phi=t.phi * 1e3), "column phi: expected values between -3 and 3"),
+        (lambda t: t.assign(T25_K=t.T25_K - 460), "column T25_K: expected values between 50"),
+        (lambda t: t.assign(segment=0.5), "column segment: expected whole numbers"),
+    ],
+)
+def test_a_bad_series_file_is_refused(tmp_path: Path, edit: Edit, words: str) -> None:
+    file = written(tmp_path)
+    edit(pd.read_csv(file)).to_csv(file, index=False)
+    with pytest.raises(InputError, match=words) as caught:
+        read_series(file)
+    assert str(file) in str(caught.value)
+
+
+def test_a_doubled_column_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path)
+    file.write_text(file.read_text("utf-8").replace("psi_p,", "phi,", 1), "utf-8")
+    with pytest.raises(InputError, match="each column once, found phi 2 times"):
+        read_series(file)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".nc"])
+@pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe" * 200, b"\xff\xd8\xff\xe0 not a table"])
+def test_a_spoiled_file_is_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
+    file = tmp_path / f"run{suffix}"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"run\.(csv|nc)") as caught:
+        read_series(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_netcdf_file_that_was_cut_short_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "run.nc"
+    write_series(made(), file)
+    file.write_bytes(file.read_bytes()[:-3000])
+    with pytest.raises(InputError, match="expected a netCDF-4 file"):
+        read_series(file)
+
+
+def test_a_csv_row_that_was_cut_short_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path)
+    text = file.read_text("utf-8")
+    file.write_text(text[: len(text) - 30], "utf-8")
+    with pytest.raises(InputError, match="expected a finite number"):
+        read_series(file)
+
+
+@pytest.mark.parametrize("name", ["run.xlsx", "run", "run.txt"])
+def test_an_unknown_suffix_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"expected an output file ending in \.csv or \.nc"):
+        write_series(made(), tmp_path / name)
+    (tmp_path / name).write_text("x")
+    with pytest.raises(InputError, match=r"expected a series file ending in \.csv or \.nc"):
+        read_series(tmp_path / name)
+
+
+def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_series(tmp_path / "none.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(InputError, match="a folder"):
+        read_series(tmp_path / "folder.csv")
+    with pytest.raises(InputError, match="no folder"):
+        write_series(made(), tmp_path / "deep" / "run.csv")
+
+
+def test_a_damaged_ledger_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    file = written(tmp_path)
+    ledger_path(file).write_text("{not json", "utf-8")
+    with pytest.raises(InputError, match=r"ledger\.json: .* delete it or reduce the record again"):
+        read_series(file)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".nc"])
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / f"run{suffix}"
+    write_series(made(seed=1), file)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def fail(series: CoefficientSeries, target: Path) -> None:
+        target.write_text("half a")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(series_files, "_write_csv", fail)
+    monkeypatch.setattr(series_files, "_write_netcdf", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_series(made(seed=2), file)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_written_file_is_as_public_as_its_folder_allows(tmp_path: Path) -> None:
+    file = written(tmp_path)
+    mask = os.umask(0)
+    os.umask(mask)
+    assert file.stat().st_mode & 0o777 == 0o666 & ~mask
