@@ -52,7 +52,9 @@ class ReductionSettings:
     inertia_factor : float
         Multiplies ∫dx/A in Eq 5; 0 drops the inertia term.
     thermocouple_inversion : bool
-        Undo the lag of the thermocouples.
+        Undo the lag of the thermocouples. The paper did not; behind a 48 Hz filter the lag of T25
+        cancels part of what the filter does to the curve, so that undoing it alone makes the
+        curve worse (the test on the simulated rig shows it).
     near_stall_match : {"pair", "forward", "none"}
         What the near-stall match moves.
     window_s : tuple of float, optional
@@ -72,7 +74,7 @@ class ReductionSettings:
     hysteresis_lbm_s: float | None = None
     stall_rule: str = "threshold"
     inertia_factor: float = 1.0
-    thermocouple_inversion: bool = True
+    thermocouple_inversion: bool = False
     near_stall_match: str = "pair"
     window_s: tuple[float, float] | None = None
 

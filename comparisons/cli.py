@@ -129,6 +129,9 @@ def _add_reduce(commands: _Commands) -> None:
         "--probes", choices=("all", "tip", "hub"), default=None, help="probes that are averaged"
     )
     parser.add_argument(
+        "--invert-thermocouples", action="store_true", help="undo the lag of the thermocouples"
+    )
+    parser.add_argument(
         "--threshold", type=float, default=None, metavar="LBM_S", help="corrected flow of stall"
     )
     parser.add_argument(

@@ -22,7 +22,7 @@ from comparisons.fit_quality import (
     score_fit,
     trusted_range,
 )
-from comparisons.fit_rows import FitRows, minimum_phi_of, stack_rows
+from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
 
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
@@ -178,7 +178,7 @@ def compare_records(
     InputError
         When the records do not go together or there is nothing to fit.
     """
-    rows = stack_rows(records, target, minimum_phi_of(target))
+    rows = stack_rows(records, target)
     specs = estimators or default_estimators(degree=degree, hold=hold, target=target)
     valid_phi = trusted_range(rows.phi)
     results = tuple(_run(spec, rows, hold, valid_phi) for spec in progress(specs))

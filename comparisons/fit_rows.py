@@ -13,7 +13,7 @@ from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
 from classic_ml.series import CoefficientSeries
 
-__all__ = ["FitRows", "minimum_phi_of", "stack_rows"]
+__all__ = ["FitRows", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
@@ -81,24 +81,7 @@ class FitRows:
         )
 
 
-def minimum_phi_of(target: str) -> float:
-    """Return the magnitude of φ below which a row of this coefficient says nothing.
-
-    Parameters
-    ----------
-    target : {"psi_p", "psi"}
-        The work coefficient divides by the flow (paper, Eq 13) and is singular at φ = 0.
-    """
-    if target != "psi":
-        return 0.0
-    from classic_ml.coefficients import PSI_MINIMUM_PHI
-
-    return PSI_MINIMUM_PHI
-
-
-def stack_rows(
-    records: Sequence[CoefficientSeries], target: str = "psi_p", minimum_phi: float = 0.0
-) -> FitRows:
+def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> FitRows:
     """Stack the rows in the intervals to be fitted of one or several records.
 
     Parameters
@@ -106,10 +89,8 @@ def stack_rows(
     records : sequence of CoefficientSeries
         At one sample rate.
     target : {"psi_p", "psi"}
-        Which coefficient is modelled.
-    minimum_phi : float
-        Rows with a smaller magnitude of φ are left out and cut their segment in two: the work
-        coefficient is singular at zero flow.
+        Which coefficient is modelled. The work coefficient divides by the flow (paper, Eq 13):
+        rows in which it is not known are left out and cut their segment in two.
 
     Raises
     ------
@@ -130,7 +111,7 @@ def stack_rows(
         values = getattr(record, target)
         if values is None:
             raise InputError(record.source, expected=f"a column {target}", found="none")
-        keep = record.scored & (np.abs(record.phi) >= minimum_phi)
+        keep = record.scored & _known(record, target)
         labels, n_labels = _labels(record.segment, keep, n_labels)
         rows = np.flatnonzero(labels)
         columns.append(
@@ -163,6 +144,14 @@ def stack_rows(
         target,
         train,
     )
+
+
+def _known(record: CoefficientSeries, target: str) -> NDArray[np.bool_]:
+    if target != "psi":
+        return np.ones(record.n_samples, dtype=np.bool_)
+    from classic_ml.coefficients import psi_is_known
+
+    return psi_is_known(record.phi)
 
 
 def _labels(

@@ -16,7 +16,7 @@ from classic_ml.errors import InputError
 from classic_ml.first_order_lag import FirstOrderLag, Hold
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
-from comparisons.files import write_whole
+from classic_ml.files import write_whole
 from comparisons.terms import evaluate_terms, is_known_term
 
 __all__ = ["MODEL_SCHEMA", "FittedLag", "LagEstimator", "load_models", "save_models"]

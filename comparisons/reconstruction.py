@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_quality import FitScore, score_fit
-from comparisons.fit_rows import FitRows, minimum_phi_of, stack_rows
+from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
 
-__all__ = ["Reconstruction", "reconstruct_record", "reconstruction_csv"]
+__all__ = [
+    "RECONSTRUCT_SCHEMA",
+    "Reconstruction",
+    "reconstruct_record",
+    "reconstruction_csv",
+    "reconstruction_document",
+]
+
+RECONSTRUCT_SCHEMA = "sindy-surge/reconstruct/1"
 
 
 @dataclass(frozen=True)
@@ -61,7 +71,7 @@ def reconstruct_record(model: FittedLag, record: CoefficientSeries) -> Reconstru
     InputError
         When the record lacks the coefficient that the model gives.
     """
-    rows = stack_rows([record], model.target, minimum_phi_of(model.target))
+    rows = stack_rows([record], model.target)
     reconstructed = model.free_run(rows.phi, rows.sample_period_s, rows.labels, start=rows.measured)
     low, high = model.valid_phi
     outside = float(np.mean((rows.phi < low) | (rows.phi > high)))
@@ -91,3 +101,29 @@ def reconstruction_csv(reconstruction: Reconstruction) -> str:
     ):
         writer.writerow(values)
     return stream.getvalue()
+
+
+def reconstruction_document(runs: Sequence[Reconstruction]) -> dict[str, Any]:
+    """Return the document of ``reconstruct --json``.
+
+    Parameters
+    ----------
+    runs : sequence of Reconstruction
+        One for each model and record.
+    """
+    return {
+        "schema": RECONSTRUCT_SCHEMA,
+        "reconstructions": [
+            {
+                "record": run.record.source,
+                "estimator": run.model.estimator,
+                "target": run.model.target,
+                "time_constant_s": run.model.time_constant_s,
+                "rows": run.score.n_rows,
+                "segments": run.rows.n_segments,
+                "free_run": run.score.to_json(),
+                "outside_valid_phi": run.outside,
+            }
+            for run in runs
+        ],
+    }

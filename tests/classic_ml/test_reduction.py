@@ -35,7 +35,7 @@ def rms(made: RawTest, reduction: Reduction, name: str, late: int = 0) -> float:
 
 def test_without_noise_and_filter_the_coefficients_come_back() -> None:
     ideal = make_test(quantise=False, lag_thermocouples=True)
-    reduction = reduced(ideal, phase="none")
+    reduction = reduced(ideal, phase="none", thermocouple_inversion=True)
     # What is left is the dead band of the probes, |M| < b, where the flow cannot be seen.
     assert rms(ideal, reduction, "phi") < 0.002
     assert rms(ideal, reduction, "psi_p") < 0.015
@@ -99,8 +99,8 @@ def test_the_inertia_term_matters() -> None:
 
 
 def test_the_thermocouple_switch_undoes_the_lag(made: RawTest) -> None:
-    inverted = reduced(made, phase="none")
-    lagged = reduced(made, phase="none", thermocouple_inversion=False)
+    inverted = reduced(made, phase="none", thermocouple_inversion=True)
+    lagged = reduced(made, phase="none")
     rows = slice(300, 500)
     truth = made.truth["T25"][rows]
     assert (
@@ -159,7 +159,7 @@ def test_a_window_is_taken_from_settings_then_file_then_cycles(made: RawTest) ->
 
 def test_the_work_coefficient_follows_the_temperature_rise() -> None:
     ideal = make_test(quantise=False, lag_thermocouples=True)
-    reduction = reduced(ideal, phase="none")
+    reduction = reduced(ideal, phase="none", thermocouple_inversion=True)
     series = reduction.series
     assert series.psi is not None
     assert np.all(np.isfinite(series.psi))

@@ -1,0 +1,252 @@
+"""What each sub-command does, once its arguments are parsed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from classic_ml.errors import InputError
+from classic_ml.files import check_target, write_whole
+from classic_ml.series import CoefficientSeries, read_series, write_series
+
+if TYPE_CHECKING:
+    from classic_ml.reduction import Reduction, ReductionSettings
+    from comparisons.compare import Comparison
+    from comparisons.reconstruction import Reconstruction
+
+__all__ = ["run_compare", "run_demo", "run_reconstruct", "run_reduce", "run_simulate"]
+
+_T = TypeVar("_T")
+HTML = (".html", ".htm")
+
+
+def run_simulate(arguments: argparse.Namespace) -> None:
+    """Run the simulated rig and write its record and its truth."""
+    from comparisons.rig import simulate, write_run
+
+    run = simulate(arguments.case, seed=arguments.seed, duration_s=arguments.duration)
+    write_run(run, arguments.out)
+    print(f"raw record: {arguments.out / 'raw.csv'} with {arguments.out / 'test.toml'}")
+    print(f"truth:      {arguments.out / 'truth'}")
+
+
+def run_reduce(arguments: argparse.Namespace) -> None:
+    """Reduce a raw record to a series file."""
+    from classic_ml.reduction import reduce_record
+
+    check_target(arguments.out, (".csv", ".nc", ".nc4", ".netcdf"))
+    _check_targets((arguments.report, HTML))
+    record, test = _read_raw(arguments.raw, arguments.test)
+    reduction = reduce_record(record, test, _settings(arguments))
+    write_series(reduction.series, arguments.out)
+    if arguments.report:
+        from comparisons.report import ReportSection, write_report
+
+        section = ReportSection(title=test.name, reduction=reduction)
+        write_report(
+            arguments.report,
+            [section],
+            title=f"Reduction of {test.name}",
+            command=_command_line(),
+        )
+    _print_reduction(reduction)
+    print(f"series: {arguments.out}")
+    if arguments.report:
+        print(f"report: {arguments.report}")
+
+
+def run_compare(arguments: argparse.Namespace) -> None:
+    """Fit the estimators to series files and set them side by side."""
+    from comparisons.lag_value import save_models
+
+    _check_targets((arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
+    records = [read_series(path) for path in arguments.series]
+    comparison, work = _compare(records, arguments.degree, arguments.hold)
+    if arguments.json:
+        from comparisons.json_output import comparison_document, to_strict_json
+
+        write_whole(arguments.json, to_strict_json(comparison_document(comparison, work)))
+    if arguments.save:
+        save_models(_models(comparison, work), arguments.save)
+    if arguments.report:
+        from comparisons.report import ReportSection, write_report
+
+        title = ", ".join(Path(record.source).name for record in records)
+        section = ReportSection(title=title, comparison=comparison, work=work)
+        write_report(
+            arguments.report, [section], title=f"Comparison on {title}", command=_command_line()
+        )
+    _print_comparison(comparison, work)
+    for label, path in (
+        ("numbers", arguments.json),
+        ("models", arguments.save),
+        ("report", arguments.report),
+    ):
+        if path:
+            print(f"{label}: {path}")
+
+
+def run_reconstruct(arguments: argparse.Namespace) -> None:
+    """Run saved models over other records."""
+    from comparisons.lag_value import load_models
+    from comparisons.reconstruction import (
+        reconstruct_record,
+        reconstruction_csv,
+        reconstruction_document,
+    )
+    from comparisons.table import reconstruction_table
+
+    _check_targets((arguments.json, ()), (arguments.report, HTML), (arguments.out, (".csv",)))
+    models = load_models(arguments.model)
+    if arguments.estimator is not None:
+        if arguments.estimator not in models:
+            raise InputError(
+                "--estimator",
+                expected="one of " + ", ".join(models),
+                found=arguments.estimator,
+            )
+        models = {arguments.estimator: models[arguments.estimator]}
+    records = [read_series(path) for path in arguments.series]
+    runs = [
+        reconstruct_record(model, record)
+        for record in records
+        for model in models.values()
+        if model.target == "psi_p" or record.psi is not None
+    ]
+    if not runs:
+        raise InputError(
+            ", ".join(record.source for record in records),
+            expected="the coefficient that the model gives (psi)",
+            found="none",
+        )
+    if arguments.out:
+        if len(runs) > 1:
+            raise InputError(
+                "--out",
+                expected="one reconstruction",
+                found=f"{len(runs)}",
+                remedy="name one record and one --estimator of " + ", ".join(models),
+            )
+        write_whole(arguments.out, reconstruction_csv(runs[0]))
+    if arguments.json:
+        from comparisons.json_output import to_strict_json
+
+        write_whole(arguments.json, to_strict_json(reconstruction_document(runs)))
+    if arguments.report:
+        _report_reconstructions(arguments.report, runs)
+    print(reconstruction_table(runs))
+
+
+def run_demo(arguments: argparse.Namespace) -> None:
+    """Run the whole way on simulated tests and write the report."""
+    from comparisons.demo import run
+
+    done = run(arguments.out, arguments.seed, progress=_progress, command=_command_line())
+    for comparison, work in done.comparisons:
+        _print_comparison(comparison, work)
+    print(done.summary)
+    print(f"report: {done.report}")
+
+
+def _read_raw(raw: Path, test: Path) -> tuple[object, object]:
+    from classic_ml.readers import read_raw
+
+    return read_raw(raw, test)
+
+
+def _settings(arguments: argparse.Namespace) -> ReductionSettings:
+    """Take over what was given; the rest keeps the defaults of the reduction."""
+    from classic_ml.reduction import ReductionSettings
+
+    given = {
+        "filter_order": arguments.filter_order,
+        "cutoff_hz": arguments.cutoff,
+        "phase": arguments.phase,
+        "probes": arguments.probes,
+        "thermocouple_inversion": arguments.invert_thermocouples or None,
+        "threshold_lbm_s": arguments.threshold,
+        "hysteresis_lbm_s": arguments.hysteresis,
+        "window_s": tuple(arguments.window) if arguments.window else None,
+    }
+    return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
+
+
+def _compare(
+    records: Sequence[CoefficientSeries], degree: int, hold: str
+) -> tuple[Comparison, Comparison | None]:
+    from comparisons.compare import compare_records
+
+    comparison = compare_records(
+        records,
+        degree=degree,
+        hold=hold,  # type: ignore[arg-type]
+        progress=_progress,
+    )
+    if any(record.psi is None for record in records):
+        return comparison, None
+    work = compare_records(
+        records,
+        target="psi",
+        hold=hold,  # type: ignore[arg-type]
+        progress=_progress,
+    )
+    return comparison, work
+
+
+def _models(comparison: Comparison, work: Comparison | None) -> dict[str, object]:
+    models = {result.name: result.model for result in comparison.results}
+    if work is not None:
+        models.update({f"{result.name}:psi": result.model for result in work.results})
+    return models
+
+
+def _check_targets(*targets: tuple[Path | None, tuple[str, ...]]) -> None:
+    """Refuse a target that cannot be written before any work is done."""
+    for path, suffixes in targets:
+        if path is not None:
+            check_target(path, suffixes)
+
+
+def _print_reduction(reduction: Reduction) -> None:
+    for entry in reduction.record.history:
+        print(f"{entry.step}: {entry.did}")
+        for dropped in entry.dropped:
+            print(f"  left out {dropped.what} ({dropped.count}): {dropped.why}")
+        for flag in entry.flags:
+            print(f"  note: {flag}")
+
+
+def _print_comparison(comparison: Comparison, work: Comparison | None) -> None:
+    from comparisons.table import comparison_table
+
+    print(comparison_table(comparison))
+    if work is not None:
+        print()
+        print(comparison_table(work))
+
+
+def _report_reconstructions(path: Path, runs: Sequence[Reconstruction]) -> None:
+    from comparisons.report import ReportSection, write_report
+
+    by_record: dict[str, list[Reconstruction]] = {}
+    for run in runs:
+        by_record.setdefault(run.record.source, []).append(run)
+    sections = [
+        ReportSection(title=Path(source).name, validation=tuple(group))
+        for source, group in by_record.items()
+    ]
+    write_report(path, sections, title="Reconstruction", command=_command_line())
+
+
+def _progress(items: Iterable[_T]) -> Iterable[_T]:
+    """Show how far a long work is, on a terminal only."""
+    from tqdm import tqdm
+
+    return tqdm(list(items), unit="fit", leave=False, disable=not sys.stderr.isatty())
+
+
+def _command_line() -> str:
+    return " ".join(["sindy-surge", *sys.argv[1:]])

@@ -1,0 +1,238 @@
+"""How pictures look: colours, axes, labels, and their way into a file."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "LineStyle",
+    "axes_of",
+    "broken",
+    "coefficient_symbol",
+    "dress",
+    "estimator_styles",
+    "figure_to_data_uri",
+    "legend",
+    "legend_above",
+    "new_figure",
+    "printable",
+    "robust_limits",
+]
+
+DPI = 120
+COLOURS = 256
+FREQUENT = 160
+WIDTH_IN = 9.0
+INK = "#222222"
+MEASURED = "#8f8f8f"
+QUIET = "#4d4d4d"
+FAINT = "#b8b8b8"
+ACCENT = "#0072B2"
+MARK = "#D55E00"
+SHADE = "#f0ece0"
+
+
+@dataclass(frozen=True)
+class LineStyle:
+    """How an estimator is drawn in every picture.
+
+    Parameters
+    ----------
+    colour : str
+        Colour of line and band.
+    dashes : str or tuple
+        Matplotlib line style, so that prints in grey still tell the lines apart.
+    """
+
+    colour: str
+    dashes: str | tuple[float, tuple[float, ...]]
+
+
+# Okabe and Ito's palette, which people with any colour vision can tell apart; without its yellow,
+# which white paper swallows.
+KNOWN_STYLES = {
+    "classic_ml": LineStyle("#0072B2", "-"),
+    "classic_ml_arx": LineStyle("#E69F00", (0, (6, 2))),
+    "classic_ml_output_error": LineStyle("#009E73", (0, (4, 1.5, 1, 1.5))),
+    "sindy": LineStyle("#D55E00", (0, (2.5, 1))),
+}
+SPARE_STYLES = (
+    LineStyle("#CC79A7", "-"),
+    LineStyle("#56B4E9", (0, (5, 2))),
+    LineStyle("#7a5c00", (0, (1, 1))),
+    LineStyle("#000000", (0, (3, 1, 1, 1))),
+)
+
+
+def estimator_styles(names: Iterable[str]) -> dict[str, LineStyle]:
+    """Return the style of each estimator; a known one has the same in every report.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Keys of the estimators.
+    """
+    styles, spare = {}, 0
+    for name in names:
+        if name in KNOWN_STYLES:
+            styles[name] = KNOWN_STYLES[name]
+        else:
+            styles[name] = SPARE_STYLES[spare % len(SPARE_STYLES)]
+            spare += 1
+    return styles
+
+
+def new_figure(width_in: float = WIDTH_IN, height_in: float = 5.0) -> Figure:
+    """Return an empty figure that no global state knows of."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axes_of(ax: Axes | None, height_in: float = 5.0) -> Axes:
+    """Return the axes given, or those of a new figure, dressed."""
+    chosen = new_figure(height_in=height_in).add_subplot() if ax is None else ax
+    return dress(chosen)
+
+
+def dress(ax: Axes) -> Axes:
+    """Give axes the quiet look of all pictures."""
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color("#888888")
+    ax.tick_params(colors=INK, labelsize=9)
+    ax.grid(True, color="#e4e4e4", linewidth=0.6)
+    ax.set_axisbelow(True)
+    return ax
+
+
+def legend(ax: Axes, **options: Any) -> None:
+    """Add a legend that hides nothing of what lies under it."""
+    options = {"fontsize": 8.5, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options
+    ax.legend(**options)
+
+
+def legend_above(figure: Figure, *panels: Axes, columns: int = 3) -> None:
+    """Add one legend above all panels, each name once."""
+    entries: dict[str, Any] = {}
+    for ax in panels:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(
+        entries.values(),
+        entries.keys(),
+        loc="outside upper left",
+        ncols=columns,
+        fontsize=8.5,
+        frameon=False,
+        columnspacing=1.8,
+    )
+
+
+def figure_to_data_uri(figure: Figure) -> str:
+    """Return a figure as a PNG in a data URI, the same bytes for the same picture."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    # Matplotlib's canvas carries no types.
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    index, palette = _indexed(np.asarray(canvas.buffer_rgba())[:, :, :3])
+    picture = Image.fromarray(index)
+    picture.putpalette(palette.ravel().tolist())
+    stream = io.BytesIO()
+    picture.save(stream, format="png", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def coefficient_symbol(target: str, *, quasi_steady: bool = False) -> str:
+    """Return ψ' or ψ as mathtext, optionally with the index of the quasi-steady curve."""
+    symbol = r"\psi'" if target == "psi_p" else r"\psi"
+    index = r"_{\mathrm{QS}}" if quasi_steady else ""
+    return f"${symbol}{index}$"
+
+
+def printable(text: str, longest: int = 60) -> str:
+    """Return text that a picture can show as it is: no mathtext, no glyph that the font lacks."""
+    short = text if len(text) <= longest else text[: longest - 1] + "…"
+    known = _glyphs()
+    shown = "".join(c if ord(c) in known else "?" for c in short)
+    return shown.replace("$", r"\$")
+
+
+def broken(
+    time_s: FloatArray, values: FloatArray, runs: list[slice]
+) -> tuple[FloatArray, FloatArray]:
+    """Return a signal with a gap between its segments, so that no line joins two.
+
+    Parameters
+    ----------
+    time_s, values : ndarray of shape (n,)
+        The signal.
+    runs : list of slice
+        Its segments.
+    """
+    gap = np.array([np.nan])
+    times = [part for run in runs for part in (time_s[run], gap)]
+    levels = [part for run in runs for part in (values[run], gap)]
+    if not times:
+        return np.zeros(0), np.zeros(0)
+    return np.concatenate(times), np.concatenate(levels)
+
+
+def robust_limits(*signals: FloatArray, margin: float = 0.08) -> tuple[float, float]:
+    """Return limits of an axis that hold all of the signals but for one row in a thousand."""
+    finite = [signal[np.isfinite(signal)] for signal in signals]
+    edges = [np.percentile(signal, [0.05, 99.95]) for signal in finite if signal.size]
+    if not edges:
+        return 0.0, 1.0
+    low, high = min(e[0] for e in edges), max(e[1] for e in edges)
+    pad = margin * (high - low) or max(abs(high), 1.0) * margin
+    return float(low - pad), float(high + pad)
+
+
+def _indexed(pixels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return pixels as indices into a palette: lines on white need few colours.
+
+    The palette holds the most frequent colours themselves, so that areas and lines keep their
+    exact shade, and then whichever colour is furthest from all of those, so that no small mark
+    loses its own; the rare mixtures at edges take the nearest. The file is a third as large.
+    """
+    from scipy.spatial import KDTree
+
+    flat = pixels.reshape(-1, 3).astype(np.uint32)
+    packed = (flat[:, 0] << 16) | (flat[:, 1] << 8) | flat[:, 2]
+    values, inverse, counts = np.unique(packed, return_inverse=True, return_counts=True)
+    colours = np.stack([values >> 16, (values >> 8) & 255, values & 255], axis=1).astype(float)
+    chosen = np.argsort(-counts, kind="stable")[:FREQUENT].tolist()
+    distance = np.asarray(KDTree(colours[chosen]).query(colours)[0])
+    while len(chosen) < COLOURS and distance.max() > 0.0:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(colours - colours[chosen[-1]], axis=1))
+    _, nearest = KDTree(colours[chosen]).query(colours)
+    index = np.asarray(nearest)[inverse].reshape(pixels.shape[:2])
+    return index.astype(np.uint8), colours[chosen].astype(np.uint8)
+
+
+@cache
+def _glyphs() -> frozenset[int]:
+    from matplotlib.font_manager import findfont
+    from matplotlib.ft2font import FT2Font
+
+    return frozenset(FT2Font(findfont("DejaVu Sans")).get_charmap())

@@ -1,0 +1,84 @@
+"""The parts of a section, in the order of the report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from comparisons.compare import Comparison
+from comparisons.report.blocks import Block, Part
+from comparisons.report.pictures import (
+    characteristic_picture,
+    migration_pictures,
+    reconstruction_pictures,
+    residual_pictures,
+    spectra_pictures,
+    time_pictures,
+    validation_picture,
+)
+from comparisons.report.tables import (
+    checks_table,
+    coefficients_table,
+    equation_words,
+    ledger_tables,
+    settings_tables,
+    summary_table,
+)
+from comparisons.report.words import cautions_list, summary_list, tau_words, truth_list
+
+if TYPE_CHECKING:
+    from comparisons.report.report import ReportSection
+
+__all__ = ["parts_of"]
+
+
+def parts_of(section: ReportSection) -> tuple[Part, ...]:
+    """Return the parts of a section that hold something.
+
+    Parameters
+    ----------
+    section : ReportSection
+        What it is about.
+    """
+    fits = tuple(fit for fit in (section.comparison, section.work) if fit is not None)
+    parts = (
+        Part("In short", _summary(section, fits)),
+        Part("Operating-point migration", migration_pictures(section)),
+        Part("Surge cycles in time", time_pictures(section)),
+        Part("Spectra before and after the filter", spectra_pictures(section)),
+        Part("Quasi-steady characteristics", _characteristics(section)),
+        Part("Reconstruction against measurement", _reconstructions(section, fits)),
+        Part("Residuals", tuple(block for fit in fits for block in residual_pictures(fit))),
+        Part("Residual checks", tuple(checks_table(fit) for fit in fits)),
+        Part("Equations", _equations(fits)),
+        *section.extra,
+        Part("Ledger of the reduction", ledger_tables(section)),
+        Part("Settings", settings_tables(section)),
+    )
+    return tuple(part for part in parts if part.blocks)
+
+
+def _summary(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    for fit, truth in ((section.comparison, section.truth), (section.work, section.work_truth)):
+        if fit is not None:
+            blocks += [summary_list(fit), summary_table(fit)]
+            if truth is not None:
+                blocks.append(truth_list(fit, truth))
+    return (*tau_words(section, fits), *cautions_list(section, fits), *blocks)
+
+
+def _characteristics(section: ReportSection) -> tuple[Block, ...]:
+    pairs = ((section.comparison, section.truth), (section.work, section.work_truth))
+    return tuple(characteristic_picture(fit, truth) for fit, truth in pairs if fit is not None)
+
+
+def _reconstructions(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Block, ...]:
+    blocks = [block for fit in fits for block in reconstruction_pictures(fit)]
+    return (*blocks, *validation_picture(section.validation))
+
+
+def _equations(fits: tuple[Comparison, ...]) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    for fit in fits:
+        blocks += [*equation_words(fit), coefficients_table(fit)]
+    return tuple(blocks)

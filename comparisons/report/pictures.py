@@ -1,0 +1,327 @@
+"""The report's pictures, each with what it shows and how to read it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from classic_ml.series import CoefficientSeries
+from comparisons.compare import Comparison
+from comparisons.labels import estimator_label
+from comparisons.plots_style import figure_to_data_uri
+from comparisons.report.blocks import Block, Head, Picture, Table, Words
+from comparisons.report.words import coefficient_name
+from comparisons.rounding import significant
+from comparisons.table import RECONSTRUCTION_FIELDS, reconstruction_cells
+from comparisons.truth import Truth
+
+if TYPE_CHECKING:
+    from classic_ml.reduction import Reduction
+    from comparisons.reconstruction import Reconstruction
+    from comparisons.report.report import ReportSection
+
+__all__ = [
+    "characteristic_picture",
+    "migration_pictures",
+    "reconstruction_pictures",
+    "residual_pictures",
+    "spectra_pictures",
+    "time_pictures",
+    "validation_picture",
+]
+
+# Of many records fitted together the first few are drawn; the tables hold all.
+RECORDS_DRAWN = 4
+
+
+def migration_pictures(section: ReportSection) -> tuple[Block, ...]:
+    """Return the operating points of the reduced record, or the loops over φ of its series.
+
+    Parameters
+    ----------
+    section : ReportSection
+        The section.
+    """
+    if section.reduction is not None:
+        return _operating_points(section.reduction)
+    fits = [fit for fit in (section.comparison, section.work) if fit is not None]
+    blocks: list[Block] = []
+    for fit in fits:
+        blocks += [_loops(series, fit.rows.target) for series in fit.records[:RECORDS_DRAWN]]
+    return (*blocks, *_left_out(fits[0].records)) if fits else ()
+
+
+def time_pictures(section: ReportSection) -> tuple[Block, ...]:
+    """Return the surge cycles of the reduced record, or φ and the coefficients of its series.
+
+    Parameters
+    ----------
+    section : ReportSection
+        The section.
+    """
+    from comparisons.plots_record import plot_series, plot_surge_cycles
+
+    if section.reduction is not None:
+        from_s, to_s = section.reduction.window_s
+        return (
+            Picture(
+                "Quasi-steady surge cycles",
+                figure_to_data_uri(plot_surge_cycles(section.reduction)),
+                "Inlet corrected flow, inlet and exit total pressure, inlet total temperature and "
+                f"corrected speed over time, from {from_s:.2f} to {to_s:.2f} s.",
+                "As Fig 12, 13 and 16 to 19 of the paper. A cycle starts at stall: flow and exit "
+                "pressure collapse and the flow reverses; inlet temperature rises in stall and "
+                "falls as the machine recovers; corrected speed mirrors it. "
+                + _unstalled_words(section.reduction)
+                + "A slow slope of temperature or speed over the cycles is the facility, "
+                "not the compressor.",
+            ),
+        )
+    fit = section.comparison or section.work
+    if fit is None:
+        return ()
+    pictures = [
+        Picture(
+            f"φ and the coefficients in time, {series.source}",
+            figure_to_data_uri(plot_series(series)),
+            f"Flow coefficient and pressure coefficient over time, {series.source}.",
+            "Blue: rows in the intervals to be fitted; grey: the rest. Of a long record only the "
+            "first seconds from the first interval on are drawn. A gap in ψ marks flow too small "
+            "or reversed, where it is not known.",
+        )
+        for series in fit.records[:RECORDS_DRAWN]
+    ]
+    return (*pictures, *_left_out(fit.records))
+
+
+def spectra_pictures(section: ReportSection) -> tuple[Block, ...]:
+    """Return the spectra before and after the filter, which only a reduction knows.
+
+    Parameters
+    ----------
+    section : ReportSection
+        The section.
+    """
+    from comparisons.plots_record import plot_inlet_spectra
+
+    if section.reduction is None:
+        return ()
+    settings = section.reduction.settings
+    word = (
+        "no low-pass was used"
+        if settings.phase == "none"
+        else f"Butterworth of order {settings.filter_order} at {settings.cutoff_hz:g} Hz, phase "
+        f"“{settings.phase}”"
+    )
+    return (
+        Picture(
+            "Inlet total pressure and corrected flow",
+            figure_to_data_uri(plot_inlet_spectra(section.reduction)),
+            f"Power spectra of inlet pressure and inlet flow before and after the filter ({word}).",
+            "As Fig 4 to 6 of the paper, over the quasi-steady window, first-order trend removed. "
+            f"Here: {word}. The comb at low frequency is the surge cycle and its harmonics; the "
+            "peak at 82.5 Hz and its harmonic are rotating stall cells, which a one-dimensional "
+            "model cannot use. In the flow the filter attenuates less, and above the cut-off it "
+            "can add: the flow is a square root of the filtered pressures, and that makes new "
+            "harmonics.",
+        ),
+    )
+
+
+def characteristic_picture(fit: Comparison, truth: Truth | None) -> Picture:
+    """Return the characteristics of all estimators over the histogram of φ.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    truth : Truth or None
+        Of a simulated record.
+    """
+    from comparisons.plots_fit import plot_characteristics
+
+    low, high = fit.valid_phi
+    known = "" if truth is None else f" Dotted black: {truth.label}."
+    return Picture(
+        f"Quasi-steady {coefficient_name(fit)}",
+        _drawn(plot_characteristics(fit, truth)),
+        f"Quasi-steady {coefficient_name(fit)} over φ of {len(fit.results)} estimators with bands, "
+        f"over the histogram of φ; range of trust {low:.3f} to {high:.3f}.",
+        "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. A curve is a "
+        "reliable estimate where the histogram is high: the shaded range holds φ from its 5th to "
+        "its 95th percentile. Outside it the curves are extrapolated and drawn faint. Where "
+        "estimators part inside the shade by more than their bands, the model lacks something."
+        + known,
+    )
+
+
+def reconstruction_pictures(fit: Comparison) -> tuple[Block, ...]:
+    """Return the free runs against the measurement, one picture a record.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    from comparisons.plots_fit import plot_reconstruction
+
+    drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)][:RECORDS_DRAWN]
+    best = fit.table[0]
+    pictures = [
+        Picture(
+            f"Reconstructed {coefficient_name(fit)}, {fit.records[index].source}",
+            figure_to_data_uri(plot_reconstruction(fit, index)),
+            f"Measured {coefficient_name(fit)} and its free-run reconstruction over time; above "
+            f"the whole record with {best.label}, below some cycles with all estimators.",
+            f"As Fig 27 of the paper. Above: {best.label}, the least held-out error; below: all "
+            "estimators around the border to the held-out cycles. A free run knows the measured "
+            "flow, and of the measured coefficient only the first row of each segment. Shaded "
+            "cycles were held out for the score; the lines drawn are of the fit to all cycles.",
+        )
+        for index in drawn
+    ]
+    return (*pictures, *_left_out(fit.records))
+
+
+def residual_pictures(fit: Comparison) -> tuple[Block, ...]:
+    """Return the residuals over time, over frequency and over lags.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    from comparisons.plots_fit import plot_residual_structure, plot_residuals
+
+    name = coefficient_name(fit)
+    rms = ", ".join(f"{r.label} {significant(r.free_run.rms, 2)}" for r in fit.results)
+    return (
+        Picture(
+            f"Free-run errors in time, {name}",
+            figure_to_data_uri(plot_residuals(fit)),
+            f"Measured minus reconstructed {name} over time, one strip an estimator; rms {rms}.",
+            "All strips have one scale. What repeats in every cycle is structure that the model "
+            "lacks, not noise; a level that wanders over the cycles is drift.",
+        ),
+        Picture(
+            f"Structure of the residuals, {name}",
+            figure_to_data_uri(plot_residual_structure(fit)),
+            f"Spectra of the free-run errors of the {name} beside the measured signal; "
+            "autocorrelation of the one-step errors and their correlation with φ.",
+            "Above: where an error's spectrum lies far below the grey signal the model explains "
+            "that frequency; where it lies in the grey band it explains nothing. Below left: "
+            "one-step errors should stay inside the grey band at 99 % of the lags; on data that "
+            "were low-passed they do not. Below right: positive lags are errors that follow φ. "
+            "What leaves the band there, φ could still explain: the characteristic, the lag or the "
+            "alignment of φ lacks something. The grey band is the widest of the estimators'.",
+        ),
+    )
+
+
+def validation_picture(runs: tuple[Reconstruction, ...]) -> tuple[Block, ...]:
+    """Return models fitted elsewhere against other records: pictures and a table.
+
+    Parameters
+    ----------
+    runs : tuple of Reconstruction
+        Models and the records they were run on.
+    """
+    from comparisons.plots_fit import plot_validation
+
+    groups: dict[tuple[str, str], list[Reconstruction]] = {}
+    for run in runs:
+        groups.setdefault((run.record.source, run.model.target), []).append(run)
+    blocks: list[Block] = []
+    for (source, target), members in groups.items():
+        symbol = "ψ'" if target == "psi_p" else "ψ"
+        scores = ", ".join(
+            f"{estimator_label(r.model.estimator)} {significant(r.score.rms, 2)}" for r in members
+        )
+        blocks.append(
+            Picture(
+                f"Validation on {source}: {symbol}",
+                figure_to_data_uri(plot_validation(tuple(members))),
+                f"Measured {symbol} of {source} and free runs of models fitted elsewhere; rms "
+                f"{scores}.",
+                "Nothing was fitted to this record. Above the model with the least error over the "
+                "whole record, below all models in its middle. Shaded: φ outside the range of "
+                "trust, where the reconstruction rests on extrapolated curves.",
+            )
+        )
+    if runs:
+        cells = tuple(tuple(row) for row in reconstruction_cells(runs))
+        heads = tuple(Head(f.heading, f.meaning, f.numeric) for f in RECONSTRUCTION_FIELDS)
+        blocks.append(Table("Validation: models fitted elsewhere, nothing refitted", heads, cells))
+    return tuple(blocks)
+
+
+def _operating_points(reduction: Reduction) -> tuple[Block, ...]:
+    from comparisons.plots_record import plot_hub_and_tip, plot_operating_points
+
+    ratio = reduction.record["pressure_ratio"]
+    flow = reduction.record["Wc25_kg_s"]
+    blocks: list[Block] = [
+        Picture(
+            "Face average",
+            figure_to_data_uri(plot_operating_points(reduction)),
+            "Pressure ratio over inlet corrected flow: the whole record, with the pressure ratio "
+            f"between {ratio.min():.1f} and {ratio.max():.1f} and the flow between "
+            f"{flow.min():.0f} and {flow.max():.0f} kg/s, and the quasi-steady cycles alone.",
+            "As Fig 9 (left) and Fig 11 (right) of the paper. The star marks the highest pressure "
+            "ratio before the first stall. From there the machine reverses, blows down at reversed "
+            "flow and settles into cycles that need not return to the first stall point: the "
+            "heated inlet drives corrected speed down.",
+        )
+    ]
+    figure = plot_hub_and_tip(reduction)
+    if figure is not None:
+        blocks.append(
+            Picture(
+                "Tip and hub",
+                figure_to_data_uri(figure),
+                "Pressure ratio over the corrected flow of the tip probes and of the hub probes.",
+                "As Fig 14 and 15 of the paper. Flow at the tip reverses further than at the hub: "
+                "the reversal is not axisymmetric, and an average of both hides it.",
+            )
+        )
+    return tuple(blocks)
+
+
+def _unstalled_words(reduction: Reduction) -> str:
+    in_stall = reduction.series.in_stall
+    if in_stall is None or bool(np.all(in_stall[reduction.record["window"] > 0.5])):
+        return "The machine is in stall throughout the window. "
+    return "Shaded: unstalled, not fitted. "
+
+
+def _loops(series: CoefficientSeries, target: str) -> Picture:
+    from comparisons.plots_record import plot_loops
+
+    symbol = "ψ'" if target == "psi_p" else "ψ"
+    return Picture(
+        f"{symbol} over φ, {series.source}",
+        _drawn(plot_loops(series, target)),
+        f"Instantaneous {symbol} over the flow coefficient, {series.source}.",
+        "The record came as coefficients, so that pressure ratio and flow are not known. A loop "
+        "that is open is lag: at one φ the coefficient is higher on the way down than on the way "
+        "up, or the other way round. Blue: intervals that are fitted.",
+    )
+
+
+def _drawn(ax: object) -> str:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    figure = ax.get_figure() if isinstance(ax, Axes) else None
+    if not isinstance(figure, Figure):
+        raise TypeError("the axes belong to no figure")
+    return figure_to_data_uri(figure)
+
+
+def _left_out(records: tuple[CoefficientSeries, ...]) -> tuple[Words, ...]:
+    if len(records) <= RECORDS_DRAWN:
+        return ()
+    return (
+        Words(f"The first {RECORDS_DRAWN} of {len(records)} records are drawn; all were fitted."),
+    )

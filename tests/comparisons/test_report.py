@@ -1,0 +1,228 @@
+"""The report: everything in one file, nothing from outside, every text escaped."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from comparison_data import LINES, made_comparison, made_series
+from raw_data import make_test
+
+from classic_ml.errors import InputError
+from classic_ml.records import Dropped, LedgerEntry
+from classic_ml.reduction import Reduction, reduce_record
+from comparisons.reconstruction import reconstruct_record
+from comparisons.report import Part, ReportSection, Words, render_report, write_report
+from comparisons.truth import Truth
+
+EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
+HEADINGS = (
+    "In short",
+    "Operating-point migration",
+    "Surge cycles in time",
+    "Spectra before and after the filter",
+    "Quasi-steady characteristics",
+    "Reconstruction against measurement",
+    "Residuals",
+    "Residual checks",
+    "Equations",
+    "Ledger of the reduction",
+    "Settings",
+)
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+
+
+class Page(HTMLParser):
+    """What a browser would find in the page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.texts.append(data)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.texts))
+
+
+@pytest.fixture(scope="module")
+def reduction() -> Reduction:
+    return reduce_record(*make_test(cells_lbm_s=8.0, noise_counts=1.5).load())
+
+
+@pytest.fixture(scope="module")
+def html(reduction: Reduction) -> str:
+    comparison = made_comparison(cautions=("record.csv: P25_A: 40 rows clipped",))
+    phi = np.linspace(0.0, 1.0, 50)
+    truth = Truth(0.018, phi, 0.3 + 1.2 * phi - 1.5 * phi**2, "truth of the rig")
+    section = ReportSection(
+        "A test at 98.5 % speed",
+        comparison,
+        reduction=reduction,
+        truth=truth,
+        validation=(reconstruct_record(comparison.results[0].model, made_series(5, "other.csv")),),
+        extra=(Part("Diagnosis", (Words("nothing is missing"),)),),
+    )
+    return render_report(
+        [section], title="The report", command="sindy-surge compare x.csv", version="9.9.9"
+    )
+
+
+def test_every_part_is_there_in_order_and_in_the_contents(html: str) -> None:
+    page = Page(html)
+    assert page.open == []  # every element is closed
+    places = [html.index(f">{heading}</h3>") for heading in HEADINGS]
+    assert places == sorted(places)
+    assert ">Diagnosis</h3>" in html
+    ids = {attributes["id"] for _, attributes in page.tags if "id" in attributes}
+    links = [attributes["href"] for attributes in page.all("a")]
+    assert len(links) == len(HEADINGS) + 3  # the section, its extra part, and how it was made
+    assert all(link and link.startswith("#") and link[1:] in ids for link in links)
+
+
+def test_nothing_comes_from_outside(html: str) -> None:
+    page = Page(html)
+    assert page.all("script") == page.all("link") == page.all("iframe") == []
+    for _, attributes in page.tags:
+        for name in ("src", "href", "srcset", "action", "data"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("data:image/png;base64,", "#"))
+        assert not any(name.startswith("on") or name == "style" for name in attributes)
+    style = html[html.index("<style>") : html.index("</style>")]
+    assert "url(" not in style
+    assert "@import" not in style
+    assert "http" not in re.sub(r"data:image/png;base64,[^\"]*|http-equiv", "", html)
+
+
+def test_every_picture_says_what_it_shows_and_how_to_read_it(html: str) -> None:
+    page = Page(html)
+    pictures = page.all("img")
+    assert len(pictures) == 9
+    alts = [attributes["alt"] for attributes in pictures]
+    assert all(alt and len(alt) > 40 for alt in alts)
+    assert len(set(alts)) == len(alts)
+    assert html.count("How to read this.") == len(pictures)
+
+
+def test_the_numbers_are_there_rounded_to_their_uncertainty(html: str) -> None:
+    text = Page(html).text
+    for cell in ("18.01 ± 0.22", "30.1 ± 1.2", "27.7 … 32.6", "0.0025 ± 0.0011", LINES[1][7]):
+        assert cell in text
+    assert "1.20 ± 0.05" in text  # a coefficient of the equation
+    assert "sindy-surge compare x.csv" in text
+    assert "9.9.9" in text
+    assert "scikit-learn" in text
+    assert "τ off by +12.1 ms (9.7 of its standard errors)" in text
+
+
+def test_the_low_pass_is_warned_of_before_any_number(html: str) -> None:
+    text = Page(html).text
+    assert "What τ can be trusted for: the pressures were low-passed at 48 Hz" in text
+    assert text.index("known to come out high") < text.index("18.01 ± 0.22")
+    assert "P25_A: 40 rows clipped" in text
+
+
+def test_no_such_warning_without_a_low_pass() -> None:
+    section = ReportSection("x", made_comparison(made_series(history=())))
+    text = Page(render_report([section], title="x", command="x")).text
+    assert "known to come out high" not in text
+    assert "no ledger came with this record" in text
+
+
+def test_the_ledger_says_what_was_dropped_even_when_nothing_was(
+    html: str, reduction: Reduction
+) -> None:
+    text = Page(html).text
+    for entry in reduction.record.history:
+        assert re.sub(r"\s+", " ", entry.did) in text
+    assert text.count("nothing dropped") >= sum(not e.dropped for e in reduction.record.history)
+    assert "rows (120): outside the window" in text
+    assert "T31_B: 3 rows clipped" in text
+    assert "cutoff_hz = 48" in text
+
+
+def test_what_files_and_ledgers_say_is_text() -> None:
+    entry = LedgerEntry(EVIL, EVIL, {EVIL: EVIL}, (Dropped(EVIL, 1, EVIL),), (EVIL,))
+    comparison = made_comparison(made_series(source=EVIL, history=(entry,)), cautions=(EVIL,) * 2)
+    run = reconstruct_record(comparison.results[0].model, made_series(5, EVIL))
+    phi = np.linspace(0.0, 1.0, 50)
+    html = render_report(
+        [ReportSection(EVIL, comparison, truth=Truth(0.018, phi, phi, EVIL), validation=(run,))],
+        title=EVIL,
+        command=EVIL,
+        version=EVIL,
+    )
+    page = Page(html)
+    assert page.all("script") == []
+    assert len(page.all("b")) == html.count("<b>How to read this.</b>")  # no label's markup
+    for attributes in page.all("img"):
+        assert set(attributes) == {"src", "alt"}
+        assert (attributes["src"] or "").startswith("data:image/png;base64,")
+    assert page.texts.count(EVIL) > 5  # it is shown, as it stands
+
+
+def test_a_series_alone_is_drawn_as_loops() -> None:
+    html = render_report([ReportSection("x", made_comparison())], title="x", command="x")
+    text = Page(html).text
+    assert "ψ' over φ, record.csv" in text
+    assert "Spectra before and after the filter" not in text
+    assert "Settings" not in text
+
+
+def test_a_reduction_or_a_validation_alone_is_a_report_too(reduction: Reduction) -> None:
+    model = made_comparison().results[0].model
+    sections = [
+        ReportSection("reduction", reduction=reduction),
+        ReportSection(
+            "validation", validation=(reconstruct_record(model, made_series(3, "v.csv")),)
+        ),
+    ]
+    html = render_report(sections, title="x", command="x")
+    assert len(Page(html).all("img")) == 5
+    assert "Validation on v.csv" in html
+
+
+def test_of_many_records_the_first_are_drawn() -> None:
+    records = [made_series(i, f"r{i}.csv", n=600, n_segments=2) for i in range(6)]
+    html = render_report([ReportSection("x", made_comparison(*records))], title="x", command="x")
+    text = Page(html).text
+    assert "The first 4 of 6 records are drawn" in text
+    assert "r5.csv" in text  # its ledger is printed all the same
+
+
+def test_the_file_is_written_whole_and_small(tmp_path: Path) -> None:
+    target = tmp_path / "report.html"
+    write_report(target, [ReportSection("x", made_comparison())], title="x", command="x")
+    assert target.read_text("utf-8").startswith("<!DOCTYPE html>")
+    assert 2e5 < target.stat().st_size < 6e6
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("name", ["report.pdf", "nowhere/report.html"])
+def test_an_impossible_target_is_refused_before_anything_is_drawn(
+    tmp_path: Path, name: str
+) -> None:
+    with pytest.raises(InputError):
+        # A section that cannot be drawn: had it been tried, the error would be another.
+        write_report(tmp_path / name, [None], title="x", command="x")  # type: ignore[list-item]

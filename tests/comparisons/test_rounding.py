@@ -1,0 +1,67 @@
+"""Values rounded to their uncertainty, as the Particle Data Group does."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from comparisons.rounding import round_like, round_to_error, significant
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (30.0634, 1.2417, "30.1 ± 1.2"),
+        (0.827, 0.119, "0.83 ± 0.12"),  # the three examples of the Review of Particle Physics
+        (0.827, 0.367, "0.8 ± 0.4"),
+        (0.827, 0.0952, "0.83 ± 0.10"),
+        (18.0, 0.354, "18.00 ± 0.35"),
+        (18.0, 0.355, "18.0 ± 0.4"),
+        (18.0, 0.949, "18.0 ± 0.9"),
+        (18.0, 0.950, "18.0 ± 1.0"),
+        (-0.004, 0.2, "0.00 ± 0.20"),
+        (12345.0, 678.0, "12300 ± 700"),
+        (999.7, 1234.0, "1000 ± 1200"),
+        (1.23e-6, 4.6e-8, "(1.23 ± 0.05)e-06"),
+        (-7.0e8, 2.0e6, "(-7.000 ± 0.020)e+08"),
+        (2.0e-5, 3.2e-5, "(2.0 ± 3.2)e-05"),
+        (3.0, 0.0, "3.000"),
+        (3.0, 5e-324, "3.000"),
+        (3.0, math.nan, "3.000 ± ?"),
+        (3.0, math.inf, "3.000 ± ?"),
+        (math.nan, 1.0, "n/a"),
+        (math.inf, 1.0, "n/a"),
+    ],
+)
+def test_a_value_is_rounded_to_its_error(value: float, error: float, text: str) -> None:
+    assert round_to_error(value, error) == text
+
+
+def test_rounding_moves_a_value_by_less_than_half_its_error() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.standard_normal(2000) * 10.0 ** rng.integers(-12, 12, 2000)
+    errors = np.abs(values) * 10.0 ** rng.uniform(-5, 2, 2000)
+    for value, error in zip(values, errors, strict=True):
+        text = round_to_error(value, error)
+        scaled = re.fullmatch(r"\((.*) ± (.*)\)e(.*)", text)
+        mantissas = scaled.groups() if scaled else (*text.split(" ± "), "0")
+        shown, shown_error = (float(part) * 10.0 ** int(mantissas[2]) for part in mantissas[:2])
+        assert abs(shown - value) <= 0.5 * error
+        assert shown_error == pytest.approx(error, rel=0.15)
+
+
+def test_an_interval_takes_the_decimals_of_the_error() -> None:
+    assert round_like(27.6543, 1.24) == "27.7"
+    assert round_like(27.6543, math.nan) == "27.65"
+    assert round_like(math.nan, 1.0) == "n/a"
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(0.012345, 3, "0.0123"), (-0.0, 3, "0.00"), (12.0, 2, "12"), (1.5e9, 2, "1.5e+09")],
+)
+def test_significant_digits(value: float, digits: int, text: str) -> None:
+    assert significant(value, digits) == text

@@ -1,0 +1,82 @@
+"""The tables of the terminal.
+
+`SINDY_SURGE_WRITE_GOLDEN=1 pytest tests/comparisons/test_table.py` writes the golden file anew;
+read the difference before it is committed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+import pytest
+from comparison_data import LINES, made_comparison, made_series
+
+from comparisons.reconstruction import reconstruct_record
+from comparisons.table import FIELDS, comparison_cells, comparison_table, reconstruction_table
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "comparison_table.txt"
+CAUTIONS = (
+    *(f"record.csv: P25_{place}: {3 + place} rows clipped" for place in range(1, 5)),
+    "the estimators put τ between 18 and 30.1 ms: what they disagree on is not measured",
+)
+
+
+def test_the_table_is_the_golden_one() -> None:
+    text = comparison_table(made_comparison(cautions=CAUTIONS)) + "\n"
+    if os.environ.get("SINDY_SURGE_WRITE_GOLDEN"):
+        GOLDEN.write_text(text, "utf-8")
+    assert text == GOLDEN.read_text("utf-8")
+
+
+def test_no_line_is_wider_than_110_columns() -> None:
+    comparison = made_comparison(cautions=("a caution " * 40,))
+    assert max(map(len, comparison_table(comparison).splitlines())) <= 110
+
+
+def test_the_columns_are_aligned() -> None:
+    lines = comparison_table(made_comparison()).splitlines()
+    rows = [line for line in lines[2:] if line[:1].isdigit()]
+    assert len(rows) == len(LINES)
+    ends = {
+        line.index(cell) + len(cell)
+        for line, cell in zip(rows, ("18.01 ± 0.22", "30.1 ± 1.2", "20.00 ± ?"), strict=True)
+    }
+    assert len(ends) == 1  # numbers end below each other
+
+
+def test_cells_hold_what_the_fields_say() -> None:
+    best, second, third = comparison_cells(made_comparison())
+    by_heading = {field.heading: i for i, field in enumerate(FIELDS)}
+    assert best[by_heading["Δ to best"]] == "best"
+    assert second[by_heading["Δ to best"]] == "0.0025 ± 0.0011"
+    assert third[by_heading["Δ to best"]] == third[by_heading["held-out rms"]] == "n/a"
+    assert third[by_heading["95 % [ms]"]] == "n/a"
+    assert third[by_heading["τ [ms]"]] == "20.00 ± ?"
+
+
+def test_a_time_constant_not_told_from_zero_gets_an_upper_bound() -> None:
+    comparison = made_comparison()
+    small = {"time_constant_s": 2e-5, "time_constant_stderr_s": 1.6e-4}
+    row = dataclasses.replace(comparison.table[0], **small)
+    result = comparison.result(row.estimator)
+    result = dataclasses.replace(result, model=dataclasses.replace(result.model, **small))
+    interval = next(field for field in FIELDS if field.heading == "95 % [ms]")
+    assert interval.text(row, result) == "< 0.28"
+
+
+@pytest.mark.parametrize("low_passed", [True, False])
+def test_the_low_pass_is_warned_of(low_passed: bool) -> None:
+    history = made_series().history if low_passed else ()
+    text = comparison_table(made_comparison(made_series(history=history)))
+    assert ("known to come out high" in text) is low_passed
+
+
+def test_reconstructions_of_other_records_in_a_table() -> None:
+    comparison = made_comparison()
+    runs = [reconstruct_record(r.model, made_series(5, "other.csv")) for r in comparison.results]
+    lines = reconstruction_table(runs).splitlines()
+    assert len(lines) == 2 + len(runs)
+    assert all("other.csv" in line for line in lines[2:])
+    assert "sparse regression (SINDy)" in lines[2]
