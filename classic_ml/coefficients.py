@@ -12,6 +12,7 @@ from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
 
 __all__ = [
     "PSI_MINIMUM_PHI",
+    "WORK_FORMS",
     "coefficients",
     "corrected_speed_fraction",
     "flow_coefficient",
@@ -27,6 +28,10 @@ __all__ = [
 PSI_MINIMUM_PHI = 0.05
 # Weight of the exit in the mean pressure of the internal volume: a linear rise from 25 to 31.
 EXIT_WEIGHT = 0.5
+# ψ_QS moves by a fifth of itself over the flows of a stall; where the two planes' flows disagree by
+# half of that, Eq 13 shows their disagreement and not the work.
+FLOW_MISMATCH_LIMIT = 0.1
+WORK_FORMS = ("auto", "exit-flow", "temperature-rise")
 
 
 def rate_of_change(values: FloatArray, sample_period_s: float) -> FloatArray:
@@ -164,7 +169,13 @@ def corrected_speed_fraction(temperature_K: FloatArray, test: TestDescription) -
     return np.asarray(corrected / test.design_corrected_speed_rpm)
 
 
-def coefficients(record: Record, test: TestDescription, *, inertia_factor: float = 1.0) -> Record:
+def coefficients(
+    record: Record,
+    test: TestDescription,
+    *,
+    inertia_factor: float = 1.0,
+    work_form: str = "auto",
+) -> Record:
     """Compute φ, ψ' and, where W31 is known, ψ.
 
     Parameters
@@ -175,6 +186,10 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         Machine and speed.
     inertia_factor : float
         Multiplies ∫dx/A; 0 drops the inertia term of Eq 5.
+    work_form : {"auto", "exit-flow", "temperature-rise"}
+        ψ by the energy form of Eq 13, which takes W31 as measured; or from the temperature rise
+        alone, as if nothing were stored between the planes; or the first, unless the flows of
+        the two planes disagree by more than ψ can bear.
 
     Returns
     -------
@@ -207,27 +222,10 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         return record.after(
             LedgerEntry("work coefficient", "ψ is not known", {}, (Dropped("ψ", phi.size, why),))
         )
-    return _with_work(record, test, inertia)
+    return _with_work(record, test, inertia, work_form)
 
 
-def _with_work(record: Record, test: TestDescription, inertia: float) -> Record:
-    machine = test.compressor
-    blading_Pa = record["P31_Pa"] + inertia * record["dW25_dt_kg_s2"]
-    mean_Pa = record["P25_Pa"] + EXIT_WEIGHT * (blading_Pa - record["P25_Pa"])
-    storage_W = (
-        machine.internal_volume_m3
-        / (machine.gamma - 1.0)
-        * rate_of_change(mean_Pa, record.sample_period_s)
-    )
-    raw = work_coefficient(
-        record["W25_kg_s"],
-        record["W31_kg_s"],
-        record["T25_K"],
-        record["T31_K"],
-        storage_W,
-        test.rotor_velocity_m_s,
-        machine,
-    )
+def _with_work(record: Record, test: TestDescription, inertia: float, form: str) -> Record:
     known = psi_is_known(record["phi"])
     gaps = int(np.count_nonzero(~known))
     parameters: dict[str, str | int | float | bool] = {
@@ -241,10 +239,30 @@ def _with_work(record: Record, test: TestDescription, inertia: float) -> Record:
                 "work coefficient", "ψ is not known", parameters, (Dropped("ψ", gaps, why),)
             )
         )
-    psi = _bridge(raw, known)
+    by_flow, by_rise = _energy_form(record, test, inertia), _temperature_rise(record, test)
+    # Half of what lies between the 16th and 84th percentile is a standard deviation that single
+    # rows near zero flow do not decide.
+    low, high = np.percentile((by_flow - by_rise)[known], [16.0, 84.0])
+    mismatch = 0.5 * float(high - low) / float(np.median(by_rise[known]))
+    parameters["flow_mismatch"] = round(mismatch, 4)
+    too_far = mismatch > FLOW_MISMATCH_LIMIT
+    rise = form == "temperature-rise" or (form == "auto" and too_far)
+    parameters["form"] = "temperature-rise" if rise else "exit-flow"
+    flags: tuple[str, ...] = ()
+    if too_far:
+        flags = (
+            f"the measured W31 and W25 disagree by an equivalent of {100.0 * mismatch:.0f} % in ψ: "
+            + (
+                "ψ is taken from the temperature rise alone, which leaves out what is stored "
+                "between the planes"
+                if rise
+                else "ψ by Eq 13 shows their disagreement more than the work"
+            ),
+        )
+    how = "the temperature rise" if rise else "the energy form of Eq 13"
     entry = LedgerEntry(
         "work coefficient",
-        f"ψ by the energy form of Eq 13, interpolated over {gaps} of {psi.size} rows",
+        f"ψ by {how}, interpolated over {gaps} of {known.size} rows",
         parameters,
         (
             Dropped(
@@ -255,8 +273,38 @@ def _with_work(record: Record, test: TestDescription, inertia: float) -> Record:
         )
         if gaps
         else (),
+        flags,
     )
+    psi = _bridge(by_rise if rise else by_flow, known)
     return record.after(entry, add=[Channel("psi", psi, "1")])
+
+
+def _temperature_rise(record: Record, test: TestDescription) -> FloatArray:
+    """ψ with T2 = T31 (nothing stored between the planes)."""
+    rise_K = record["T31_K"] - record["T25_K"]
+    heat = test.compressor.specific_heat_J_kg_K
+    return np.asarray(2.0 * heat / test.rotor_velocity_m_s**2 * rise_K)
+
+
+def _energy_form(record: Record, test: TestDescription, inertia: float) -> FloatArray:
+    """ψ by Eq 13, W31 as measured."""
+    machine = test.compressor
+    blading_Pa = record["P31_Pa"] + inertia * record["dW25_dt_kg_s2"]
+    mean_Pa = record["P25_Pa"] + EXIT_WEIGHT * (blading_Pa - record["P25_Pa"])
+    storage_W = (
+        machine.internal_volume_m3
+        / (machine.gamma - 1.0)
+        * rate_of_change(mean_Pa, record.sample_period_s)
+    )
+    return work_coefficient(
+        record["W25_kg_s"],
+        record["W31_kg_s"],
+        record["T25_K"],
+        record["T31_K"],
+        storage_W,
+        test.rotor_velocity_m_s,
+        machine,
+    )
 
 
 def _bridge(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:

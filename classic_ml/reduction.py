@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from classic_ml.airflow import local_flows, plane_averages
 from classic_ml.calibration import calibrate, invert_thermocouples, match_near_stall
-from classic_ml.coefficients import coefficients, corrected_speed_fraction
+from classic_ml.coefficients import WORK_FORMS, coefficients, corrected_speed_fraction
 from classic_ml.errors import InputError
 from classic_ml.faults import choose_channels, inspect_readings
 from classic_ml.filtering import filter_channels
@@ -26,6 +26,7 @@ _CHOICES = {
     "probes": ("all", "tip", "hub"),
     "near_stall_match": ("pair", "forward", "none"),
     "stall_rule": ("threshold", "hub-tip"),
+    "work_form": WORK_FORMS,
 }
 
 
@@ -57,6 +58,9 @@ class ReductionSettings:
         curve worse (the test on the simulated rig shows it).
     near_stall_match : {"pair", "forward", "none"}
         What the near-stall match moves.
+    work_form : {"auto", "exit-flow", "temperature-rise"}
+        How ψ is had: by Eq 13 with W31 as measured, from the temperature rise alone, or by the
+        first unless the flows of the two planes disagree by more than ψ can bear.
     window_s : tuple of float, optional
         Quasi-steady cycles on the facility clock; None takes test.toml's, else they are found.
 
@@ -76,6 +80,7 @@ class ReductionSettings:
     inertia_factor: float = 1.0
     thermocouple_inversion: bool = False
     near_stall_match: str = "pair"
+    work_form: str = "auto"
     window_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -171,7 +176,9 @@ def reduce_record(
     record = choose_channels(record.after(found), test, window)
     unfiltered = _unfiltered_averages(record, test, chosen)
     record = _averages(record, test, chosen)
-    record = coefficients(record, test, inertia_factor=chosen.inertia_factor)
+    record = coefficients(
+        record, test, inertia_factor=chosen.inertia_factor, work_form=chosen.work_form
+    )
     record = _with_channels(record, unfiltered)
     record = _segmented(record, test, chosen, window)
     return Reduction(_series(record), record, chosen, test, window_s)

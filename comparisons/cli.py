@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 __all__ = ["build_parser", "main"]
 
@@ -73,7 +74,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-_Commands = argparse._SubParsersAction  # type: ignore[type-arg]
+_Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def _add_demo(commands: _Commands) -> None:
@@ -130,6 +131,12 @@ def _add_reduce(commands: _Commands) -> None:
     )
     parser.add_argument(
         "--invert-thermocouples", action="store_true", help="undo the lag of the thermocouples"
+    )
+    parser.add_argument(
+        "--work-form",
+        choices=("auto", "exit-flow", "temperature-rise"),
+        default=None,
+        help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
     )
     parser.add_argument(
         "--threshold", type=float, default=None, metavar="LBM_S", help="corrected flow of stall"

@@ -15,6 +15,7 @@ from classic_ml.series import CoefficientSeries, read_series, write_series
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction, ReductionSettings
     from comparisons.compare import Comparison
+    from comparisons.lag_value import FittedLag
     from comparisons.reconstruction import Reconstruction
 
 __all__ = ["run_compare", "run_demo", "run_reconstruct", "run_reduce", "run_simulate"]
@@ -35,11 +36,12 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_reduce(arguments: argparse.Namespace) -> None:
     """Reduce a raw record to a series file."""
+    from classic_ml.readers import read_raw
     from classic_ml.reduction import reduce_record
 
     check_target(arguments.out, (".csv", ".nc", ".nc4", ".netcdf"))
     _check_targets((arguments.report, HTML))
-    record, test = _read_raw(arguments.raw, arguments.test)
+    record, test = read_raw(arguments.raw, arguments.test)
     reduction = reduce_record(record, test, _settings(arguments))
     write_series(reduction.series, arguments.out)
     if arguments.report:
@@ -151,12 +153,6 @@ def run_demo(arguments: argparse.Namespace) -> None:
     print(f"report: {done.report}")
 
 
-def _read_raw(raw: Path, test: Path) -> tuple[object, object]:
-    from classic_ml.readers import read_raw
-
-    return read_raw(raw, test)
-
-
 def _settings(arguments: argparse.Namespace) -> ReductionSettings:
     """Take over what was given; the rest keeps the defaults of the reduction."""
     from classic_ml.reduction import ReductionSettings
@@ -166,6 +162,7 @@ def _settings(arguments: argparse.Namespace) -> ReductionSettings:
         "cutoff_hz": arguments.cutoff,
         "phase": arguments.phase,
         "probes": arguments.probes,
+        "work_form": arguments.work_form,
         "thermocouple_inversion": arguments.invert_thermocouples or None,
         "threshold_lbm_s": arguments.threshold,
         "hysteresis_lbm_s": arguments.hysteresis,
@@ -196,7 +193,7 @@ def _compare(
     return comparison, work
 
 
-def _models(comparison: Comparison, work: Comparison | None) -> dict[str, object]:
+def _models(comparison: Comparison, work: Comparison | None) -> dict[str, FittedLag]:
     models = {result.name: result.model for result in comparison.results}
     if work is not None:
         models.update({f"{result.name}:psi": result.model for result in work.results})

@@ -53,6 +53,8 @@ class EstimatorResult:
         Free run on the rows held out, by a fit to the others; None where there were too few.
     reconstruction : ndarray of shape (n,)
         Free run over the fitted rows from each segment's measured start.
+    trained : ndarray of shape (n,)
+        The same by the fit to the training rows alone: what the held-out rows are scored with.
     errors_one_step : ndarray of shape (n,)
         One-step errors.
     held_out_blocks : ndarray of shape (n_blocks, 2)
@@ -73,6 +75,7 @@ class EstimatorResult:
     one_step: FitScore
     held_out: FitScore | None
     reconstruction: FloatArray
+    trained: FloatArray
     errors_one_step: FloatArray
     held_out_blocks: FloatArray
     checks: tuple[CheckRow, ...]
@@ -203,20 +206,22 @@ def _run(
         rows.phi, rows.sample_period_s, rows.labels, start=rows.measured
     )
     predicted, known = _one_step(estimator, model, rows)
-    held_out, blocks = _held_out(spec, rows, hold, valid_phi)
-    state = getattr(estimator, "fit_state_", None)
+    trained = _trained(spec, rows, hold, valid_phi)
+    held_out, blocks = _held_out(rows, trained)
+    state, advice = _state(estimator)
     errors = np.where(known, rows.measured - predicted, 0.0)
     return EstimatorResult(
         spec.name,
         spec.label,
         model,
-        getattr(state, "code", "converged"),
-        getattr(state, "advice", ""),
-        _equation(estimator, rows.target),
+        state,
+        advice,
+        model.equation(),
         score_fit(rows.measured, reconstruction),
         score_fit(rows.measured, predicted, known),
         held_out,
         reconstruction,
+        reconstruction if trained is None else trained,
         errors,
         blocks,
         (
@@ -250,22 +255,35 @@ def _one_step(estimator: Any, model: FittedLag, rows: FitRows) -> tuple[FloatArr
     return prediction, known
 
 
-def _held_out(
+def _trained(
     spec: EstimatorSpec, rows: FitRows, hold: Hold, valid_phi: tuple[float, float]
-) -> tuple[FitScore | None, FloatArray]:
-    train, test = rows.part(rows.train), rows.part(~rows.train)
-    if test.phi.size == 0 or train.phi.size == 0:
-        return None, np.zeros((0, 2))
+) -> FloatArray | None:
+    """Return the free run over all rows of a fit to the training rows, or None without both."""
+    if rows.train.all() or not rows.train.any():
+        return None
+    train = rows.part(rows.train)
     estimator = spec.build(train).fit(train.X, train.measured, segments=train.labels)
     model = _value(estimator, spec, train, hold, valid_phi)
-    free_run = model.free_run(test.phi, test.sample_period_s, test.labels, start=test.measured)
-    score = score_fit(test.measured, free_run)
-    return score, block_errors(test.measured - free_run, test.runs)
+    # Where the one segment is cut in two, the held-out part has a measured start of its own.
+    labels = 2 * rows.labels + ~rows.train
+    return model.free_run(rows.phi, rows.sample_period_s, labels, start=rows.measured)
 
 
-def _equation(estimator: Any, target: str) -> str:
-    text = str(estimator.equation()) if hasattr(estimator, "equation") else ""
-    return text.replace("dy/dt + y =", "dψ'/dt + ψ' =" if target == "psi_p" else "dψ/dt + ψ =")
+def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | None, FloatArray]:
+    if trained is None:
+        return None, np.zeros((0, 2))
+    test = rows.part(~rows.train)
+    free_run = trained[~rows.train]
+    return score_fit(test.measured, free_run), block_errors(test.measured - free_run, test.runs)
+
+
+def _state(estimator: Any) -> tuple[str, str]:
+    """Return code and advice of how a fit ended; an estimator without a state ended well."""
+    state = getattr(estimator, "fit_state_", None)
+    if state is None:
+        return "converged", ""
+    code = str(getattr(state, "code", state))
+    return ("converged" if code == "ok" else code), str(getattr(state, "advice", ""))
 
 
 def _table(results: tuple[EstimatorResult, ...]) -> tuple[ComparisonRow, ...]:
@@ -306,22 +324,31 @@ def _trust(
     """Say in words what in this line should not be relied on."""
     words = []
     if not result.converged:
-        words.append(result.advice)
+        words.append(result.advice.rstrip("."))
     if result.held_out is None:
         words.append("no held-out rows: the rms is of the fit itself")
     elif result.held_out.r2 < 0.0:
         words.append("worse than a constant on held-out cycles")
     elif 0.0 < abs(difference) < 2.0 * paired_error:
         words.append("no worse than the best within the paired error")
-    taus = [r.model.time_constant_s for r in results if math.isfinite(r.model.time_constant_s)]
-    if len(taus) > 1 and math.isfinite(result.model.time_constant_s):
-        middle = float(np.median(taus))
-        if abs(result.model.time_constant_s / middle - 1.0) > TAU_AGREEMENT:
-            words.append("τ off the others by more than 15 %")
+    taus = _time_constants(results)
+    tau = result.model.time_constant_s
+    if len(taus) > 1 and tau in taus and abs(tau / np.median(taus) - 1.0) > TAU_AGREEMENT:
+        words.append("τ off the others by more than 15 %")
     failed = [check.check for check in result.checks if not check.passed]
     if failed:
         words.append("failed: " + ", ".join(failed))
     return "; ".join(words) or "nothing speaks against it"
+
+
+def _time_constants(results: tuple[EstimatorResult, ...]) -> list[float]:
+    """Return the τ that were measured: those that are told from zero."""
+    models = [result.model for result in results]
+    return [
+        m.time_constant_s
+        for m in models
+        if math.isfinite(m.time_constant_s) and m.time_constant_s > 2.0 * m.time_constant_stderr_s
+    ]
 
 
 def _cautions(
@@ -331,7 +358,7 @@ def _cautions(
     for record in records:
         for entry in record.history:
             cautions += [f"{record.source}: {flag}" for flag in entry.flags]
-    taus = [r.model.time_constant_s for r in results if math.isfinite(r.model.time_constant_s)]
+    taus = _time_constants(results)
     if len(taus) > 1 and max(taus) > (1.0 + 2.0 * TAU_AGREEMENT) * min(taus):
         cautions.append(
             f"the estimators put τ between {1e3 * min(taus):.3g} and {1e3 * max(taus):.3g} ms: "

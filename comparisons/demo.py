@@ -26,7 +26,8 @@ __all__ = ["Demo", "run"]
 # is for validation: nothing is fitted to it.
 FITTED = (("985", "98.5 % speed"), ("90", "90 % speed"))
 VALIDATION = "985-second"
-TRUTH_POINTS = 200
+# Beyond this the rig's in-stall parabola meets its unstalled branch.
+TRUTH_TO_PHI = 0.24
 
 
 @dataclass(frozen=True)
@@ -150,21 +151,22 @@ def _validate(comparison: Comparison, seed: int, folder: Path) -> tuple[Reconstr
 
 
 def _truth(rig: RigRun, target: str) -> Truth:
-    """Return the rig's own in-stall characteristic, sorted over φ."""
+    """Return the rig's own in-stall characteristic over forward flow."""
     from comparisons.truth import Truth
 
-    stalled = rig.truth["in_stall"] > 0.5
-    # Reverse flow adds a loss that is not part of the lagged characteristic.
-    forward = stalled & (rig.truth["phi"] >= 0.0)
-    phi = rig.truth["phi"][forward]
-    order = np.argsort(phi)
-    picked = order[np.linspace(0, order.size - 1, min(TRUTH_POINTS, order.size)).astype(int)]
-    return Truth(
-        float(rig.truth_parameters["tau_s"]),
-        phi[picked],
-        rig.truth[f"{target}_qs"][forward][picked],
-        "truth of the simulated rig",
-    )
+    phi = np.linspace(0.0, TRUTH_TO_PHI, 101)
+    known = rig.truth_parameters
+    if target == "psi_p":
+        quasi_steady = np.polynomial.polynomial.polyval(phi, known["beta"])
+    else:
+        first, second = known["psi_breaks"]
+        pieces = [
+            np.minimum(phi, first),
+            np.clip(phi - first, 0.0, second - first),
+            np.maximum(phi - second, 0.0),
+        ]
+        quasi_steady = known["psi_intercept"] + np.asarray(known["psi_slopes"]) @ np.array(pieces)
+    return Truth(float(known["tau_s"]), phi, quasi_steady, "truth of the simulated rig")
 
 
 def _against_truth(title: str, comparison: Comparison, truth: Truth) -> list[str]:

@@ -7,6 +7,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from comparisons.cautions import tau_caution
 from comparisons.compare import Comparison, EstimatorResult
 
 __all__ = ["COMPARE_SCHEMA", "comparison_document", "to_strict_json"]
@@ -36,6 +37,7 @@ def to_strict_json(document: dict[str, Any]) -> str:
 
 
 def _body(comparison: Comparison) -> dict[str, Any]:
+    tau = tau_caution(record.history for record in comparison.records)
     return {
         "records": [
             {
@@ -54,7 +56,7 @@ def _body(comparison: Comparison) -> dict[str, Any]:
         "segments_fitted": comparison.rows.n_segments,
         "estimators": {result.name: _estimator(result) for result in comparison.results},
         "comparison": [asdict(row) for row in comparison.table],
-        "cautions": list(comparison.cautions),
+        "cautions": [*([tau] if tau else []), *comparison.cautions],
     }
 
 

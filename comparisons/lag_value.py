@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.errors import InputError
+from classic_ml.files import write_whole
 from classic_ml.first_order_lag import FirstOrderLag, Hold
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
-from classic_ml.files import write_whole
+from comparisons.rounding import bracketed
 from comparisons.terms import evaluate_terms, is_known_term
 
 __all__ = ["MODEL_SCHEMA", "FittedLag", "LagEstimator", "load_models", "save_models"]
@@ -114,10 +115,14 @@ class FittedLag:
 
     @property
     def ci95_s(self) -> tuple[float, float]:
-        """95 % interval of τ, in seconds; taken on log τ, so that it stays positive."""
+        """95 % interval of τ, in seconds; on log τ where τ is well told from zero."""
         if not math.isfinite(self.time_constant_stderr_s):
             return (math.nan, math.nan)
-        factor = math.exp(min(1.96 * self.time_constant_stderr_s / self.time_constant_s, 700.0))
+        reach = 1.96 * self.time_constant_stderr_s
+        if reach > 0.5 * self.time_constant_s:
+            # So wide, log τ is no longer normal either: a bound from above is what is known.
+            return (max(0.0, self.time_constant_s - reach), self.time_constant_s + reach)
+        factor = math.exp(reach / self.time_constant_s)
         return (self.time_constant_s / factor, self.time_constant_s * factor)
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:
@@ -179,6 +184,19 @@ class FittedLag:
             before = target[run][:-1]
             out[run.start + 1 : run.stop] = lag.a * before + lag.drive(quasi_steady[run])
         return out
+
+    def equation(self) -> str:
+        """Return the model in one line, each number rounded to its standard error."""
+        symbol = {"psi_p": "ψ'", "psi": "ψ"}.get(self.target, self.target)
+        terms = [
+            _term(name, value, stderr)
+            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
+        ]
+        right = " ".join(terms).removeprefix("+ ") or "0"
+        if not math.isfinite(self.time_constant_s):
+            return f"{symbol} = {right}"
+        tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
+        return f"{tau_ms} ms · d{symbol}/dt + {symbol} = {right}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the value as plain JSON types."""
@@ -265,6 +283,12 @@ def load_models(path: str | Path) -> dict[str, FittedLag]:
     if not models:
         raise InputError(str(file), expected=expected, found="a file without a model")
     return models
+
+
+def _term(name: str, value: float, stderr: float) -> str:
+    sign = "-" if value < 0.0 else "+"
+    factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
+    return f"{sign} {bracketed(abs(value), stderr)}{factor}"
 
 
 def _finite(value: float) -> float | None:

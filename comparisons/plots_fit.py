@@ -342,7 +342,7 @@ def _reconstruction_panel(
     for result in results:
         style = styles[result.name]
         ax.plot(
-            *broken(time_s, result.reconstruction[keep], runs),
+            *broken(time_s, result.trained[keep], runs),
             color=style.colour,
             linestyle="-" if span is None else style.dashes,
             lw=width,

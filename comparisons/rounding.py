@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["decimals_for", "round_like", "round_to_error", "significant"]
+__all__ = ["bracketed", "decimals_for", "round_like", "round_to_error", "significant"]
 
 # Beyond these a number is easier read with a power of ten.
 PLAIN_RANGE = (1e-4, 1e6)
@@ -48,6 +48,29 @@ def round_to_error(value: float, error: float) -> str:
     decimals = decimals_for(scaled_error)
     rounded = _fixed(_rounded_error(scaled_error), decimals)
     return f"({_fixed(scaled, decimals)} ± {rounded})e{exponent:+03d}"
+
+
+def bracketed(value: float, error: float) -> str:
+    """Round a value to its standard error and write the error in its last digits.
+
+    Parameters
+    ----------
+    value, error : float
+        The value and its standard error.
+
+    Returns
+    -------
+    str
+        E.g. ``"0.351(12)"``, ``"30.1(1.2)"``, ``"353(24)"``; without an error to speak of, the
+        value alone.
+    """
+    if not (math.isfinite(value) and math.isfinite(error) and error >= SMALLEST_ERROR):
+        return significant(value)
+    decimals = decimals_for(error)
+    rounded = _rounded_error(error)
+    last_digits = rounded * 10.0**decimals if 0.0 < rounded < 1.0 else rounded
+    error_text = f"{last_digits:.0f}" if rounded < 1.0 else _fixed(rounded, decimals)
+    return f"{_fixed(value, decimals)}({error_text})"
 
 
 def round_like(value: float, error: float) -> str:

@@ -177,7 +177,7 @@ def reconstruction_pictures(fit: Comparison) -> tuple[Block, ...]:
             f"As Fig 27 of the paper. Above: {best.label}, the least held-out error; below: all "
             "estimators around the border to the held-out cycles. A free run knows the measured "
             "flow, and of the measured coefficient only the first row of each segment. Shaded "
-            "cycles were held out for the score; the lines drawn are of the fit to all cycles.",
+            "cycles were held out: the lines drawn are of a fit to the other cycles alone.",
         )
         for index in drawn
     ]

@@ -10,8 +10,8 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from classic_ml.files import check_target, write_whole
 from comparisons.compare import Comparison
-from comparisons.files import check_target, write_whole
 from comparisons.reconstruction import Reconstruction
 from comparisons.report.blocks import Head, Part, Table
 from comparisons.truth import Truth

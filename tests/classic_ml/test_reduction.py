@@ -159,7 +159,7 @@ def test_a_window_is_taken_from_settings_then_file_then_cycles(made: RawTest) ->
 
 def test_the_work_coefficient_follows_the_temperature_rise() -> None:
     ideal = make_test(quantise=False, lag_thermocouples=True)
-    reduction = reduced(ideal, phase="none", thermocouple_inversion=True)
+    reduction = reduced(ideal, phase="none", thermocouple_inversion=True, work_form="exit-flow")
     series = reduction.series
     assert series.psi is not None
     assert np.all(np.isfinite(series.psi))

@@ -9,10 +9,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from classic_ml.coefficients import psi_is_known
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from comparisons.rig import simulate, write_run
+from comparisons.rig import SensorSettings, simulate, write_run
 
 
 @cache
@@ -87,3 +88,26 @@ def test_the_window_holds_the_repeating_cycles_of_every_plant(case: str) -> None
     settled = np.median(speed[inside])
     half = inside & (truth.time_s < 0.5 * (start + stop))
     assert np.abs(np.median(speed[half]) - settled) < 0.02
+
+
+def work_error(sensors: SensorSettings | None, folder: Path, form: str) -> tuple[float, str]:
+    """Return the rms error of ψ in the segments, and the form that was taken."""
+    run = simulate("90", seed=0, sensors=sensors)
+    write_run(run, folder)
+    reduction = reduce_record(
+        *read_raw(folder / "raw.csv", folder / "test.toml"), ReductionSettings(work_form=form)
+    )
+    assert reduction.series.psi is not None
+    rows = reduction.series.scored & psi_is_known(reduction.series.phi)
+    error = (reduction.series.psi - run.truth["psi"])[rows]
+    entry = next(e for e in reduction.record.history if e.step == "work coefficient")
+    return float(np.sqrt(np.mean(error**2))), str(entry.parameters["form"])
+
+
+def test_eq_13_gives_way_where_the_flows_of_the_planes_disagree(tmp_path: Path) -> None:
+    measured, form = work_error(None, tmp_path / "a", "auto")
+    by_eq_13, _ = work_error(None, tmp_path / "b", "exit-flow")
+    assert form == "temperature-rise"
+    assert measured < 0.35 * by_eq_13
+    _, form = work_error(SensorSettings.ideal(), tmp_path / "c", "auto")
+    assert form == "exit-flow"

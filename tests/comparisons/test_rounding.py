@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from comparisons.rounding import round_like, round_to_error, significant
+from comparisons.rounding import bracketed, round_like, round_to_error, significant
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,22 @@ def test_an_interval_takes_the_decimals_of_the_error() -> None:
 )
 def test_significant_digits(value: float, digits: int, text: str) -> None:
     assert significant(value, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.35123, 0.0123, "0.351(12)"),
+        (0.35123, 0.0005, "0.3512(5)"),
+        (30.123, 1.23, "30.1(1.2)"),
+        (353.4, 24.1, "353(24)"),
+        (1.0, 0.96, "1.0(1.0)"),
+        (1.0, 0.098, "1.00(10)"),
+        (1.5, math.nan, "1.500"),
+        (1.5, 0.0, "1.500"),
+    ],
+)
+def test_a_bracketed_error_stands_for_the_last_digits(
+    value: float, error: float, text: str
+) -> None:
+    assert bracketed(value, error) == text
