@@ -1,0 +1,369 @@
+"""The command line as a user meets it: what works, and what each mistake is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from lag_data import PERIOD_S, TAU_S, flow, lagged
+
+from comparisons.cli import main
+from comparisons.rig import simulate, write_run
+
+RECORD = Path(__file__).parents[3] / "shared" / "data" / "independent_rig_985"
+needs_record = pytest.mark.skipif(
+    not RECORD.is_dir(), reason="the raw record independent_rig_985 is not beside the checkout"
+)
+HEAVY = ("matplotlib", "numba", "numpy", "pandas", "pysindy", "scipy", "sklearn", "xarray")
+
+
+def series_table(n: int = 3000, seed: int = 0) -> pd.DataFrame:
+    rng = np.random.default_rng(seed)
+    phi = flow(n, rng)
+    psi_p = lagged(phi, "first") + 0.003 * rng.standard_normal(n)
+    return pd.DataFrame({"time_s": np.arange(n) * PERIOD_S, "phi": phi, "psi_p": psi_p})
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("raw") / "985"
+    write_run(simulate("985", seed=5), folder)
+    return folder
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def test_help_answers_without_loading_anything_heavy() -> None:
+    code = (
+        "import sys; from comparisons.cli import build_parser; build_parser().format_help(); "
+        f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("command", ["demo", "simulate", "reduce", "compare", "reconstruct"])
+def test_each_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        run(command, "--help")
+    assert stop.value.code == 0
+    assert command in capsys.readouterr().out
+
+
+@needs_record
+def test_a_real_record_goes_from_counts_to_both_estimates(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    series = tmp_path / "s.csv"
+    raw, test = RECORD / "raw.csv", RECORD / "test.toml"
+    assert run("reduce", raw, "--test", test, "-o", series) == 0
+    assert list(pd.read_csv(series).columns[:3]) == ["time_s", "phi", "psi_p"]
+    assert run("compare", series, "--json", tmp_path / "c.json") == 0
+    out = capsys.readouterr().out
+    assert "maximum likelihood (armax)" in out
+    assert "sparse regression (SINDy)" in out
+    document = json.loads((tmp_path / "c.json").read_text("utf-8"))
+    curve = document["estimators"]["classic_ml"]["characteristic"]
+    at = np.array([0.0, 0.05, 0.1, 0.15])
+    found = np.interp(at, curve["phi"], curve["psi_p"])
+    # SOURCE.txt of the record.
+    assert np.abs(found - (1.2135 + 2.941 * at + 47.358 * at**2)).max() < 0.15
+
+
+def test_simulate_reduce_compare_save_reconstruct(raw: Path, tmp_path: Path) -> None:
+    second = tmp_path / "second"
+    assert run("simulate", "--case", "985-second", "--seed", 6, "-o", second) == 0
+    files = []
+    for folder, suffix in ((raw, ".csv"), (second, ".nc")):
+        files.append(tmp_path / f"{folder.name}{suffix}")
+        assert (
+            run("reduce", folder / "raw.csv", "--test", folder / "test.toml", "-o", files[-1]) == 0
+        )
+    model, report = tmp_path / "m.json", tmp_path / "r.html"
+    assert run("compare", files[0], "--save", model, "--report", report) == 0
+    assert "<html" in report.read_text("utf-8")
+    out, scores = tmp_path / "rec.csv", tmp_path / "rec.json"
+    again = ("reconstruct", model, files[1], "--estimator", "classic_ml")
+    assert run(*again, "-o", out, "--json", scores, "--report", tmp_path / "v.html") == 0
+    table = pd.read_csv(out)
+    error = table["psi_p"] - table["psi_p_reconstructed"]
+    score = json.loads(scores.read_text("utf-8"))["reconstructions"][0]["free_run"]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(score["rms"], rel=1e-9)
+    assert score["r2"] > 0.8
+
+
+def test_a_plain_series_of_three_columns_is_enough(tmp_path: Path) -> None:
+    file, out = tmp_path / "s.csv", tmp_path / "c.json"
+    series_table().to_csv(file, index=False)
+    assert run("compare", file, "--json", out, "--degree", 2) == 0
+    estimators = json.loads(out.read_text("utf-8"))["estimators"]
+    for name in ("classic_ml", "sindy"):
+        tau = estimators[name]["time_constant_s"]
+        assert abs(tau["value"] - TAU_S) < 4 * tau["stderr"]
+        assert tau["ci95"][0] < tau["value"] < tau["ci95"][1]
+
+
+def test_the_degree_and_the_hold_reach_the_fit(tmp_path: Path) -> None:
+    file, out = tmp_path / "s.csv", tmp_path / "c.json"
+    series_table().to_csv(file, index=False)
+    assert run("compare", file, "--json", out, "--degree", 3, "--hold", "zero") == 0
+    estimate = json.loads(out.read_text("utf-8"))["estimators"]["classic_ml"]
+    assert [term["name"] for term in estimate["terms"]] == ["1", "phi", "phi^2", "phi^3"]
+    assert estimate["hold"] == "zero"
+
+
+def nothing_but(folder: Path, *names: str) -> bool:
+    return sorted(p.name for p in folder.iterdir()) == sorted(names)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run what must be refused; return the sentence."""
+    assert run(*arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "Traceback" not in said.err
+    return said.err
+
+
+def gap(table: pd.DataFrame) -> pd.DataFrame:
+    return table.drop(index=range(500, 520))
+
+
+def repeat(table: pd.DataFrame) -> pd.DataFrame:
+    table.loc[700, "time_s"] = table.loc[699, "time_s"]
+    return table
+
+
+def back(table: pd.DataFrame) -> pd.DataFrame:
+    table.loc[700, "time_s"] = 0.1
+    return table
+
+
+def setting(column: str, value: object, row: int | slice = 1234) -> Callable[..., pd.DataFrame]:
+    def spoil(table: pd.DataFrame) -> pd.DataFrame:
+        table[column] = table[column].astype(object)
+        table.loc[row, column] = value
+        return table
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (gap, ("time_s", "uniform step")),
+        (repeat, ("time_s", "repeats", "row 701")),
+        (back, ("time_s", "runs back", "row 701")),
+        (setting("phi", np.nan), ("phi", "finite", "row 1235")),
+        (setting("psi_p", np.inf), ("psi_p", "finite", "row 1235")),
+        (setting("phi", "n/a!"), ("phi", "numbers", "n/a!")),
+        (setting("phi", 0.3, slice(None)), ("phi", "constant")),
+        (setting("psi_p", 1.0, slice(None)), ("psi_p", "constant")),
+        (setting("phi", 40.0), ("phi", "between")),
+        (lambda t: t.drop(columns="psi_p"), ("psi_p", "no column")),
+        (lambda t: t.iloc[:99], ("100 rows", "99")),
+        (lambda t: t.assign(in_stall=2), ("in_stall", "0 or 1")),
+        (lambda t: t.assign(segment=0.5), ("segment", "whole numbers")),
+        (lambda t: t.assign(segment=0), ("segment", "to be fitted")),
+        (lambda t: t.assign(T25_K=-3.0), ("T25_K", "between")),
+    ],
+)
+def test_a_bad_series_is_refused_in_one_sentence(
+    spoil: Callable[[pd.DataFrame], pd.DataFrame],
+    words: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "bad.csv"
+    spoil(series_table()).to_csv(file, index=False)
+    said = refused(capsys, "compare", file, "--json", tmp_path / "c.json")
+    assert str(file) in said
+    for word in words:
+        assert word in said
+    assert nothing_but(tmp_path, "bad.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("s.xlsx", b"x", ("suffix",)),
+        ("s.csv", b"", ("CSV",)),
+        ("s.csv", b"\x00\xff\xfe\x89PNG" * 200, ("s.csv",)),
+        ("s.nc", b"not netcdf", ("netCDF",)),
+        ("s.csv", b"time_s,phi,phi,psi_p\n" + b"0,1,1,1\n" * 200, ("phi", "2 times")),
+    ],
+)
+def test_what_is_no_series_is_refused(
+    name: str,
+    content: bytes,
+    words: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    said = refused(capsys, "compare", tmp_path / name)
+    for word in words:
+        assert word in said
+
+
+def test_missing_files_and_folders_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "s.csv"
+    assert "no such file" in refused(capsys, "compare", file)
+    series_table(300).to_csv(file, index=False)
+    assert "folder" in refused(capsys, "compare", file, "--json", tmp_path / "none" / "c.json")
+    assert ".html" in refused(capsys, "compare", file, "--report", tmp_path / "r.txt")
+    assert "folder" in refused(capsys, "compare", file, "--save", tmp_path)
+    assert "no such file" in refused(capsys, "reconstruct", tmp_path / "m.json", file)
+    assert nothing_but(tmp_path, "s.csv")
+
+
+def drop_channel(folder: Path) -> None:
+    table = pd.read_csv(folder / "raw.csv")
+    table.drop(columns="P25_B_hub_aft").to_csv(folder / "raw.csv", index=False)
+
+
+def put_nan(folder: Path) -> None:
+    table = pd.read_csv(folder / "raw.csv", dtype=str)
+    table.loc[100, "P31_A_tip_aft"] = "nan"
+    table.to_csv(folder / "raw.csv", index=False)
+
+
+def bend_clock(folder: Path) -> None:
+    table = pd.read_csv(folder / "raw.csv")
+    table.loc[2000:, "time_s"] += 0.003
+    table.to_csv(folder / "raw.csv", index=False)
+
+
+def saturate(folder: Path) -> None:
+    table = pd.read_csv(folder / "raw.csv")
+    tips = [name for name in table.columns if name.startswith("P25") and "tip" in name]
+    table[tips] = 4095
+    table.to_csv(folder / "raw.csv", index=False)
+
+
+def replacing(old: str, new: str) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        file = folder / "test.toml"
+        text = file.read_text("utf-8")
+        assert old in text
+        file.write_text(text.replace(old, new, 1), "utf-8")
+
+    return spoil
+
+
+def without_line(start: str) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        file = folder / "test.toml"
+        lines = file.read_text("utf-8").splitlines(keepends=True)
+        at = next(i for i, line in enumerate(lines) if line.startswith(start))
+        file.write_text("".join(lines[:at] + lines[at + 1 :]), "utf-8")
+
+    return spoil
+
+
+def truncate(folder: Path) -> None:
+    (folder / "raw.csv").write_bytes((folder / "raw.csv").read_bytes()[:200])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (drop_channel, ("P25_B_hub_aft",)),
+        (replacing('unit = "count"', 'unit = "psi"'), ("unit", "psi")),
+        (put_nan, ("P31_A_tip_aft", "nan")),
+        (bend_clock, ("time_s", "uniform")),
+        (saturate, ("P25", "clipped")),
+        (without_line("calibrate_count"), ("calibrate_count",)),
+        (without_line("zero_count"), ("zero_count",)),
+        (replacing("sample_rate_hz = 1000.0", "sample_rate_hz = 500.0"), ("500",)),
+        (replacing("[test]", "[test"), ("test.toml",)),
+        (replacing("rotor_speed_rpm = ", 'rotor_speed_rpm = "fast" # '), ("rotor_speed_rpm",)),
+        (truncate, ("raw.csv",)),
+    ],
+)
+def test_a_bad_raw_record_is_refused_in_one_sentence(
+    spoil: Callable[[Path], None],
+    words: tuple[str, ...],
+    raw: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "raw"
+    shutil.copytree(raw, folder)
+    spoil(folder)
+    said = refused(
+        capsys,
+        "reduce",
+        folder / "raw.csv",
+        "--test",
+        folder / "test.toml",
+        "-o",
+        tmp_path / "s.csv",
+    )
+    for word in words:
+        assert word in said
+    assert nothing_but(tmp_path, "raw")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("simulate", "--case", "1985", "-o", "x"),
+        ("simulate", "--duration", "-1", "-o", "x"),
+        ("simulate", "--duration", "nan", "-o", "x"),
+    ],
+)
+def test_bad_rig_settings_are_refused(
+    arguments: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, *arguments)
+    assert nothing_but(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("compare", "s.csv", "--degree", "0"),
+        ("compare", "s.csv", "--degree", "two"),
+        ("compare", "s.csv", "--hold", "second"),
+        ("compare",),
+        ("fly",),
+        (),
+    ],
+)
+def test_bad_options_exit_with_2(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        run(*arguments)
+    assert stop.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_demo_leaves_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "demo"
+    assert run("demo", "--out", out, "--seed", 3) == 0
+    said = capsys.readouterr().out
+    assert str(out / "report.html") in said
+    assert "found against the truth of the rig" in said
+    assert (out / "report.html").stat().st_size > 100_000
+    assert {"series_985.csv", "series_90.csv", "models_985.json"} <= {p.name for p in out.iterdir()}
+    at_a_file = tmp_path / "file"
+    at_a_file.write_text("")
+    assert "folder" in refused(capsys, "demo", "--out", at_a_file)
