@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ __all__ = ["Demo", "run"]
 # is for validation: nothing is fitted to it.
 FITTED = (("985", "98.5 % speed"), ("90", "90 % speed"))
 VALIDATION = "985-second"
+RIG_FILES = {"raw.csv", "test.toml", "truth"}
 # Beyond this the rig's in-stall parabola meets its unstalled branch.
 TRUTH_TO_PHI = 0.24
 
@@ -123,10 +125,17 @@ def _test(case: str, seed: int, folder: Path) -> tuple[RigRun, Reduction]:
 
     rig = simulate(case, seed=seed)
     raw = folder / f"raw_{case}"
+    _clear(raw)
     write_run(rig, raw)
     reduction = reduce_record(*read_raw(raw / "raw.csv", raw / "test.toml"))
     write_series(reduction.series, folder / f"series_{case}.csv")
     return rig, reduction
+
+
+def _clear(raw: Path) -> None:
+    """Remove what an earlier demo left here, and nothing else."""
+    if raw.is_dir() and {entry.name for entry in raw.iterdir()} <= RIG_FILES:
+        shutil.rmtree(raw)
 
 
 def _compare(

@@ -364,6 +364,10 @@ def test_the_demo_leaves_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "found against the truth of the rig" in said
     assert (out / "report.html").stat().st_size > 100_000
     assert {"series_985.csv", "series_90.csv", "models_985.json"} <= {p.name for p in out.iterdir()}
+    again = (out / "series_985.csv").read_bytes()
+    assert run("demo", "--out", out, "--seed", 3) == 0
+    assert (out / "series_985.csv").read_bytes() == again
+    capsys.readouterr()
     at_a_file = tmp_path / "file"
     at_a_file.write_text("")
     assert "folder" in refused(capsys, "demo", "--out", at_a_file)
