@@ -22,7 +22,7 @@ from comparisons.fit_quality import (
     score_fit,
     trusted_range,
 )
-from comparisons.fit_rows import FitRows, stack_rows
+from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS, FitRows, stack_rows
 from comparisons.lag_value import FittedLag
 
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
@@ -191,7 +191,7 @@ def compare_records(
         results,
         _table(results),
         valid_phi,
-        _cautions(records, results),
+        _cautions(records, rows, results),
     )
 
 
@@ -352,9 +352,15 @@ def _time_constants(results: tuple[EstimatorResult, ...]) -> list[float]:
 
 
 def _cautions(
-    records: Sequence[CoefficientSeries], results: tuple[EstimatorResult, ...]
+    records: Sequence[CoefficientSeries], rows: FitRows, results: tuple[EstimatorResult, ...]
 ) -> tuple[str, ...]:
     cautions = []
+    left_out = sum(int(record.scored.sum()) for record in records) - rows.phi.size
+    if left_out:
+        why = "without a known ψ or " if rows.target == "psi" else ""
+        cautions.append(
+            f"{left_out} rows {why}in a stretch of fewer than {MINIMUM_SEGMENT_ROWS} were not fitted"
+        )
     for record in records:
         for entry in record.history:
             cautions += [f"{record.source}: {flag}" for flag in entry.flags]

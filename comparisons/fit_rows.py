@@ -13,7 +13,7 @@ from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
 from classic_ml.series import CoefficientSeries
 
-__all__ = ["FitRows", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "FitRows", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a

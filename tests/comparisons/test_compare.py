@@ -111,6 +111,15 @@ def test_two_records_are_stacked_without_a_straddling_segment() -> None:
     assert all(np.unique(rows.record[run]).size == 1 for run in rows.runs)
 
 
+def test_segments_too_short_to_fit_are_named() -> None:
+    record = series(20)
+    segment = record.segment.copy()
+    segment[480:490] = 99
+    short = CoefficientSeries(record.time_s, record.phi, record.psi_p, segment, source="short")
+    comparison = compare_records([short], estimators=CLASSICAL[:1])
+    assert any("10 rows in a stretch of fewer than 15" in c for c in comparison.cautions)
+
+
 def test_the_order_of_records_does_not_change_the_fit() -> None:
     one, two = series(6), series(7)
     forward = compare_records([one, two], estimators=CLASSICAL[:1]).results[0].model
