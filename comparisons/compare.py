@@ -359,7 +359,8 @@ def _cautions(
     if left_out:
         why = "without a known ψ or " if rows.target == "psi" else ""
         cautions.append(
-            f"{left_out} rows {why}in a stretch of fewer than {MINIMUM_SEGMENT_ROWS} were not fitted"
+            f"{left_out} rows {why}in a stretch of fewer than {MINIMUM_SEGMENT_ROWS} "
+            "were not fitted"
         )
     for record in records:
         for entry in record.history:

@@ -117,7 +117,7 @@ def test_segments_too_short_to_fit_are_named() -> None:
     segment[480:490] = 99
     short = CoefficientSeries(record.time_s, record.phi, record.psi_p, segment, source="short")
     comparison = compare_records([short], estimators=CLASSICAL[:1])
-    assert any("10 rows in a stretch of fewer than 15" in c for c in comparison.cautions)
+    assert any("10 rows in a stretch of fewer than 15 were" in c for c in comparison.cautions)
 
 
 def test_the_order_of_records_does_not_change_the_fit() -> None:
