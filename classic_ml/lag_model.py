@@ -403,6 +403,9 @@ class LagRegressor(RegressorMixin, BaseEstimator):
             c = np.zeros(self._order)
             c[0] = -data.lag(free).a
             starts.append(np.concatenate([[free], MovingAverage.from_coefficients(c).free]))
+        if head.y.size < data.y.size:
+            # On a long record the choice among the starts is made on its head.
+            return [search(self._model(head), starts).shape]
         return starts
 
     def _store(self, outcome: Outcome, n_terms: int) -> None:
