@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ __all__ = [
     "default_knots",
     "default_library",
     "independent_columns",
+    "polynomial_degree",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -342,3 +344,29 @@ def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[
             basis = np.column_stack((basis, rest / size))
             kept.append(j)
     return np.array(kept, dtype=np.intp)
+
+
+def polynomial_degree(name: str, input_names: Sequence[str]) -> int | None:
+    """Return the total degree of a term, or None if it is no power or product of the inputs.
+
+    Parameters
+    ----------
+    name : str
+        Name of the term, e.g. ``1``, ``phi^2`` or ``x0 x1^2``.
+    input_names : sequence of str
+        Names of the inputs.
+
+    Returns
+    -------
+    int or None
+        Sum of the exponents; 0 for ``1``.
+    """
+    if name == "1":
+        return 0
+    degree = 0
+    for factor in name.split(" "):
+        base, _, power = factor.partition("^")
+        if base not in input_names or not (power == "" or power.isdecimal()):
+            return None
+        degree += int(power or 1)
+    return degree

@@ -27,11 +27,25 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prepared:
-    """The problem with its noise levels, the fit of all terms and the weak estimates."""
+    """The problem with its noise levels, the fit of all terms and the weak estimates.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        The data with noise levels and colour.
+    rich : StructureFit
+        The fit of all terms.
+    weak : WeakLag or None
+        The weak estimates of τ.
+    excess : float
+        χ²/N of the fit of all terms before its colour is filtered out: the variance of what
+        all terms leave over that of the white noise which differences show.
+    """
 
     problem: LagProblem
     rich: StructureFit
     weak: WeakLag | None
+    excess: float
 
 
 def prepare(problem: LagProblem) -> Prepared:
@@ -57,6 +71,7 @@ def prepare(problem: LagProblem) -> Prepared:
     problem = replace(problem, noise=_noise(problem, values, tau))
     everything = tuple(range(problem.columns.size))
     rich = fit_structure(problem, everything, tau, max_steps=6)
+    excess = rich.chi2 / max(rich.residual.size, 1)
     colour = autoregression(rich.residual, rich.groups)
     # Five orders below the least noise assumed there is only rounding, and its colour is nothing.
     if colour.size and rich.chi2 > 1e-10 * rich.residual.size:
@@ -64,7 +79,7 @@ def prepare(problem: LagProblem) -> Prepared:
         rich = fit_structure(
             problem, everything, rich.time_constant_s, rich.coefficients, max_steps=4
         )
-    return Prepared(problem, rich, weak)
+    return Prepared(problem, rich, weak, excess)
 
 
 def _screened(problem: LagProblem, values: FloatArray, tau: float) -> LagProblem:

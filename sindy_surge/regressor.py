@@ -29,7 +29,9 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
 
     A pysindy library supplies the candidate terms, a pysindy optimizer the path through them,
     on equations whitened for noise in both φ and ψ'. The smallest structure that no other
-    refutes about its own fit is kept.
+    refutes about its own fit is kept. Where the error of the model exceeds the noise by far, as
+    on records that went through a low-pass filter, that likelihood means nothing: then the
+    degree of a polynomial is chosen by cycles left out, and fitted in the weak form.
 
     Parameters
     ----------
@@ -62,8 +64,9 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
     coef_ : ndarray of shape (n_terms,)
         β_i of ψ'_QS, in physical units.
     covariance_ : ndarray of shape (n_terms, n_terms)
-        Covariance of `coef_`: sandwich with Newey-West scores, τ estimated along. It holds for
-        the terms as selected.
+        Covariance of `coef_`: sandwich with Newey-West scores, τ estimated along; where model
+        error dominates, a jackknife over cycles, with what a repeated error and the choice of
+        the test function add. It holds for the terms as selected.
     joint_covariance_ : ndarray of shape (n_terms + 1, n_terms + 1)
         The same with τ as the last row and column.
     candidate_terms_ : tuple of str
@@ -88,6 +91,7 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
     See Also
     --------
     sindy_surge.selection.select_structure : How the terms are chosen.
+    sindy_surge.held_out.select_by_held_out : How, where model error dominates.
     """
 
     def __init__(
@@ -187,7 +191,13 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         self, X: FloatArray, y: FloatArray, runs: Segments, columns: NDArray[np.intp]
     ) -> None:
         from sindy_surge.covariance import sandwich
+        from sindy_surge.held_out import (
+            model_error_dominates,
+            select_by_held_out,
+            with_held_out,
+        )
         from sindy_surge.lag_problem import LagProblem
+        from sindy_surge.library import polynomial_degree
         from sindy_surge.preparation import prepare
         from sindy_surge.selection import select_structure
         from sindy_surge.whitening import NoiseLevels
@@ -207,39 +217,57 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         )
         usable = prepared.problem.columns
         names = [self.candidate_terms_[i] for i in usable]
-        chosen = select_structure(prepared, self.optimizer, int(self.max_terms), names)
-        fit = chosen.fit
-        self._selected = usable[list(fit.support)]
-        self.terms_ = tuple(self.candidate_terms_[i] for i in self._selected)
-        self.coef_ = fit.coefficients
-        self.time_constant_s_ = fit.time_constant_s
-        self.joint_covariance_ = sandwich(prepared.problem, fit)
-        self.covariance_ = self.joint_covariance_[:-1, :-1]
-        self.time_constant_stderr_s_ = float(np.sqrt(self.joint_covariance_[-1, -1]))
-        self.path_ = chosen.path
-        self.rivals_ = tuple(tuple(names[i] for i in rival) for rival in chosen.rivals)
         self.weak_form_ = prepared.weak
         self.noise_: tuple[float, FloatArray] | None = (
             prepared.problem.noise.output,
             prepared.problem.noise.inputs,
         )
-        self.initial_states_ = fit.initial
-        self.fit_state_ = self._state(
-            chosen.consistent, fit.converged, prepared.problem.longest_lag_s
+        chosen = select_structure(prepared, self.optimizer, int(self.max_terms), names)
+        dominated = model_error_dominates(prepared, chosen.consistent)
+        robust = None
+        if dominated:
+            degrees = [polynomial_degree(name, self._input_names) for name in names]
+            robust = select_by_held_out(
+                prepared.problem, self.optimizer, int(self.max_terms), degrees
+            )
+        self.path_ = chosen.path if robust is None else with_held_out(chosen.path, robust, names)
+        self.rivals_ = (
+            tuple(tuple(names[i] for i in rival) for rival in chosen.rivals)
+            if robust is None
+            else ()
         )
+        fit = chosen.fit if robust is None else robust
+        self._selected = usable[list(fit.support)]
+        self.terms_ = tuple(self.candidate_terms_[i] for i in self._selected)
+        self.coef_ = fit.coefficients
+        self.time_constant_s_ = fit.time_constant_s
+        self.joint_covariance_ = (
+            sandwich(prepared.problem, chosen.fit) if robust is None else robust.covariance
+        )
+        self.covariance_ = self.joint_covariance_[:-1, :-1]
+        self.time_constant_stderr_s_ = float(np.sqrt(self.joint_covariance_[-1, -1]))
+        self.initial_states_ = fit.initial
+        if robust is not None:
+            state = FitState.MODEL_ERROR_DOMINATES
+        elif dominated or not chosen.consistent:
+            state = FitState.NO_CONSISTENT_STRUCTURE
+        else:
+            state = FitState.OK if chosen.fit.converged else FitState.NOT_CONVERGED
+        self.fit_state_ = self._state(state, prepared.problem.longest_lag_s)
 
-    def _state(self, consistent: bool, converged: bool, longest_s: float) -> FitState:
+    def _state(self, otherwise: FitState, longest_s: float) -> FitState:
         tau, error = self.time_constant_s_, self.time_constant_stderr_s_
         # A held input shows the lag only through the pole e^(-h/τ), which is soon next to nothing.
         pole_error = np.exp(-self.sample_period_s / tau) * self.sample_period_s / tau**2 * error
         hidden = self.hold == "zero" and np.exp(-self.sample_period_s / tau) < 3 * pole_error
         if tau < self.sample_period_s / 20 or (hidden and tau < self.sample_period_s):
             return FitState.LAG_BELOW_RESOLUTION
+        # The error of τ then includes that of the model, and longer segments are no remedy.
+        if otherwise is FitState.MODEL_ERROR_DOMINATES:
+            return otherwise
         if not error < tau or tau > 0.99 * longest_s:
             return FitState.LAG_UNDETERMINED
-        if not consistent:
-            return FitState.NO_CONSISTENT_STRUCTURE
-        return FitState.OK if converged else FitState.NOT_CONVERGED
+        return otherwise
 
     def _fit_static(
         self,

@@ -16,7 +16,7 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import Prepared
-from sindy_surge.sparse_paths import Support, beam_search, proposed_supports, support_chi2
+from sindy_surge.sparse_paths import Support, beam_search, proposals, support_chi2
 
 __all__ = ["PathRow", "Selection", "information_penalty", "select_structure"]
 
@@ -50,6 +50,8 @@ class PathRow:
         Whether no other structure beats it about its own fit.
     chosen : bool
         Whether it is the answer.
+    held_out_rms : float
+        Error of the weak equations on cycles left out; nan unless model error dominates.
     """
 
     size: int
@@ -60,6 +62,7 @@ class PathRow:
     refitted: bool
     consistent: bool
     chosen: bool
+    held_out_rms: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -172,34 +175,22 @@ def select_structure(
     problem, rich = prepared.problem, prepared.rich
     about = linearise(problem, rich)
     penalty = information_penalty(about.n_equations, about.columns.shape[1])
-    proposals = _proposals(about, optimizer, max_terms)
-    rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposals}
-    search = _Search(problem, rich, max_terms, _seeds(proposals, rough))
+    proposed = proposals(about, optimizer, max_terms)
+    rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposed}
+    search = _Search(problem, rich, max_terms, _seeds(proposed, rough))
     _run(search, about, rough)
     chosen, rivals = _choose(search, names)
     path = _table(search, rough, about, chosen, names)
     return Selection(search.fits[chosen], path, rivals, bool(search.consistent))
 
 
-def _proposals(about: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
-    """Return the optimizer's path and, beside it, the two best supports of every size.
-
-    A path that drops or adds one term at a time never returns from a wrong turn: one
-    exponential that stands in for a parabola keeps backward elimination off the truth.
-    """
-    supports = set(proposed_supports(about, optimizer, max_terms))
-    for ranked in beam_search(about, max_terms).values():
-        supports.update(support for _, support in ranked[:4])
-    return sorted(supports, key=lambda s: (len(s), s))
-
-
-def _seeds(proposals: list[Support], rough: dict[Support, float]) -> list[Support]:
+def _seeds(proposed: list[Support], rough: dict[Support, float]) -> list[Support]:
     """Take the four best proposals, two more of the best one's size and two of one less.
 
     A score 60 above the best is no candidate: about the fit with all terms the scores were
     found wrong by 25 at most.
     """
-    ranked = sorted(proposals, key=lambda s: rough[s])
+    ranked = sorted(proposed, key=lambda s: rough[s])
     size, best = len(ranked[0]), rough[ranked[0]]
     seeds = ranked[:4]
     seeds += [s for s in ranked if len(s) == size][:3]

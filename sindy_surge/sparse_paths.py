@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sindy_surge.errors import InputError
 from sindy_surge.lag_fit import LinearProblem
 
-__all__ = ["OPTIMIZERS", "beam_search", "proposed_supports", "support_chi2"]
+__all__ = ["OPTIMIZERS", "beam_search", "proposals", "proposed_supports", "support_chi2"]
 
 FloatArray = NDArray[np.float64]
 Support = tuple[int, ...]
@@ -79,6 +79,32 @@ def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> 
             if 0 < len(support) <= max_terms:
                 found.add(support)
     return sorted(found, key=lambda s: (len(s), s))
+
+
+def proposals(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
+    """Return the optimizer's path and, beside it, the best supports of every size.
+
+    A path that drops or adds one term at a time never returns from a wrong turn: one
+    exponential that stands in for a parabola keeps backward elimination off the truth.
+
+    Parameters
+    ----------
+    linear : LinearProblem
+        The regression.
+    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+        See `proposed_supports`.
+    max_terms : int
+        Largest support returned.
+
+    Returns
+    -------
+    list of tuple of int
+        Distinct supports, smallest first.
+    """
+    supports = set(proposed_supports(linear, optimizer, max_terms))
+    for ranked in beam_search(linear, max_terms).values():
+        supports.update(support for _, support in ranked[:4])
+    return sorted(supports, key=lambda s: (len(s), s))
 
 
 def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:

@@ -31,6 +31,13 @@ class FitState(StrEnum):
         "every structure tried is refuted by another; the family of models is wrong or noise is "
         "not white: look for a missing effect, a time shift between φ and ψ', or raise max_terms",
     )
+    MODEL_ERROR_DOMINATES = (
+        "model_error_dominates",
+        "what the terms leave is far above the noise and comes again in every cycle: only the "
+        "degree of a polynomial was chosen, by cycles left out, and fitted in the weak form; the "
+        "band covers the choice of the test function, not an error of φ itself: look for a "
+        "missing effect, or for what filtering and segmentation did to the signals",
+    )
     LAG_BELOW_RESOLUTION = (
         "lag_below_resolution",
         "the time constant is shorter than the sampling can show; treat ψ' as quasi-steady or "

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from sindy_surge.free_run import Segments
 
-__all__ = ["MIN_HALF_WIDTH", "WeakLag", "half_width_samples", "weak_lag", "weak_rows"]
+__all__ = [
+    "MIN_HALF_WIDTH",
+    "WeakLag",
+    "half_width_samples",
+    "weak_centres",
+    "weak_lag",
+    "weak_rows",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -115,7 +122,7 @@ def weak_rows(
     weight = (1 - z**2) ** _EXPONENT
     slope = -2 * _EXPONENT * z * (1 - z**2) ** (_EXPONENT - 1) / (half_width * sample_period_s)
     weight, slope = weight / weight.sum(), slope / weight.sum()
-    stride = max(1, half_width // 4)
+    stride = _stride(half_width)
     signals = np.column_stack((y, terms))
     parts: list[tuple[FloatArray, FloatArray]] = []
     for rows in segments.slices():
@@ -130,6 +137,34 @@ def weak_rows(
         return np.empty(0), np.empty(0), np.empty((0, terms.shape[1]))
     smooth = np.concatenate([part[1] for part in parts])
     return np.concatenate([part[0] for part in parts]), smooth[:, 0], smooth[:, 1:]
+
+
+def _stride(half_width: int) -> int:
+    return max(1, half_width // 4)
+
+
+def weak_centres(segments: Segments, half_width: int) -> NDArray[np.intp]:
+    """Return the row at the middle of each test function of `weak_rows`.
+
+    Parameters
+    ----------
+    segments : Segments
+        The runs of rows.
+    half_width : int
+        Half width m in samples.
+
+    Returns
+    -------
+    ndarray of int of shape (n_weak,)
+        Rows, in the order of the weak equations.
+    """
+    stride = _stride(half_width)
+    return np.concatenate(
+        [
+            np.arange(rows.start + half_width, rows.stop - half_width, stride, dtype=np.intp)
+            for rows in segments.slices()
+        ]
+    )
 
 
 def weak_lag(

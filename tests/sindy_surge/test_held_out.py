@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from pysindy.feature_library import FourierLibrary, PolynomialLibrary
+from scipy.signal import butter, sosfiltfilt
+
+from sindy_surge import FitState, SparseLagRegressor
+from sindy_surge.free_run import Segments
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.library import CandidateTerms, polynomial_degree
+from sindy_surge.sparse_paths import support_chi2
+from sindy_surge.weak_equations import WeakEquations
+from sindy_surge.whitening import NoiseLevels
+
+from .conftest import PERIOD_S, TAU_S, lag, relaxation_wave
+
+Curve = Callable[[Any], Any]
+
+
+def _quadratic(phi: Any) -> Any:
+    return 1.2 + 2.9 * phi + 20 * phi**2
+
+
+def _kink(phi: Any) -> Any:
+    return 1.2 + 2.9 * phi + 40 * np.maximum(phi - 0.25, 0)
+
+
+def _record(
+    seed: int, loss: float, curve: Curve = _quadratic, n: int = 2200
+) -> tuple[np.ndarray, np.ndarray]:
+    """A loss in reversed flow that is not lagged, 1 % noise, and the low-pass of a reduction."""
+    rng = np.random.default_rng(seed)
+    fine = relaxation_wave(8 * n, PERIOD_S / 8, rng)
+    phi = fine[::8]
+    psi_p = lag(curve(fine), PERIOD_S / 8, start=2.0)[::8] + loss * phi**2 * (phi < 0)
+    low_pass = butter(3, 48.0, fs=1 / PERIOD_S, output="sos")
+    noisy = (s + 0.01 * s.std() * rng.standard_normal(n) for s in (phi, psi_p))
+    smooth, output = (sosfiltfilt(low_pass, s) for s in noisy)
+    return smooth, output
+
+
+def _in_stall(phi: np.ndarray) -> np.ndarray:
+    inside = phi < 0.27
+    return np.where(inside, np.cumsum(np.diff(inside, prepend=False)), 0)
+
+
+@pytest.fixture(scope="module")
+def hidden() -> list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]]:
+    fits = []
+    for seed in range(6):
+        phi, psi_p = _record(seed, 300.0)
+        fits.append((phi, psi_p, SparseLagRegressor().fit(phi[:, None], psi_p)))
+    return fits
+
+
+def test_hidden_effect_is_called_so_and_the_curve_lies_within_its_band(
+    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
+) -> None:
+    for phi, _, model in hidden:
+        assert model.fit_state_ is FitState.MODEL_ERROR_DOMINATES
+        assert 2 <= len(model.terms_) <= 4
+        at = np.linspace(0, np.quantile(phi, 0.95), 20)
+        value, stderr = model.characteristic(at)
+        z = (value - _quadratic(at)) / stderr
+        assert np.sqrt(np.mean(z**2)) < 1.5
+        # A band wider than a tenth of the curve's own range would cover anything.
+        assert np.median(stderr) < 0.1 * np.ptp(_quadratic(at))
+        assert abs(model.time_constant_s_ - TAU_S) < 3 * model.time_constant_stderr_s_
+
+
+def test_hidden_effect_in_short_segments() -> None:
+    for seed in range(4):
+        phi, psi_p = _record(seed, 300.0)
+        labels = _in_stall(phi)
+        rows = labels > 0
+        model = SparseLagRegressor().fit(phi[rows, None], psi_p[rows], segments=labels[rows])
+        assert model.fit_state_ is FitState.MODEL_ERROR_DOMINATES
+        assert len(model.terms_) <= 4
+        at = np.linspace(0, 0.2, 20)
+        value, stderr = model.characteristic(at)
+        assert np.sqrt(np.mean(((value - _quadratic(at)) / stderr) ** 2)) < 1.8
+        assert model.initial_states_.size == np.unique(labels[rows]).size
+
+
+def test_path_holds_what_was_left_out(
+    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
+) -> None:
+    for _, _, model in hidden:
+        (chosen,) = [row for row in model.path_ if row.chosen]
+        assert set(chosen.terms) == set(model.terms_)
+        assert chosen.time_constant_s == model.time_constant_s_
+        assert 0 < chosen.held_out_rms < np.inf
+        ladder = {row.terms: row.held_out_rms for row in model.path_}
+        assert chosen.held_out_rms <= ladder["1", "phi"]
+        assert model.rivals_ == ()
+
+
+def test_white_noise_is_left_to_the_likelihood(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 61)
+    model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
+    assert model.fit_state_ is FitState.OK
+    assert all(np.isnan(row.held_out_rms) for row in model.path_)
+
+
+def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else(
+    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
+) -> None:
+    phi, psi_p, _ = hidden[0]
+    library = partial(PolynomialLibrary, 3)
+    plain = SparseLagRegressor(library=library()).fit(phi[:, None], psi_p)
+    moved = SparseLagRegressor(library=library()).fit(phi[:, None] + 0.03, psi_p)
+    assert plain.fit_state_ is moved.fit_state_ is FitState.MODEL_ERROR_DOMINATES
+    assert plain.terms_ == moved.terms_
+    assert plain.time_constant_s_ == pytest.approx(moved.time_constant_s_, rel=1e-6)
+    at = np.linspace(0, 0.4, 9)
+    for ours, theirs in zip(plain.characteristic(at), moved.characteristic(at + 0.03), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4)
+
+
+def test_units_carry_through(
+    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
+) -> None:
+    phi, psi_p, model = hidden[1]
+    slow = SparseLagRegressor(1.0).fit(phi[:, None], 1000 * psi_p)
+    assert slow.fit_state_ is model.fit_state_
+    assert slow.terms_ == model.terms_
+    assert slow.time_constant_s_ == pytest.approx(1000 * model.time_constant_s_, rel=1e-6)
+    np.testing.assert_allclose(slow.coef_, 1000 * model.coef_, rtol=1e-6)
+    np.testing.assert_allclose(slow.covariance_, 1e6 * model.covariance_, rtol=1e-5)
+
+
+def test_a_kink_that_explains_nearly_all_is_taken() -> None:
+    phi, psi_p = _record(0, 100.0, _kink)
+    model = SparseLagRegressor().fit(phi[:, None], psi_p)
+    assert model.fit_state_ is FitState.MODEL_ERROR_DOMINATES
+    assert any("relu" in term for term in model.terms_)
+    assert len(model.terms_) <= 4
+    at = np.linspace(0, 0.45, 20)
+    assert np.max(np.abs(model.characteristic(at)[0] - _kink(at))) < 0.5
+
+
+def test_a_library_without_powers_serves_too(
+    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
+) -> None:
+    phi, psi_p, _ = hidden[0]
+    model = SparseLagRegressor(library=FourierLibrary(2)).fit(phi[:, None], psi_p)
+    assert model.fit_state_ is FitState.MODEL_ERROR_DOMINATES
+    assert 0 < model.time_constant_s_ < 0.2
+    assert np.all(np.isfinite(model.characteristic(phi[:50])[0]))
+
+
+def test_segments_too_short_for_a_test_function_are_no_success() -> None:
+    phi, psi_p = _record(0, 600.0)
+    model = SparseLagRegressor().fit(phi[:, None], psi_p, segments=np.arange(2200) // 8)
+    assert model.fit_state_ is FitState.NO_CONSISTENT_STRUCTURE
+    assert all(np.isnan(row.held_out_rms) for row in model.path_)
+
+
+def test_weak_equations_recover_an_exact_lag(surge: Callable[..., Any]) -> None:
+    record = surge("cubic", 0.0, 2)
+    inputs = record.phi[:, None]
+    terms = CandidateTerms(PolynomialLibrary(4), inputs, ["phi"])
+    whole = Segments.from_labels(None, record.phi.size)
+    silent = NoiseLevels(1.0, np.zeros(1), np.empty(0))
+    problem = LagProblem(
+        inputs, record.psi_p, whole, PERIOD_S, "first", terms, np.arange(5), silent
+    )
+    weak = WeakEquations.of(problem)
+    assert weak is not None
+    assert weak.centres.size == weak.signal.size
+    expected = [0.30, 0.5, 3.0, -7.0, TAU_S]
+    found, design, residual = weak.fit((0, 1, 2, 3))
+    np.testing.assert_allclose(found, expected, rtol=2e-3)
+    np.testing.assert_allclose(weak.fit_forward((0, 1, 2, 3)), expected, rtol=2e-3)
+    np.testing.assert_allclose(design @ found + residual, weak.signal)
+    for support in ((0,), (1, 3), (0, 1, 2)):
+        rest = weak.fit(support)[2]
+        assert support_chi2(weak.linear(), support) == pytest.approx(rest @ rest, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "degree"),
+    [
+        ("1", 0),
+        ("phi", 1),
+        ("phi^4", 4),
+        ("phi x1^2", 3),
+        ("relu(phi-0.05)", None),
+        ("phi^2[phi<0]", None),
+        ("sin(1 phi)", None),
+        ("s0", None),
+    ],
+)
+def test_degree_of_a_term(name: str, degree: int | None) -> None:
+    assert polynomial_degree(name, ["phi", "x1"]) == degree
