@@ -97,6 +97,8 @@ def _blocks(piece_lengths: list[int], n_lags: int) -> list[slice]:
     at = 0
     for length in piece_lengths:
         parts = max(1, int(length // max(shortest, 1.0)))
+        if len(piece_lengths) < FEWEST_BLOCKS:
+            parts = max(parts, int(np.ceil(FEWEST_BLOCKS / len(piece_lengths))))
         edges = np.linspace(at, at + length, parts + 1).astype(int)
         blocks += [slice(low, high) for low, high in pairwise(edges.tolist()) if high > low]
         at += length

@@ -23,6 +23,11 @@ class FitState(Enum):
         "The time constant ran to its upper bound: slow drift is read as the lag; take "
         "noise='output-error' with drift='spline', or shorten the window."
     )
+    RANK_DEFICIENT = (
+        "The terms cannot be told apart on these rows (φ hardly moves, or a term is the sum of "
+        "others): neither the characteristic nor the time constant can be read; take fewer terms "
+        "or rows in which φ moves."
+    )
     TOO_FEW_ROWS = (
         "There are fewer scored rows than parameters: no time constant can be had; the terms are "
         "fitted as a static curve of least norm."

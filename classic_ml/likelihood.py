@@ -26,6 +26,7 @@ __all__ = [
     "Outcome",
     "OutputError",
     "PredictionModel",
+    "rank_deficient",
     "scan",
     "search",
 ]
@@ -196,11 +197,15 @@ class EquationError:
     """C(q) e = ψ'[k] - a ψ'[k-1] - Σ β_i u_i[k] (paper, Eq 9): arx for order 0, else armax.
 
     An equation looks one sample back, so that a row of weight 0 costs the equation at it and the
-    one after it, and the recursion of C starts afresh behind it.
+    one after it, and the recursion of C starts afresh behind it. The errors just before a stretch
+    are unknown but not free: they are innovations like all others, and stand as ``order`` rows of
+    their own before its equations (unconditional least squares, Box and Jenkins 1976). Taken as
+    zero (``exact_start=False``, the classical recursion) they bias τ on short segments.
     """
 
     data: LagData
     order: int
+    exact_start: bool = True
 
     def linear(self, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return target and columns of the weighted linear problem."""
@@ -214,7 +219,7 @@ class EquationError:
                     self._differenced(self.data.drift[piece], lag),
                 ]
             )
-            blocks.append(whitener.whiten(rows) * self._root_weight(piece)[:, None])
+            blocks.append(self._project(whitener.whiten(rows), whitener, piece))
         stacked = np.concatenate(blocks)
         return stacked[:, 0], stacked[:, 1:]
 
@@ -232,24 +237,43 @@ class EquationError:
             slope = -lag.d_a * undrifted[:-1]
             slope -= lag.d_drive(self.data.terms[piece] @ coef[:n_terms])
             errors = innovations[at : at + root.size] / root
-            block = np.column_stack([whitener.whiten(slope), whitener.sensitivities(errors)])
-            blocks.append(block * root[:, None])
             at += root.size
+            if not self.exact_start:
+                errors = np.concatenate([np.zeros(self.order), errors])
+            block = np.column_stack([whitener.whiten(slope), whitener.sensitivities(errors)])
+            blocks.append(self._project(block, whitener, piece))
         return np.concatenate(blocks)
 
     def piece_lengths(self) -> list[int]:
-        """Return the number of equations of each stretch."""
-        return [piece.stop - piece.start - 1 for piece in self._pieces()]
+        """Return the number of equations of each stretch, with the errors before it."""
+        return [piece.stop - piece.start - 1 + self._ahead for piece in self._pieces()]
+
+    @property
+    def _ahead(self) -> int:
+        return self.order if self.exact_start else 0
 
     def _pieces(self) -> list[slice]:
         return [p for run in self.data.runs for p in scored_pieces(self.data.weight, run)]
 
+    def _project(self, rows: FloatArray, whitener: MovingAverage, piece: slice) -> FloatArray:
+        """Put the errors before the stretch ahead of it, weight, and optimise them away."""
+        root = self._root_weight(piece)[:, None]
+        if self._ahead == 0:
+            return rows * root
+        ahead = np.zeros((self.order, rows.shape[1]))
+        weighted = np.concatenate([ahead, rows]) * root
+        before = whitener.whiten(whitener.reach(rows.shape[0]))
+        basis, _ = np.linalg.qr(np.concatenate([-np.eye(self.order), before]) * root)
+        return np.asarray(weighted - basis @ (basis.T @ weighted))
+
     def _root_weight(self, piece: slice) -> FloatArray:
-        return np.sqrt(self.data.weight[piece][1:])
+        weight = self.data.weight[piece]
+        full = np.concatenate([np.full(self._ahead, weight[1]), weight[1:]])
+        return np.asarray(np.sqrt(full))
 
     @staticmethod
     def _differenced(rows: FloatArray, lag: FirstOrderLag) -> FloatArray:
-        return rows[1:] - lag.a * rows[:-1]
+        return np.asarray(rows[1:] - lag.a * rows[:-1])
 
 
 @dataclass(frozen=True)
@@ -310,13 +334,37 @@ def _triangle(columns: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(columns, mode="r"), dtype=np.float64)
 
 
+def _rank_limit(n_rows: int) -> float:
+    return float(max(n_rows, 1000) * np.finfo(np.float64).eps)
+
+
+def rank_deficient(outcome: Outcome, n_shape: int, n_terms: int) -> bool:
+    """Tell whether the terms of the characteristic cannot be told apart on these rows.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        A finished search.
+    n_shape, n_terms : int
+        Number of shape parameters, and of terms behind them in the Jacobian.
+    """
+    columns = outcome.jacobian[:, n_shape : n_shape + n_terms]
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    if np.any(scale == 0.0):
+        return True
+    singular = np.linalg.svd(_triangle(columns / scale), compute_uv=False)
+    return bool(singular[-1] <= _rank_limit(columns.shape[0]) * singular[0])
+
+
 def _solve(model: PredictionModel, shape: FloatArray) -> _Point:
     target, columns = model.linear(shape)
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     scale[scale == 0.0] = 1.0
     # The triangle of a QR holds all that the small problem needs, whatever the record's length.
     triangle = _triangle(np.column_stack([columns / scale, target]))
-    coef = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1])[0] / scale
+    # Below n eps a column is a copy of others within rounding; least norm shares it out.
+    coef = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=_rank_limit(target.size))[0]
+    coef = coef / scale
     innovations = target - columns @ coef
     return _Point(shape, coef, innovations, columns, float(innovations @ innovations))
 

@@ -79,10 +79,33 @@ class MovingAverage:
 
         return np.asarray(lfilter([1.0], [1.0, *self.coefficients], rows, axis=0))
 
+    def reach(self, n_rows: int) -> FloatArray:
+        """Return what the errors before a stretch add to its equations, (n_rows, order).
+
+        Columns from the oldest error to the newest: e[0] adds c₁ to the first equation and c₂ to
+        the second, e[-1] adds c₂ to the first.
+        """
+        columns = np.zeros((n_rows, self.order))
+        c = self.coefficients
+        for column in range(self.order):
+            steps_back = self.order - 1 - column
+            for row in range(min(self.order - steps_back, n_rows)):
+                columns[row, column] = c[row + steps_back]
+        return columns
+
     def sensitivities(self, innovations: FloatArray) -> FloatArray:
-        """Return ∂e/∂ρ of the innovations e, of shape (n, order): ∂e/∂c_j = -C⁻¹ e[k-j]."""
-        columns = np.zeros((innovations.size, self.order))
-        once_more = self.whiten(innovations)
-        for lag in range(1, self.order + 1):
-            columns[lag:, lag - 1] = -once_more[:-lag]
-        return columns @ self.jacobian
+        """Return ∂e/∂ρ of the equations' errors, of shape (n, order): ∂e/∂c_j = -C⁻¹ e[k-j].
+
+        Parameters
+        ----------
+        innovations : ndarray of shape (order + n,)
+            The errors before the stretch, from the oldest on, then those of its equations.
+        """
+        n_rows = innovations.size - self.order
+        shifted = [
+            innovations[self.order - lag : self.order - lag + n_rows]
+            for lag in range(1, self.order + 1)
+        ]
+        if not shifted:
+            return np.zeros((n_rows, 0))
+        return np.asarray(-self.whiten(np.column_stack(shifted)) @ self.jacobian)

@@ -36,7 +36,10 @@ def test_exact_data_give_the_exact_answer(noise: str, hold: str) -> None:
     np.testing.assert_allclose(m.predict(X), y, atol=1e-8)
 
 
-@pytest.mark.parametrize(("true", "wrong", "low", "high"), [("first", "zero", -0.04, -0.02)])
+@pytest.mark.parametrize(
+    ("true", "wrong", "low", "high"),
+    [("first", "zero", -0.04, -0.02), ("zero", "first", 0.02, 0.04)],
+)
 def test_the_wrong_hold_biases_tau_by_two_to_four_percent(
     true: str, wrong: str, low: float, high: float
 ) -> None:
@@ -47,8 +50,11 @@ def test_the_wrong_hold_biases_tau_by_two_to_four_percent(
 
 def test_one_sample_of_misalignment_biases_tau_by_several_percent() -> None:
     X, y = clean(hold="first")
-    m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X[:-1], y[1:])
-    assert m.time_constant_s_ < 0.97 * TAU_S
+    early = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X[:-1], y[1:])
+    late = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X[1:], y[:-1])
+    # On this slow flow; the faster the flow, the more a sample is worth.
+    assert 0.92 * TAU_S < early.time_constant_s_ < 0.95 * TAU_S
+    assert 1.05 * TAU_S < late.time_constant_s_ < 1.08 * TAU_S
 
 
 @pytest.mark.parametrize("c", [-0.6, 0.4])
@@ -69,19 +75,17 @@ def test_armax_is_unbiased_and_its_errors_are_honest(c: float) -> None:
 
 
 def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
-    z, textbook = [], []
+    z, lags = [], []
     for seed in range(25):
         rng = np.random.default_rng(100 + seed)
         phi = flow(4000, rng)
         y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
         m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
         z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
-        white = LagRegressor(PERIOD_S, noise="output-error", hold="first")
-        white.fit(phi[:, None], y)
-        textbook.append(m.residual_lag_)
+        lags.append(m.residual_lag_)
     assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
-    assert np.std(z) < 1.6
-    assert np.median(textbook) > 10  # the residual's colour was seen
+    assert 0.6 < np.std(z) < 1.6
+    assert np.median(lags) > 10  # the residual's colour was seen
 
 
 def test_arx_reads_output_noise_as_a_shorter_lag() -> None:
@@ -319,3 +323,59 @@ def test_input_arrays_are_left_as_they_were() -> None:
     LagRegressor(drift="spline").fit(X, y).predict(X)
     np.testing.assert_array_equal(X, X0)
     np.testing.assert_array_equal(y, y0)
+
+
+@pytest.mark.parametrize("noise", ["armax", "output-error"])
+def test_white_output_noise_on_short_segments_does_not_bias_tau(noise: str) -> None:
+    errors, z = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        X, y, labels = [], [], []
+        for label in range(18):
+            phi = flow(160, rng)
+            X.append(phi[100:])
+            y.append(lagged(phi, "zero")[100:] + 0.003 * rng.standard_normal(60))
+            labels.append(np.full(60, label))
+        m = LagRegressor(PERIOD_S, noise=noise)
+        m.fit(np.concatenate(X)[:, None], np.concatenate(y), np.concatenate(labels))
+        errors.append(m.time_constant_s_ - TAU_S)
+        z.append(errors[-1] / m.time_constant_stderr_s_)
+    assert abs(np.mean(errors)) < 3.5 * np.std(errors) / np.sqrt(40)
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35
+
+
+def test_a_drift_over_rows_cut_out_of_a_record_is_each_segment_s_own() -> None:
+    rng = np.random.default_rng(21)
+    n = 8000
+    phi = flow(n, rng)
+    t = np.arange(n) * PERIOD_S
+    y = lagged(phi, "first") + 0.1 * np.sin(2 * np.pi * t / 9.0)
+    y += 0.002 * rng.standard_normal(n)
+    keep = (np.arange(n) % 400) < 250
+    labels = np.arange(n) // 400
+    m = LagRegressor(PERIOD_S, noise="output-error", drift="spline", hold="first")
+    m.fit(phi[keep, None], y[keep], segments=labels[keep])
+    assert m.time_constant_s_ == pytest.approx(TAU_S, rel=0.05)
+
+
+def test_constant_flow_is_a_state_not_a_curve() -> None:
+    rng = np.random.default_rng(22)
+    y = 0.5 + 0.01 * rng.standard_normal(400)
+    for noise in NOISES:
+        m = LagRegressor(PERIOD_S, noise=noise).fit(np.full((400, 1), 0.3), y)
+        assert m.fit_state_ is FitState.RANK_DEFICIENT
+        assert np.abs(m.coef_).max() < 10.0
+
+
+def test_the_scale_of_the_weights_does_not_reach_the_residual() -> None:
+    X, y, labels = segmented(23, n_segments=3)
+    one = LagRegressor(PERIOD_S).fit(X, y, labels)
+    many = LagRegressor(PERIOD_S).fit(X, y, labels, np.full(y.size, 100.0))
+    assert many.residual_std_ == pytest.approx(one.residual_std_, rel=1e-6)
+
+
+def test_too_many_knots_are_refused_before_memory_runs_out() -> None:
+    with pytest.raises(InputError, match="knot_spacing_s"):
+        LagRegressor(PERIOD_S, drift="spline", knot_spacing_s=1e-3).fit(
+            np.linspace(0, 1, 40_000)[:, None], np.linspace(0, 1, 40_000)
+        )
