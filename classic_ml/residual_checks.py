@@ -10,6 +10,9 @@ from classic_ml.records import FloatArray
 
 __all__ = ["CheckRow", "coverage", "input_correlation", "whiteness"]
 
+# Down and up again, and once more: less than three sweeps is a single excursion.
+FEWEST_SWEEPS = 3
+
 
 @dataclass(frozen=True)
 class CheckRow:
@@ -21,7 +24,7 @@ class CheckRow:
         Name of the check.
     statistic : float
         What was computed.
-    operator : {"<", ">"}
+    operator : {"<", ">="}
         On which side of the threshold the statistic should lie.
     threshold : float
         The limit.
@@ -101,7 +104,7 @@ def input_correlation(
 
 
 def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> CheckRow:
-    """Check how many segments reach both thirds at the ends of the range of trust.
+    """Check how often φ sweeps from one end of its range to the other.
 
     Parameters
     ----------
@@ -110,27 +113,21 @@ def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> 
     runs : list of slice
         Their segments.
     valid : tuple of float
-        Range in which the curve is said to hold.
+        Range whose outer thirds count as its ends.
     """
     low, high = valid
     third = (high - low) / 3.0
-    reach = [
-        bool(np.min(phi[run]) < low + third and np.max(phi[run]) > high - third) for run in runs
-    ]
-    count = float(sum(reach))
-    threshold = 3.0
-    # One long segment holds many cycles; it covers the range if it crosses it often.
-    if len(runs) == 1:
-        side = np.where(phi > high - third, 1, np.where(phi < low + third, -1, 0))
-        side = side[side != 0]
-        count = float(np.count_nonzero(np.diff(side)) / 2.0)
-    passed = count >= threshold
+    sweeps = 0
+    for run in runs:
+        side = np.where(phi[run] > high - third, 1, np.where(phi[run] < low + third, -1, 0))
+        sweeps += int(np.count_nonzero(np.diff(side[side != 0])))
+    passed = sweeps >= FEWEST_SWEEPS
     meaning = (
-        "several cycles sweep the range of φ"
+        "φ sweeps its range several times"
         if passed
-        else "fewer than three cycles sweep the range of φ: the curve rests on one event"
+        else f"φ sweeps its range fewer than {FEWEST_SWEEPS} times: the curve rests on one event"
     )
-    return CheckRow("phi_coverage", count, ">", threshold, passed, meaning)
+    return CheckRow("phi_coverage", float(sweeps), ">=", float(FEWEST_SWEEPS), passed, meaning)
 
 
 def _limit(n_rows: int, n_lags: int) -> float:

@@ -14,7 +14,7 @@ from classic_ml.first_order_lag import Hold
 from classic_ml.records import FloatArray
 from classic_ml.residual_checks import CheckRow, coverage, input_correlation, whiteness
 from classic_ml.series import CoefficientSeries
-from comparisons.estimators import EstimatorSpec, default_estimators
+from comparisons.estimators import EstimatorSpec, default_estimators, psi_breakpoints
 from comparisons.fit_quality import (
     FitScore,
     block_errors,
@@ -28,6 +28,11 @@ from comparisons.lag_value import FittedLag
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
 
 CURVE_POINTS = 121
+# A surge cycle lasts a tenth of a second to a few: slower than this none is seen, and faster no
+# rake follows.
+SLOWEST_HZ, FASTEST_HZ = 20.0, 1e5
+# Records this far apart in corrected speed have different characteristics.
+SPEED_SPREAD = 0.03
 # Estimators that differ by more than this in τ are not measuring one thing.
 TAU_AGREEMENT = 0.15
 Progress = Callable[[Iterable[EstimatorSpec]], Iterable[EstimatorSpec]]
@@ -182,7 +187,9 @@ def compare_records(
         When the records do not go together or there is nothing to fit.
     """
     rows = stack_rows(records, target)
-    specs = estimators or default_estimators(degree=degree, hold=hold, target=target)
+    # Fixed beforehand for all fits, as in the paper; one search serves them all.
+    breakpoints = psi_breakpoints(rows, hold) if target == "psi" and not estimators else None
+    specs = estimators or default_estimators(degree=degree, hold=hold, breakpoints=breakpoints)
     valid_phi = trusted_range(rows.phi)
     results = tuple(_run(spec, rows, hold, valid_phi) for spec in progress(specs))
     return Comparison(
@@ -224,11 +231,7 @@ def _run(
         reconstruction if trained is None else trained,
         errors,
         blocks,
-        (
-            whiteness(errors, rows.runs),
-            input_correlation(errors, rows.phi, rows.runs),
-            coverage(rows.phi, rows.runs, valid_phi),
-        ),
+        _checks(estimator, errors, rows, valid_phi),
         seconds,
     )
 
@@ -275,6 +278,20 @@ def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | Non
     test = rows.part(~rows.train)
     free_run = trained[~rows.train]
     return score_fit(test.measured, free_run), block_errors(test.measured - free_run, test.runs)
+
+
+def _checks(
+    estimator: Any, errors: FloatArray, rows: FitRows, valid_phi: tuple[float, float]
+) -> tuple[CheckRow, ...]:
+    checks = (
+        input_correlation(errors, rows.phi, rows.runs),
+        coverage(rows.phi, rows.runs, valid_phi),
+    )
+    if not hasattr(estimator, "one_step"):
+        # The plain lag's prediction from a noisy row before it is never white: no noise model,
+        # no test of one.
+        return checks
+    return (whiteness(errors, rows.runs), *checks)
 
 
 def _state(estimator: Any) -> tuple[str, str]:
@@ -362,6 +379,7 @@ def _cautions(
             f"{left_out} rows {why}in a stretch of fewer than {MINIMUM_SEGMENT_ROWS} "
             "were not fitted"
         )
+    cautions += _record_cautions(records)
     for record in records:
         for entry in record.history:
             cautions += [f"{record.source}: {flag}" for flag in entry.flags]
@@ -372,3 +390,36 @@ def _cautions(
             "what they disagree on is not measured by this record"
         )
     return tuple(dict.fromkeys(cautions))
+
+
+def _record_cautions(records: Sequence[CoefficientSeries]) -> list[str]:
+    """Name what is odd about the records themselves."""
+    cautions = []
+    for i, record in enumerate(records):
+        if not record.history:
+            cautions.append(
+                f"{record.source}: no ledger lies beside it, so it is not known how it was "
+                "filtered; a low-pass before the flow equation makes τ come out high"
+            )
+        if record.n_segments == 1 and bool(record.scored.all()):
+            cautions.append(
+                f"{record.source}: all its rows are one segment: unstalled rows, if there are "
+                "any, are fitted as in-stall"
+            )
+        if not SLOWEST_HZ <= record.sample_rate_hz <= FASTEST_HZ:
+            cautions.append(
+                f"{record.source}: {record.sample_rate_hz:g} rows a second: is time_s in seconds?"
+            )
+        for other in records[:i]:
+            if np.array_equal(other.phi, record.phi) and np.array_equal(other.psi_p, record.psi_p):
+                cautions.append(
+                    f"{record.source} holds the same rows as {other.source}: errors are stated "
+                    "too small"
+                )
+    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
+    if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD:
+        cautions.append(
+            f"the records lie between {100 * min(speeds):.0f} and {100 * max(speeds):.0f} % "
+            "corrected speed: one curve is fitted to all of them"
+        )
+    return cautions

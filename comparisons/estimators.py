@@ -36,7 +36,10 @@ class EstimatorSpec:
 
 
 def default_estimators(
-    *, degree: int = 2, hold: Hold = "first", target: str = "psi_p"
+    *,
+    degree: int = 2,
+    hold: Hold = "first",
+    breakpoints: tuple[float, float] | None = None,
 ) -> tuple[EstimatorSpec, ...]:
     """Return the paper's way in its three noise models, and the sparse regression.
 
@@ -46,15 +49,16 @@ def default_estimators(
         Degree of the classical pressure characteristic.
     hold : {"zero", "first"}
         How φ acts between samples; the same for all.
-    target : {"psi_p", "psi"}
-        For the work coefficient the classical inputs are the piecewise-linear ones of Fig 22.
+    breakpoints : tuple of float, optional
+        Take the piecewise-linear inputs of Fig 22 in place of the polynomial, as the paper does
+        for the work coefficient.
     """
 
     def classical(noise: str) -> Callable[[FitRows], Any]:
         def build(rows: FitRows) -> Any:
             from classic_ml import LagRegressor, PiecewiseLinear
 
-            basis = PiecewiseLinear(psi_breakpoints(rows)) if target == "psi" else None
+            basis = PiecewiseLinear(breakpoints) if breakpoints else None
             return LagRegressor(
                 rows.sample_period_s,
                 noise=noise,  # type: ignore[arg-type]
@@ -84,7 +88,7 @@ def default_estimators(
     )
 
 
-def psi_breakpoints(rows: FitRows) -> tuple[float, float]:
+def psi_breakpoints(rows: FitRows, hold: Hold = "first") -> tuple[float, float]:
     """Choose the two breakpoints of Fig 22 that fit best, from the deciles of φ.
 
     The paper fixed them beforehand from low-speed data; without such data they are searched
@@ -94,6 +98,8 @@ def psi_breakpoints(rows: FitRows) -> tuple[float, float]:
     ----------
     rows : FitRows
         The rows to be fitted.
+    hold : {"zero", "first"}
+        How φ acts between samples.
     """
     from classic_ml import LagRegressor, PiecewiseLinear
 
@@ -106,7 +112,7 @@ def psi_breakpoints(rows: FitRows) -> tuple[float, float]:
     costs = []
     for pair in pairs:
         model = LagRegressor(
-            rows.sample_period_s, noise="arx", hold="first", basis=PiecewiseLinear(pair)
+            rows.sample_period_s, noise="arx", hold=hold, basis=PiecewiseLinear(pair)
         ).fit(rows.X, rows.measured, rows.labels)
         costs.append(model.residual_std_)
     return _rounded(pairs[int(np.argmin(costs))])
@@ -114,4 +120,5 @@ def psi_breakpoints(rows: FitRows) -> tuple[float, float]:
 
 def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
     # Three decimals of φ are what a characteristic can be read to; names stay short.
-    return round(float(pair[0]), 3), round(float(pair[1]), 3)
+    low, high = round(float(pair[0]), 3), round(float(pair[1]), 3)
+    return (low, high) if low < high else (float(pair[0]), float(pair[1]))

@@ -126,14 +126,9 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
     phi, measured, time_s, labels, record_index = (
         np.concatenate(parts) for parts in zip(*columns, strict=True)
     )
-    if phi.size < MINIMUM_SEGMENT_ROWS:
-        raise InputError(
-            ", ".join(record.source for record in records),
-            expected=f"at least {MINIMUM_SEGMENT_ROWS} rows in an interval to be fitted",
-            found=f"{phi.size}",
-            remedy="check the column segment: 0 marks the rows that are left out",
-        )
-    labels, train = _hold_out(labels.astype(np.int64))
+    _check_rows(records, phi, measured, target)
+    labels = labels.astype(np.int64)
+    train = np.concatenate([_train(labels[record_index == i]) for i in range(len(records))])
     return FitRows(
         phi.astype(np.float64),
         measured.astype(np.float64),
@@ -144,6 +139,34 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
         target,
         train,
     )
+
+
+def _check_rows(
+    records: Sequence[CoefficientSeries],
+    phi: NDArray[np.generic],
+    measured: NDArray[np.generic],
+    target: str,
+) -> None:
+    """Refuse rows that cannot be fitted, with the reason that holds."""
+    where = ", ".join(record.source for record in records)
+    if phi.size == 0:
+        marked = sum(int(record.scored.sum()) for record in records)
+        raise InputError(
+            where,
+            expected=f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows to be fitted",
+            found="none: every row has segment 0"
+            if marked == 0
+            else f"{marked} rows, all in shorter ones",
+            remedy="number the intervals to be fitted 1, 2, … in the column segment",
+        )
+    for name, values in (("phi", phi), (target, measured)):
+        if np.ptp(values.astype(np.float64)) == 0.0:
+            raise InputError(
+                f"{where}: column {name}",
+                expected="a signal that moves in the rows to be fitted",
+                found=f"the constant {values[0]:g}",
+                remedy="a lag cannot be identified without excitation",
+            )
 
 
 def _known(record: CoefficientSeries, target: str) -> NDArray[np.bool_]:
@@ -166,15 +189,14 @@ def _labels(
     return labels, n_before
 
 
-def _hold_out(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Hold out the last third: whole segments where there are several, else the end of the one."""
-    runs = runs_of(labels, labels.size)
+def _train(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Leave out the last third of a record: whole segments where there are three or more."""
     train = np.zeros(labels.size, dtype=np.bool_)
     target = TRAIN_SHARE * labels.size
+    runs = runs_of(labels, labels.size) if labels.size else []
     if len(runs) < 3:
         train[: int(target)] = True
-        return labels, train
+        return train
     for run in runs:
-        if run.stop <= target or run.start == 0:
-            train[run] = True
-    return labels, train
+        train[run] = run.stop <= target or run.start == 0
+    return train

@@ -37,7 +37,8 @@ def to_strict_json(document: dict[str, Any]) -> str:
 
 
 def _body(comparison: Comparison) -> dict[str, Any]:
-    tau = tau_caution(record.history for record in comparison.records)
+    pressure = comparison.rows.target == "psi_p"
+    tau = tau_caution(record.history for record in comparison.records) if pressure else None
     return {
         "records": [
             {

@@ -58,6 +58,8 @@ class FittedLag:
         How φ acts between samples.
     valid_phi : tuple of float
         Range of φ in which the curve can be trusted.
+    n_blocks : int
+        Blocks behind the standard errors; 0 where the estimator does not say.
     table : tuple of tuple of float
         The characteristic as (φ, value, standard error), for plots and for terms whose function
         is not known by name.
@@ -73,6 +75,7 @@ class FittedLag:
     hold: Hold
     valid_phi: tuple[float, float]
     table: tuple[tuple[float, float, float], ...]
+    n_blocks: int = 0
 
     @classmethod
     def from_estimator(
@@ -111,6 +114,7 @@ class FittedLag:
             hold,
             valid_phi,
             tuple(zip(phi.tolist(), value.tolist(), stderr.tolist(), strict=True)),
+            int(getattr(estimator, "n_blocks_", 0)),
         )
 
     @property
@@ -118,12 +122,19 @@ class FittedLag:
         """95 % interval of τ, in seconds; on log τ where τ is well told from zero."""
         if not math.isfinite(self.time_constant_stderr_s):
             return (math.nan, math.nan)
-        reach = 1.96 * self.time_constant_stderr_s
+        reach = self._quantile * self.time_constant_stderr_s
         if reach > 0.5 * self.time_constant_s:
             # So wide, log τ is no longer normal either: a bound from above is what is known.
             return (max(0.0, self.time_constant_s - reach), self.time_constant_s + reach)
         factor = math.exp(reach / self.time_constant_s)
         return (self.time_constant_s / factor, self.time_constant_s * factor)
+
+    @property
+    def _quantile(self) -> float:
+        """97.5 % quantile of Student's t: a variance from few blocks is itself uncertain."""
+        from scipy.stats import norm, t
+
+        return float(t.isf(0.025, self.n_blocks - 1) if self.n_blocks > 1 else norm.isf(0.025))
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:
         """Return the characteristic at φ, of shape (n,)."""
@@ -213,6 +224,7 @@ class FittedLag:
             ],
             "hold": self.hold,
             "valid_phi": list(self.valid_phi),
+            "n_blocks": self.n_blocks,
             "characteristic": [[_finite(v) for v in row] for row in self.table],
         }
 
@@ -231,11 +243,12 @@ class FittedLag:
             tau_s,
             _number(data["time_constant_stderr_s"]),
             tuple(str(term["name"]) for term in data["terms"]),
-            tuple(float(term["coefficient"]) for term in data["terms"]),
+            tuple(_known(term["coefficient"]) for term in data["terms"]),
             tuple(_number(term["stderr"]) for term in data["terms"]),
             data["hold"],
             (low, high),
             tuple((float(p), _number(v), _number(s)) for p, v, s in data["characteristic"]),
+            int(data["n_blocks"]),
         )
 
 
@@ -293,6 +306,13 @@ def _term(name: str, value: float, stderr: float) -> str:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def _known(value: float) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"a coefficient of {number}")
+    return number
 
 
 def _number(value: float | None) -> float:

@@ -29,7 +29,7 @@ _RULES: tuple[_Rule, ...] = (
         lambda phi, m: np.where(phi < 0.0, _power(phi, m[1]), 0.0),
     ),
     (
-        re.compile(rf"relu\(phi(?:-|\+0*-?)?({_NUMBER})?\)"),
+        re.compile(rf"relu\(phi(?:([-+])({_NUMBER}))?\)"),
         lambda phi, m: np.maximum(phi - _hinge_at(m), 0.0),
     ),
     (
@@ -45,8 +45,7 @@ _RULES: tuple[_Rule, ...] = (
 
 
 def _hinge_at(match: re.Match[str]) -> float:
-    sign = -1.0 if match.group(0).startswith("relu(phi+") else 1.0
-    return sign * float(match[1]) if match[1] else 0.0
+    return (-1.0 if match[1] == "+" else 1.0) * float(match[2] or 0.0)
 
 
 def is_known_term(name: str) -> bool:

@@ -22,6 +22,7 @@ PHI = np.array([-0.1, 0.0, 0.05, 0.3])
         ("relu(phi-0.05)", [0.0, 0.0, 0.0, 0.25]),
         ("relu(phi--0.05)", [0.0, 0.05, 0.1, 0.35]),
         ("relu(phi+0.05)", [0.0, 0.05, 0.1, 0.35]),
+        ("relu(phi+-0.05)", [0.0, 0.0, 0.0, 0.25]),
         ("relu(phi)", [0.0, 0.0, 0.05, 0.3]),
         ("exp(-phi/0.1)", np.exp(-PHI / 0.1)),
         ("min(phi,0.05)", [-0.1, 0.0, 0.05, 0.05]),
@@ -34,7 +35,18 @@ def test_a_name_gives_its_function(name: str, expected: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["__import__('os')", "phi**2", "psi", "phi^-1", "phi^2.5", "relu(x-1)", "", "s1"]
+    "name",
+    [
+        "__import__('os')",
+        "phi**2",
+        "psi",
+        "phi^-1",
+        "phi^2.5",
+        "relu(x-1)",
+        "relu(phi0.05)",
+        "",
+        "s1",
+    ],
 )
 def test_other_names_are_refused(name: str) -> None:
     assert not is_known_term(name)
