@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from classic_ml.errors import InputError
 
-__all__ = ["check_target", "replace_whole", "write_whole"]
+__all__ = ["check_apart", "check_target", "replace_whole", "write_whole"]
 
 
 def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
@@ -35,10 +35,39 @@ def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
         )
     if path.is_dir():
         raise InputError(str(path), expected="a file to write to", found="a folder")
+    if path.exists() and not path.is_file():
+        raise InputError(str(path), expected="a plain file to write to", found="a device or pipe")
     if not path.parent.is_dir():
         raise InputError(str(path), expected="an existing folder", found=f"no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise InputError(str(path), expected="a folder that can be written to", found="no right")
+
+
+def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
+    """Refuse an output that would replace an input or another output.
+
+    Parameters
+    ----------
+    inputs : iterable of path
+        Files that are read.
+    outputs : iterable of path
+        Files that are to be written.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    taken = {path.resolve(): "an input of this command" for path in inputs}
+    for path in outputs:
+        if path.resolve() in taken:
+            raise InputError(
+                str(path),
+                expected="a file of its own for each output",
+                found=taken[path.resolve()],
+                remedy="nothing was written; choose another name",
+            )
+        taken[path.resolve()] = "another output of this command"
 
 
 def replace_whole(path: Path, write: Callable[[Path], object]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TypeAlias
 
@@ -12,6 +13,8 @@ __all__ = ["build_parser", "main"]
 
 EXIT_DONE = 0
 EXIT_UNUSABLE = 2
+# 128 + SIGINT, as a shell reports a process that was interrupted.
+EXIT_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,24 +28,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done, whatever the verdict; 2: unusable input, said in one sentence on stderr.
+        0: done, whatever the verdict; 2: unusable input, said in one sentence on stderr; 130:
+        interrupted.
     """
     from classic_ml.errors import InputError
+    from sindy_surge.errors import InputError as SparseInputError
 
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that cannot show Greek gets a replacement sign, not an exception.
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
     arguments = build_parser().parse_args(argv)
     try:
         arguments.run(arguments)
-    except InputError as error:
+        sys.stdout.flush()
+    except (InputError, SparseInputError) as error:
         print(f"sindy-surge: {error}", file=sys.stderr)
         return EXIT_UNUSABLE
+    except KeyboardInterrupt:
+        print("sindy-surge: interrupted; files that were finished are whole", file=sys.stderr)
+        return EXIT_INTERRUPTED
     except BrokenPipeError:
         # `sindy-surge … | head` closes our output: that is not a failure.
         sys.stderr.close()
         return EXIT_DONE
     except OSError as error:
-        if error.filename is None:
-            raise
-        print(f"sindy-surge: {error.filename}: {error.strerror}", file=sys.stderr)
+        where = error.filename or "output"
+        print(f"sindy-surge: {where}: {error.strerror}", file=sys.stderr)
         return EXIT_UNUSABLE
     return EXIT_DONE
 
@@ -96,7 +108,11 @@ def _add_simulate(commands: _Commands) -> None:
         description="Run the simulated test rig: DIR/raw.csv and DIR/test.toml as a real rig "
         "would leave them, and apart from them the truth in DIR/truth.",
     )
-    parser.add_argument("--case", default="985", help="parameter set (default: 985)")
+    parser.add_argument(
+        "--case",
+        default="985",
+        help="parameter set: 985, 90, 95, 985-second or blowdown (default: 985)",
+    )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
     parser.add_argument(
         "--duration", type=float, default=4.0, metavar="SECONDS", help="length (default: 4)"
@@ -118,16 +134,26 @@ def _add_reduce(commands: _Commands) -> None:
         "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
     )
     parser.add_argument(
-        "--filter-order", type=int, default=None, metavar="N", help="Butterworth order, 3 or 5"
+        "--filter-order",
+        type=int,
+        default=None,
+        metavar="N",
+        help="Butterworth order, 3 or 5 (default: 3)",
     )
     parser.add_argument(
         "--cutoff", type=float, default=None, metavar="HZ", help="filter cut-off (default: 48)"
     )
     parser.add_argument(
-        "--phase", choices=("zero", "causal", "none"), default=None, help="filter direction"
+        "--phase",
+        choices=("zero", "causal", "none"),
+        default=None,
+        help="filter direction (default: zero)",
     )
     parser.add_argument(
-        "--probes", choices=("all", "tip", "hub"), default=None, help="probes that are averaged"
+        "--probes",
+        choices=("all", "tip", "hub"),
+        default=None,
+        help="probes that are averaged (default: all)",
     )
     parser.add_argument(
         "--invert-thermocouples", action="store_true", help="undo the lag of the thermocouples"
@@ -139,10 +165,18 @@ def _add_reduce(commands: _Commands) -> None:
         help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
     )
     parser.add_argument(
-        "--threshold", type=float, default=None, metavar="LBM_S", help="corrected flow of stall"
+        "--threshold",
+        type=float,
+        default=None,
+        metavar="LBM_S",
+        help="corrected flow below which the machine is in stall (default: test.toml's, else 50)",
     )
     parser.add_argument(
-        "--hysteresis", type=float, default=None, metavar="LBM_S", help="width of the threshold"
+        "--hysteresis",
+        type=float,
+        default=None,
+        metavar="LBM_S",
+        help="half width of a band around the threshold (default: test.toml's, else 0)",
     )
     parser.add_argument(
         "--window",
@@ -175,7 +209,10 @@ def _add_compare(commands: _Commands) -> None:
         help="degree of the classical characteristic (default: 2)",
     )
     parser.add_argument(
-        "--hold", choices=("first", "zero"), default="first", help="φ between its samples"
+        "--hold",
+        choices=("first", "zero"),
+        default="first",
+        help="φ between its samples: joined by lines, or held as in Eq 9 (default: first)",
     )
     parser.set_defaults(run=_command("compare"))
 
@@ -190,7 +227,10 @@ def _add_reconstruct(commands: _Commands) -> None:
     parser.add_argument("model", type=Path, metavar="MODEL", help="saved by compare --save")
     _add_series(parser)
     parser.add_argument(
-        "--estimator", default=None, metavar="NAME", help="one estimator; all without it"
+        "--estimator",
+        default=None,
+        metavar="NAME",
+        help="classic_ml, classic_ml_arx, classic_ml_output_error or sindy; all without it",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the scores as JSON")
     parser.add_argument(

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from classic_ml.errors import InputError
-from classic_ml.files import check_target, write_whole
-from classic_ml.series import CoefficientSeries, read_series, write_series
+from classic_ml.files import check_apart, check_target, write_whole
+from classic_ml.series import CoefficientSeries, ledger_path, read_series, write_series
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction, ReductionSettings
@@ -22,6 +22,16 @@ __all__ = ["run_compare", "run_demo", "run_reconstruct", "run_reduce", "run_simu
 
 _T = TypeVar("_T")
 HTML = (".html", ".htm")
+OPTIONS = {
+    "filter_order": "--filter-order",
+    "cutoff_hz": "--cutoff",
+    "phase": "--phase",
+    "probes": "--probes",
+    "work_form": "--work-form",
+    "threshold_lbm_s": "--threshold",
+    "hysteresis_lbm_s": "--hysteresis",
+    "window_s": "--window",
+}
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
@@ -39,8 +49,11 @@ def run_reduce(arguments: argparse.Namespace) -> None:
     from classic_ml.readers import read_raw
     from classic_ml.reduction import reduce_record
 
-    check_target(arguments.out, (".csv", ".nc", ".nc4", ".netcdf"))
-    _check_targets((arguments.report, HTML))
+    _check_targets(
+        [arguments.raw, arguments.test],
+        (arguments.out, (".csv", ".nc", ".nc4", ".netcdf")),
+        (arguments.report, HTML),
+    )
     record, test = read_raw(arguments.raw, arguments.test)
     reduction = reduce_record(record, test, _settings(arguments))
     write_series(reduction.series, arguments.out)
@@ -64,7 +77,9 @@ def run_compare(arguments: argparse.Namespace) -> None:
     """Fit the estimators to series files and set them side by side."""
     from comparisons.lag_value import save_models
 
-    _check_targets((arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
+    _check_targets(
+        arguments.series, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ())
+    )
     records = [read_series(path) for path in arguments.series]
     comparison, work = _compare(records, arguments.degree, arguments.hold)
     if arguments.json:
@@ -101,7 +116,12 @@ def run_reconstruct(arguments: argparse.Namespace) -> None:
     )
     from comparisons.table import reconstruction_table
 
-    _check_targets((arguments.json, ()), (arguments.report, HTML), (arguments.out, (".csv",)))
+    _check_targets(
+        [arguments.model, *arguments.series],
+        (arguments.json, ()),
+        (arguments.report, HTML),
+        (arguments.out, (".csv",)),
+    )
     models = load_models(arguments.model)
     if arguments.estimator is not None:
         if arguments.estimator not in models:
@@ -168,7 +188,14 @@ def _settings(arguments: argparse.Namespace) -> ReductionSettings:
         "hysteresis_lbm_s": arguments.hysteresis,
         "window_s": tuple(arguments.window) if arguments.window else None,
     }
-    return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
+    try:
+        return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
+    except InputError as error:
+        # A user of the command line knows the option, not the field behind it.
+        field = error.where.rsplit(".", 1)[-1]
+        raise InputError(
+            OPTIONS.get(field, field), expected=error.expected, found=error.found
+        ) from None
 
 
 def _compare(
@@ -184,12 +211,16 @@ def _compare(
     )
     if any(record.psi is None for record in records):
         return comparison, None
-    work = compare_records(
-        records,
-        target="psi",
-        hold=hold,  # type: ignore[arg-type]
-        progress=_progress,
-    )
+    try:
+        work = compare_records(
+            records,
+            target="psi",
+            hold=hold,  # type: ignore[arg-type]
+            progress=_progress,
+        )
+    except InputError as error:
+        print(f"ψ was not fitted: {error}", file=sys.stderr)
+        return comparison, None
     return comparison, work
 
 
@@ -200,11 +231,15 @@ def _models(comparison: Comparison, work: Comparison | None) -> dict[str, Fitted
     return models
 
 
-def _check_targets(*targets: tuple[Path | None, tuple[str, ...]]) -> None:
-    """Refuse a target that cannot be written before any work is done."""
-    for path, suffixes in targets:
-        if path is not None:
-            check_target(path, suffixes)
+def _check_targets(inputs: Sequence[Path], *targets: tuple[Path | None, tuple[str, ...]]) -> None:
+    """Refuse, before any work is done, a target that cannot or must not be written."""
+    wanted = [(path, suffixes) for path, suffixes in targets if path is not None]
+    for path, suffixes in wanted:
+        check_target(path, suffixes)
+    check_apart(
+        [*inputs, *(ledger_path(path) for path in inputs)],
+        [*(path for path, _ in wanted)],
+    )
 
 
 def _print_reduction(reduction: Reduction) -> None:

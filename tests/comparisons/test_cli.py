@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -227,6 +228,76 @@ def test_missing_files_and_folders_are_refused(
     assert "folder" in refused(capsys, "compare", file, "--save", tmp_path)
     assert "no such file" in refused(capsys, "reconstruct", tmp_path / "m.json", file)
     assert nothing_but(tmp_path, "s.csv")
+
+
+def test_no_output_replaces_an_input_or_another_output(
+    raw: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, model = tmp_path / "s.csv", tmp_path / "m.json"
+    series_table(600).to_csv(file, index=False)
+    before = file.read_bytes()
+    again = tmp_path / "." / "s.csv"
+    assert "input" in refused(capsys, "compare", file, "--json", again)
+    assert "input" in refused(capsys, "compare", file, "--save", file)
+    assert "another output" in refused(capsys, "compare", file, "--json", model, "--save", model)
+    counts = (raw / "raw.csv").read_bytes()
+    assert "input" in refused(
+        capsys, "reduce", raw / "raw.csv", "--test", raw / "test.toml", "-o", raw / "raw.csv"
+    )
+    assert (raw / "raw.csv").read_bytes() == counts
+    assert file.read_bytes() == before
+    assert nothing_but(tmp_path, "s.csv")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="devices are files on Unix alone")
+def test_a_device_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "s.csv"
+    series_table(600).to_csv(file, index=False)
+    assert "device" in refused(capsys, "compare", file, "--json", "/dev/null")
+    assert Path("/dev/null").is_char_device()
+
+
+def test_a_terminal_without_greek_is_no_reason_to_fail(tmp_path: Path) -> None:
+    file = tmp_path / "s.csv"
+    series_table(600).to_csv(file, index=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "comparisons.cli", "compare", str(file)],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert b"Traceback" not in done.stderr
+
+
+def test_an_interrupt_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("comparisons.commands.run_compare", interrupted)
+    assert run("compare", tmp_path / "s.csv") == 130
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_option_is_named_and_not_the_field_behind_it(
+    raw: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = ("reduce", raw / "raw.csv", "--test", raw / "test.toml", "-o", tmp_path / "s.csv")
+    assert "--cutoff: expected" in refused(capsys, *files, "--cutoff", "0")
+    assert "--filter-order: expected" in refused(capsys, *files, "--filter-order", "4")
+    assert "--window: expected" in refused(capsys, *files, "--window", "3", "2")
+
+
+def test_flow_that_stands_still_in_the_segments_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = series_table(600).assign(segment=0)
+    table.loc[200:300, "segment"] = 1
+    table.loc[200:300, "phi"] = 0.3
+    table.to_csv(tmp_path / "s.csv", index=False)
+    assert "moves in the rows to be fitted" in refused(capsys, "compare", tmp_path / "s.csv")
 
 
 def drop_channel(folder: Path) -> None:

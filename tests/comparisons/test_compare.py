@@ -105,6 +105,35 @@ def test_held_out_segments_are_never_trained_on() -> None:
     assert train.time_s.max() < test.time_s.min()
 
 
+def test_the_end_of_every_record_is_held_out() -> None:
+    rows = stack_rows([series(3), series(4)])
+    for index in (0, 1):
+        own = rows.record == index
+        assert 0.5 < rows.train[own].mean() < 0.8
+        assert rows.time_s[own & rows.train].max() < rows.time_s[own & ~rows.train].min()
+
+
+def test_odd_records_are_named() -> None:
+    one = series(5)
+    words = compare_records([one, one], estimators=CLASSICAL[:1]).cautions
+    assert any("holds the same rows" in word for word in words)
+    assert any("no ledger" in word for word in words)
+    whole = series(6, n_segments=1)
+    assert any("one segment" in w for w in compare_records([whole], estimators=CLASSICAL).cautions)
+    slow = CoefficientSeries(one.time_s * 1000.0, one.phi, one.psi_p, one.segment, source="ms")
+    assert any(
+        "is time_s in seconds?" in w
+        for w in compare_records([slow], estimators=CLASSICAL[:1]).cautions
+    )
+    speeds = [
+        CoefficientSeries(one.time_s, r.phi, r.psi_p, r.segment, Nc_frac=np.full(3000, nc))
+        for r, nc in ((one, 0.75), (series(7), 0.70))
+    ]
+    assert any(
+        "corrected speed" in w for w in compare_records(speeds, estimators=CLASSICAL).cautions
+    )
+
+
 def test_two_records_are_stacked_without_a_straddling_segment() -> None:
     rows = stack_rows([series(4), series(5)])
     assert rows.n_segments == 12
