@@ -93,7 +93,10 @@ def run(
         if case == FITTED[0][0]:
             validation = _validate(comparison, seed, folder)
         truth = _truth(rig, "psi_p")
+        work_truth = _truth(rig, "psi") if work else None
         lines += _against_truth(title, comparison, truth)
+        if work is not None and work_truth is not None:
+            lines += _against_truth(title, work, work_truth)
         sections.append(
             ReportSection(
                 title=f"Simulated test at {title}",
@@ -101,7 +104,7 @@ def run(
                 work=work,
                 reduction=reduction,
                 truth=truth,
-                work_truth=_truth(rig, "psi") if work else None,
+                work_truth=work_truth,
                 validation=validation,
             )
         )
@@ -182,11 +185,15 @@ def _against_truth(title: str, comparison: Comparison, truth: Truth) -> list[str
     low, high = max(comparison.valid_phi[0], truth.phi[0]), min(comparison.valid_phi[1], 0.15)
     at = np.linspace(low, high, 50)
     true = np.interp(at, truth.phi, truth.quasi_steady)
-    lines = [f"{title}: found against the truth of the rig, φ from {low:.2f} to {high:.2f}"]
+    symbol = "ψ'_QS" if comparison.rows.target == "psi_p" else "ψ_QS"
+    lines = [
+        f"{title}, {symbol}: found against the truth of the rig, φ from {low:.2f} to {high:.2f}"
+    ]
     for result in comparison.results:
         off = float(np.max(np.abs(result.model.quasi_steady(at) - true)))
         lines.append(
-            f"  {result.label:32s} ψ'_QS off by at most {off:.2f}, "
+            f"  {result.label:32s} off by at most {off:.2f} of {true.min():.1f} to "
+            f"{true.max():.1f}, "
             f"τ {1e3 * result.model.time_constant_s:5.1f} ms for {1e3 * truth.time_constant_s:.0f}"
         )
     return lines
