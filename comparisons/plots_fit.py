@@ -58,6 +58,7 @@ ZOOM_S = 0.8
 FEWEST_LAGS = 5
 MOST_LAGS = 40
 COLUMN = "#bcc5d0"
+DWELLING = r"where $\varphi$ dwells (5th to 95th percentile)"
 
 
 def plot_characteristics(
@@ -77,7 +78,7 @@ def plot_characteristics(
     Returns
     -------
     Axes
-        Curves with bands of ± 2 standard errors, full in the range of trust and faint outside
+        Curves with bands of ± 2 standard errors, full where φ dwells and faint outside
         (paper, Fig 23 to 26).
     """
     ax = axes_of(ax, 6.0)
@@ -128,7 +129,7 @@ def plot_characteristics(
     word = "pressure" if rows.target == "psi_p" else "work"
     ax.set_ylabel(f"quasi-steady {word} coefficient {symbol} [-]")
     # Above the axes: inside them it would lie on the histogram or on the curves.
-    legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, columnspacing=1.6)
+    legend(ax, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, columnspacing=1.6)
     return ax
 
 
@@ -248,7 +249,7 @@ def plot_validation(reconstructions: tuple[Reconstruction, ...]) -> Figure:
     -------
     Figure
         Above, the whole record with the best model; below, the cycles in its middle with all of
-        them, rows outside the range of trust shaded.
+        them, rows shaded whose φ lies outside the range where it dwelt in the fit.
     """
     best = min(reconstructions, key=lambda run: run.score.rms)
     rows = best.rows
@@ -258,7 +259,7 @@ def plot_validation(reconstructions: tuple[Reconstruction, ...]) -> Figure:
     middle = 0.5 * float(time_s[0] + time_s[-1])
     low, high = best.model.valid_phi
     outside = (rows.phi < low) | (rows.phi > high)
-    _shade(dress(lower), time_s, outside, r"$\varphi$ outside the range of trust")
+    _shade(dress(lower), time_s, outside, r"$\varphi$ beyond where it dwelt in the fit")
     styles = estimator_styles(run.model.estimator for run in reconstructions)
     for ax, shown, width in ((dress(upper), (best,), 0.8), (lower, reconstructions, 1.2)):
         x, y = broken(time_s, rows.measured, runs)
@@ -293,12 +294,12 @@ def _histogram_behind(ax: Axes, phi: FloatArray, valid_phi: tuple[float, float])
     ax.patch.set_visible(False)
     # A record can leave a hole in the range: there the curve rests on nothing.
     grid = np.linspace(*valid_phi, 400)
-    trusted = dwelt_on(grid, phi)
-    for run in runs_of(trusted, grid.size):
-        if trusted[run.start]:
+    dwelt = dwelt_on(grid, phi)
+    for run in runs_of(dwelt, grid.size):
+        if dwelt[run.start]:
             behind.axvspan(float(grid[run.start]), float(grid[run.stop - 1]), color=SHADE, lw=0)
     # Entries of the legend for what lies on the axes behind.
-    ax.fill([], [], color=SHADE, label="range of trust")
+    ax.fill([], [], color=SHADE, label=DWELLING)
     ax.fill([], [], color=COLUMN, label=r"histogram of $\varphi$")
     behind.stairs(histogram.density, histogram.edges, fill=True, color=COLUMN, lw=0)
     behind.set_ylim(0.0, float(histogram.density.max()) / HISTOGRAM_SHARE)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.cautions import grouped_cautions, tau_caution
+from comparisons.cautions import grouped_cautions, ranking_caution, tau_caution
 from comparisons.compare import Comparison, ComparisonRow, EstimatorResult
 from comparisons.fit_quality import paired_difference
 from comparisons.labels import estimator_label
@@ -87,7 +87,7 @@ def _interval(row: ComparisonRow, result: EstimatorResult) -> str:
     if not (math.isfinite(low) and math.isfinite(high)):
         return NOT_KNOWN
     if not row.time_constant_stderr_s < row.time_constant_s:
-        # On log τ so wide an interval runs over decades and says nothing: the bound does.
+        # The lower end of so wide an interval says nothing: the bound from above does.
         bound_s = row.time_constant_s + ONE_SIDED_95 * row.time_constant_stderr_s
         return f"< {significant(1e3 * bound_s, 2)}"
     error = 1e3 * row.time_constant_stderr_s
@@ -112,7 +112,8 @@ FIELDS: tuple[TableField, ...] = (
     TableField("τ [ms]", "time constant ± standard error", _tau),
     TableField(
         "95 % [ms]",
-        "95 % interval of τ, taken on log τ; an upper bound where τ is not told from zero",
+        "95 % interval of τ: on log τ where τ is well told from zero, symmetric and cut at zero "
+        "where it is told less well, an upper bound where it is not told from zero",
         _interval,
     ),
     TableField("trust", "what in this line should not be relied on", _trust, False),
@@ -137,7 +138,7 @@ RECONSTRUCTION_FIELDS: tuple[TableField, ...] = (
     TableField("rows", "rows that were scored", lambda run: str(run.score.n_rows)),
     TableField(
         "outside [%]",
-        "share of the rows whose φ lies outside the model's range of trust",
+        "share of the rows whose φ lies beyond where it dwelt in the fit (5th to 95th percentile)",
         lambda run: f"{100.0 * run.outside:.0f}",
     ),
 )
@@ -183,15 +184,19 @@ def comparison_table(comparison: Comparison) -> str:
     """
     cells = comparison_cells(comparison)
     lines = _aligned(FIELDS[:-1], [row[:-1] for row in cells])
-    # What to trust is prose of any length: it goes below the row it belongs to.
+    # What to trust is prose of any length: it goes below the row it belongs to, behind the name
+    # that the command line knows the estimator by.
     body = [
         line
-        for start, row in zip(lines[2:], cells, strict=True)
-        for line in (start, *_wrapped(row[-1], "   "))
+        for start, row, words in zip(lines[2:], comparison.table, cells, strict=True)
+        for line in (start, *_wrapped(f"{row.estimator}: {words[-1]}", "   "))
     ]
-    pressure = comparison.rows.target == "psi_p"
-    tau = tau_caution(r.history for r in comparison.records) if pressure else None
-    known = (*([tau] if tau else []), *grouped_cautions(comparison.cautions))
+    target = comparison.rows.target
+    general = (
+        ranking_caution(comparison),
+        tau_caution((record.history for record in comparison.records), target=target),
+    )
+    known = (*filter(None, general), *grouped_cautions(comparison.cautions))
     cautions = [
         line for caution in known for line in _wrapped(f"caution: {caution}", "", "         ")
     ]
@@ -206,7 +211,14 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    return "\n".join(_aligned(RECONSTRUCTION_FIELDS, reconstruction_cells(runs)))
+    lines = _aligned(RECONSTRUCTION_FIELDS, reconstruction_cells(runs))
+    names = dict.fromkeys(run.model.estimator for run in runs)
+    called = [
+        f"{name} ({estimator_label(name)})" for name in names if estimator_label(name) != name
+    ]
+    # A column of names would not fit beside a long path.
+    legend = _wrapped(f"names of the models: {'; '.join(called)}", "", "   ") if called else []
+    return "\n".join([*lines, *([""] if legend else []), *legend])
 
 
 def _aligned(fields: Sequence[TableField], cells: list[list[str]]) -> list[str]:

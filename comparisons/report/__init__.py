@@ -1,10 +1,11 @@
 """The HTML report."""
 
-from comparisons.report.blocks import Bullets, Head, Part, Picture, Table, Words
+from comparisons.report.blocks import Bullets, Cell, Head, Part, Picture, Table, Words
 from comparisons.report.report import ReportSection, Truth, render_report, write_report
 
 __all__ = [
     "Bullets",
+    "Cell",
     "Head",
     "Part",
     "Picture",

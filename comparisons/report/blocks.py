@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-__all__ = ["Block", "Bullets", "Head", "Part", "Picture", "Table", "Words"]
+__all__ = ["Block", "Bullets", "Cell", "Head", "Part", "Picture", "Table", "Words"]
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Words:
     ----------
     text : str
         Plain text; the template escapes it.
-    tone : {"plain", "caution", "code"}
+    tone : {"plain", "quiet", "caution", "code"}
         How it is set.
     """
 
@@ -69,6 +69,20 @@ class Head:
 
 
 @dataclass(frozen=True)
+class Cell:
+    """A cell with small print below it.
+
+    Parameters
+    ----------
+    text, small : str
+        What it says, and the small print.
+    """
+
+    text: str
+    small: str
+
+
+@dataclass(frozen=True)
 class Table:
     """A table.
 
@@ -78,7 +92,7 @@ class Table:
         What it shows.
     heads : tuple of Head
         Its columns.
-    rows : tuple of tuple of str
+    rows : tuple of tuple of str or Cell
         Its cells.
     marks : tuple of str
         A class for each row: ``"failed"``, ``"best"`` or empty.
@@ -87,7 +101,7 @@ class Table:
     kind: ClassVar[str] = "table"
     caption: str
     heads: tuple[Head, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
     marks: tuple[str, ...] = ()
 
     def mark(self, row: int) -> str:

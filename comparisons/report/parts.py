@@ -23,7 +23,14 @@ from comparisons.report.tables import (
     settings_tables,
     summary_table,
 )
-from comparisons.report.words import cautions_list, summary_list, tau_words, truth_list
+from comparisons.report.words import (
+    cautions_list,
+    ranking_words,
+    summary_list,
+    tau_words,
+    truth_list,
+    unknown_work_list,
+)
 
 if TYPE_CHECKING:
     from comparisons.report.report import ReportSection
@@ -61,9 +68,10 @@ def _summary(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Bloc
     blocks: list[Block] = []
     for fit, truth in ((section.comparison, section.truth), (section.work, section.work_truth)):
         if fit is not None:
-            blocks += [summary_list(fit), summary_table(fit)]
+            blocks += [summary_list(fit), summary_table(fit), ranking_words(fit)]
             if truth is not None:
                 blocks.append(truth_list(fit, truth))
+    blocks += unknown_work_list(section, fits)
     return (*tau_words(section, fits), *cautions_list(section, fits), *blocks)
 
 

@@ -10,10 +10,11 @@ from classic_ml.series import CoefficientSeries
 from comparisons.compare import Comparison
 from comparisons.labels import estimator_label
 from comparisons.plots_style import figure_to_data_uri
-from comparisons.report.blocks import Block, Head, Picture, Table, Words
+from comparisons.report.agreement import dwelling, dwelling_words
+from comparisons.report.blocks import Block, Picture, Words
+from comparisons.report.tables import validation_table
 from comparisons.report.words import coefficient_name
 from comparisons.rounding import significant
-from comparisons.table import RECONSTRUCTION_FIELDS, reconstruction_cells
 from comparisons.truth import Truth
 
 if TYPE_CHECKING:
@@ -141,17 +142,15 @@ def characteristic_picture(fit: Comparison, truth: Truth | None) -> Picture:
     """
     from comparisons.plots_fit import plot_characteristics
 
-    low, high = fit.valid_phi
     known = "" if truth is None else f" Dotted black: {truth.label}."
     return Picture(
         f"Quasi-steady {coefficient_name(fit)}",
         _drawn(plot_characteristics(fit, truth)),
         f"Quasi-steady {coefficient_name(fit)} over φ of {len(fit.results)} estimators with bands, "
-        f"over the histogram of φ; range of trust {low:.3f} to {high:.3f}.",
-        "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. A curve is a "
-        "reliable estimate where the histogram is high: the shaded range holds φ from its 5th to "
-        "its 95th percentile. Outside it the curves are extrapolated and drawn faint. Where "
-        "estimators part inside the shade by more than their bands, the model lacks something."
+        f"over the histogram of φ; {dwelling(fit)}.",
+        "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. Shaded: where φ "
+        "dwells, from its 5th to its 95th percentile; beyond it curves are faint. "
+        + dwelling_words(fit)
         + known,
     )
 
@@ -245,14 +244,13 @@ def validation_picture(runs: tuple[Reconstruction, ...]) -> tuple[Block, ...]:
                 f"Measured {symbol} of {source} and free runs of models fitted elsewhere; rms "
                 f"{scores}.",
                 "Nothing was fitted to this record. Above the model with the least error over the "
-                "whole record, below all models in its middle. Shaded: φ outside the range of "
-                "trust, where the reconstruction rests on extrapolated curves.",
+                "whole record, below all models in its middle. Shaded: φ beyond where it dwelt in "
+                "the fit (5th to 95th percentile), where the reconstruction rests on extrapolated "
+                "curves.",
             )
         )
     if runs:
-        cells = tuple(tuple(row) for row in reconstruction_cells(runs))
-        heads = tuple(Head(f.heading, f.meaning, f.numeric) for f in RECONSTRUCTION_FIELDS)
-        blocks.append(Table("Validation: models fitted elsewhere, nothing refitted", heads, cells))
+        blocks.append(validation_table(runs))
     return tuple(blocks)
 
 

@@ -8,12 +8,19 @@ from typing import TYPE_CHECKING
 
 from classic_ml.records import Dropped, LedgerEntry
 from comparisons.compare import Comparison, EstimatorResult
-from comparisons.report.blocks import Head, Table, Words
+from comparisons.labels import estimator_label
+from comparisons.report.blocks import Cell, Head, Table, Words
 from comparisons.report.words import coefficient_name
 from comparisons.rounding import round_to_error, significant
-from comparisons.table import FIELDS, comparison_cells
+from comparisons.table import (
+    FIELDS,
+    RECONSTRUCTION_FIELDS,
+    comparison_cells,
+    reconstruction_cells,
+)
 
 if TYPE_CHECKING:
+    from comparisons.reconstruction import Reconstruction
     from comparisons.report.report import ReportSection
 
 __all__ = [
@@ -23,6 +30,7 @@ __all__ = [
     "ledger_tables",
     "settings_tables",
     "summary_table",
+    "validation_table",
 ]
 
 
@@ -35,7 +43,10 @@ def summary_table(fit: Comparison) -> Table:
         Estimators side by side.
     """
     heads = tuple(Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1]) for f in FIELDS)
-    rows = tuple(tuple(row) for row in comparison_cells(fit))
+    rows = tuple(
+        _with_name(cells, row.label, row.estimator)
+        for cells, row in zip(comparison_cells(fit), fit.table, strict=True)
+    )
     return Table(f"Estimators of the {coefficient_name(fit)}, best first", heads, rows, ("best",))
 
 
@@ -72,6 +83,22 @@ def checks_table(fit: Comparison) -> Table:
     return Table(f"Residual checks, {coefficient_name(fit)}", heads, tuple(rows), tuple(marks))
 
 
+def validation_table(runs: tuple[Reconstruction, ...]) -> Table:
+    """Return the scores of models that were fitted elsewhere.
+
+    Parameters
+    ----------
+    runs : tuple of Reconstruction
+        Models and the records they were run on.
+    """
+    heads = tuple(Head(f.heading, f.meaning, f.numeric) for f in RECONSTRUCTION_FIELDS)
+    rows = tuple(
+        _with_name(cells, estimator_label(run.model.estimator), run.model.estimator)
+        for cells, run in zip(reconstruction_cells(runs), runs, strict=True)
+    )
+    return Table("Validation: models fitted elsewhere, nothing refitted", heads, rows)
+
+
 def equation_words(fit: Comparison) -> tuple[Words, ...]:
     """Return the equation of each estimator.
 
@@ -103,7 +130,7 @@ def coefficients_table(fit: Comparison) -> Table:
     return Table(
         f"Coefficients of the {coefficient_name(fit)} ± standard error; φ {words.get(hold, '')} "
         f"(hold “{hold}”)",
-        (Head("term"), *(Head(result.label, "", True) for result in fit.results)),
+        (Head("term"), *(Head(result.label, result.name, True) for result in fit.results)),
         tuple(rows),
     )
 
@@ -142,6 +169,12 @@ def settings_tables(section: ReportSection) -> tuple[Table, ...]:
     rows = [("test", reduction.test.name), ("window", f"{from_s:.3f} to {to_s:.3f} s")]
     rows += [(name, _setting(value)) for name, value in asdict(reduction.settings).items()]
     return (Table("Settings of the reduction", (Head("setting"), Head("value")), tuple(rows)),)
+
+
+def _with_name(cells: list[str], label: str, name: str) -> tuple[str | Cell, ...]:
+    """Print below the label of an estimator the name that the command line knows it by."""
+    named = label != name
+    return tuple(Cell(cell, name) if named and cell == label else cell for cell in cells)
 
 
 def _tau_ms(result: EstimatorResult) -> str:

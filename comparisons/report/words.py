@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classic_ml.records import LedgerEntry
-from comparisons.cautions import grouped_cautions, tau_caution
+from comparisons.cautions import grouped_cautions, ranking_meaning, tau_caution, unknown_work
 from comparisons.compare import Comparison
+from comparisons.report.agreement import dwelling, dwelling_words
 from comparisons.report.blocks import Bullets, Words
 from comparisons.rounding import round_to_error, significant
 from comparisons.truth import Truth
@@ -17,7 +18,15 @@ from comparisons.truth import Truth
 if TYPE_CHECKING:
     from comparisons.report.report import ReportSection
 
-__all__ = ["cautions_list", "coefficient_name", "summary_list", "tau_words", "truth_list"]
+__all__ = [
+    "cautions_list",
+    "coefficient_name",
+    "ranking_words",
+    "summary_list",
+    "tau_words",
+    "truth_list",
+    "unknown_work_list",
+]
 
 
 def coefficient_name(fit: Comparison) -> str:
@@ -38,7 +47,8 @@ def tau_words(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Wor
         Its comparisons.
     """
     fitted = any(fit.rows.target == "psi_p" for fit in fits)
-    caution = tau_caution(_histories(section, fits)) if fitted else None
+    target = "psi_p" if fitted else "psi"
+    caution = tau_caution(_histories(section, fits), target=target)
     return () if caution is None else (Words(caution[0].upper() + caution[1:], "caution"),)
 
 
@@ -79,14 +89,15 @@ def summary_list(fit: Comparison) -> Bullets:
     """
     rows = fit.rows
     held_out = int(np.count_nonzero(~rows.train))
-    low, high = fit.valid_phi
     items = [
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
         f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
         _best_words(fit),
+        "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
+        f"rewarded on held-out cycles too: {ranking_meaning(rows.target)}.",
         _tau_range_words(fit),
-        f"The curves can be trusted for φ from {low:.3f} to {high:.3f}, where the record dwells.",
+        f"The record's {dwelling(fit)}. {dwelling_words(fit)}",
         _checks_words(fit),
     ]
     return Bullets(tuple(items), "plain", coefficient_name(fit).capitalize())
@@ -103,20 +114,50 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
         The truth.
     """
     items = []
-    low, high = fit.valid_phi
+    low, high = max(fit.valid_phi[0], truth.phi[0]), min(fit.valid_phi[1], truth.phi[-1])
     for row in fit.table:
         model = fit.result(row.estimator).model
         phi, value, _ = np.asarray(model.table).T
-        known = (phi >= max(low, truth.phi[0])) & (phi <= min(high, truth.phi[-1]))
+        known = (phi >= low) & (phi <= high)
         off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
         curve = f"curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
         items.append(f"{row.label}: {_tau_off(row.time_constant_s, model, truth)}; {curve}.")
     return Bullets(
         tuple(items),
         "plain",
-        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves in "
-        "the range of trust",
+        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves where "
+        f"φ dwells and the truth is known, from {low:.3f} to {high:.3f}",
     )
+
+
+def ranking_words(fit: Comparison) -> Words:
+    """Say below the table what its order means.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    said = ranking_meaning(fit.rows.target)
+    return Words(f"{said[0].upper()}{said[1:]}.", "quiet")
+
+
+def unknown_work_list(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Bullets, ...]:
+    """Say why ψ is not known, where the ledger shows that it could not be found.
+
+    Parameters
+    ----------
+    section : ReportSection
+        The section.
+    fits : tuple of Comparison
+        Its comparisons.
+    """
+    if section.work is not None:
+        return ()
+    reasons = dict.fromkeys(
+        reason for history in _histories(section, fits) if (reason := unknown_work(history))
+    )
+    return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
 
 
 def _tau_off(tau_s: float, model: object, truth: Truth) -> str:

@@ -119,7 +119,7 @@ def test_an_estimator_keeps_its_colour_in_every_picture() -> None:
         assert expected in {to_hex(line.get_color()) for line in strip.get_lines()}
 
 
-def test_curves_are_full_only_in_the_range_of_trust() -> None:
+def test_curves_are_full_only_where_phi_dwells() -> None:
     comparison = made_comparison()
     low, high = comparison.valid_phi
     axes = plots.plot_characteristics(comparison)
@@ -238,3 +238,14 @@ plots.figure_to_data_uri(figure)
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_legend_of_the_characteristics_fits_above_them() -> None:
+    phi = np.linspace(-1.0, 2.0, 400)
+    axes = plots.plot_characteristics(made_comparison(), Truth(0.018, phi, phi, "truth " * 4))
+    axes.figure.draw_without_rendering()
+    legend = axes.get_legend()
+    assert legend is not None
+    width = axes.figure.bbox.width
+    assert legend.get_window_extent().x1 <= width
+    assert axes.get_window_extent().width > 0.8 * width  # nothing pressed the picture together

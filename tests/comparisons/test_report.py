@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,8 +15,10 @@ from raw_data import make_test
 from classic_ml.errors import InputError
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, reduce_record
+from comparisons.compare import Comparison
 from comparisons.reconstruction import reconstruct_record
 from comparisons.report import Part, ReportSection, Words, render_report, write_report
+from comparisons.report.agreement import dwelling_words, widest_gap
 from comparisons.truth import Truth
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
@@ -141,6 +144,90 @@ def test_the_low_pass_is_warned_of_before_any_number(html: str) -> None:
     assert "What τ can be trusted for: the pressures were low-passed at 48 Hz" in text
     assert text.index("known to come out high") < text.index("18.01 ± 0.22")
     assert "P25_A: 40 rows clipped" in text
+
+
+def parted(second_off: float, stderr: float) -> Comparison:
+    """Return a comparison of two whose curves lie apart by a known distance, in known bands."""
+    comparison = made_comparison()
+    phi = np.asarray(comparison.results[0].model.table)[:, 0]
+    results = []
+    for result, off in zip(comparison.results[:2], (0.0, second_off), strict=True):
+        # The curves meet at the least φ; beyond the 95th percentile they run off, which no word
+        # may count.
+        far = 50.0 * (phi > comparison.valid_phi[1] + 0.05)
+        value = 1.0 + off * (phi > np.median(comparison.rows.phi)) + far * off
+        table = tuple((float(p), float(v), stderr) for p, v in zip(phi, value, strict=True))
+        model = dataclasses.replace(result.model, table=table)
+        results.append(dataclasses.replace(result, model=model))
+    return dataclasses.replace(
+        comparison, results=tuple(results), table=comparison.table[: len(results)]
+    )
+
+
+@pytest.mark.parametrize(("apart", "stderr"), [(1.9, 0.1), (1.9, np.nan), (-0.41, 0.1)])
+def test_curves_that_part_where_phi_dwells_are_told_apart(apart: float, stderr: float) -> None:
+    fit = parted(apart, stderr)
+    gap = widest_gap(fit)
+    assert gap is not None
+    assert gap.parted
+    assert gap.apart == pytest.approx(abs(apart))
+    assert fit.valid_phi[0] <= gap.phi <= fit.valid_phi[1]
+    assert f"differ by up to {abs(apart):.2g}" in dwelling_words(fit)
+    assert "not all of them can be right" in dwelling_words(fit)
+    assert "trusted" not in dwelling_words(fit)
+
+
+def test_curves_are_trusted_only_where_they_agree_and_the_checks_pass() -> None:
+    fit = parted(0.39, 0.1)
+    gap = widest_gap(fit)
+    assert gap is not None
+    assert not gap.parted
+    assert "trusted" not in dwelling_words(fit)  # the second failed a check
+    passed = tuple(dataclasses.replace(r, checks=fit.results[0].checks) for r in fit.results)
+    fit = dataclasses.replace(fit, results=passed)
+    assert "they can be trusted there" in dwelling_words(fit)
+    alone = dataclasses.replace(fit, results=passed[:1], table=fit.table[:1])
+    assert widest_gap(alone) is None
+    assert "trusted" not in dwelling_words(alone)
+
+
+def test_two_that_part_count_before_two_in_wide_bands_that_lie_further_apart() -> None:
+    fit = parted(0.5, 0.1)
+    third = made_comparison().results[2]
+    table = tuple((p, v + 3.0, 9.0) for p, v, _ in fit.results[0].model.table)
+    third = dataclasses.replace(third, model=dataclasses.replace(third.model, table=table))
+    gap = widest_gap(dataclasses.replace(fit, results=(*fit.results, third)))
+    assert gap is not None
+    assert gap.parted
+    assert gap.apart == pytest.approx(0.5)
+
+
+def test_the_range_of_phi_is_called_what_it_is(html: str) -> None:
+    text = Page(html).text
+    assert "(5th to 95th percentile)" in text
+    assert "range of trust" not in html
+    assert "can be trusted for φ" not in html
+
+
+def test_what_the_order_means_is_said_above_and_below_the_table(html: str) -> None:
+    text = Page(html).text
+    said = "held-out rms ranks how well ψ' is predicted from this record's φ"
+    assert text.index(said) < text.index("18.01 ± 0.22") < text.index(f"H{said[1:]}")
+
+
+def test_the_names_of_the_command_line_are_in_small_print(html: str) -> None:
+    for name, label in (("classic_ml", "maximum likelihood (armax)"),):
+        assert f"{label}<br><small>{name}</small>" in html
+    assert html.count("<small>sindy</small>") == 2  # in the comparison and in the validation
+
+
+def test_a_work_coefficient_that_is_not_known_is_said_so() -> None:
+    why = Dropped("ψ", 9, f"no W31 {EVIL}")
+    history = (LedgerEntry("work coefficient", "ψ is not known", {}, (why,)),)
+    fit = made_comparison(made_series(history=history))
+    text = Page(render_report([ReportSection("x", fit)], title="x", command="x")).text
+    assert "Work coefficient ψ" in text
+    assert f"ψ is not known: no W31 {EVIL}" in text
 
 
 def test_no_such_warning_without_a_low_pass() -> None:

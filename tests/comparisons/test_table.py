@@ -73,10 +73,27 @@ def test_the_low_pass_is_warned_of(low_passed: bool) -> None:
     assert ("known to come out high" in text) is low_passed
 
 
+def test_the_order_is_explained_in_one_line_where_the_best_failed_a_check() -> None:
+    comparison = made_comparison()
+    turned = dataclasses.replace(comparison, table=comparison.table[1::-1])
+    said = [line for line in comparison_table(turned).splitlines() if "held-out rms ranks" in line]
+    assert len(said) == 1
+    assert said[0].endswith("not how near the characteristic is")
+    assert "held-out rms ranks" not in comparison_table(comparison)
+
+
+def test_every_line_names_what_the_command_line_calls_the_estimator() -> None:
+    text = comparison_table(made_comparison())
+    assert all(f"\n   {name}: " in text for name in ("sindy", "classic_ml", "custom"))
+
+
 def test_reconstructions_of_other_records_in_a_table() -> None:
     comparison = made_comparison()
     runs = [reconstruct_record(r.model, made_series(5, "other.csv")) for r in comparison.results]
     lines = reconstruction_table(runs).splitlines()
-    assert len(lines) == 2 + len(runs)
-    assert all("other.csv" in line for line in lines[2:])
+    cells, names = lines[2 : 2 + len(runs)], " ".join(lines[2 + len(runs) :])
+    assert all("other.csv" in line for line in cells)
+    assert "classic_ml (maximum likelihood (armax))" in names
+    assert "sindy (sparse regression (SINDy))" in names
+    assert "custom" not in names  # it is called by its name already
     assert "sparse regression (SINDy)" in lines[2]
