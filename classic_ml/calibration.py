@@ -11,6 +11,7 @@ from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 
 __all__ = [
     "calibrate",
+    "check_facing",
     "invert_thermocouples",
     "match_near_stall",
     "near_stall_rows",
@@ -112,6 +113,45 @@ def near_stall_rows(record: Record, test: TestDescription) -> NDArray[np.bool_]:
     return np.asarray(rows)
 
 
+def check_facing(record: Record, test: TestDescription) -> None:
+    """Refuse a pair whose aft probe reads above its forward one in the steady flow near stall.
+
+    Parameters
+    ----------
+    record : Record
+        Calibrated pressures, before the near-stall match, which may move one probe alone.
+    test : TestDescription
+        Pairs, and when the machine was near stall.
+
+    Raises
+    ------
+    InputError
+        Naming the pair.
+    """
+    rows = near_stall_rows(record, test)
+    for plane in test.areas_m2:
+        for pair in test.pairs(plane):
+            good = rows & _sound(record, pair.forward.name) & _sound(record, pair.aft.name)
+            if 2 * np.count_nonzero(good) < np.count_nonzero(rows):
+                # A pair that does not count there is left out when the channels are chosen.
+                continue
+            below_Pa = float(np.mean(record[pair.aft.name][good] - record[pair.forward.name][good]))
+            if below_Pa >= 0.0:
+                raise InputError(
+                    f"{record.source}: pair P{pair.name}",
+                    expected="the forward probe above the aft one near stall",
+                    found=f"{below_Pa / 1e3:.3g} kPa below",
+                    remedy="are forward and aft exchanged?",
+                )
+
+
+def _sound(record: Record, name: str) -> NDArray[np.bool_]:
+    fault = f"fault_{name}"
+    if fault not in record:
+        return np.ones(record.n_samples, dtype=np.bool_)
+    return np.asarray(record[fault] == 0.0)
+
+
 def match_near_stall(record: Record, test: TestDescription, match: str = "pair") -> Record:
     """Shift each channel so that its near-stall mean agrees with the facility's reading.
 
@@ -174,8 +214,7 @@ def _shift(
     unit: str,
     test: TestDescription,
 ) -> float:
-    fault = f"fault_{name}"
-    good = rows & (record[fault] == 0.0) if fault in record else rows
+    good = rows & _sound(record, name)
     if 2 * np.count_nonzero(good) < np.count_nonzero(rows):
         # Most of its reading does not count: left alone here, it is dropped when the channels
         # are chosen.

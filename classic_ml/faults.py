@@ -16,7 +16,7 @@ from classic_ml.readers.test_description import (
 )
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
 
-__all__ = ["BEYOND_LIMITS", "CLIPPED", "STUCK", "choose_channels", "inspect_readings", "repeats"]
+__all__ = ["BEYOND_LIMITS", "CLIPPED", "STUCK", "choose_channels", "inspect_readings"]
 
 # Kinds of fault in the channels `fault_NAME`, added up where they coincide.
 CLIPPED = 1
@@ -93,12 +93,30 @@ def _beyond(
     return ((readings <= low) | (readings >= high)).astype(np.int64)
 
 
-def repeats(values: FloatArray) -> list[tuple[int, int]]:
-    """Return the runs (first row, one past the last) of a value that repeats itself."""
+@dataclass(frozen=True)
+class _Runs:
+    """The runs of one value that are long enough to be a fault: first rows, and one past last."""
+
+    starts: NDArray[np.int64]
+    stops: NDArray[np.int64]
+
+    def those(self, which: NDArray[np.bool_]) -> _Runs:
+        return _Runs(self.starts[which], self.stops[which])
+
+    def rows(self, n: int) -> NDArray[np.bool_]:
+        """Mark the rows of the runs, which do not overlap, in a channel of n rows."""
+        steps = np.zeros(n + 1, dtype=np.int64)
+        np.add.at(steps, self.starts, 1)
+        np.add.at(steps, self.stops, -1)
+        return np.asarray(np.cumsum(steps[:-1]) > 0)
+
+
+def _repeats(values: FloatArray, least_rows: int) -> _Runs:
+    """Return the runs of a value that repeats itself over ``least_rows`` rows or more."""
     edges = np.flatnonzero(np.diff(values) != 0.0) + 1
-    starts = np.concatenate(([0], edges))
-    stops = np.concatenate((edges, [values.size]))
-    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a > 1]
+    starts = np.concatenate(([0], edges)).astype(np.int64)
+    stops = np.concatenate((edges, [values.size])).astype(np.int64)
+    return _Runs(starts, stops).those(stops - starts >= least_rows)
 
 
 def _still(record: Record, test: TestDescription) -> dict[str, NDArray[np.bool_]]:
@@ -106,16 +124,16 @@ def _still(record: Record, test: TestDescription) -> dict[str, NDArray[np.bool_]
     masks: dict[str, NDArray[np.bool_]] = {}
     long = max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
     for names in _alike(test):
+        # What belongs to a channel as a whole is found once, not for every run: a quiet lead-in
+        # has a run of equal codes in every few rows.
+        least = {name: _least_step(record[name]) for name in names}
         for name in names:
-            others = [record[n] for n in names if n != name]
-            masks[name] = np.zeros(record.n_samples, dtype=np.bool_)
-            for start, stop in repeats(record[name]):
-                if stop - start < DROPOUT_ROWS:
-                    continue
-                if _is_dropout(record[name], start, stop) or (
-                    stop - start >= long and _others_move(others, start, stop)
-                ):
-                    masks[name][start:stop] = True
+            runs = _repeats(record[name], DROPOUT_ROWS)
+            stuck = _are_dropouts(record[name], runs)
+            candidates = (runs.stops - runs.starts >= long) & ~stuck
+            others = [(record[n], least[n]) for n in names if n != name]
+            stuck[candidates] = _others_move(others, runs.those(candidates))
+            masks[name] = runs.those(stuck).rows(record.n_samples)
     return masks
 
 
@@ -129,22 +147,34 @@ def _alike(test: TestDescription) -> list[list[str]]:
     return list(groups.values())
 
 
-def _is_dropout(values: FloatArray, start: int, stop: int) -> bool:
+def _least_step(values: FloatArray) -> float:
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps[steps > 0.0], initial=np.inf))
+
+
+def _are_dropouts(values: FloatArray, runs: _Runs) -> NDArray[np.bool_]:
+    """Tell which runs begin and end with a jump; an end of the record needs none."""
     steps = np.abs(np.diff(values))
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
-    edges = [steps[start - 1]] if start > 0 else []
-    edges += [steps[stop - 1]] if stop < values.size else []
-    return bool(edges) and min(edges) > DROPOUT_JUMP * usual
+    ends = np.concatenate(([np.inf], steps, [np.inf]))
+    jumps = np.minimum(ends[runs.starts], ends[runs.stops])
+    return np.asarray(np.isfinite(jumps) & (jumps > DROPOUT_JUMP * usual))
 
 
-def _others_move(others: list[FloatArray], start: int, stop: int) -> bool:
-    moved = []
-    for values in others:
-        steps = np.abs(np.diff(values))
-        step = float(np.min(steps[steps > 0.0], initial=np.inf))
-        moved.append(float(np.ptp(values[start:stop])) > MOVED_STEPS * step)
+def _others_move(others: list[tuple[FloatArray, float]], runs: _Runs) -> NDArray[np.bool_]:
+    """Tell during which runs at least half of the other channels moved by many of their steps."""
+    moved = np.zeros(runs.starts.size, dtype=np.int64)
     # Alone of its kind, a channel that stands still has nothing to be compared with.
-    return bool(moved) and 2 * sum(moved) >= len(moved)
+    if not others or not moved.size:
+        return np.zeros(moved.size, dtype=np.bool_)
+    edges = np.column_stack((runs.starts, runs.stops)).ravel()
+    for values, step in others:
+        # One row more, since reduceat takes no edge past the last; every second piece is a run.
+        padded = np.append(values, values[-1])
+        high = np.maximum.reduceat(padded, edges)[::2]
+        low = np.minimum.reduceat(padded, edges)[::2]
+        moved += high - low > MOVED_STEPS * step
+    return np.asarray(2 * moved >= len(others))
 
 
 _WORDS = {CLIPPED: "clipped", STUCK: "stuck or dropped out", BEYOND_LIMITS: "beyond its limits"}

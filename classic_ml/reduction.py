@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import local_flows, plane_averages
-from classic_ml.calibration import calibrate, invert_thermocouples, match_near_stall
-from classic_ml.coefficients import WORK_FORMS, coefficients, corrected_speed_fraction
+from classic_ml.airflow import local_flows, physical_flow, plane_averages
+from classic_ml.calibration import (
+    calibrate,
+    check_facing,
+    invert_thermocouples,
+    match_near_stall,
+    near_stall_rows,
+)
+from classic_ml.coefficients import (
+    WORK_FORMS,
+    coefficients,
+    corrected_speed_fraction,
+    flow_coefficient,
+)
 from classic_ml.errors import InputError
 from classic_ml.faults import choose_channels, inspect_readings
 from classic_ml.filtering import filter_channels
@@ -19,6 +30,13 @@ from classic_ml.segments import FEW_CYCLES, find_cycles, segment, window_rows
 from classic_ml.series import CoefficientSeries
 
 __all__ = ["Reduction", "ReductionSettings", "reduce_record"]
+
+# In the steady flow near stall the planes pass the same but for bleeds of a few per cent (0.3 % on
+# the independent record); exchanged areas are a factor of twenty.
+FLOWS_DIFFER = 0.05
+FLOWS_REFUSED = 0.2
+# An axial compressor near stall is at φ of 0.3 to 0.6, a centrifugal one above 0.1.
+NEAR_STALL_PHI = (0.1, 1.5)
 
 _CHOICES = {
     "filter_order": (3, 5),
@@ -170,9 +188,11 @@ def reduce_record(
     chosen = settings if settings is not None else ReductionSettings()
     record = inspect_readings(record, test)
     record = calibrate(record, test)
+    check_facing(record, test)
     record = match_near_stall(record, test, chosen.near_stall_match)
+    record = record.after(_near_stall_flows(record, test))
     window_s, found = _window(record, test, chosen)
-    window = window_rows(record, window_s)
+    window = window_rows(record, window_s, _window_name(record, test, chosen))
     record = choose_channels(record.after(found), test, window)
     unfiltered = _unfiltered_averages(record, test, chosen)
     record = _averages(record, test, chosen)
@@ -182,6 +202,71 @@ def reduce_record(
     record = _with_channels(record, unfiltered)
     record = _segmented(record, test, chosen, window)
     return Reduction(_series(record), record, chosen, test, window_s)
+
+
+def _near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
+    """Check φ, and the flow of one plane against the other's, in the steady flow near stall."""
+    rows = near_stall_rows(record, test)
+    steady = replace(
+        record,
+        channels={n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()},
+        start_s=float(record.time_s[rows][0]),
+    )
+    # No row is in a window yet: only what cannot be matched is left out here.
+    steady = choose_channels(steady, test, np.zeros(steady.n_samples, dtype=np.bool_))
+    steady = plane_averages(local_flows(steady, test), test)
+    phi = float(
+        np.mean(
+            flow_coefficient(
+                steady["Wc25_kg_s"],
+                steady["T25_K"],
+                test.areas_m2[25],
+                test.rotor_velocity_m_s,
+                test.compressor,
+            )
+        )
+    )
+    inlet, leaving, how = *_steady_flows(steady, test), ""
+    if "W31_kg_s" not in steady:
+        how = " (with the facility's T31)"
+    differ = abs(leaving / inlet - 1.0)
+    areas = f"area_m2 of [planes.25] and [planes.31] in {test.source}"
+    if differ > FLOWS_REFUSED and not how:
+        raise InputError(
+            f"{record.source}: flow near stall",
+            expected=f"W25 and W31 within {FLOWS_REFUSED:.0%} of each other",
+            found=f"{inlet:.4g} and {leaving:.4g} kg/s",
+            remedy=f"check {areas} ({test.areas_m2[25]:g} and {test.areas_m2[31]:g} m²)",
+        )
+    if not NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
+        raise InputError(
+            f"{record.source}: φ near stall",
+            expected=f"{NEAR_STALL_PHI[0]:g} to {NEAR_STALL_PHI[1]:g}",
+            found=f"{phi:.3g}",
+            # The area is not among them: it cancels between Eq 3 and its inverse.
+            remedy=f"check rotor_speed_rpm and mean_radius_m in {test.source}, and the zero and "
+            "calibrate readings",
+        )
+    flags: tuple[str, ...] = ()
+    if differ > FLOWS_DIFFER:
+        flags = (
+            f"near stall W25 is {inlet:.4g} kg/s and W31 {leaving:.4g} kg/s{how}: check {areas}",
+        )
+    return LedgerEntry(
+        "near-stall flow",
+        f"φ {phi:.3f}, W25 {inlet:.2f} kg/s, W31 {leaving:.2f} kg/s{how}",
+        {"phi": round(phi, 4), "W25_kg_s": round(inlet, 4), "W31_kg_s": round(leaving, 4)},
+        flags=flags,
+    )
+
+
+def _steady_flows(steady: Record, test: TestDescription) -> tuple[float, float]:
+    """Return W25 and W31, the latter with the facility's T31 where no thermocouple counts."""
+    inlet = float(np.mean(steady["W25_kg_s"]))
+    if "W31_kg_s" in steady:
+        return inlet, float(np.mean(steady["W31_kg_s"]))
+    exit_K = np.full(steady.n_samples, test.near_stall.temperature_K(31))
+    return inlet, float(np.mean(physical_flow(steady["Wc31_kg_s"], steady["P31_Pa"], exit_K)))
 
 
 def _averages(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
@@ -214,6 +299,13 @@ def _unfiltered_averages(
 def _with_channels(record: Record, channels: list[Channel]) -> Record:
     entry = LedgerEntry("keep", "plane averages of the unfiltered pressures kept for the report")
     return record.after(entry, add=channels)
+
+
+def _window_name(record: Record, test: TestDescription, settings: ReductionSettings) -> str:
+    """Return what to call the window in an error: where it was named."""
+    if settings.window_s is not None:
+        return f"{record.source}: ReductionSettings.window_s"
+    return f"{test.source}: [window]" if test.window_s is not None else f"{record.source}: window"
 
 
 def _window(

@@ -41,6 +41,9 @@ MINIMUM_CYCLES = 3
 FEW_CYCLES = 6
 # Shorter than 20 ms is a graze of the threshold, not a regime: τ itself is about that long.
 SHORTEST_S = 0.02
+# Share of the flow before surge that counts as recovery where no threshold says so: the paper's
+# 50 lbm/s is 0.45 of the 112 lbm/s near stall.
+RECOVERED_SHARE = 0.45
 
 
 @dataclass(frozen=True)
@@ -191,20 +194,37 @@ def _too_few(record: Record, found: int) -> InputError:
     )
 
 
-def window_rows(record: Record, window_s: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return the rows of a window, or refuse one that the record does not hold."""
+def window_rows(
+    record: Record, window_s: tuple[float, float], where: str = "window"
+) -> NDArray[np.bool_]:
+    """Return the rows of a window, or refuse one that the record does not hold.
+
+    Parameters
+    ----------
+    record : Record
+        For its clock.
+    window_s : tuple of float
+        First and last time.
+    where : str
+        What to call the window in an error, e.g. ``"test.toml: [window]"``.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_samples,)
+        True inside.
+    """
     half = 0.5 * record.sample_period_s
     time_s = record.time_s
     if window_s[0] < time_s[0] - half or window_s[1] > time_s[-1] + half:
         raise InputError(
-            "window",
+            where,
             expected=f"a window inside the record ({time_s[0]:.3f} to {time_s[-1]:.3f} s)",
             found=f"{window_s[0]:g} to {window_s[1]:g} s",
         )
     rows = (time_s >= window_s[0] - half) & (time_s <= window_s[1] + half)
     if np.count_nonzero(rows) < SHORTEST_S * record.sample_rate_hz:
         raise InputError(
-            "window",
+            where,
             expected="a window with surge cycles in it",
             found=f"{np.count_nonzero(rows)} rows from {window_s[0]:g} to {window_s[1]:g} s",
         )
@@ -385,6 +405,7 @@ def segment(
         f"{labels.max()} segments with {np.count_nonzero(labels)} rows",
         parameters,
         dropped,
+        _regime_flags(record, window, state, threshold_lbm_s),
     )
     return record.after(
         entry,
@@ -394,3 +415,34 @@ def segment(
             Channel("segment", labels.astype(np.float64), "1"),
         ],
     )
+
+
+def _regime_flags(
+    record: Record,
+    window: NDArray[np.bool_],
+    state: NDArray[np.bool_],
+    threshold_lbm_s: float | None,
+) -> tuple[str, ...]:
+    """Say where rows of an unstalled regime may have been taken for stall."""
+    if threshold_lbm_s is None:
+        if not _recovers(record, window):
+            return ()
+        return ("no unstalled regime was declared; rows after recovery, if any, are in the fit",)
+    if not state[window].all():
+        return ()
+    if np.any(record["Wc25_kg_s"][window] >= threshold_lbm_s * LBM_KG):
+        return ("all rows in the window are in stall: unstalled rows, if any, are fitted as such",)
+    return (
+        f"the corrected flow never rises above {threshold_lbm_s:g} lbm/s in the window: unstalled "
+        "rows, if any, are fitted as in-stall",
+    )
+
+
+def _recovers(record: Record, window: NDArray[np.bool_]) -> bool:
+    """Tell whether the flow comes back, for 20 ms or more, to a good part of that before surge."""
+    shortest = round(SHORTEST_S * record.sample_rate_hz)
+    before = record["Wc25_kg_s"][: _first_reversal(record)]
+    if before.size < shortest:
+        return False
+    back = window & (record["Wc25_kg_s"] > RECOVERED_SHARE * float(np.median(before)))
+    return bool(label_intervals(back, shortest)[0].any())

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from classic_ml.clock import uniform_period_s
+from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_csv import read_raw_csv
-from classic_ml.readers.raw_table import TIME_COLUMN, RawTable
+from classic_ml.readers.raw_table import TIME_COLUMN, ColumnCheck, RawTable
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.readers.test_toml import read_test_description
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
@@ -19,7 +20,7 @@ from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 __all__ = ["RAW_READERS", "TestDescription", "read_raw", "read_test_description"]
 
 # A further format is one more reader of this signature.
-RAW_READERS: dict[str, Callable[[Path], RawTable]] = {".csv": read_raw_csv}
+RAW_READERS: dict[str, Callable[[Path, ColumnCheck], RawTable]] = {".csv": read_raw_csv}
 # A crystal clock keeps 1e-4; a record at another rate is off by far more.
 RATE_TOLERANCE = 1e-3
 
@@ -63,11 +64,10 @@ def read_raw(
             expected="a raw record ending in " + " or ".join(RAW_READERS),
             found=f"the suffix '{file.suffix}'",
         )
-    return _record(reader(file), test), test
+    return _record(reader(file, partial(_check_names, test)), test), test
 
 
 def _record(table: RawTable, test: TestDescription) -> Record:
-    _check_names(table, test)
     time_s = table.column(TIME_COLUMN)
     rate_hz = _check_clock(time_s, table.source, test)
     entry = LedgerEntry(
@@ -83,20 +83,20 @@ def _record(table: RawTable, test: TestDescription) -> Record:
     return Record({c.name: c for c in channels}, rate_hz, float(time_s[0]), table.source, (entry,))
 
 
-def _check_names(table: RawTable, test: TestDescription) -> None:
-    known, present = set(test.channel_names), set(table.names) - {TIME_COLUMN}
+def _check_names(test: TestDescription, source: str, names: tuple[str, ...]) -> None:
+    known, present = set(test.channel_names), set(names) - {TIME_COLUMN}
     missing = [name for name in test.channel_names if name not in present]
     if missing:
         raise InputError(
-            f"{table.source}: channel {missing[0]}",
+            f"{source}: channel {missing[0]}",
             expected=f"it in the table, as {test.source} describes it",
             found="no such column" + (f" (nor {len(missing) - 1} more)" if missing[1:] else ""),
             remedy="a dead probe is left out with its mate, in both files",
         )
-    extra = [name for name in table.names if name in present - known]
+    extra = [name for name in names if name in present - known]
     if extra:
         raise InputError(
-            f"{table.source}: channel {extra[0]}",
+            f"{source}: channel {extra[0]}",
             expected=f"a table [channels.{extra[0]}] in {test.source}",
             found="none" + (f" (nor for {len(extra) - 1} more)" if extra[1:] else ""),
             remedy="describe the channel or leave the column out",
@@ -106,9 +106,9 @@ def _check_names(table: RawTable, test: TestDescription) -> None:
 def _check_clock(time_s: FloatArray, source: str, test: TestDescription) -> float:
     period_s = uniform_period_s(time_s, f"{source}: column {TIME_COLUMN}")
     rate_hz = test.sample_rate_hz
-    # The ends of a printed clock are each rounded by up to half a digit, worth 0.45 of a step
-    # at the coarsest clock that is let through.
-    slack = RATE_TOLERANCE + 0.9 / (time_s.size - 1)
+    # The ends of a printed clock are each rounded by up to half a digit, worth half of what
+    # a step may be off at the coarsest clock that is let through.
+    slack = RATE_TOLERANCE + CLOCK_TOLERANCE / (time_s.size - 1)
     if abs(period_s * rate_hz - 1.0) > slack:
         raise InputError(
             f"{source}: column {TIME_COLUMN}",

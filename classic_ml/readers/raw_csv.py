@@ -8,19 +8,22 @@ from pathlib import Path
 import numpy as np
 
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_table import RawTable, check_names
+from classic_ml.readers.raw_table import ColumnCheck, RawTable, check_names
 from classic_ml.records import FloatArray
 
 __all__ = ["read_raw_csv"]
 
 
-def read_raw_csv(file: Path) -> RawTable:
+def read_raw_csv(file: Path, check_columns: ColumnCheck | None = None) -> RawTable:
     """Read a CSV table of counts and temperatures.
 
     Parameters
     ----------
     file : path
         An existing file.
+    check_columns : callable, optional
+        Called with the file's name and its column names before the rows are read, so that a
+        column too many is refused as such, whatever is in it.
 
     Returns
     -------
@@ -34,6 +37,8 @@ def read_raw_csv(file: Path) -> RawTable:
     """
     names = _header(file)
     check_names(str(file), names)
+    if check_columns is not None:
+        check_columns(str(file), names)
     return RawTable(str(file), names, _body(file, names))
 
 

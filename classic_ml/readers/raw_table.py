@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,10 @@ import numpy as np
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 
-__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "RawTable"]
+__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "ColumnCheck", "RawTable"]
+
+# Takes the name of the file and its column names, and raises InputError for a wrong column.
+ColumnCheck = Callable[[str, tuple[str, ...]], None]
 
 TIME_COLUMN = "time_s"
 # The same floor as a series file: less is not a record of anything.

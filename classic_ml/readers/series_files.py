@@ -48,6 +48,8 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
         Naming the file, the column and the row at fault.
     """
     file = Path(path)
+    if file.is_dir():
+        raise InputError(str(file), expected="a series file", found="a folder")
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         raise InputError(
@@ -56,11 +58,7 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
             found=f"the suffix '{file.suffix}'",
         )
     if not file.is_file():
-        raise InputError(
-            str(file),
-            expected="a series file",
-            found="a folder" if file.is_dir() else "no such file",
-        )
+        raise InputError(str(file), expected="a series file", found="no such file")
     table, history = reader(file)
     missing = [name for name in REQUIRED_COLUMNS if name not in table.columns]
     if missing:
@@ -68,7 +66,9 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
             str(file),
             expected=f"the columns {', '.join(REQUIRED_COLUMNS)}",
             found=f"no column {', '.join(missing)}",
-            remedy="a raw record goes through `sindy-surge reduce` first",
+            remedy="rename 'time' to 'time_s', in seconds"
+            if missing == ["time_s"] and "time" in table.columns
+            else "a raw record goes through `sindy-surge reduce` first",
         )
     known = {name: _as_numbers(table, name, file) for name in COLUMNS if name in table.columns}
     if known["time_s"].size < MINIMUM_ROWS:
@@ -123,8 +123,14 @@ def ledger_path(path: Path) -> Path:
     return path.with_suffix(".ledger.json")
 
 
+# What pandas and spreadsheets write for a column of truth values.
+_TRUTH = {"true": 1.0, "false": 0.0}
+
+
 def _as_numbers(table: pd.DataFrame, name: str, file: Path) -> FloatArray:
     column = table[name].to_numpy(dtype=object, na_value=np.nan)
+    if name == "in_stall":
+        column = np.array([_TRUTH.get(str(v).strip().lower(), v) for v in column], dtype=object)
     try:
         # Python's own conversion is exact, so that a file survives the round trip bit for bit.
         return column.astype(np.float64)
@@ -146,6 +152,7 @@ def _is_number(value: object) -> bool:
 def _read_csv(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
     import pandas as pd
 
+    _check_separator(file)
     try:
         # Without a header row pandas keeps doubled names apart, so that they can be refused.
         table = pd.read_csv(file, header=None, dtype=str, skipinitialspace=True, comment="#")
@@ -168,6 +175,21 @@ def _read_csv(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
     return table, _read_ledger(ledger_path(file))
 
 
+def _check_separator(file: Path) -> None:
+    """Refuse a header that another character than a comma takes apart."""
+    with file.open(encoding="utf-8-sig", errors="replace", newline="") as lines:
+        header = next((row for row in lines if row.strip() and not row.startswith("#")), "")
+    for separator in (";", "\t"):
+        names = {name.strip().strip('"') for name in header.split(separator)}
+        if len(names) > 1 and names & {*COLUMNS, "time"}:
+            raise InputError(
+                str(file),
+                expected="columns separated by commas",
+                found=f"the separator is {separator!r}",
+                remedy="save with commas and decimal points",
+            )
+
+
 def _read_ledger(file: Path) -> tuple[LedgerEntry, ...]:
     if not file.is_file():
         return ()
@@ -187,7 +209,9 @@ def _read_netcdf(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
     import xarray as xr
 
     try:
-        with xr.open_dataset(file, engine="h5netcdf") as dataset:
+        with xr.open_dataset(
+            file, engine="h5netcdf", decode_times=False, decode_timedelta=False
+        ) as dataset:
             columns = {
                 str(name): np.atleast_1d(variable.values)
                 for name, variable in dataset.variables.items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,16 @@ PLANES = (25, 31)
 # Fewer counts than this between the zero and the calibrate reading and the sensitivity is
 # not known to 1 %.
 MINIMUM_CALIBRATE_COUNTS = 100.0
+# A key has the name of the field that it fills; a channel's own name is that of its table.
+PRESSURE_KEYS = ("kind", "unit", *(f.name for f in fields(PressureChannel) if f.name != "name"))
+TEMPERATURE_KEYS = (
+    "kind",
+    "unit",
+    *(f.name for f in fields(TemperatureChannel) if f.name != "name"),
+)
+COMPRESSOR_KEYS = tuple(f.name for f in fields(Compressor))
+NEAR_STALL_KEYS = tuple(f.name for f in fields(NearStall))
+SEGMENTATION_KEYS = ("threshold_lbm_s", "hysteresis_lbm_s")
 
 
 def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
@@ -57,8 +68,8 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
     description = TestDescription(
         name=test.text("name"),
         sample_rate_hz=test.number("sample_rate_hz", above=0.0),
-        rotor_speed_rpm=test.number("rotor_speed_rpm", above=0.0),
-        design_corrected_speed_rpm=test.number("design_corrected_speed_rpm", above=0.0),
+        rotor_speed_rpm=_speed(test, "rotor_speed_rpm"),
+        design_corrected_speed_rpm=_speed(test, "design_corrected_speed_rpm"),
         compressor=_compressor(top),
         areas_m2=_areas(top),
         adc=adc,
@@ -92,14 +103,32 @@ def _load(file: Path) -> Table:
         ) from None
 
 
+def _speed(test: Table, key: str) -> float:
+    """Return a speed of a compressor: a fan of 10 m turns above 100, a micro turbine below 2e5."""
+    return test.number(
+        key, least=100.0, most=2e5, unit="revolutions a minute", remedy="is it in Hz or rad/s?"
+    )
+
+
 def _compressor(top: Table) -> Compressor:
-    table = top.table("compressor")
+    # The limits are wider than any compressor and narrower than another unit: mm, ft·lbf, litres.
+    table = top.table("compressor", COMPRESSOR_KEYS)
     compressor = Compressor(
-        mean_radius_m=table.number("mean_radius_m", above=0.0),
-        inertia_per_m=table.number("inertia_per_m", least=0.0),
-        internal_volume_m3=table.number("internal_volume_m3", least=0.0),
+        mean_radius_m=table.number(
+            "mean_radius_m", least=0.02, most=2.0, unit="m", remedy="is it in mm or inches?"
+        ),
+        inertia_per_m=table.number("inertia_per_m", least=0.0, most=1e4, unit="1/m"),
+        internal_volume_m3=table.number(
+            "internal_volume_m3", least=0.0, most=10.0, unit="m³", remedy="is it in litres?"
+        ),
         gamma=table.number("gamma", above=1.0, below=2.0),
-        gas_constant_J_kg_K=table.number("gas_constant_J_kg_K", above=0.0),
+        gas_constant_J_kg_K=table.number(
+            "gas_constant_J_kg_K",
+            least=200.0,
+            most=600.0,
+            unit="J/(kg K)",
+            remedy="air has 287.05; 53.35 is in ft lbf/(lbm °R)",
+        ),
     )
     table.finish()
     return compressor
@@ -125,21 +154,24 @@ def _areas(top: Table) -> dict[int, float]:
     areas = {}
     for plane in PLANES:
         table = planes.table(str(plane))
-        areas[plane] = table.number("area_m2", above=0.0)
+        areas[plane] = table.number(
+            "area_m2", least=1e-4, most=10.0, unit="m²", remedy="is it in cm² or square inches?"
+        )
         table.finish()
     planes.finish()
     return areas
 
 
 def _near_stall(top: Table) -> NearStall:
-    table = top.table("near_stall")
+    table = top.table("near_stall", NEAR_STALL_KEYS)
+    kilo, absolute = "is it in kPa or psi?", "is it in °C?"
     reading = NearStall(
         from_s=table.number("from_s"),
         to_s=table.number("to_s"),
-        P25_Pa=table.number("P25_Pa", above=0.0),
-        T25_K=table.number("T25_K", above=0.0),
-        P31_Pa=table.number("P31_Pa", above=0.0),
-        T31_K=table.number("T31_K", above=0.0),
+        P25_Pa=table.number("P25_Pa", least=1e3, most=1e8, unit="Pa", remedy=kilo),
+        T25_K=table.number("T25_K", least=100.0, most=2e3, unit="K", remedy=absolute),
+        P31_Pa=table.number("P31_Pa", least=1e3, most=1e8, unit="Pa", remedy=kilo),
+        T31_K=table.number("T31_K", least=100.0, most=2e3, unit="K", remedy=absolute),
     )
     table.finish()
     if reading.to_s <= reading.from_s:
@@ -155,8 +187,10 @@ def _channels(
     for name in channels:
         table = channels.table(name)
         if table.choice("kind", ("pressure", "temperature")) == "pressure":
+            table = channels.table(name, PRESSURE_KEYS)
             pressures.append(_pressure(name, table, adc))
         else:
+            table = channels.table(name, TEMPERATURE_KEYS)
             temperatures.append(_temperature(name, table))
         table.finish()
     return tuple(pressures), tuple(temperatures)
@@ -202,7 +236,7 @@ def _temperature(name: str, table: Table) -> TemperatureChannel:
 def _segmentation(top: Table) -> tuple[float | None, float]:
     if "segmentation" not in top:
         return DEFAULT_THRESHOLD_LBM_S, 0.0
-    table = top.table("segmentation")
+    table = top.table("segmentation", SEGMENTATION_KEYS)
     threshold = table.number_or("threshold_lbm_s", "none", default=DEFAULT_THRESHOLD_LBM_S)
     hysteresis = table.number("hysteresis_lbm_s", least=0.0, default=0.0)
     table.finish()
@@ -216,7 +250,7 @@ def _segmentation(top: Table) -> tuple[float | None, float]:
 def _window(top: Table) -> tuple[float, float] | None:
     if "window" not in top:
         return None
-    table = top.table("window")
+    table = top.table("window", ("from_s", "to_s"))
     window = (table.number("from_s"), table.number("to_s"))
     table.finish()
     if window[1] <= window[0]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from math import isfinite
 from typing import Any
@@ -23,13 +23,19 @@ class Table:
         Dotted name of the table, empty for the file's top.
     values : mapping
         The parsed table.
+    keys : iterable of str
+        Keys that such a table may hold, as far as they are known beforehand: they are listed when
+        another is found, and never taken for a misspelling of each other.
     """
 
-    def __init__(self, file: str, path: str, values: Mapping[str, Any]) -> None:
+    def __init__(
+        self, file: str, path: str, values: Mapping[str, Any], keys: Iterable[str] = ()
+    ) -> None:
         self.file = file
         self.path = path
         self._values = values
         self._asked: set[str] = set()
+        self._keys = frozenset(keys)
 
     def error(self, key: str, expected: str, found: str, remedy: str = "") -> InputError:
         """Return an InputError that names file, table and key."""
@@ -47,8 +53,8 @@ class Table:
         self._asked.add(str(key))
         return key in self._values
 
-    def table(self, key: str) -> Table:
-        """Return a table inside this one."""
+    def table(self, key: str, keys: Iterable[str] = ()) -> Table:
+        """Return a table inside this one, which may hold ``keys``."""
         path = f"{self.path}.{key}" if self.path else key
         if key not in self._values:
             raise InputError(self.file, expected=f"a table [{path}]", found="none")
@@ -56,12 +62,13 @@ class Table:
         values = self._values[key]
         if not isinstance(values, Mapping):
             raise self.error(key, f"a table [{path}]", repr(values))
-        return Table(self.file, path, values)
+        return Table(self.file, path, values, keys)
 
     def _get(self, key: str, expected: str) -> Any:
         self._asked.add(key)
         if key not in self._values:
-            near = get_close_matches(key, [k for k in self._values if k not in self._asked], 1)
+            strange = [k for k in self._values if k not in self._asked | self._keys]
+            near = get_close_matches(key, strange, 1)
             raise self.error(key, expected, "nothing", f"is '{near[0]}' meant?" if near else "")
         return self._values[key]
 
@@ -74,8 +81,14 @@ class Table:
         least: float | None = None,
         most: float | None = None,
         default: float | None = None,
+        unit: str = "",
+        remedy: str = "",
     ) -> float:
-        """Return a finite number inside its bounds (``above``, ``below`` exclusive)."""
+        """Return a finite number inside its bounds (``above``, ``below`` exclusive).
+
+        ``unit`` and ``remedy`` go into the sentence that refuses another value.
+        """
+        self._asked.add(key)
         if default is not None and key not in self._values:
             return default
         bounds = [
@@ -88,7 +101,8 @@ class Table:
             )
             if bound is not None
         ]
-        expected = " ".join(["a number", " and ".join(bounds)]).strip()
+        what = f"a number in {unit}" if unit else "a number"
+        expected = f"{what} {' and '.join(bounds)}".strip()
         value = self._get(key, expected)
         # TOML's true and false are ints to Python.
         if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
@@ -100,16 +114,15 @@ class Table:
             or (most is not None and value > most)
         )
         if outside:
-            raise self.error(key, expected, f"{value:g}")
+            raise self.error(key, expected, f"{value:g}", remedy)
         return float(value)
 
     def number_or(self, key: str, word: str, *, default: float) -> float | None:
         """Return a positive number, or None where the file holds ``word``."""
+        self._asked.add(key)
         if self._values.get(key) == word:
-            self._asked.add(key)
             return None
         if isinstance(self._values.get(key), str):
-            self._asked.add(key)
             raise self.error(key, f'a number above 0 or "{word}"', repr(self._values[key]))
         return self.number(key, above=0.0, default=default)
 
@@ -149,12 +162,13 @@ class Table:
 
     def finish(self) -> None:
         """Refuse keys that nobody asked for: a misspelt option must not be ignored."""
+        allowed = sorted(self._asked | self._keys)
         for key in self._values:
-            if key not in self._asked:
-                known = get_close_matches(key, sorted(self._asked), 1)
+            if key not in allowed:
+                known = get_close_matches(key, allowed, 1)
                 raise self.error(
                     key,
-                    "only " + ", ".join(sorted(self._asked)),
+                    "only " + ", ".join(allowed),
                     f"'{key}'",
                     f"is '{known[0]}' meant?" if known else "",
                 )

@@ -10,6 +10,7 @@ from raw_data import first_order, make_test
 
 from classic_ml.calibration import (
     calibrate,
+    check_facing,
     invert_thermocouples,
     match_near_stall,
     near_stall_rows,
@@ -148,3 +149,26 @@ def test_the_lag_of_a_thermocouple_is_undone() -> None:
     left = invert_thermocouples(record, test, invert=False)
     np.testing.assert_array_equal(left["T25_A"], seen)
     assert left.history[-1].parameters == {"invert": False}
+
+
+def test_forward_and_aft_exchanged_is_refused_with_the_pair() -> None:
+    record, test = make_test(seconds=0.6).load()
+    out = calibrate(record, test)
+    check_facing(out, test)
+    below_kPa = np.mean((out["P25_A_tip_forward"] - out["P25_A_tip_aft"])[:201]) / 1e3
+    assert below_kPa > 5.0
+    names = ("P25_A_tip_forward", "P25_A_tip_aft")
+    swapped = [Channel(a, out[b], "Pa") for a, b in (names, names[::-1])]
+    with pytest.raises(InputError, match=rf"pair P25_A_tip: .* found {below_kPa:.3g} kPa below"):
+        check_facing(out.after(out.history[-1], add=swapped), test)
+
+
+def test_a_pair_that_does_not_count_near_stall_is_not_judged() -> None:
+    record, test = make_test(seconds=0.6).load()
+    out = calibrate(record, test)
+    n = out.n_samples
+    dead = [
+        Channel("P25_A_tip_forward", np.zeros(n), "Pa"),
+        Channel("fault_P25_A_tip_forward", np.ones(n), "1"),
+    ]
+    check_facing(out.after(out.history[-1], add=dead), test)

@@ -27,6 +27,8 @@ def test_the_period_of_a_rounded_clock_is_its_mean_step() -> None:
         (lambda t: np.concatenate((t[:100], t[50:])), "runs back at row 101"),
         (lambda t: np.where(np.arange(500) < 250, t, t + 0.6e-3), "a step of 0.0016 s"),
         (lambda t: t * (1 + 0.2 * t), "uniform step"),
+        (lambda t: t + 0.2e-3 * (np.arange(500) % 2), "a uniform step"),
+        (lambda t: t + 0.2e-3 * (np.arange(500) == 250), "a step of 0.0012 s after 0.249 s"),
     ],
 )
 def test_a_clock_that_is_not_uniform_is_refused(
@@ -35,3 +37,13 @@ def test_a_clock_that_is_not_uniform_is_refused(
     with pytest.raises(InputError, match=words) as refusal:
         uniform_period_s(change(CLOCK), "run.csv: column time_s")
     assert str(refusal.value).startswith("run.csv: column time_s: expected ")
+
+
+@pytest.mark.parametrize("rate", [1234.5, 1400.0, 733.0])
+@pytest.mark.parametrize("start_s", [0.0, 5.00003])
+def test_a_clock_printed_to_a_tenth_of_a_millisecond_is_uniform(
+    rate: float, start_s: float
+) -> None:
+    clock = np.round(start_s + np.arange(3000) / rate, 4)
+    assert np.ptp(np.diff(clock)) > 0.9e-4
+    assert uniform_period_s(clock, "x") == pytest.approx(1 / rate, rel=1e-4)

@@ -13,7 +13,7 @@ from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.errors import InputError
 from classic_ml.faults import BEYOND_LIMITS, CLIPPED, STUCK, choose_channels, inspect_readings
 from classic_ml.readers import TestDescription
-from classic_ml.records import Record
+from classic_ml.records import Channel, Record
 
 Change = Callable[[np.ndarray], np.ndarray]
 PROBE = "P25_A_tip_forward"
@@ -173,3 +173,53 @@ def test_a_short_gap_of_a_thermocouple_is_bridged(made: RawTest) -> None:
     inside = kept["T25_A"][900:906]
     ends = kept["T25_A"][899], kept["T25_A"][906]
     assert min(ends) <= inside.min() <= inside.max() <= max(ends)
+
+
+def led_in(record: Record, rows: int) -> Record:
+    """Put a quiet lead-in before a record: its steady rows over again, in any order."""
+    order = np.random.default_rng(0).integers(0, 200, rows)
+    channels = {
+        name: Channel(name, np.concatenate((c.values[order], c.values)), c.unit)
+        for name, c in record.channels.items()
+    }
+    start_s = record.start_s - rows / record.sample_rate_hz
+    return dataclasses.replace(record, channels=channels, start_s=start_s)
+
+
+@pytest.mark.parametrize("rows", [60_000, 300_000])
+def test_a_quiet_lead_in_changes_no_finding_and_costs_no_more_passes(
+    rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make_test(seconds=4.0, noise_counts=0.5, cells_lbm_s=8.0)
+    plain, test = spoiled(made, PROBE, between(900, 990))
+    long = led_in(plain, rows)
+    passes = []
+    difference = np.diff
+
+    def counted(values: np.ndarray) -> np.ndarray:
+        passes.append(values.size)
+        return difference(values)
+
+    monkeypatch.setattr(np, "diff", counted)
+    short_marks, short_passes = inspect_readings(plain, test), len(passes)
+    passes.clear()
+    marks = inspect_readings(long, test)
+    # Passes over a channel, however many runs of equal codes are in it.
+    assert len(passes) == short_passes == 3 * len(test.channel_names)
+    assert marks.history[-1].flags == short_marks.history[-1].flags
+    assert len(marks.history[-1].flags) == 1
+    np.testing.assert_array_equal(marks[f"fault_{PROBE}"][rows:], short_marks[f"fault_{PROBE}"])
+    assert not marks[f"fault_{PROBE}"][:rows].any()
+
+
+def test_faults_that_touch_one_another_and_the_ends_are_all_marked(made: RawTest) -> None:
+    def change(values: np.ndarray) -> np.ndarray:
+        values[900:960], values[960:1020] = 2000.0, 2010.0
+        values[1440:] = values[1440]
+        return values
+
+    record, test = spoiled(made, PROBE, change)
+    mark = inspect_readings(record, test)[f"fault_{PROBE}"]
+    assert np.all(mark[900:1020] == STUCK)
+    assert np.all(mark[1440:] == STUCK)
+    assert np.count_nonzero(mark) == 120 + 61

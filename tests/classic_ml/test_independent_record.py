@@ -49,7 +49,8 @@ def in_window(reduction: Reduction, name: str) -> FloatArray:
 
 def characteristic(reduction: Reduction) -> tuple[float, FloatArray]:
     rows = reduction.series.scored
-    fit = LagRegressor(sample_period_s=1e-3, noise="armax", degree=2, hold="zero").fit(
+    # The paper's way to the letter: Eq 9 and a recursion of C that starts from zero.
+    fit = LagRegressor(1e-3, noise="armax", degree=2, hold="zero", exact_start=False).fit(
         reduction.series.phi[rows][:, None],
         reduction.series.psi_p[rows],
         segments=reduction.series.segment[rows],

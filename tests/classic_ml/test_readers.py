@@ -89,6 +89,10 @@ def _at(row: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
         (_without(PROBE), f"raw.csv: channel {PROBE}: .* found no such column"),
         (_without("time_s"), "expected a table with a header and a column time_s"),
         (lambda c: {**c, "P99": c[PROBE]}, r"channel P99: expected a table \[channels.P99\]"),
+        (
+            lambda c: {**c, "note": np.where(c["time_s"] > 0.2, np.nan, 0.0)},
+            r"channel note: expected a table \[channels.note\]",
+        ),
         (_with(PROBE, _at(41, np.nan)), f"channel {PROBE}: .* 'nan' in row 42"),
         (_with(PROBE, _at(41, np.inf)), f"channel {PROBE}: .* 'inf' in row 42"),
         (_with(PROBE, _at(7, -3.0)), f"{PROBE}: expected counts of a 12-bit .* -3 in row 8"),
@@ -192,14 +196,24 @@ CHANNEL = f"channels/{PROBE}"
         ("test/sample_rate_hz", -1.0, "above 0, found -1"),
         ("test/name", 7, r"\[test\] name: expected a text, found 7"),
         ("compressor/gamma", 1.0, "above 1 and below 2, found 1"),
-        ("compressor/mean_radius_m", 0.0, "above 0, found 0"),
+        ("compressor/mean_radius_m", 0.0, "in m at least 0.02 and at most 2, found 0"),
+        ("compressor/mean_radius_m", 280.0, "a number in m .* found 280; is it in mm"),
+        ("compressor/gas_constant_J_kg_K", 53.35, r"in J/\(kg K\) .* air has 287.05"),
+        ("compressor/internal_volume_m3", 80.0, "in m³ .* found 80; is it in litres"),
+        ("compressor/inertia_per_m", 1e5, "in 1/m .* found 100000"),
+        ("planes/25/area_m2", 2938.0, r"\[planes.25\] area_m2: .* in m² .* is it in cm²"),
+        ("test/rotor_speed_rpm", 0.0, "revolutions a minute at least 100"),
+        ("test/rotor_speed_rpm", 1e6, "at most 200000, found 1e\\+06"),
+        ("test/design_corrected_speed_rpm", 20.0, "is it in Hz"),
+        ("near_stall/P25_Pa", 55.0, "in Pa .* found 55; is it in kPa"),
+        ("near_stall/T25_K", -18.0, "in K .* is it in °C"),
         ("adc/bits", 12.0, "a whole number from 4 to 32, found 12.0"),
         ("adc/high_V", -5.0, r"\[adc\] high_V: expected more than low_V"),
         ("planes/25/area_m2", [1.0], "found \\[1.0\\]"),
         ("near_stall/to_s", 0.0, r"\[near_stall\] to_s: expected a time after from_s"),
         ("near_stall/T25_K", ..., r"\[near_stall\] T25_K"),
         (f"{CHANNEL}/zero_count", ..., rf"\[channels.{PROBE}\] zero_count: .* found nothing"),
-        (f"{CHANNEL}/calibrate_count", ..., "calibrate_count: .* found nothing"),
+        (f"{CHANNEL}/calibrate_count", ..., "calibrate_count: .* found nothing$"),
         (f"{CHANNEL}/calibrate_count", 5000.0, "at most 4095, found 5000"),
         (f"{CHANNEL}/calibrate_count", 2048.0, "at least 100 counts from zero_count"),
         (f"{CHANNEL}/calibrate_pressure_Pa", 0.0, "a pressure other than zero"),
@@ -216,6 +230,11 @@ CHANNEL = f"channels/{PROBE}"
         ("segmentation/threshold_lbm_s", "off", '"none"'),
         ("segmentation/threshold_lbm_s", 0.0, "above 0"),
         ("segmentation/hysteresis_lbm_s", 50.0, "more than the hysteresis"),
+        (
+            "segmentation/threshold",
+            50.0,
+            "only hysteresis_lbm_s, threshold_lbm_s, found 'threshold'; is 'threshold_lbm_s' meant",
+        ),
         ("segmentaton", {"threshold_lbm_s": 50.0}, "found 'segmentaton'; is 'segmentation' meant"),
         ("window", {"from_s": 2.0, "to_s": 1.0}, "a time after from_s"),
         ("limits", {"T99": [1.0, 2.0]}, "the name of a channel"),
@@ -278,3 +297,20 @@ def test_a_description_survives_pickling(files: tuple[Path, Path]) -> None:
 
     test = read_test_description(files[1])
     assert pickle.loads(pickle.dumps(test)) == test
+
+
+def test_a_column_of_text_that_nobody_described_is_named_as_such(files: tuple[Path, Path]) -> None:
+    raw, test = files
+    header, *rows = raw.read_text("utf-8").splitlines()
+    raw.write_text("\n".join([header + ",remark", *(row + ",ok" for row in rows)]), "utf-8")
+    assert f"channel remark: expected a table [channels.remark] in {test}" in refusal(raw, test)
+
+
+def test_a_key_that_is_misspelt_is_suggested_where_another_is_missing(
+    made: RawTest, tmp_path: Path
+) -> None:
+    tables = edited(made.description, f"{CHANNEL}/calibrate_count", ...)
+    file = tmp_path / "test.toml"
+    file.write_text(to_toml(edited(tables, f"{CHANNEL}/calibrate_counts", 3000.0)), "utf-8")
+    with pytest.raises(InputError, match="found nothing; is 'calibrate_counts' meant"):
+        read_test_description(file)

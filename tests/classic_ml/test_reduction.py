@@ -193,6 +193,7 @@ def test_the_history_tells_the_whole_story_in_order(made: RawTest) -> None:
         "inspect readings",
         "calibrate",
         "near-stall match",
+        "near-stall flow",
         "window",
         "choose channels",
         "filter",
@@ -290,3 +291,88 @@ def test_a_setting_that_means_nothing_is_refused(settings: dict[str, Any], words
 def test_a_cutoff_above_half_the_sample_rate_is_refused(made: RawTest) -> None:
     with pytest.raises(InputError, match="below half the sample rate"):
         reduced(made, cutoff_hz=600.0)
+
+
+def described(made: RawTest, **tables: Any) -> RawTest:
+    return dataclasses.replace(made, description={**made.description, **tables})
+
+
+def areas(inlet_m2: float, exit_m2: float) -> dict[str, Any]:
+    return {"25": {"area_m2": inlet_m2}, "31": {"area_m2": exit_m2}}
+
+
+@pytest.mark.parametrize("match", ["pair", "forward", "none"])
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_probes_with_forward_and_aft_exchanged_are_refused(
+    made: RawTest, everywhere: bool, match: str
+) -> None:
+    columns = dict(made.columns)
+    names = [n for n in columns if n.endswith("_forward")] if everywhere else ["P25_B_hub_forward"]
+    for name in names:
+        mate = name.replace("_forward", "_aft")
+        columns[name], columns[mate] = columns[mate], columns[name]
+    # The zero and calibrate readings go with the wires, or the pressures would be off as well.
+    channels = dict(made.description["channels"])
+    for name in names:
+        mate = name.replace("_forward", "_aft")
+        channels[name], channels[mate] = (
+            {**channels[mate], "facing": "forward"},
+            {**channels[name], "facing": "aft"},
+        )
+    wrong = dataclasses.replace(described(made, channels=channels), columns=columns)
+    with pytest.raises(InputError, match=r"pair P25_\w+: .* are forward and aft exchanged\?"):
+        reduced(wrong, near_stall_match=match)
+
+
+def test_near_stall_the_planes_pass_the_same(made: RawTest) -> None:
+    entry = next(e for e in reduced(made).record.history if e.step == "near-stall flow")
+    assert entry.flags == ()
+    inlet, leaving = (float(entry.parameters[f"W{p}_kg_s"]) for p in (25, 31))
+    assert leaving == pytest.approx(inlet, rel=0.005)
+    # The steady part of the made-up test, before its blowdown at 0.3 s.
+    assert inlet == pytest.approx(np.mean(made.truth["W25_kg_s"][:201]), rel=0.005)
+    assert float(entry.parameters["phi"]) == pytest.approx(0.443, abs=0.002)
+
+
+def test_areas_that_do_not_agree_are_refused_or_flagged(made: RawTest) -> None:
+    with pytest.raises(InputError, match=r"W25 and W31 within 20% .* kg/s; check area_m2 of"):
+        reduced(described(made, planes=areas(0.065, 0.2938)))
+    with pytest.raises(InputError, match=r"found 29\.\d* and 22\.\d* kg/s; .*/test.toml"):
+        reduced(described(made, planes=areas(0.2938, 0.05)))
+    for exit_m2, flags in ((0.065 * 1.1, 1), (0.065 * 0.9, 1), (0.065 * 1.03, 0)):
+        history = reduced(described(made, planes=areas(0.2938, exit_m2))).record.history
+        entry = next(e for e in history if e.step == "near-stall flow")
+        assert len(entry.flags) == flags
+
+
+def test_without_t31_areas_that_do_not_agree_are_flagged(made: RawTest) -> None:
+    limits = {"T31_A": [200.0, 620.0], "T31_B": [200.0, 620.0]}
+    for inlet_m2, flags in ((0.2938, 0), (0.6, 1)):
+        told = described(made, limits=limits, planes=areas(inlet_m2, 0.065))
+        history = reduced(told, threshold_lbm_s=100.0).record.history
+        entry = next(e for e in history if e.step == "near-stall flow")
+        assert len(entry.flags) == flags
+        assert "with the facility's T31" in entry.did
+
+
+def test_a_flow_coefficient_that_no_compressor_has_is_refused(made: RawTest) -> None:
+    for key, value in (("mean_radius_m", 0.028), ("mean_radius_m", 1.8)):
+        machine = {**made.description["compressor"], key: value}
+        with pytest.raises(InputError, match=r"φ near stall: expected 0.1 to 1.5, .*mean_radius_m"):
+            reduced(described(made, compressor=machine))
+
+
+def test_a_window_outside_the_record_is_named_with_its_file(made: RawTest) -> None:
+    with pytest.raises(InputError, match=r"test.toml: \[window\]: expected a window inside"):
+        reduced(described(made, window={"from_s": 1.0, "to_s": 30.0}))
+    with pytest.raises(InputError, match=r"raw.csv: ReductionSettings.window_s: expected"):
+        reduced(made, window_s=(1.0, 30.0))
+
+
+def test_regimes_that_were_not_split_are_flagged(made: RawTest) -> None:
+    def flags(**settings: Any) -> tuple[str, ...]:
+        return reduced(made, **settings).record.history[-1].flags
+
+    assert flags() == ()
+    assert "never rises above 1e+09 lbm/s in the window" in flags(threshold_lbm_s=1e9)[0]
+    assert "no unstalled regime was declared" in flags(threshold_lbm_s="none")[0]

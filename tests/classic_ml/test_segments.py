@@ -222,3 +222,16 @@ def test_without_a_hub_tip_shift_that_rule_is_refused() -> None:
     flat = Record.from_arrays(same, sample_rate_hz=RATE, source="flat")
     with pytest.raises(InputError, match="more flow at the hub than at the tip"):
         hub_tip_stall(flat, window_rows(flat, (1.0, 2.5)), 82.5)
+
+
+def test_a_stall_without_recovery_needs_no_flag_where_no_regime_was_declared() -> None:
+    record = record_of()
+    window = window_rows(record, (1.0, 2.5))
+    (flag,) = segment(record, window, threshold_lbm_s=None).history[-1].flags
+    assert "no unstalled regime was declared" in flag
+    before = record.time_s < 0.25
+    flow = np.where(before, 112.0, np.minimum(record["Wc25_kg_s"] / LBM, 45.0))
+    mild = record_of(flow=flow)
+    assert segment(mild, window, threshold_lbm_s=None).history[-1].flags == ()
+    (flag,) = segment(mild, window, threshold_lbm_s=50.0).history[-1].flags
+    assert "never rises above 50 lbm/s in the window" in flag

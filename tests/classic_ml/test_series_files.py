@@ -224,3 +224,56 @@ def test_a_written_file_is_as_public_as_its_folder_allows(tmp_path: Path) -> Non
     mask = os.umask(0)
     os.umask(mask)
     assert file.stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_truth_values_as_pandas_writes_them_are_read(tmp_path: Path) -> None:
+    file = written(tmp_path)
+    table = pd.read_csv(file)
+    stalled = np.arange(len(table)) % 3 == 0
+    table.assign(in_stall=stalled).to_csv(file, index=False)
+    assert "True" in file.read_text("utf-8")
+    back = read_series(file).in_stall
+    assert back is not None
+    np.testing.assert_array_equal(back, stalled)
+    table.assign(in_stall="maybe").to_csv(file, index=False)
+    with pytest.raises(InputError, match="column in_stall: expected numbers, found 'maybe'"):
+        read_series(file)
+
+
+@pytest.mark.parametrize(("separator", "shown"), [(";", "';'"), ("\t", r"'\\t'")])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_another_separator_is_named(
+    tmp_path: Path, separator: str, shown: str, decimal: str
+) -> None:
+    file = written(tmp_path)
+    pd.read_csv(file).to_csv(file, index=False, sep=separator, decimal=decimal)
+    with pytest.raises(
+        InputError, match=f"the separator is {shown}; save with commas and decimal points"
+    ):
+        read_series(file)
+
+
+@pytest.mark.parametrize("name", ["folder", "folder.nc"])
+def test_a_folder_is_called_one(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(InputError, match="expected a series file, found a folder"):
+        read_series(tmp_path / name)
+
+
+@pytest.mark.parametrize("units", ["s", "seconds", "seconds since 1989-01-01"])
+def test_a_netcdf_file_whose_clock_is_called_time_is_told_to_rename_it(
+    tmp_path: Path, units: str
+) -> None:
+    import xarray as xr
+
+    file = tmp_path / "run.nc"
+    time_s = np.arange(200) * 1e-3
+    data = xr.Dataset(
+        {"phi": ("time", np.sin(time_s)), "psi_p": ("time", np.cos(time_s))},
+        coords={"time": ("time", time_s, {"units": units})},
+    )
+    data.to_netcdf(file, engine="h5netcdf")
+    with pytest.raises(InputError, match="no column time_s; rename 'time' to 'time_s'"):
+        read_series(file)
+    data.rename(time="time_s").to_netcdf(file, engine="h5netcdf")
+    np.testing.assert_array_equal(read_series(file).time_s, time_s)
