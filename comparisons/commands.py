@@ -254,10 +254,10 @@ def _print_reduction(reduction: Reduction) -> None:
 def _print_comparison(comparison: Comparison, work: Comparison | None) -> None:
     from comparisons.table import comparison_table
 
-    print(comparison_table(comparison))
+    names = ", ".join(Path(record.source).name for record in comparison.records)
+    print(f"Pressure coefficient ψ' of {names}\n\n{comparison_table(comparison)}\n")
     if work is not None:
-        print()
-        print(comparison_table(work))
+        print(f"Work coefficient ψ of {names}\n\n{comparison_table(work)}\n")
 
 
 def _report_reconstructions(path: Path, runs: Sequence[Reconstruction]) -> None:
