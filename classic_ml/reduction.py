@@ -73,7 +73,7 @@ class ReductionSettings:
     thermocouple_inversion : bool
         Undo the lag of the thermocouples. The paper did not; behind a 48 Hz filter the lag of T25
         cancels part of what the filter does to the curve, so that undoing it alone makes the
-        curve worse (the test on the simulated rig shows it).
+        curve worse.
     near_stall_match : {"pair", "forward", "none"}
         What the near-stall match moves.
     work_form : {"auto", "exit-flow", "temperature-rise"}

@@ -67,7 +67,7 @@ def default_estimators(
                 basis=basis,
                 # The classical recursion, as in the paper's program. On data low-passed at 48 Hz
                 # C has a root near the unit circle and remembers the start through a whole
-                # segment: the two starts differ by a tenth in the curve of the simulated rig.
+                # segment, so that the two starts give different curves.
                 exact_start=False,
             )
 

@@ -13,8 +13,9 @@ from classic_ml.records import FloatArray
 
 __all__ = ["FitScore", "block_errors", "paired_difference", "score_fit", "trusted_range"]
 
-# The paper calls the curve reliable where φ has "high significant amplitude density" (Fig 24);
-# between the 5th and 95th percentile the simulated rig gives the paper's own range.
+# The paper calls the curve reliable where φ has "high significant amplitude density" (Fig 24) and
+# gives no level; the true in-stall φ of the simulated rig lies between these percentiles much as
+# the paper's range does. On filtered data the low end holds the filter's overshoot too.
 TRUSTED_PERCENTILES = (5.0, 95.0)
 MINIMUM_BLOCKS = 6
 
@@ -67,7 +68,7 @@ def score_fit(
 
 
 def trusted_range(phi: FloatArray) -> tuple[float, float]:
-    """Return the range of φ in which a curve fitted to these rows can be trusted.
+    """Return the range in which φ dwells: beyond it a curve fitted to these rows is a guess.
 
     Parameters
     ----------
