@@ -73,6 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_reduce(commands)
     _add_compare(commands)
     _add_reconstruct(commands)
+    _add_reproduce(commands)
     return parser
 
 
@@ -111,7 +112,7 @@ def _add_simulate(commands: _Commands) -> None:
     parser.add_argument(
         "--case",
         default="985",
-        help="parameter set: 985, 90, 95, 985-second or blowdown (default: 985)",
+        help="parameter set: 985, 90, 95, 985-second, blowdown or 75-stall (default: 985)",
     )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
     parser.add_argument(
@@ -242,6 +243,39 @@ def _add_reconstruct(commands: _Commands) -> None:
     )
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report")
     parser.set_defaults(run=_command("reconstruct"))
+
+
+def _add_reproduce(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "reproduce",
+        help="check the paper claim by claim on four simulated instabilities",
+        description="Simulate the paper's four instabilities and its steady rotating stall, reduce "
+        "the raw counts and fit them the paper's way, and print each claim of the paper with the "
+        "number it states, the number found and whether it holds.",
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help="write the report, with counterparts of the paper's figures",
+    )
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
+    parser.set_defaults(run=_run_reproduce)
+
+
+def _run_reproduce(arguments: argparse.Namespace) -> None:
+    from comparisons.paper.command import command_line, reproduce, show_progress
+
+    print(
+        reproduce(
+            seed=arguments.seed,
+            json_path=arguments.json,
+            report=arguments.report,
+            progress=show_progress,
+            command=command_line(),
+        )
+    )
 
 
 def _add_series(parser: argparse.ArgumentParser) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,6 +244,8 @@ def _constants(
         close_rate=case.close_rate_per_s,
         open_ratio=case.open_reference * case.open_ratio,
         open_lag=case.open_lag_s,
+        sweep=case.throttle_sweep,
+        sweep_rate=2.0 * pi / case.throttle_sweep_s,
         corrected_speed=case.corrected_speed_frac,
         rotor_velocity=u,
         area=case.inlet_area_m2,

@@ -7,7 +7,7 @@ the model and its equations.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import sqrt
+from math import sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,6 +97,8 @@ class Constants(NamedTuple):
     close_rate: float
     open_ratio: float
     open_lag: float
+    sweep: float
+    sweep_rate: float
     corrected_speed: float
     rotor_velocity: float
     area: float
@@ -280,7 +282,8 @@ def _rates(
     d[BLEND] = (stalled - s[BLEND]) / c.blend
     d[CELLS] = (max(stalled, c.always_cells * ever) - s[CELLS]) / c.cell_rise
     if ever > 0.0:
-        d[THROTTLE] = (c.open_ratio - s[THROTTLE]) / c.open_lag
+        opened = c.open_ratio * (1.0 + c.sweep * sin(c.sweep_rate * time))
+        d[THROTTLE] = (opened - s[THROTTLE]) / c.open_lag
     elif time >= c.close_start:
         d[THROTTLE] = -c.close_rate
     else:

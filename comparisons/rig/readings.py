@@ -29,6 +29,7 @@ __all__ = [
     "draw_transducer",
     "read_near_stall",
     "read_transducer",
+    "remote_pressure_pa",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -190,6 +191,30 @@ def read_transducer(
     return TransducerReading(*means)
 
 
+def remote_pressure_pa(
+    tube_pa: FloatArray, settings: SensorSettings, *, rate_hz: float
+) -> FloatArray:
+    """Return what the remote transducer on the leak path of a tube reads.
+
+    The leak past the high-response transducer is slow: the steady pressure passes, surge does not.
+
+    Parameters
+    ----------
+    tube_pa : ndarray of shape (n,)
+        Pressure in the tube.
+    settings : SensorSettings
+        Lag of the leak path.
+    rate_hz : float
+        Sample rate.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        The pressure behind the leak, at rest at the first sample.
+    """
+    return lag(tube_pa, time_constant_s=settings.leak_lag_s, rate_hz=rate_hz)
+
+
 def read_near_stall(run: PlantRun, settings: SensorSettings, rng: np.random.Generator) -> NearStall:
     """Take the facility's near-stall reading.
 
@@ -214,7 +239,7 @@ def read_near_stall(run: PlantRun, settings: SensorSettings, rng: np.random.Gene
     errors = rng.standard_normal(4)
 
     def pressure(name: str, error: float) -> float:
-        remote = lag(run[name][:last], time_constant_s=settings.leak_lag_s, rate_hz=PLANT_RATE_HZ)
+        remote = remote_pressure_pa(run[name][:last], settings, rate_hz=PLANT_RATE_HZ)
         return float(np.mean(remote)) * (1.0 + settings.facility_error * error)
 
     def temperature(name: str, error: float) -> float:

@@ -199,6 +199,8 @@ def _test_table(
             "threshold_lbm_s": "none" if case.segmentation is None else case.segmentation
         },
     }
+    if case.window_s is not None:
+        table["window"] = {"from_s": case.window_s[0], "to_s": case.window_s[1]}
     if settings.acquisition_limits and case.t31_limit_k is not None:
         table["limits"] = {f"T31_{rake}": list(case.t31_limit_k) for rake in ("A", "B")}
     table["channels"] = {name: dict(entry) for name, entry in chain.channels.items()}

@@ -152,8 +152,8 @@ def test_limits_are_a_switch() -> None:
     case = replace(CASES["985"], t31_limit_k=None)
     assert "limits" not in simulate(case, duration_s=0.3).test
     on = simulate("985", duration_s=0.3)
-    assert on.test["limits"] == {"T31_A": [200.0, 620.0], "T31_B": [200.0, 620.0]}
-    assert np.max(on.raw["T31_A"]) == 620.0
+    assert on.test["limits"] == {"T31_A": [200.0, 635.0], "T31_B": [200.0, 635.0]}
+    assert np.max(on.raw["T31_A"]) == 635.0
 
 
 def test_written_files_hold_the_run(default_run: Runs, tmp_path: Path) -> None:

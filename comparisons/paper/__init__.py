@@ -1,0 +1,1 @@
+"""The paper, claim by claim and figure by figure, from the simulated rig's raw counts."""
