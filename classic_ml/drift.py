@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from classic_ml.cells import Knots
 from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 
-__all__ = ["spline_columns"]
+__all__ = ["knots_of"]
 
-# Two gigabytes of dense columns: more is a mistake in the knot spacing or a job for pieces.
-MOST_VALUES = 250_000_000
+# A knot every other row leaves nothing for the lag to explain.
+FEWEST_ROWS_A_KNOT = 4
 
 
-def spline_columns(
-    weight: FloatArray, runs: list[slice], sample_period_s: float, knot_spacing_s: float
-) -> FloatArray:
-    """Return the columns of a continuous piecewise-linear drift of zero mean.
+def knots_of(runs: list[slice], sample_period_s: float, knot_spacing_s: float) -> Knots:
+    """Return the knots of a continuous piecewise-linear drift of zero mean.
 
     Parameters
     ----------
-    weight : ndarray of shape (n_rows,)
-        Weights of the rows; the mean is taken over those.
     runs : list of slice
         The segments. The time between two of them is not known, so each drifts on its own: as
         a spline where it is longer than the knots are apart, else as one level.
@@ -31,34 +25,25 @@ def spline_columns(
         Distance of the knots, in seconds; 0.25 to 2 s serve equally well where the lag is tens
         of milliseconds.
 
-    Returns
-    -------
-    ndarray of shape (n_rows, n_columns)
-        Hat functions at the knots, less their mean, the last one left out: the constant belongs
-        to the characteristic, of which a drift could not be told apart.
-
     Raises
     ------
     InputError
-        When the columns would not fit into memory.
+        When there would be a knot every few rows.
     """
-    lengths = [run.stop - run.start for run in runs]
-    intervals = [round((n - 1) * sample_period_s / knot_spacing_s) for n in lengths]
-    n_columns = sum(n + 1 for n in intervals) - 1
-    if weight.size * n_columns > MOST_VALUES:
+    if knot_spacing_s < FEWEST_ROWS_A_KNOT * sample_period_s:
         raise InputError(
             "knot_spacing_s",
-            expected=f"at most {MOST_VALUES // weight.size} knots over {weight.size} rows",
-            found=f"{n_columns}",
-            remedy="raise knot_spacing_s or fit a part of the record",
+            expected=f"at least {FEWEST_ROWS_A_KNOT} sample periods of {sample_period_s:g} s",
+            found=f"{knot_spacing_s:g} s",
+            remedy="raise knot_spacing_s to many times the time constant",
         )
-    columns = np.zeros((weight.size, n_columns + 1))
+    first, intervals, steps = [], [], []
     at = 0
-    for run, length, n_intervals in zip(runs, lengths, intervals, strict=True):
-        position = np.linspace(0.0, n_intervals, length)
-        distance = np.abs(position[:, None] - np.arange(n_intervals + 1))
-        columns[run, at : at + n_intervals + 1] = np.maximum(0.0, 1.0 - distance)
-        at += n_intervals + 1
-    total = float(weight.sum())
-    centred = columns - (weight @ columns / total if total > 0.0 else 0.0)
-    return np.asarray(centred[:, :-1])
+    for run in runs:
+        n = run.stop - run.start
+        count = round((n - 1) * sample_period_s / knot_spacing_s)
+        first.append(at)
+        intervals.append(count)
+        steps.append(count / (n - 1) if count else 0.0)
+        at += max(count, 1) + 1
+    return Knots(tuple(first), tuple(intervals), tuple(steps))

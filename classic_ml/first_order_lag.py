@@ -27,17 +27,22 @@ class FirstOrderLag:
     hold : {"zero", "first"}
         ``"zero"``: f[k] acts from k to k+1 (paper, Eq 9-11 to the letter). ``"first"``: f is a
         continuous signal, joined by straight lines between its samples.
+    dead_time_s : float
+        How much later f acts, in seconds; any fraction of a sample. Before the first sample f
+        stood at it.
 
     Notes
     -----
     a = exp(-h/τ) (paper, Eq 10). Zero hold: ``now = 0``, ``before = 1 - a`` (Eq 11). First hold:
     with r = (1 - a) τ/h, ``now = 1 - r`` and ``before = r - a``, the exact response to a ramp.
-    The derivatives are with respect to log τ, in which the fit works.
+    The derivatives are with respect to log τ, in which the fit works. With a dead time of
+    m + δ samples, 0 <= δ < 1, three samples f[k-m], f[k-m-1], f[k-m-2] act in place of two.
     """
 
     tau_s: float
     sample_period_s: float
     hold: Hold
+    dead_time_s: float = 0.0
 
     @property
     def ratio(self) -> float:
@@ -91,7 +96,51 @@ class FirstOrderLag:
         -------
         ndarray of shape (n - 1,) or (n - 1, p)
         """
+        if self.dead_time_s > 0.0:
+            taps, n = self.taps[0], quasi_steady.shape[0]
+            late = [
+                quasi_steady[np.maximum(np.arange(1, n) - self.whole_samples - back, 0)]
+                for back in range(3)
+            ]
+            return np.asarray(taps[0] * late[0] + taps[1] * late[1] + taps[2] * late[2])
         return self.gain_now * quasi_steady[1:] + self.gain_before * quasi_steady[:-1]
+
+    @property
+    def whole_samples(self) -> int:
+        """Whole samples m of the dead time."""
+        return int(np.floor(self.dead_time_s / self.sample_period_s + 1e-9))
+
+    @property
+    def taps(self) -> FloatArray:
+        """Weights of f[k-m], f[k-m-1], f[k-m-2] in x[k], of shape (3, 3).
+
+        The rows are the weights and their derivatives with respect to log τ and to the dead time
+        in samples: the exact response to steps (or straight lines) that begin δ late.
+        """
+        late = max(self.dead_time_s / self.sample_period_s - self.whole_samples, 0.0)
+        r, a, rest = self.ratio, self.a, 1.0 - late
+        e = float(np.exp(-r * rest))
+        begun = -float(np.expm1(-r * rest))
+        ended = -a * float(np.expm1(r * late)) if late > 0.0 else 0.0
+        if self.hold == "zero":
+            return np.array(
+                [
+                    [0.0, begun, -ended],
+                    [0.0, -r * rest * e, r * (rest * e - a)],
+                    [0.0, -r * e, r * e],
+                ]
+            )
+        now = rest - begun / r
+        old = -ended / r - late * a
+        d_now = rest * e - begun / r
+        d_old = rest * e - a - ended / r - r * late * a
+        return np.array(
+            [
+                [now, -float(np.expm1(-r)) - now - old, old],
+                [d_now, -r * a - d_now - d_old, d_old],
+                [e - 1.0, 1.0 - 2.0 * e + a, e - a],
+            ]
+        )
 
     def d_drive(self, quasi_steady: FloatArray) -> FloatArray:
         """Return the derivative of :meth:`drive` with respect to log τ."""

@@ -11,31 +11,24 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
-from classic_ml.covariance import block_jackknife, correlation_length
-from classic_ml.drift import spline_columns
+from classic_ml.conditioning import Conditioned, condition
+from classic_ml.drift import knots_of
 from classic_ml.errors import InputError
 from classic_ml.first_order_lag import FirstOrderLag, Hold
 from classic_ml.fit_state import FitState
-from classic_ml.likelihood import (
-    EquationError,
-    LagData,
-    Outcome,
-    OutputError,
-    PredictionModel,
-    rank_deficient,
-    scan,
-    search,
-)
+from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
+from classic_ml.prediction import LagProblem
 from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
+from classic_ml.runs import runs_of, with_known_inputs
 from classic_ml.validation import one_of, positive, whole_number
 
 __all__ = ["LagRegressor"]
 
-SCAN_POINTS = 28
-SCAN_ROWS = 20_000
-IntArray = NDArray[np.int64]
+# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
+MOST_DEAD_SAMPLES = 250
+MOST_OF_A_RUN = 0.1
+MOST_OF_A_GIVEN_RUN = 0.5
 
 
 class LagRegressor(RegressorMixin, BaseEstimator):
@@ -71,6 +64,14 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         Give the errors before each segment of an armax model their share in the likelihood.
         False starts the recursion of C from zero, as the classical programs do; that biases τ
         by a per cent or two on segments of some sixty rows with white output noise.
+    time_constant_s : float, optional
+        Hold τ at this value, in seconds, and fit all else (for trial fits).
+    dead_time_s : float or "fit"
+        How much later the inputs act, in seconds; any fraction of a sample period. ``"fit"``
+        fits it along with τ. Rows whose inputs lie before their segment are not scored.
+    ripple_hz : float or tuple of float, optional
+        Frequencies of a ripple of ψ' (rotating stall and its harmonics), in hertz. Each segment
+        has an amplitude and a phase of its own for each.
 
     Attributes
     ----------
@@ -97,6 +98,15 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         errors ran.
     n_scored_ : int
         Equations (or rows, for output error) that were scored.
+    residual_lag_ : int
+        Rows over which the errors hang together.
+    dead_time_s_, dead_time_stderr_s_ : float
+        Dead time and its standard error, in seconds; 0.0 where it was given.
+    joint_covariance_ : ndarray of shape (n_terms + 2, n_terms + 2)
+        Covariance of (τ in seconds, dead time in seconds, β).
+    ripple_coef_ : ndarray of shape (n_segments, 2 n_frequencies)
+        Amplitudes of sine and cosine of each frequency, their phase counted from the first row of
+        each segment; zero where no row of the segment was scored.
 
     Notes
     -----
@@ -118,6 +128,9 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         knot_spacing_s: float = 1.0,
         link_segments: bool = False,
         exact_start: bool = True,
+        time_constant_s: float | None = None,
+        dead_time_s: float | Literal["fit"] = 0.0,
+        ripple_hz: float | tuple[float, ...] | None = None,
     ) -> None:
         self.sample_period_s = sample_period_s
         self.noise = noise
@@ -129,6 +142,9 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         self.knot_spacing_s = knot_spacing_s
         self.link_segments = link_segments
         self.exact_start = exact_start
+        self.time_constant_s = time_constant_s
+        self.dead_time_s = dead_time_s
+        self.ripple_hz = ripple_hz
 
     def fit(
         self,
@@ -168,21 +184,17 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         runs = runs_of(segments, y.size)
         runs = [slice(0, y.size)] if self.link_segments else runs
         terms = self._fit_basis(X)
-        data = LagData(
-            y,
-            terms,
-            self._drift_columns(weight, runs),
-            weight,
-            tuple(runs),
-            float(self.sample_period_s),
-            self.hold,
-        )
-        model = self._model(data)
-        n_free = data.n_linear + 1 + (self._order if self.noise == "armax" else 0)
-        if sum(model.piece_lengths()) <= n_free:
-            self._store_static(data)
-        else:
-            self._store(search(model, self._starts(model, data)), data)
+        conditioned = condition(terms, self.drift is not None)
+        problem = self._problem(y, conditioned, weight, runs)
+        if problem.n_errors <= problem.n_parameters(terms.shape[1]):
+            self._store_static(y, terms, weight, problem)
+            return self
+        fit = fit_lag(problem, conditioned)
+        if self.dead_time_s == "fit":
+            # Now that it is known within a sample, few rows need to be left unscored for it.
+            problem = self._problem(y, conditioned, weight, runs, fit.dead)
+            fit = fit_lag(problem, conditioned, fit)
+        self._store(fit, problem, terms.shape[1])
         return self
 
     def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
@@ -226,7 +238,7 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         if np.isnan(self.time_constant_s_):
             return quasi_steady
         begin = quasi_steady if start is None else np.asarray(start, dtype=np.float64)
-        lag = FirstOrderLag(self.time_constant_s_, float(self.sample_period_s), self.hold)
+        lag = self._lag()
         free_run = np.empty_like(quasi_steady)
         for run in runs_of(segments, quasi_steady.size):
             free_run[run] = lag.respond(quasi_steady[run], begin[run.start])
@@ -260,27 +272,17 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         known = np.ones(y.size, dtype=np.bool_)
         if np.isnan(self.time_constant_s_):
             return terms @ self.coef_, known
-        runs = tuple(runs_of(segments, y.size))
-        data = LagData(
-            y,
-            terms,
-            np.zeros((y.size, 0)),
-            np.ones(y.size),
-            runs,
-            float(self.sample_period_s),
-            self.hold,
-        )
-        shape = np.array([np.log(self.time_constant_s_)])
+        lag, whitener = self._lag(), MovingAverage.from_coefficients(self.moving_average_)
         prediction = np.empty_like(y)
-        if self.noise == "output-error":
-            lag = data.lag(shape[0])
-            starts = OutputError(data).starts(shape, self.coef_)
-            for run, start in zip(runs, starts, strict=True):
-                prediction[run] = lag.respond(terms[run] @ self.coef_, start)
-            return prediction, known
-        lag, whitener = data.lag(shape[0]), self._moving_average()
-        for run in runs:
-            errors = y[run][1:] - lag.a * y[run][:-1] - lag.drive(terms[run] @ self.coef_)
+        for run in runs_of(segments, y.size):
+            quasi_steady = terms[run] @ self.coef_
+            if self.noise == "output-error":
+                free_run = lag.respond(quasi_steady, quasi_steady[0])
+                decay = lag.decay(free_run.size)
+                start = decay @ (y[run] - free_run) / (decay @ decay)
+                prediction[run] = free_run + start * decay
+                continue
+            errors = y[run][1:] - lag.a * y[run][:-1] - lag.drive(quasi_steady)
             prediction[run.start] = y[run.start]
             prediction[run.start + 1 : run.stop] = y[run][1:] - whitener.whiten(errors)
             known[run.start] = False
@@ -358,6 +360,34 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         positive("knot_spacing_s", self.knot_spacing_s)
         whole_number("degree", self.degree, 0, 20)
         whole_number("noise_order", self.noise_order, 0, MAXIMUM_ORDER)
+        if self.time_constant_s is not None:
+            positive("time_constant_s", self.time_constant_s)
+        self._check_dead_time()
+        self._check_ripple()
+
+    def _check_dead_time(self) -> None:
+        value = self.dead_time_s
+        if isinstance(value, str) and value == "fit":
+            return
+        number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+        if not number or not np.isfinite(value) or value < 0:
+            raise InputError(
+                "dead_time_s", expected="a non-negative number or 'fit'", found=repr(value)
+            )
+
+    def _check_ripple(self) -> None:
+        highest = 0.5 / self.sample_period_s
+        frequencies = self._ripple()
+        for frequency in frequencies:
+            positive("ripple_hz", frequency)
+            if frequency >= highest:
+                raise InputError(
+                    "ripple_hz",
+                    expected=f"frequencies below half the sample rate, {highest:g} Hz",
+                    found=f"{frequency:g}",
+                )
+        if len(set(frequencies)) < len(frequencies):
+            raise InputError("ripple_hz", expected="each frequency once", found=repr(frequencies))
 
     def _validated(
         self, X: ArrayLike, y: ArrayLike, *, reset: bool
@@ -381,87 +411,114 @@ class LagRegressor(RegressorMixin, BaseEstimator):
     def _terms_of(self, X: FloatArray) -> FloatArray:
         return np.asarray(self.basis_.transform(X), dtype=np.float64)
 
-    def _drift_columns(self, weight: FloatArray, runs: list[slice]) -> FloatArray:
-        if self.drift is None:
-            return np.zeros((weight.size, 0))
-        return spline_columns(weight, runs, self.sample_period_s, self.knot_spacing_s)
+    def _ripple(self) -> tuple[Any, ...]:
+        if self.ripple_hz is None:
+            return ()
+        return tuple(np.atleast_1d(np.asarray(self.ripple_hz, dtype=object)).tolist())
 
-    def _model(self, data: LagData) -> PredictionModel:
-        if self.noise == "output-error":
-            return OutputError(data)
-        return EquationError(data, self._order, bool(self.exact_start))
-
-    def _moving_average(self) -> MovingAverage:
-        return MovingAverage.from_coefficients(self.moving_average_)
-
-    def _starts(self, model: PredictionModel, data: LagData) -> list[FloatArray]:
-        """Scan log τ on the head of the record; armax starts from arx and from output error."""
-        head = data.head(SCAN_ROWS)
-        if sum(self._model(head).piece_lengths()) <= data.n_linear + 3:
-            head = data
-        low, high = head.log_tau_bounds
-        grid = np.linspace(low + np.log(10.0), high, SCAN_POINTS)
-        nothing = np.zeros(0)
-        if self.noise == "output-error":
-            return [np.array([scan(OutputError(head), grid, nothing)])]
-        arx = scan(EquationError(head, 0), grid, nothing)
-        starts = [np.concatenate([[arx], np.zeros(self._order)])]
-        if self._order > 0:
-            free = scan(OutputError(head), grid, nothing)
-            # Output error is armax with C = A: the other end of the family.
-            c = np.zeros(self._order)
-            c[0] = -data.lag(free).a
-            starts.append(np.concatenate([[free], MovingAverage.from_coefficients(c).free]))
-        if head.y.size < data.y.size:
-            # On a long record the choice among the starts is made on its head.
-            return [search(self._model(head), starts).shape]
-        return starts
-
-    def _store(self, outcome: Outcome, data: LagData) -> None:
-        n_terms, weight = data.terms.shape[1], data.weight
-        n_rows, n_parameters = outcome.jacobian.shape
-        n_lags = correlation_length(outcome.innovations, outcome.piece_lengths)
-        covariance, self.n_blocks_ = block_jackknife(
-            outcome.jacobian, outcome.innovations, outcome.piece_lengths, n_lags
+    def _lag(self) -> FirstOrderLag:
+        return FirstOrderLag(
+            self.time_constant_s_, float(self.sample_period_s), self.hold, self.dead_time_s_
         )
-        n_shape = outcome.shape.size
-        keep = [0, *range(n_shape, n_shape + n_terms)]
-        covariance = covariance[np.ix_(keep, keep)]
-        self.time_constant_s_ = float(np.exp(outcome.shape[0]))
-        # The search runs over log τ: dτ = τ d(log τ), the delta method of Eq 10.
-        to_tau = np.ones(n_terms + 1)
-        to_tau[0] = self.time_constant_s_
-        self.parameter_covariance_ = covariance * np.outer(to_tau, to_tau)
-        self.time_constant_stderr_s_ = float(np.sqrt(self.parameter_covariance_[0, 0]))
-        self.coef_ = outcome.coef[:n_terms]
-        self.covariance_ = self.parameter_covariance_[1:, 1:]
-        self.drift_coef_ = outcome.coef[n_terms:]
-        self.moving_average_ = MovingAverage(outcome.shape[1:]).coefficients
-        deficient = rank_deficient(outcome, n_shape, n_terms)
-        self.fit_state_ = FitState.RANK_DEFICIENT if deficient else outcome.state
-        mean_weight = float(weight.sum() / max(np.count_nonzero(weight), 1))
-        freedom = max(n_rows - n_parameters, 1)
-        self.residual_std_ = float(np.sqrt(outcome.cost / freedom / mean_weight))
-        self.residual_lag_ = n_lags
-        self.n_scored_ = n_rows
 
-    def _store_static(self, data: LagData) -> None:
+    def _problem(
+        self,
+        y: FloatArray,
+        conditioned: Conditioned,
+        weight: FloatArray,
+        runs: list[slice],
+        about: float | None = None,
+    ) -> LagProblem:
+        """Set up the fit; ``about`` is the dead time in samples where it is roughly known."""
+        period = float(self.sample_period_s)
+        shortest = min(run.stop - run.start for run in runs)
+        fit_dead = self.dead_time_s == "fit"
+        if not fit_dead:
+            dead = longest = float(self.dead_time_s) / period
+            if longest > MOST_OF_A_GIVEN_RUN * shortest:
+                raise InputError(
+                    "dead_time_s",
+                    expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
+                    found=f"{self.dead_time_s:g}",
+                )
+        else:
+            dead = 0.0 if about is None else about
+            longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
+            longest = longest if about is None else min(longest, about + 1.0)
+        if longest > 0.0:
+            weight = with_known_inputs(weight, runs, int(np.ceil(longest)) + 1)
+        knots = None if self.drift is None else knots_of(runs, period, self.knot_spacing_s)
+        held = self.time_constant_s
+        return LagProblem(
+            # Compiled code takes read-only and strided arrays for other types, to be compiled anew.
+            np.require(y, requirements=["C", "W"]),
+            conditioned.rows,
+            np.require(weight, requirements=["C", "W"]),
+            np.zeros(0) if np.all(weight == 1.0) else np.sqrt(weight),
+            tuple(runs),
+            period,
+            self.hold,
+            self.noise,
+            self._order,
+            bool(self.exact_start),
+            None if held is None else float(np.log(held)),
+            dead,
+            fit_dead,
+            knots,
+            knots is not None and conditioned.constant is None,
+            2.0 * np.pi * period * np.asarray(self._ripple(), dtype=np.float64),
+            longest,
+        )
+
+    def _store(self, fit: LagFit, problem: LagProblem, n_terms: int) -> None:
+        tau_s = float(np.exp(fit.log_tau))
+        period = float(self.sample_period_s)
+        # The search runs over log τ: dτ = τ d(log τ), the delta method of Eq 10.
+        to_user = np.concatenate([[tau_s, period], np.ones(n_terms)])
+        self.joint_covariance_ = fit.covariance * np.outer(to_user, to_user)
+        keep = [0, *range(2, n_terms + 2)]
+        held = self.time_constant_s
+        self.time_constant_s_ = tau_s if held is None else float(held)
+        self.dead_time_s_ = fit.dead * period
+        self.parameter_covariance_ = self.joint_covariance_[np.ix_(keep, keep)]
+        self.time_constant_stderr_s_ = float(np.sqrt(self.joint_covariance_[0, 0]))
+        self.dead_time_stderr_s_ = float(np.sqrt(self.joint_covariance_[1, 1]))
+        self.coef_ = fit.coef
+        self.covariance_ = self.parameter_covariance_[1:, 1:]
+        self.drift_coef_ = fit.drift
+        self.ripple_coef_ = fit.ripple
+        self.moving_average_ = fit.moving_average
+        self.fit_state_ = fit.state
+        scored = problem.weight[problem.weight > 0.0]
+        freedom = max(fit.n_errors - problem.n_parameters(n_terms), 1)
+        self.residual_std_ = float(np.sqrt(fit.cost / freedom / scored.mean()))
+        self.residual_lag_ = fit.n_lags
+        self.n_blocks_ = len(fit.moves)
+        self.n_scored_ = fit.n_errors
+
+    def _store_static(
+        self, y: FloatArray, terms: FloatArray, weight: FloatArray, problem: LagProblem
+    ) -> None:
         """Without enough rows for a lag: the weighted static curve of least norm, and a code."""
-        root = np.sqrt(data.weight)
-        n_terms = data.terms.shape[1]
-        coef = np.asarray(np.linalg.lstsq(data.terms * root[:, None], data.y * root)[0])
-        error = (data.y - data.terms @ coef) * root
+        root = np.sqrt(weight)
+        n_terms = terms.shape[1]
+        coef = np.asarray(np.linalg.lstsq(terms * root[:, None], y * root)[0])
+        error = (y - terms @ coef) * root
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
+        self.dead_time_s_ = self.dead_time_stderr_s_ = float("nan")
         self.coef_ = np.asarray(coef, dtype=np.float64)
         self.covariance_ = np.full((n_terms, n_terms), np.nan)
         self.parameter_covariance_ = np.full((n_terms + 1, n_terms + 1), np.nan)
-        self.drift_coef_ = np.zeros(data.drift.shape[1])
+        self.joint_covariance_ = np.full((n_terms + 2, n_terms + 2), np.nan)
+        levels = 0 if problem.knots is None else problem.knots.n_levels
+        self.drift_coef_ = np.zeros(max(levels - 1, 0))
+        self.ripple_coef_ = np.zeros((len(problem.runs), 2 * problem.omega.size))
         self.moving_average_ = np.zeros(self._order)
         self.fit_state_ = FitState.TOO_FEW_ROWS
         self.residual_std_ = float(np.sqrt(np.mean(error**2)))
         self.residual_lag_ = 1
         self.n_blocks_ = 0
-        self.n_scored_ = int(np.count_nonzero(data.weight))
+        self.n_scored_ = int(np.count_nonzero(weight))
 
 
 def _factor(name: str) -> str:

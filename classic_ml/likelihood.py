@@ -1,447 +1,277 @@
-"""Separable prediction-error fits of the lag model: everything but τ and C is linear.
+"""Separable prediction-error fits of the lag model, one pass over the record a step.
 
 Minimising Σ w e² over the one-step (arx, armax) or free-run (output-error) errors e is maximum
 likelihood for Gaussian e (Åström 1980, the paper's Reference 5). The characteristic's β, the
-drift and the start of each run enter linearly, so that the search runs over log τ and the
-parameters of C alone (variable projection, Golub and Pereyra 1973), with exact gradients.
+drift, the ripple and the start of each run enter linearly, so that the search runs over log τ, the
+dead time and the parameters of C alone (variable projection, Golub and Pereyra 1973). A pass gives
+the errors, all derivatives and their inner products; the errors themselves are always made anew
+from the record, so that rounding in the inner products slows the search but does not move its end.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.first_order_lag import FirstOrderLag, Hold
+from classic_ml.cells import Cells, IntArray
 from classic_ml.fit_state import FitState
-from classic_ml.noise_models import MovingAverage
+from classic_ml.prediction import LagProblem, Pass, Point
 from classic_ml.records import FloatArray
-from classic_ml.runs import scored_pieces
 
-__all__ = [
-    "EquationError",
-    "LagData",
-    "Outcome",
-    "OutputError",
-    "PredictionModel",
-    "rank_deficient",
-    "scan",
-    "search",
-]
+__all__ = ["Bench", "Fit", "pseudo_inverse", "scan", "search"]
 
 MAXIMUM_ITERATIONS = 60
-# A step of 1e-4 standard errors changes nothing that is ever printed.
+# A step of 1e-4 standard errors changes nothing that is ever printed; of 1e-7 no test.
 NEWTON_DECREMENT = 1e-8
-LOWER_PERIODS = 0.02
-UPPER_RECORDS = 20.0
+FINE_DECREMENT = 1e-14
+LONG_RECORD = 200_000
+# Of a scaled eigenvalue: less is a copy of other columns within the rounding of inner products.
+NO_DIRECTION = 1e-13
+# Linear parameters so far off that the derivatives have to be taken anew (share of the cost).
+STALE = 1e-3
+# Of the cost: smaller differences between two passes are rounding.
+BLIND = 1e-11
 
 
 @dataclass(frozen=True)
-class LagData:
-    """What one fit sees.
+class Fit:
+    """A pass with its linear parameters at their optimum.
 
     Parameters
     ----------
-    y : ndarray of shape (n,)
-        ψ' as measured.
-    terms : ndarray of shape (n, q)
-        The s_i(φ) at each sample.
-    drift : ndarray of shape (n, d)
-        Columns that add to the output without the lag.
-    weight : ndarray of shape (n,)
-        Non-negative; rows of weight 0 are simulated through, not scored.
-    runs : tuple of slice
-        Rows of each segment; no equation straddles two.
-    sample_period_s : float
-        Sample period, in seconds.
-    hold : {"zero", "first"}
-        How φ acts between samples.
-    """
-
-    y: FloatArray
-    terms: FloatArray
-    drift: FloatArray
-    weight: FloatArray
-    runs: tuple[slice, ...]
-    sample_period_s: float
-    hold: Hold
-
-    def lag(self, log_tau: float) -> FirstOrderLag:
-        """Return the lag of a trial time constant."""
-        return FirstOrderLag(float(np.exp(log_tau)), self.sample_period_s, self.hold)
-
-    @property
-    def n_linear(self) -> int:
-        """Number of linear parameters: the β_i and the drift."""
-        return int(self.terms.shape[1] + self.drift.shape[1])
-
-    @property
-    def log_tau_bounds(self) -> tuple[float, float]:
-        """Range of log τ that is searched."""
-        longest = max(run.stop - run.start for run in self.runs)
-        low = LOWER_PERIODS * self.sample_period_s
-        return float(np.log(low)), float(np.log(UPPER_RECORDS * longest * self.sample_period_s))
-
-    def head(self, n_rows: int) -> LagData:
-        """Return the first runs, up to about ``n_rows`` rows, for a cheap scan."""
-        runs: list[slice] = []
-        left = n_rows
-        for run in self.runs:
-            if left <= 0:
-                break
-            runs.append(slice(run.start, min(run.stop, run.start + left)))
-            left -= run.stop - run.start
-        end = runs[-1].stop
-        return LagData(
-            self.y[:end],
-            self.terms[:end],
-            self.drift[:end],
-            self.weight[:end],
-            tuple(runs),
-            self.sample_period_s,
-            self.hold,
-        )
-
-
-class PredictionModel(Protocol):
-    """A way of predicting ψ', linear in β for given shape parameters (log τ and C)."""
-
-    @property
-    def data(self) -> LagData:
-        """What is fitted."""
-
-    def linear(self, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return target (n,) and columns (n, p) of the weighted linear problem."""
-
-    def sensitivities(
-        self, shape: FloatArray, coef: FloatArray, innovations: FloatArray
-    ) -> FloatArray:
-        """Return ∂e/∂shape (n, n_shape) of e = target - columns @ coef."""
-
-    def piece_lengths(self) -> list[int]:
-        """Return the number of scored rows of each stretch, in order."""
-
-
-@dataclass(frozen=True)
-class OutputError:
-    """e = ψ' - free run; each run has a start of its own, projected out of every column."""
-
-    data: LagData
-
-    def linear(self, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return target and columns of the weighted linear problem."""
-        lag = self.data.lag(shape[0])
-        blocks = []
-        for run in self._scored_runs():
-            terms = self.data.terms[run]
-            responses = lag.respond(terms, terms[0])
-            both = np.column_stack([self.data.y[run], responses, self.data.drift[run]])
-            blocks.append(self._project(run, lag, both))
-        stacked = np.concatenate(blocks)
-        return stacked[:, 0], stacked[:, 1:]
-
-    def sensitivities(
-        self, shape: FloatArray, coef: FloatArray, innovations: FloatArray
-    ) -> FloatArray:
-        """Return ∂e/∂(log τ)."""
-        lag = self.data.lag(shape[0])
-        starts = self.starts(shape, coef)
-        beta = coef[: self.data.terms.shape[1]]
-        blocks = []
-        for run, start in zip(self._scored_runs(), starts, strict=True):
-            quasi_steady = self.data.terms[run] @ beta
-            state = lag.respond(quasi_steady, start)
-            slope = -lag.d_respond(quasi_steady, state)[:, None]
-            blocks.append(self._project(run, lag, slope))
-        return np.concatenate(blocks)
-
-    def starts(self, shape: FloatArray, coef: FloatArray) -> list[float]:
-        """Return the least-squares start of each scored run."""
-        lag = self.data.lag(shape[0])
-        n_terms = self.data.terms.shape[1]
-        starts = []
-        for run in self._scored_runs():
-            quasi_steady = self.data.terms[run] @ coef[:n_terms]
-            error = self.data.y[run] - lag.respond(quasi_steady, quasi_steady[0])
-            error -= self.data.drift[run] @ coef[n_terms:]
-            decay = lag.decay(error.size) * np.sqrt(self.data.weight[run])
-            power = float(decay @ decay)
-            error = error * np.sqrt(self.data.weight[run])
-            starts.append(float(quasi_steady[0] + (decay @ error / power if power > 0 else 0.0)))
-        return starts
-
-    def piece_lengths(self) -> list[int]:
-        """Return the number of scored rows of each run."""
-        return [int(np.count_nonzero(self.data.weight[run])) for run in self._scored_runs()]
-
-    def _scored_runs(self) -> list[slice]:
-        return [run for run in self.data.runs if np.any(self.data.weight[run] > 0.0)]
-
-    def _project(self, run: slice, lag: FirstOrderLag, columns: FloatArray) -> FloatArray:
-        """Weight the columns, leave out unscored rows, and remove the run's start."""
-        weight = self.data.weight[run]
-        scored = weight > 0.0
-        root = np.sqrt(weight[scored])
-        rows = columns[scored] * root[:, None]
-        decay = lag.decay(weight.size)[scored] * root
-        power = float(decay @ decay)
-        if power > 0.0:
-            rows = rows - np.outer(decay, decay @ rows / power)
-        return rows
-
-
-@dataclass(frozen=True)
-class EquationError:
-    """C(q) e = ψ'[k] - a ψ'[k-1] - Σ β_i u_i[k] (paper, Eq 9): arx for order 0, else armax.
-
-    An equation looks one sample back, so that a row of weight 0 costs the equation at it and the
-    one after it, and the recursion of C starts afresh behind it. The errors just before a stretch
-    are unknown but not free: they are innovations like all others, and stand as ``order`` rows of
-    their own before its equations (unconditional least squares, Box and Jenkins 1976). Taken as
-    zero (``exact_start=False``, the classical recursion) they bias τ on short segments.
-    """
-
-    data: LagData
-    order: int
-    exact_start: bool = True
-
-    def linear(self, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return target and columns of the weighted linear problem."""
-        lag, whitener = self.data.lag(shape[0]), MovingAverage(shape[1:])
-        blocks = []
-        for piece in self._pieces():
-            rows = np.column_stack(
-                [
-                    self._differenced(self.data.y[piece], lag),
-                    lag.drive(self.data.terms[piece]),
-                    self._differenced(self.data.drift[piece], lag),
-                ]
-            )
-            blocks.append(self._project(whitener.whiten(rows), whitener, piece))
-        stacked = np.concatenate(blocks)
-        return stacked[:, 0], stacked[:, 1:]
-
-    def sensitivities(
-        self, shape: FloatArray, coef: FloatArray, innovations: FloatArray
-    ) -> FloatArray:
-        """Return ∂e/∂(log τ, ρ)."""
-        lag, whitener = self.data.lag(shape[0]), MovingAverage(shape[1:])
-        n_terms = self.data.terms.shape[1]
-        blocks = []
-        at = 0
-        for piece in self._pieces():
-            root = self._root_weight(piece)
-            undrifted = self.data.y[piece] - self.data.drift[piece] @ coef[n_terms:]
-            slope = -lag.d_a * undrifted[:-1]
-            slope -= lag.d_drive(self.data.terms[piece] @ coef[:n_terms])
-            errors = innovations[at : at + root.size] / root
-            at += root.size
-            if not self.exact_start:
-                errors = np.concatenate([np.zeros(self.order), errors])
-            block = np.column_stack([whitener.whiten(slope), whitener.sensitivities(errors)])
-            blocks.append(self._project(block, whitener, piece))
-        return np.concatenate(blocks)
-
-    def piece_lengths(self) -> list[int]:
-        """Return the number of equations of each stretch, with the errors before it."""
-        return [piece.stop - piece.start - 1 + self._ahead for piece in self._pieces()]
-
-    @property
-    def _ahead(self) -> int:
-        return self.order if self.exact_start else 0
-
-    def _pieces(self) -> list[slice]:
-        return [p for run in self.data.runs for p in scored_pieces(self.data.weight, run)]
-
-    def _project(self, rows: FloatArray, whitener: MovingAverage, piece: slice) -> FloatArray:
-        """Put the errors before the stretch ahead of it, weight, and optimise them away."""
-        root = self._root_weight(piece)[:, None]
-        if self._ahead == 0:
-            return rows * root
-        ahead = np.zeros((self.order, rows.shape[1]))
-        weighted = np.concatenate([ahead, rows]) * root
-        before = whitener.whiten(whitener.reach(rows.shape[0]))
-        basis, _ = np.linalg.qr(np.concatenate([-np.eye(self.order), before]) * root)
-        return np.asarray(weighted - basis @ (basis.T @ weighted))
-
-    def _root_weight(self, piece: slice) -> FloatArray:
-        weight = self.data.weight[piece]
-        full = np.concatenate([np.full(self._ahead, weight[1]), weight[1:]])
-        return np.asarray(np.sqrt(full))
-
-    @staticmethod
-    def _differenced(rows: FloatArray, lag: FirstOrderLag) -> FloatArray:
-        return np.asarray(rows[1:] - lag.a * rows[:-1])
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Where a search ended.
-
-    Parameters
-    ----------
-    shape : ndarray
-        log τ, then the parameters of C.
-    coef : ndarray
-        β, then the drift.
+    at : Pass
+        The pass.
     cost : float
-        Sum of squared weighted errors.
-    state : FitState
-        How it ended.
-    innovations : ndarray of shape (n,)
-        The weighted errors e of the scored rows.
-    jacobian : ndarray of shape (n, n_shape + n_linear)
-        ∂e/∂(shape, coef).
-    piece_lengths : list of int
-        Rows of each stretch, in the order of ``innovations``.
+        Sum of squares, everything linear optimised.
+    linear : ndarray of shape (n_terms,)
+        Step of β that is still to be made.
+    gradient, curvature : ndarray
+        Downhill slope and curvature of half the cost in the shape parameters.
+    following : ndarray of shape (n_terms, n_shape)
+        How β gives way to a step of the shape.
     """
 
-    shape: FloatArray
-    coef: FloatArray
+    at: Pass
     cost: float
-    state: FitState
-    innovations: FloatArray
-    jacobian: FloatArray
-    piece_lengths: list[int]
+    linear: FloatArray
+    gradient: FloatArray
+    curvature: FloatArray
+    following: FloatArray
 
+    @property
+    def n_errors(self) -> int:
+        """Number of scored errors."""
+        return self.at.cells.n_errors
 
-def search(model: PredictionModel, starts: list[FloatArray]) -> Outcome:
-    """Refine from each start and return the best outcome.
+    @property
+    def movable(self) -> NDArray[np.bool_]:
+        """Which shape parameters may move: not those pressed against a bound."""
+        problem, point = self.at.problem, self.at.point
+        free = np.ones(self.gradient.size, dtype=np.bool_)
+        if problem.fit_dead:
+            at, slope = int(not problem.fixed_tau), self.gradient[int(not problem.fixed_tau)]
+            outward = (point.dead <= 0.0 and slope < 0.0) or (
+                point.dead >= problem.longest_dead and slope > 0.0
+            )
+            free[at] = not outward
+        return free
 
-    Parameters
-    ----------
-    model : PredictionModel
-        The errors to be minimised.
-    starts : list of ndarray
-        Shape parameters to start from; all are refined.
-    """
-    outcomes = [_refine(model, start) for start in starts]
-    return min(outcomes, key=lambda outcome: outcome.cost)
+    @property
+    def decrement(self) -> float:
+        """What a Newton step would take from the cost."""
+        free = self.movable
+        if not np.any(free):
+            return 0.0
+        slope = self.gradient[free]
+        return float(slope @ np.linalg.lstsq(self.curvature[np.ix_(free, free)], slope)[0])
+
+    @property
+    def shape(self) -> FloatArray:
+        """Return log τ, dead time and ρ in one array."""
+        point = self.at.point
+        return np.concatenate([[point.log_tau, point.dead], point.free])
 
 
 @dataclass(frozen=True)
-class _Point:
-    shape: FloatArray
-    coef: FloatArray
-    innovations: FloatArray
-    columns: FloatArray
-    cost: float
-
-
-def _triangle(columns: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.qr(columns, mode="r"), dtype=np.float64)
-
-
-def _rank_limit(n_rows: int) -> float:
-    return float(max(n_rows, 1000) * np.finfo(np.float64).eps)
-
-
-def rank_deficient(outcome: Outcome, n_shape: int, n_terms: int) -> bool:
-    """Tell whether the terms of the characteristic cannot be told apart on these rows.
+class Bench:
+    """A problem cut into cells, with room for its errors.
 
     Parameters
     ----------
-    outcome : Outcome
-        A finished search.
-    n_shape, n_terms : int
-        Number of shape parameters, and of terms behind them in the Jacobian.
+    problem : LagProblem
+        Record and model.
+    cells : Cells
+        How the record is cut.
+    mean : ndarray
+        Weighted sums of the hats of the drift.
+    errors : ndarray of shape (n_errors,)
+        Taken up anew by every pass.
     """
-    columns = outcome.jacobian[:, n_shape : n_shape + n_terms]
-    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    if np.any(scale == 0.0):
-        return True
-    singular = np.linalg.svd(_triangle(columns / scale), compute_uv=False)
-    return bool(singular[-1] <= _rank_limit(columns.shape[0]) * singular[0])
+
+    problem: LagProblem
+    cells: Cells
+    mean: FloatArray
+    errors: FloatArray
+
+    @classmethod
+    def of(cls, problem: LagProblem, edges: list[IntArray] | None = None) -> Bench:
+        """Set up a problem, its pieces cut at the edges of the jackknife's blocks."""
+        cells = problem.cells(edges)
+        return cls(problem, cells, problem.mean_of_hats(), np.zeros(cells.n_errors))
+
+    def origin(self, shape: FloatArray, beta: FloatArray | None = None) -> Point:
+        """Return the point of a shape [log τ, dead time, ρ] with all but β at zero."""
+        point = self.problem.point(float(shape[0]), float(shape[1]), shape[2:], self.cells)
+        return point if beta is None else replace(point, beta=beta)
+
+    def fit_at(self, point: Point, *, fresh: bool = True) -> Fit:
+        """Pass over the record; again where the linear parameters had been far off."""
+        fit = _profiled(self.problem.evaluate(point, self.cells, self.mean, self.errors))
+        if fresh and fit.at.raw_cost - fit.cost > STALE * fit.cost:
+            fit = self.at_optimum(fit)
+        return fit
+
+    def at_optimum(self, fit: Fit) -> Fit:
+        """Pass over the record with the linear parameters where the last pass put them.
+
+        Parameters
+        ----------
+        fit : Fit
+            A pass over the same problem, maybe cut otherwise.
+        """
+        point = _after(fit, np.zeros(self.problem.n_shape), fit.shape)
+        return _profiled(self.problem.evaluate(point, self.cells, self.mean, self.errors))
 
 
-def _solve(model: PredictionModel, shape: FloatArray) -> _Point:
-    target, columns = model.linear(shape)
-    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+def pseudo_inverse(matrix: FloatArray) -> FloatArray:
+    """Invert a normal matrix after scaling it, leaving out what is rounding.
+
+    Parameters
+    ----------
+    matrix : ndarray of shape (p, p)
+        Symmetric, positive semi-definite.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = 1.0
-    # The triangle of a QR holds all that the small problem needs, whatever the record's length.
-    triangle = _triangle(np.column_stack([columns / scale, target]))
-    # Below n eps a column is a copy of others within rounding; least norm shares it out.
-    coef = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=_rank_limit(target.size))[0]
-    coef = coef / scale
-    innovations = target - columns @ coef
-    return _Point(shape, coef, innovations, columns, float(innovations @ innovations))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    kept = values > NO_DIRECTION
+    half = vectors[:, kept] / np.sqrt(values[kept])
+    return np.asarray((half @ half.T) / np.outer(scale, scale))
 
 
-def scan(model: PredictionModel, log_taus: FloatArray, tail: FloatArray) -> float:
-    """Return the log τ of least cost on a grid, the other shape parameters held at ``tail``."""
-    costs = [_solve(model, np.concatenate([[value], tail])).cost for value in log_taus]
-    return float(log_taus[int(np.argmin(costs))])
+def _profiled(at: Pass) -> Fit:
+    """Optimise everything linear, and say where the cost falls in the shape parameters."""
+    gram, n_shape = at.reduced, at.problem.n_shape
+    cross, corner = gram[:n_shape, n_shape:-1], gram[n_shape:-1, -1]
+    inverse = pseudo_inverse(gram[n_shape:-1, n_shape:-1])
+    linear = inverse @ corner
+    return Fit(
+        at,
+        max(float(gram[-1, -1] - corner @ linear), 0.0),
+        linear,
+        gram[:n_shape, -1] - cross @ linear,
+        gram[:n_shape, :n_shape] - cross @ inverse @ cross.T,
+        inverse @ cross.T,
+    )
 
 
-def _refine(model: PredictionModel, start: FloatArray) -> Outcome:
-    low, high = model.data.log_tau_bounds
-    point = _solve(model, _bounded(start, low, high))
-    damping = 1e-3
-    state = FitState.NOT_CONVERGED
+def _after(fit: Fit, step: FloatArray, shape: FloatArray) -> Point:
+    """Return the point after a step of the shape, the linear parameters following it."""
+    return fit.at.moved(np.concatenate([step, fit.linear - fit.following @ step]), shape)
+
+
+def scan(bench: Bench, log_taus: FloatArray, tail: FloatArray) -> tuple[float, float]:
+    """Return the log τ of least cost on a grid, and that cost, the rest held at ``tail``.
+
+    Parameters
+    ----------
+    bench : Bench
+        The problem.
+    log_taus : ndarray of shape (n,)
+        Trial values.
+    tail : ndarray
+        Dead time in samples, and ρ.
+    """
+    costs = []
+    for value in log_taus:
+        point = bench.origin(np.concatenate([[value], tail]))
+        costs.append(bench.fit_at(point, fresh=False).cost)
+    best = int(np.argmin(costs))
+    return float(log_taus[best]), costs[best]
+
+
+def search(bench: Bench, starts: list[Point]) -> tuple[Fit, FitState]:
+    """Refine from each start and return the best fit, and how it ended.
+
+    Parameters
+    ----------
+    bench : Bench
+        The problem.
+    starts : list of Point
+        Points to start from; all are refined.
+    """
+    ends = [_refine(bench, start) for start in starts]
+    return min(ends, key=lambda end: end[0].cost)
+
+
+def _refine(bench: Bench, start: Point) -> tuple[Fit, FitState]:
+    problem = bench.problem
+    low, high = problem.log_tau_bounds
+    if not problem.fixed_tau:
+        start = replace(start, log_tau=float(np.clip(start.log_tau, low, high)))
+    fit = bench.fit_at(start)
+    tolerance = NEWTON_DECREMENT if fit.n_errors > LONG_RECORD else FINE_DECREMENT
+    damping, state = 1e-3, FitState.NOT_CONVERGED
     for _ in range(MAXIMUM_ITERATIONS):
-        slopes = model.sensitivities(point.shape, point.coef, point.innovations)
-        gradient, curvature = _projected(slopes, point)
-        if _decrement(gradient, curvature) <= NEWTON_DECREMENT * point.cost / slopes.shape[0]:
+        if fit.decrement <= tolerance * fit.cost / fit.n_errors:
             state = FitState.CONVERGED
             break
-        trial, damping = _step(model, point, gradient, curvature, damping, (low, high))
+        trial, damping = _step(bench, fit, damping)
         if trial is None:
             # No downhill step is left within rounding: that is the minimum.
             state = FitState.CONVERGED
             break
-        point = trial
-    if point.shape[0] <= low + 1e-9:
-        state = FitState.AT_LOWER_BOUND
-    elif point.shape[0] >= high - 1e-9:
-        state = FitState.AT_UPPER_BOUND
-    slopes = model.sensitivities(point.shape, point.coef, point.innovations)
-    return Outcome(
-        point.shape,
-        point.coef,
-        point.cost,
-        state,
-        point.innovations,
-        np.column_stack([slopes, -point.columns]),
-        model.piece_lengths(),
-    )
+        fit = trial
+    if not problem.fixed_tau:
+        if fit.at.point.log_tau <= low + 1e-9:
+            state = FitState.AT_LOWER_BOUND
+        elif fit.at.point.log_tau >= high - 1e-9:
+            state = FitState.AT_UPPER_BOUND
+    return fit, state
 
 
-def _bounded(shape: FloatArray, low: float, high: float) -> FloatArray:
-    return np.concatenate([[np.clip(shape[0], low, high)], shape[1:]])
-
-
-def _projected(slopes: FloatArray, point: _Point) -> tuple[FloatArray, NDArray[np.float64]]:
-    """Return gradient and curvature in the shape parameters, the linear ones optimised away."""
-    scale = np.sqrt(np.einsum("ij,ij->j", point.columns, point.columns))
-    scale[scale == 0.0] = 1.0
-    stacked = np.column_stack([point.columns / scale, slopes])
-    triangle = _triangle(stacked)
-    corner = triangle[point.columns.shape[1] :, point.columns.shape[1] :]
-    return slopes.T @ point.innovations, corner.T @ corner
-
-
-def _decrement(gradient: FloatArray, curvature: FloatArray) -> float:
-    return float(gradient @ np.linalg.lstsq(curvature, gradient)[0])
-
-
-def _step(
-    model: PredictionModel,
-    point: _Point,
-    gradient: FloatArray,
-    curvature: FloatArray,
-    damping: float,
-    bounds: tuple[float, float],
-) -> tuple[_Point | None, float]:
+def _step(bench: Bench, fit: Fit, damping: float) -> tuple[Fit | None, float]:
     """Take a damped Gauss-Newton step that lowers the cost, or None when there is none."""
+    problem = bench.problem
+    # So near the end the cost itself has no digits left to compare.
+    blind = fit.decrement <= BLIND * fit.cost
+    free = fit.movable
     while damping < 1e8:
-        damped = curvature + damping * np.diag(np.diag(curvature) + 1e-300)
-        move = -np.linalg.lstsq(damped, gradient)[0]
+        damped = fit.curvature + damping * np.diag(np.diag(fit.curvature) + 1e-300)
+        move = np.zeros(free.size)
+        move[free] = np.linalg.lstsq(damped[np.ix_(free, free)], fit.gradient[free])[0]
         # log τ and ρ are of order one: longer moves leave the region where the slope holds.
         move *= min(1.0, 1.5 / max(float(np.max(np.abs(move))), 1e-300))
-        trial = _solve(model, _bounded(point.shape + move, *bounds))
-        if trial.cost < point.cost:
+        shape, move = _bounded(problem, fit.shape, move)
+        trial = bench.fit_at(_after(fit, move, shape))
+        if trial.cost < fit.cost or (blind and trial.cost <= fit.cost * (1.0 + BLIND)):
             return trial, max(damping / 10.0, 1e-12)
         damping = max(damping * 10.0, 1e-6)
     return None, damping
+
+
+def _bounded(
+    problem: LagProblem, shape: FloatArray, move: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shape after a move, and the move that the bounds left of it."""
+    free = np.ones(shape.size, dtype=np.bool_)
+    free[0], free[1] = not problem.fixed_tau, problem.fit_dead
+    after = shape.copy()
+    after[free] += move
+    if not problem.fixed_tau:
+        after[0] = np.clip(after[0], *problem.log_tau_bounds)
+    if problem.fit_dead:
+        after[1] = np.clip(after[1], 0.0, problem.longest_dead)
+    return after, (after - shape)[free]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dense_reference import block_jackknife
 from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 
 from classic_ml import LagRegressor
-from classic_ml.covariance import block_jackknife, correlation_length
+from classic_ml.covariance import block_edges, correlation_length
 
 
 def test_white_errors_give_the_textbook_covariance() -> None:
@@ -55,6 +56,29 @@ def test_correlation_length_sees_colour() -> None:
     assert correlation_length(white, [20_000]) <= 10
     assert 60 < correlation_length(slow, [20_000]) < 400
     assert correlation_length(slow, [200] * 100) <= 200
+
+
+def test_correlation_is_that_of_the_definition_however_long_the_stretches() -> None:
+    rng = np.random.default_rng(6)
+    lengths = [9000, 40, 7000]
+    slow = np.zeros(sum(lengths))
+    for k in range(1, slow.size):
+        slow[k] = 0.98 * slow[k - 1] + rng.standard_normal()
+    acf = np.zeros(3000)
+    for piece in np.split(slow, np.cumsum(lengths)[:-1]):
+        for lag in range(min(3000, piece.size)):
+            acf[lag] += piece[lag:] @ piece[: piece.size - lag]
+    limit = 2.0 * np.sqrt(np.log10(slow.size) / slow.size)
+    quiet = np.abs(acf / acf[0])[1:] < limit
+    first = next(k for k in range(quiet.size) if np.all(quiet[k : k + 5]))
+    assert correlation_length(slow, lengths) == 2 * first
+
+
+def test_blocks_are_stretches_or_pieces_of_long_ones() -> None:
+    assert [e.tolist() for e in block_edges([100] * 30, 5)] == [[]] * 30
+    assert [e.size + 1 for e in block_edges([2000], 1)] == [20]
+    assert [e.size + 1 for e in block_edges([2000], 400)] == [5]
+    assert sum(e.size + 1 for e in block_edges([150, 150], 1000)) >= 4
 
 
 @pytest.mark.parametrize("noise", ["armax", "output-error"])
