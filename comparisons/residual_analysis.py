@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.records import FloatArray
+from classic_ml.whitening import bartlett_widening, lagged_correlation
 
 __all__ = [
     "Correlation",
@@ -163,7 +164,7 @@ def autocorrelation(
     Correlation
         With the band of white errors, ± 2.58/√n.
     """
-    whole = _correlation(errors, errors, runs, n_lags)
+    whole = lagged_correlation(errors, errors, runs, n_lags)
     limit = _normal_limit() / math.sqrt(max(errors.size, 1))
     lags = sample_period_s * np.arange(1, n_lags + 1, dtype=np.float64)
     return Correlation(lags, whole[n_lags + 1 :], limit)
@@ -197,10 +198,8 @@ def cross_correlation(
         With Bartlett's band ± 2.58 √((1 + 2 Σ ρ_e ρ_φ)/n), which allows for the memory of both.
     """
     level = phi - np.mean(phi)
-    value = _correlation(errors, level, runs, n_lags)
-    colour = _correlation(errors, errors, runs, n_lags)[n_lags + 1 :]
-    memory = _correlation(level, level, runs, n_lags)[n_lags + 1 :]
-    widening = math.sqrt(max(1.0 + 2.0 * float(colour @ memory), 1.0))
+    value = lagged_correlation(errors, level, runs, n_lags)
+    widening = bartlett_widening(errors, level, runs, n_lags)
     limit = _normal_limit() * widening / math.sqrt(max(errors.size, 1))
     lags = sample_period_s * np.arange(-n_lags, n_lags + 1, dtype=np.float64)
     return Correlation(lags, value, limit)
@@ -279,23 +278,6 @@ def _pieces(runs: list[slice], rows: int) -> list[slice]:
     if not pieces:
         raise ValueError(f"no segment is {rows} rows long")
     return pieces
-
-
-def _correlation(
-    first: FloatArray, second: FloatArray, runs: list[slice], n_lags: int
-) -> FloatArray:
-    """Correlate over lags -n_lags … n_lags; positive where the first signal comes later."""
-    from scipy.signal import correlate
-
-    norm = math.sqrt(float(first @ first) * float(second @ second))
-    total = np.zeros(2 * n_lags + 1)
-    for run in runs:
-        one, two = first[run], second[run]
-        full = correlate(one, two, mode="full", method="auto")
-        reach = min(n_lags, one.size - 1)
-        middle = one.size - 1
-        total[n_lags - reach : n_lags + reach + 1] += full[middle - reach : middle + reach + 1]
-    return total / norm if norm > 0.0 else total
 
 
 def _normal_limit() -> float:

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
-from lag_data import flow
+from collections import Counter
 
-from classic_ml.residual_checks import coverage, input_correlation, whiteness
+import numpy as np
+import pytest
+from lag_data import PERIOD_S, TAU_S, flow, lagged
+from scipy.signal import lfilter
+from scipy.stats import kurtosis
+
+from classic_ml import LagRegressor
+from classic_ml.residual_checks import (
+    CheckRow,
+    coverage,
+    input_correlation,
+    normality,
+    phi_coverage,
+    residual_checks,
+    whiteness,
+)
 
 WHOLE = [slice(0, 2000)]
 
@@ -54,3 +68,128 @@ def test_sweeps_are_counted_within_every_segment() -> None:
     assert one.statistic in (27.0, 28.0)
     assert two.passed
     assert not coverage(np.linspace(0.0, 0.4, 500), [slice(0, 500)], (0.02, 0.38)).passed
+
+
+def cycles(
+    seed: int, n_cycles: int = 12, n: int = 120, noise: str = "normal"
+) -> tuple[np.ndarray, ...]:
+    """φ, ψ' with an equation error of the wanted law (arx is right), labels."""
+    rng = np.random.default_rng(seed)
+    phi = [flow(n, rng) for _ in range(n_cycles)]
+    a = np.exp(-PERIOD_S / TAU_S)
+    psi_p = []
+    for p in phi:
+        e = rng.standard_normal(n) if noise == "normal" else rng.standard_t(4, n) / np.sqrt(2.0)
+        error = np.zeros(n)
+        for k in range(1, n):
+            error[k] = a * error[k - 1] + 0.002 * e[k]
+        psi_p.append(lagged(p, "first") + error)
+    return np.concatenate(phi)[:, None], np.concatenate(psi_p), np.repeat(np.arange(n_cycles), n)
+
+
+def checked(X: np.ndarray, y: np.ndarray, labels: np.ndarray) -> dict[str, CheckRow]:
+    model = LagRegressor(PERIOD_S, noise="arx", hold="first").fit(X, y, labels)
+    return {row.check: row for row in residual_checks(model, X, y, labels)}
+
+
+def test_clean_records_pass_and_false_alarms_are_as_rare_as_stated() -> None:
+    alarms: Counter[str] = Counter()
+    for seed in range(100):
+        alarms.update(row.check for row in checked(*cycles(seed)).values() if not row.passed)
+    # 1 % is stated for each, 2 % for the leverage; three standard deviations above that.
+    assert alarms["whiteness"] <= 4
+    assert alarms["input_correlation"] <= 4
+    assert alarms["normality"] <= 4
+    assert alarms["leverage"] <= 6
+    assert alarms["phi_range"] <= 2
+    assert alarms["phi_cycles"] <= 2
+
+
+def test_one_corrupted_cycle_is_found_and_named() -> None:
+    found = 0
+    for seed in range(20):
+        X, y, labels = cycles(seed)
+        # ψ' of that cycle is 30 % too large, as with a wrong gain of one channel.
+        y[labels == 5] *= 1.3
+        row = checked(X, y, labels)["leverage"]
+        found += not row.passed and "rows 601 to 719" in row.meaning
+    assert found >= 18
+
+
+def test_heavy_tails_are_seen_through_coloured_errors_and_colour_alone_is_not_taken_for_them() -> (
+    None
+):
+    runs = [slice(0, 1000), slice(1000, 2000)]
+    false, true = 0, 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        normal, heavy = rng.standard_normal(2000), rng.standard_t(5, 2000)
+        false += not normality(lfilter([1.0], [1.0, -0.95], normal), runs).passed
+        true += not normality(lfilter([1.0], [1.0, -0.95], heavy), runs).passed
+    assert false <= 5
+    assert true >= 97
+    # Without whitening the colour hides the tails.
+    assert abs(kurtosis(lfilter([1.0], [1.0, -0.95], heavy))) < 1.0
+
+
+def test_heavy_tails_of_a_fits_errors_are_seen() -> None:
+    failed = [not checked(*cycles(seed, noise="heavy"))["normality"].passed for seed in range(20)]
+    assert sum(failed) >= 19
+
+
+def test_too_few_errors_have_no_law() -> None:
+    row = normality(np.arange(10.0), [slice(0, 10)])
+    assert not row.passed
+    assert np.isnan(row.statistic)
+
+
+def test_flow_in_one_corner_of_the_stated_range_is_told() -> None:
+    rng = np.random.default_rng(3)
+    corner = 0.35 + 0.03 * rng.standard_normal(2000)
+    phi = np.where(np.abs(np.arange(2000) - 1000) < 30, 0.1, corner)
+    runs = [slice(k, k + 200) for k in range(0, 2000, 200)]
+    found = phi_coverage(phi, runs, (0.0, 0.5))
+    assert found.dwell.sum() == pytest.approx(1.0)
+    assert found.mostly[0] >= 0.3
+    assert found.mostly[1] <= 0.4
+    assert found.cycles[2] == 2  # the excursion lies across the border of two segments
+    assert found.cycles[6] == 10
+    assert found.visited <= 0.5
+
+
+@pytest.mark.parametrize("stated", [(0.0, 0.6), None])
+def test_checks_fail_where_phi_keeps_to_a_corner(stated: tuple[float, float] | None) -> None:
+    X, y, labels = cycles(4)
+    X = 0.35 + 0.1 * (X - 0.3)
+    if stated is None:
+        X[labels == 3] -= 0.3
+    y = np.concatenate([lagged(X[labels == k, 0], "first") for k in range(12)])
+    y = y + 0.002 * np.random.default_rng(4).standard_normal(y.size)
+    model = LagRegressor(PERIOD_S, noise="arx", hold="first").fit(X, y, labels)
+    rows = {r.check: r for r in residual_checks(model, X, y, labels, stated_phi=stated)}
+    assert not rows["phi_cycles"].passed
+    assert "φ = " in rows["phi_cycles"].meaning
+
+
+def test_cycles_within_one_segment_are_told_by_their_sweeps() -> None:
+    phase = np.linspace(0.0, 2 * np.pi * 9, 2000)
+    phi = 0.2 + 0.15 * np.sin(phase)
+    found = phi_coverage(phi, [slice(0, 2000)], (0.05, 0.35))
+    assert np.all(found.cycles >= 8)
+    assert np.all(found.cycles <= 10)
+    assert found.repeated == found.visited == 1.0
+
+
+def test_several_inputs_are_checked_one_by_one() -> None:
+    X, y, labels = cycles(5)
+    two = np.column_stack([X, np.random.default_rng(5).standard_normal(y.size)])
+    model = LagRegressor(PERIOD_S, noise="arx", hold="first", degree=2).fit(two, y, labels)
+    names = [row.check for row in residual_checks(model, two, y, labels)]
+    assert names[:4] == ["whiteness", "input_correlation(x0)", "input_correlation(x1)", "normality"]
+
+
+def test_a_fit_without_a_lag_is_checked_without_leverage() -> None:
+    X, y = np.arange(4.0)[:, None], np.array([0.0, 1.0, 4.0, 9.0])
+    model = LagRegressor(PERIOD_S).fit(X, y)
+    names = [row.check for row in residual_checks(model, X, y)]
+    assert "leverage" not in names

@@ -1,0 +1,168 @@
+"""τ by trial: the least error is at the true τ, the floor at the noise; and how a user writes τ."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import pytest
+from comparison_data import made_comparison, made_series
+from lag_data import PERIOD_S, TAU_S, flow, lagged
+from PIL import Image
+
+from classic_ml.errors import InputError
+from comparisons.fit_rows import FitRows, stack_rows
+from comparisons.plots_tau_trial import plot_tau_trial
+from comparisons.tau_trial import (
+    TauEstimate,
+    estimates_of,
+    parse_tau,
+    reconstruction_error_over_tau,
+    trial_taus,
+)
+
+
+def rows_of(seed: int, noise: float = 0.003, n: int = 2400) -> FitRows:
+    rng = np.random.default_rng(seed)
+    phi = flow(n, rng)
+    return FitRows(
+        phi,
+        lagged(phi, "first") + noise * rng.standard_normal(n),
+        PERIOD_S * np.arange(n),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=np.int64),
+        PERIOD_S,
+        "psi_p",
+        np.ones(n, dtype=np.bool_),
+    )
+
+
+def test_the_least_error_is_at_the_true_tau_and_at_the_noise() -> None:
+    found, inside, noise = [], 0, []
+    for seed in range(12):
+        trial = reconstruction_error_over_tau(rows_of(seed), trial_taus(TAU_S, n=41))
+        found.append(trial.best_tau_s)
+        inside += trial.interval_s[0] <= TAU_S <= trial.interval_s[1]
+        noise.append([trial.least_rms, trial.noise_rms])
+        assert trial.least_rms <= trial.refitted_rms.min()
+        assert trial.n_rows == 2400
+    assert np.mean(found) == pytest.approx(TAU_S, abs=4 * np.std(found) / np.sqrt(12))
+    assert np.std(found) < 0.02 * TAU_S
+    assert inside >= 11
+    np.testing.assert_allclose(np.mean(noise, axis=0), 0.003, rtol=0.02)
+
+
+def test_without_noise_the_error_falls_to_nothing() -> None:
+    trial = reconstruction_error_over_tau(rows_of(0, noise=0.0), [0.012, 0.015, TAU_S, 0.022, 0.03])
+    assert trial.least_rms < 1e-12
+    assert trial.best_tau_s == pytest.approx(TAU_S, rel=0.03)
+    assert np.all(np.diff(trial.refitted_rms[:3]) < 0)
+    assert np.all(np.diff(trial.refitted_rms[2:]) > 0)
+
+
+def test_a_curve_of_its_own_is_never_worse_than_the_held_one_and_equal_at_the_best() -> None:
+    trial = reconstruction_error_over_tau(rows_of(1), trial_taus(0.01, 0.04))
+    assert np.all(trial.refitted_rms <= trial.held_rms * (1 + 1e-12))
+    best = int(np.argmin(trial.refitted_rms))
+    assert trial.held_rms[best] == pytest.approx(trial.refitted_rms[best])
+    assert trial.held_rms[0] > 1.05 * trial.refitted_rms[0]
+    assert trial.at(float(trial.tau_s[7])) == pytest.approx(trial.refitted_rms[7])
+
+
+def test_rows_that_do_not_count_are_simulated_through() -> None:
+    rows = rows_of(2, noise=0.0)
+    bad = rows.measured.copy()
+    bad[900:960] += 3.0
+    keep = np.ones(2400, dtype=np.bool_)
+    keep[900:960] = False
+    spoilt = FitRows(rows.phi, bad, *list(vars(rows).values())[2:])
+    trial = reconstruction_error_over_tau(spoilt, [0.01, TAU_S, 0.03], scored=keep)
+    assert trial.least_rms < 1e-12
+    assert trial.n_rows == 2340
+
+
+def test_where_the_values_end_the_interval_ends() -> None:
+    trial = reconstruction_error_over_tau(rows_of(3), [0.03, 0.04, 0.05])
+    assert trial.best_tau_s == 0.03
+    assert trial.interval_s[0] == 0.03
+
+
+def test_the_noise_of_low_passed_data_is_not_guessed() -> None:
+    from scipy.signal import butter, sosfiltfilt
+
+    rows = rows_of(4)
+    smooth = sosfiltfilt(butter(3, 48.0, fs=1000.0, output="sos"), rows.measured)
+    filtered = FitRows(rows.phi, smooth, *list(vars(rows).values())[2:])
+    assert math.isnan(reconstruction_error_over_tau(filtered, [0.015, 0.018, 0.02]).noise_rms)
+
+
+@pytest.mark.parametrize("taus", [[0.0, 0.01], [0.02, 0.01], [np.nan], [-1.0]])
+def test_values_that_do_not_increase_from_above_zero_are_refused(taus: list[float]) -> None:
+    with pytest.raises(InputError, match="values above 0 that increase"):
+        reconstruction_error_over_tau(rows_of(5), taus)
+
+
+def test_nothing_scored_is_refused() -> None:
+    with pytest.raises(InputError, match="scored rows"):
+        reconstruction_error_over_tau(rows_of(5), [0.01], scored=np.zeros(2400, dtype=np.bool_))
+
+
+def test_values_are_spread_around_what_estimators_found() -> None:
+    taus = trial_taus(0.01, math.nan, 0.03)
+    assert taus[0] == pytest.approx(0.0025)
+    assert taus[-1] == pytest.approx(0.12)
+    assert np.ptp(np.diff(np.log(taus))) < 1e-12
+    assert 0.005 < trial_taus(math.nan)[10] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("0.018", 0.018),
+        ("18ms", 0.018),
+        (" 18 ms ", 0.018),
+        ("1.8e-2s", 0.018),
+        ("0.018 s", 0.018),
+        ("18000us", 0.018),
+        ("10", 10.0),
+    ],
+)
+def test_a_time_constant_is_read_in_seconds_or_with_its_unit(text: str, seconds: float) -> None:
+    assert parse_tau(text) == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("18", "write 18ms if milliseconds are meant"),
+        ("0", "found 0 s"),
+        ("-0.018", "found -0.018 s"),
+        ("nan", "found 'nan'"),
+        ("1e999", "found '1e999'"),
+        ("18 min", "found '18 min'"),
+        ("1.2.3ms", "found '1.2.3ms'"),
+        ("", "found ''"),
+        ("fast", "found 'fast'"),
+        ("20000ms", "found 20 s"),
+    ],
+)
+def test_what_is_no_time_constant_is_refused_in_one_sentence(text: str, said: str) -> None:
+    with pytest.raises(InputError) as error:
+        parse_tau(text)
+    assert said in str(error.value)
+    assert str(error.value).startswith("--tau: expected a time constant such as 18ms")
+
+
+def test_the_picture_shows_something_with_and_without_estimates() -> None:
+    comparison = made_comparison(made_series(2))
+    estimates = (*estimates_of(comparison), TauEstimate("odd", "p$25_{x} 漢字", 5.0, 9.0, 0.01))
+    rows = stack_rows(comparison.records)
+    for given, marked in (((), None), (estimates, 0.018)):
+        taus = trial_taus(0.018, n=15)
+        trial = reconstruction_error_over_tau(rows, taus, estimates=given)
+        stream = io.BytesIO()
+        plot_tau_trial(trial, marked).savefig(stream, format="png")
+        pixels = np.asarray(Image.open(stream).convert("RGB"))
+        assert np.mean(np.any(pixels < 250, axis=2)) > 0.01
+        assert {e.name for e in trial.estimates} == {e.name for e in given}
