@@ -19,7 +19,7 @@ from classic_ml.coefficients import (
 )
 from classic_ml.errors import InputError
 from classic_ml.readers.test_description import Compressor, TestDescription
-from classic_ml.records import LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record
 
 AIR = Compressor(0.28, 10.7, 0.08, GAMMA, GAS)
 HEAT = GAMMA * GAS / (GAMMA - 1)
@@ -152,6 +152,47 @@ def test_flow_that_never_leaves_zero_has_no_psi() -> None:
     out = coefficients(record, test)
     assert "psi" not in out
     assert f"φ stays below {PSI_MINIMUM_PHI}" in out.history[-1].dropped[0].why
+
+
+@pytest.mark.parametrize(
+    ("invert", "form"),
+    [(None, "temperature-rise"), (False, "temperature-rise"), (True, "mass-balance")],
+)
+def test_where_the_planes_disagree_the_form_depends_on_the_thermocouples(
+    invert: bool | None, form: str
+) -> None:
+    record, test = planes(0.12 + 0.06 * np.sin(np.linspace(0, 20, 2000)))
+    rng = np.random.default_rng(5)
+    # Slow: a surge cycle is, and ψ holds the second derivative of the flow.
+    error = np.convolve(rng.standard_normal(2000), np.hanning(200) / 10.0, mode="same")
+    noisy = Channel("W31_kg_s", record["W31_kg_s"] + error, "kg/s")
+    record = record.after(LedgerEntry("test", "W31 with noise"), add=[noisy])
+    if invert is not None:
+        record = record.after(LedgerEntry("thermocouples", "lag", {"invert": invert}))
+    out = coefficients(record, test, work_form="auto")
+    entry = out.history[-1]
+    assert entry.parameters["form"] == form
+    assert "disagree by an equivalent of" in entry.flags[0]
+    rows = psi_is_known(out["phi"])
+    by_eq_13 = coefficients(record, test, work_form="exit-flow")
+    steady = 2 * HEAT * 180.0 / U_M_S**2
+    error, eq_13 = (np.std(o["psi"][rows] - steady) for o in (out, by_eq_13))
+    assert error < 0.2 * eq_13
+
+
+def test_a_cell_period_averages_the_mass_balance_before_it_divides() -> None:
+    phi = 0.12 + 0.05 * np.sin(2 * np.pi * 7 * np.arange(1500) / 1000)
+    record, test = planes(phi)
+    ripple = 0.2 * np.sin(2 * np.pi * 82.5 * np.arange(1500) / 1000)
+    flow = Channel("W25_kg_s", record["W25_kg_s"] * (1 + ripple), "kg/s")
+    record = record.after(LedgerEntry("test", "cells"), add=[flow])
+    rows = slice(50, -50)
+    raw, mean = (
+        coefficients(record, test, work_form="mass-balance", cell_period_s=p)["psi"][rows]
+        for p in (None, 1 / 82.5)
+    )
+    clean = coefficients(planes(phi)[0], test, work_form="mass-balance")["psi"][rows]
+    assert np.std(mean - clean) < 0.1 * np.std(raw - clean)
 
 
 def test_the_inertia_factor_scales_the_term() -> None:

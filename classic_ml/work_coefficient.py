@@ -1,0 +1,485 @@
+"""The quasi-steady work characteristic ψ_QS(φ) and its time constant from the two planes (Eq 14).
+
+The fit works on the power W25 ψ, which is finite through zero flow, and simulates the lag through
+the whole window: the rows near zero flow, in reversed flow and near the switches of the stall
+state are simulated but not scored. The average over one stall-cell period comes last, alike on the
+power and on W25 times the simulated response.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.airflow import corrected_from_physical
+from classic_ml.characteristics import PiecewiseLinear
+from classic_ml.coefficients import flow_coefficient
+from classic_ml.errors import InputError
+from classic_ml.filtering import period_average
+from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.fit_state import FitState
+from classic_ml.readers.test_description import TestDescription
+from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.segments import cell_frequency_hz, hub_tip_stall
+from classic_ml.validation import positive
+from classic_ml.work_balance import (
+    MIXING_PHI,
+    delivered_power,
+    exit_flow_at_inlet,
+    flat_average,
+)
+
+__all__ = ["WorkCharacteristic", "fit_work_characteristic"]
+
+# Rows below are simulated, not scored; what is left near zero flow has next to no power.
+SCORED_PHI = 0.01
+# Range of τ that is searched, in seconds, and the points of the first scan.
+SEARCHED_TAU_S = (0.003, 0.1)
+SCAN_POINTS = 16
+# Fewer cycles tell nothing of the scatter between them.
+FEWEST_CYCLES = 4
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class WorkCharacteristic:
+    """A fitted work characteristic.
+
+    Parameters
+    ----------
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error; the error is 0 where τ was given.
+    terms : tuple of str
+        Names of the terms of Fig 22.
+    coef : ndarray of shape (n_terms,)
+        β: ψ_QS at zero flow, and the slope of each straight piece.
+    covariance : ndarray of shape (n_terms, n_terms)
+        Covariance of ``coef``: scatter between cycles, half the difference of what the two
+        planes' flows give alone, and an unknown delay of the pressures.
+    breakpoints : tuple of float
+        Where the pieces meet.
+    valid_phi : tuple of float
+        5th and 95th percentile of φ in the scored rows.
+    n_scored, n_cycles : int
+        Scored rows, and the cycles of the jackknife.
+    residual_std : float
+        Standard deviation of ψ's residual at the mean flow of the scored rows.
+    fit_state : FitState
+        How the fit ended, with advice.
+    entry : LedgerEntry
+        What was done, for a history.
+    """
+
+    time_constant_s: float
+    time_constant_stderr_s: float
+    terms: tuple[str, ...]
+    coef: FloatArray
+    covariance: FloatArray
+    breakpoints: tuple[float, ...]
+    valid_phi: tuple[float, float]
+    n_scored: int
+    n_cycles: int
+    residual_std: float
+    fit_state: FitState
+    entry: LedgerEntry
+
+    def characteristic(self, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ψ_QS and its standard error.
+
+        Parameters
+        ----------
+        phi : ndarray of shape (n,)
+            Flow coefficients.
+
+        Returns
+        -------
+        value, stderr : ndarray of shape (n,)
+        """
+        terms = _terms(np.atleast_1d(np.asarray(phi, dtype=np.float64)), self.breakpoints)[0]
+        variance = np.einsum("ij,jk,ik->i", terms, self.covariance, terms)
+        return terms @ self.coef, np.sqrt(np.maximum(variance, 0.0))
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """What the fits of one record share."""
+
+    record: Record
+    test: TestDescription
+    period_s: float
+    breakpoints: tuple[float, ...]
+    mixing_phi: float
+    rows: slice
+    stalled: FloatArray
+    scored: BoolArray
+    cycle: NDArray[np.int64]
+
+    def average(self, values: FloatArray) -> FloatArray:
+        """Average over exactly one period, each column alike."""
+        rate = self.record.sample_rate_hz
+        if values.ndim == 1:
+            return period_average(values, self.period_s, rate)
+        return np.column_stack([period_average(c, self.period_s, rate) for c in values.T])
+
+    def flat(self, values: FloatArray) -> FloatArray:
+        """Take the ripple out of a signal and leave its shape."""
+        return flat_average(values, self.period_s, self.record.sample_rate_hz)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """One fit, linearised about its optimum: log τ first, then the linear parameters."""
+
+    theta: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    at_bound: FitState
+
+
+@dataclass(frozen=True)
+class _Trio:
+    """The fits with the mean of the two readings of the flow, and with each alone."""
+
+    mean: _Fit
+    inlet: _Fit
+    other: _Fit
+
+    def theta(self, n_terms: int) -> FloatArray:
+        """Return log τ of the mean flow, and β extrapolated to no error of the flow."""
+        beta = self.extrapolated(self.mean.theta, self.inlet.theta, self.other.theta)
+        return np.concatenate([self.mean.theta[:1], beta[1 : 1 + n_terms]])
+
+    def moves(self, cycle: NDArray[np.int64], cycles: NDArray[np.int64]) -> FloatArray:
+        """Return how all of this moves when a cycle is left out, one cycle a row."""
+        each = [_moves(fit, cycle, cycles) for fit in (self.mean, self.inlet, self.other)]
+        beta = self.extrapolated(*each)
+        return np.column_stack([each[0][:, :1], beta[:, 1:]])
+
+    @staticmethod
+    def extrapolated(mean: FloatArray, inlet: FloatArray, other: FloatArray) -> FloatArray:
+        """Return 2 mean − (inlet + other)/2."""
+        return np.asarray(2.0 * mean - 0.5 * (inlet + other))
+
+
+def fit_work_characteristic(
+    record: Record,
+    test: TestDescription,
+    window: BoolArray,
+    *,
+    breakpoints: tuple[float, ...],
+    time_constant_s: float | None = None,
+    pressure_delay_s: float | None = None,
+    mixing_phi: float = MIXING_PHI,
+) -> WorkCharacteristic:
+    """Fit τ and the work characteristic of Fig 22 to a record with T31.
+
+    Parameters
+    ----------
+    record : Record
+        Plane averages computed without a low-pass filter, the lag of the thermocouples undone:
+        what ``ReductionSettings(phase="none", thermocouple_inversion=True)`` leaves behind.
+    test : TestDescription
+        Machine and speed.
+    window : ndarray of bool, shape (n_samples,)
+        Rows of the surge cycles.
+    breakpoints : tuple of float
+        Flow coefficients at which the slope changes, fixed beforehand as in the paper.
+    time_constant_s : float, optional
+        τ, where it is known (from ψ'); else it is fitted.
+    pressure_delay_s : float, optional
+        How much later than the thermocouples, their lag undone, the pressures come: the delay of
+        tubes and anti-alias filter. Where it is not known, none is taken out, and what one sample
+        would change enters the errors: a millisecond is worth 0.04 in the curve and 1.2 ms of τ;
+        with τ given 0.06 at φ = 0.02 and 0.1, and 0.09 at 0.05.
+    mixing_phi : float
+        Flow near which T31 stops telling what left the blading, see
+        :func:`classic_ml.work_balance.credit_of_storage`. The errors do not contain it.
+
+    Returns
+    -------
+    WorkCharacteristic
+        τ, curve, their errors and how the fit ended.
+
+    Raises
+    ------
+    InputError
+        When there is no W31, the thermocouples' lag was not undone, or an argument is unusable.
+
+    Notes
+    -----
+    τ dx/dt + x = Σ β_i s_i(φ) with first-order hold (Eq 6 and 14); the sum of squares of
+    A[W ψ] − A[W x] over the scored rows is smallest, A the average over one stall-cell period. Out
+    of stall ψ_QS is a straight line, a nuisance that carries x across.
+
+    The error of the flow stands in the s_i too and flattens the curve where it bends. Half the
+    difference of the two planes' readings of the flow has the size of the error of their mean, so
+    that either plane alone has twice that error: β = 2 β(mean) − [β(25) + β(31)]/2 is without the
+    first order of the bias (simulation and extrapolation, Cook and Stefanski 1994, with a measured
+    error). τ is that of the mean flow: corrected alike it comes out lower, 13 ms against 15 on
+    24 records with a truth of 18.
+    """
+    _check(record)
+    if time_constant_s is not None:
+        positive("time_constant_s", time_constant_s)
+    if pressure_delay_s is not None and pressure_delay_s != 0.0:
+        positive("pressure_delay_s", pressure_delay_s)
+        record = _delayed(record, pressure_delay_s)
+    if mixing_phi != 0.0:
+        positive("mixing_phi", mixing_phi)
+    setup = _setup(record, test, window, breakpoints, mixing_phi)
+    cycles = np.unique(setup.cycle[setup.scored])
+    n_terms = len(breakpoints) + 2
+    if cycles.size < FEWEST_CYCLES or np.count_nonzero(setup.scored) < 10 * n_terms:
+        return _refusal(setup, cycles.size, n_terms)
+    trio = _trio(setup, time_constant_s)
+    misaligned = np.zeros(1 + n_terms)
+    if pressure_delay_s is None:
+        late = replace(setup, record=_delayed(record, record.sample_period_s))
+        misaligned = _trio(late, time_constant_s).theta(n_terms) - trio.theta(n_terms)
+    return _result(setup, trio, cycles, misaligned, given=time_constant_s is not None)
+
+
+def _check(record: Record) -> None:
+    if "W31_kg_s" not in record:
+        raise InputError(
+            f"{record.source}: ψ",
+            expected="a T31 that counts, without which there is no W31 and no ψ",
+            found="none",
+        )
+    undone = [e.parameters.get("invert") for e in record.history if e.step == "thermocouples"]
+    if undone and undone[-1] is False:
+        raise InputError(
+            f"{record.source}: ψ",
+            expected="thermocouples whose lag was undone",
+            found="a history that says it was not",
+            remedy="reduce with thermocouple_inversion=True",
+        )
+
+
+def _delayed(record: Record, delay_s: float) -> Record:
+    time_s = record.time_s
+    late = [
+        Channel(name, np.interp(time_s - delay_s, time_s, record[name]), "K")
+        for name in ("T25_K", "T31_K")
+    ]
+    entry = LedgerEntry(
+        "align", "temperatures delayed as the pressures are", {"pressure_delay_s": delay_s}
+    )
+    return record.after(entry, add=late)
+
+
+def _setup(
+    record: Record,
+    test: TestDescription,
+    window: BoolArray,
+    breakpoints: tuple[float, ...],
+    mixing_phi: float,
+) -> _Setup:
+    inside = np.flatnonzero(window)
+    cell_hz = cell_frequency_hz(record, window)
+    stalled = hub_tip_stall(record, window, cell_hz)
+    rows = slice(int(inside[0]), int(inside[-1]) + 1)
+    onsets = np.diff(stalled.astype(np.int64), prepend=int(stalled[0])) > 0
+    setup = _Setup(
+        record,
+        test,
+        1.0 / cell_hz,
+        tuple(float(b) for b in breakpoints),
+        mixing_phi,
+        rows,
+        stalled.astype(np.float64),
+        np.zeros_like(stalled),
+        np.cumsum(onsets).astype(np.int64),
+    )
+    # One period to each side of a switch: what the average mixes, and the stall state is late by.
+    margin = round(setup.period_s * record.sample_rate_hz)
+    scored = stalled & ~_near_a_switch(stalled, margin) & (_phi(setup, _flow(setup)) > SCORED_PHI)
+    # The average must not reach beyond the simulated rows either.
+    scored[: rows.start + margin] = False
+    scored[rows.stop - margin :] = False
+    return replace(setup, scored=scored)
+
+
+def _flow(setup: _Setup) -> FloatArray:
+    """Return the mean of what the two planes say of W25."""
+    record = setup.record
+    return np.asarray(0.5 * (record["W25_kg_s"] + exit_flow_at_inlet(record, setup.test)))
+
+
+def _trio(setup: _Setup, time_constant_s: float | None) -> _Trio:
+    inlet, other = setup.record["W25_kg_s"], exit_flow_at_inlet(setup.record, setup.test)
+    flows = (_flow(setup), inlet, other)
+    return _Trio(*(_fit(setup, flow, time_constant_s) for flow in flows))
+
+
+def _near_a_switch(state: BoolArray, margin: int) -> BoolArray:
+    near = np.zeros_like(state)
+    for row in np.flatnonzero(np.diff(state.astype(np.int64))):
+        near[max(0, row - margin + 1) : row + margin + 1] = True
+    return near
+
+
+def _phi(setup: _Setup, flow: FloatArray) -> FloatArray:
+    """Return φ of a flow, the ripple of the cells taken out of everything it is made of."""
+    record, test = setup.record, setup.test
+    inlet_K = setup.flat(record["T25_K"])
+    corrected = corrected_from_physical(setup.flat(flow), setup.flat(record["P25_Pa"]), inlet_K)
+    return flow_coefficient(
+        corrected, inlet_K, test.areas_m2[25], test.rotor_velocity_m_s, test.compressor
+    )
+
+
+def _terms(phi: FloatArray, breakpoints: tuple[float, ...]) -> tuple[FloatArray, tuple[str, ...]]:
+    basis = PiecewiseLinear(breakpoints)
+    terms = np.asarray(basis.fit_transform(phi[:, None]), dtype=np.float64)
+    return terms, tuple(str(name) for name in basis.get_feature_names_out(["phi"]))
+
+
+def _fit(setup: _Setup, flow: FloatArray, time_constant_s: float | None) -> _Fit:
+    """Fit with one reading of the flow: scan and refine log τ, all else is linear."""
+    from scipy.optimize import minimize_scalar
+
+    phi = _phi(setup, flow)
+    power = delivered_power(
+        setup.record,
+        setup.test,
+        flow,
+        phi,
+        inertia_per_m=setup.test.compressor.inertia_per_m,
+        mixing_phi=setup.mixing_phi,
+        smooth=setup.flat,
+    )
+    target = setup.average(power)[setup.scored]
+    inputs = setup.stalled[:, None] * _terms(phi, setup.breakpoints)[0]
+    if not setup.stalled[setup.rows].all():
+        free = np.column_stack([np.ones_like(phi), phi])
+        inputs = np.column_stack([inputs, (1.0 - setup.stalled)[:, None] * free])
+
+    def solved(log_tau: float) -> tuple[float, FloatArray, FloatArray]:
+        columns = _responses(setup, inputs, flow, log_tau)
+        coef = np.asarray(np.linalg.lstsq(columns, target, rcond=None)[0], dtype=np.float64)
+        residual = target - columns @ coef
+        return float(residual @ residual), coef, columns
+
+    state = FitState.CONVERGED
+    if time_constant_s is None:
+        low, high = np.log(SEARCHED_TAU_S)
+        grid = np.linspace(low, high, SCAN_POINTS)
+        best = int(np.argmin([solved(x)[0] for x in grid]))
+        ends = {0: FitState.AT_LOWER_BOUND, SCAN_POINTS - 1: FitState.AT_UPPER_BOUND}
+        state = ends.get(best, state)
+        bracket = (grid[max(best - 1, 0)], grid[min(best + 1, SCAN_POINTS - 1)])
+        log_tau = float(minimize_scalar(lambda x: solved(x)[0], bounds=bracket).x)
+    else:
+        log_tau = float(np.log(time_constant_s))
+    _, coef, columns = solved(log_tau)
+    # Central difference over 2 % of τ: the response is smooth in log τ.
+    ahead, behind = (_responses(setup, inputs, flow, log_tau + s) @ coef for s in (0.01, -0.01))
+    slope = (ahead - behind) / 0.02 if time_constant_s is None else np.zeros(target.size)
+    return _Fit(
+        np.concatenate([[log_tau], coef]),
+        np.column_stack([slope, columns]),
+        target - columns @ coef,
+        state,
+    )
+
+
+def _responses(setup: _Setup, inputs: FloatArray, flow: FloatArray, log_tau: float) -> FloatArray:
+    """Return A[W x_i] for the response to each input, and for what a start off by one adds."""
+    lag = FirstOrderLag(float(np.exp(log_tau)), setup.record.sample_period_s, "first")
+    driven = inputs[setup.rows]
+    states = np.column_stack([lag.respond(driven, driven[0]), lag.decay(driven.shape[0])])
+    powers = np.zeros((flow.size, states.shape[1]))
+    powers[setup.rows] = flow[setup.rows, None] * states
+    return setup.average(powers)[setup.scored]
+
+
+def _moves(fit: _Fit, cycle: NDArray[np.int64], cycles: NDArray[np.int64]) -> FloatArray:
+    """Return by how much θ moves when each cycle's rows are left out, one cycle a row."""
+    scale = np.sqrt(np.einsum("ij,ij->j", fit.jacobian, fit.jacobian))
+    scale[scale == 0.0] = 1.0
+    columns = fit.jacobian / scale
+    moves = [
+        np.linalg.lstsq(columns[cycle != c], fit.residual[cycle != c], rcond=None)[0]
+        for c in cycles
+    ]
+    return np.asarray(np.asarray(moves) / scale, dtype=np.float64)
+
+
+def _result(
+    setup: _Setup,
+    trio: _Trio,
+    cycles: NDArray[np.int64],
+    misaligned: FloatArray,
+    *,
+    given: bool,
+) -> WorkCharacteristic:
+    n_terms = len(setup.breakpoints) + 2
+    keep = slice(0, 1 + n_terms)
+    moves = trio.moves(setup.cycle[setup.scored], cycles)[:, keep]
+    moves = moves - moves.mean(axis=0)
+    planes = 0.5 * (trio.inlet.theta - trio.other.theta)[keep]
+    covariance = (cycles.size - 1) / cycles.size * moves.T @ moves
+    covariance += np.outer(planes, planes) + np.outer(misaligned, misaligned)
+    flow = _flow(setup)
+    phi = _phi(setup, flow)[setup.scored]
+    theta = trio.theta(n_terms)
+    tau_s = float(np.exp(theta[0]))
+    scatter = float(np.sqrt(np.mean(trio.mean.residual**2)) / np.mean(flow[setup.scored]))
+    return WorkCharacteristic(
+        tau_s,
+        0.0 if given else tau_s * float(np.sqrt(covariance[0, 0])),
+        _terms(np.zeros(2), setup.breakpoints)[1],
+        theta[1:],
+        covariance[1:, 1:],
+        setup.breakpoints,
+        (float(np.percentile(phi, 5.0)), float(np.percentile(phi, 95.0))),
+        int(np.count_nonzero(setup.scored)),
+        int(cycles.size),
+        scatter,
+        trio.mean.at_bound,
+        _entry(setup, cycles.size, tau_s, scatter, given=given),
+    )
+
+
+def _refusal(setup: _Setup, n_cycles: int, n_terms: int) -> WorkCharacteristic:
+    """Answer a record with too little in it by a code, not by numbers."""
+    nan = float("nan")
+    return WorkCharacteristic(
+        nan,
+        nan,
+        _terms(np.zeros(2), setup.breakpoints)[1],
+        np.full(n_terms, nan),
+        np.full((n_terms, n_terms), nan),
+        setup.breakpoints,
+        (nan, nan),
+        int(np.count_nonzero(setup.scored)),
+        n_cycles,
+        nan,
+        FitState.TOO_FEW_ROWS,
+        _entry(setup, n_cycles, nan, nan, given=False),
+    )
+
+
+def _entry(
+    setup: _Setup, n_cycles: int, tau_s: float, scatter: float, *, given: bool
+) -> LedgerEntry:
+    scored = int(np.count_nonzero(setup.scored))
+    left = setup.rows.stop - setup.rows.start - scored
+    return LedgerEntry(
+        "work characteristic",
+        f"ψ_QS fitted to W25 ψ in {scored} rows of {n_cycles} cycles, τ "
+        + ("given" if given else "fitted")
+        + f"; {left} rows near zero flow, in reversed flow, out of stall or within one cell period "
+        "of a switch simulated, not scored",
+        {
+            "time_constant_s": round(tau_s, 6),
+            "time_constant_given": given,
+            "cell_hz": round(1.0 / setup.period_s, 3),
+            "scored_phi": SCORED_PHI,
+            "mixing_phi": setup.mixing_phi,
+            "residual_std": round(scatter, 4),
+        },
+    )

@@ -1,0 +1,370 @@
+"""The work characteristic: exact recovery from made-up planes, and from the rig's raw counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from raw_data import GAMMA, GAS, U_M_S, make_test
+
+from classic_ml.airflow import corrected_flow
+from classic_ml.coefficients import coefficients
+from classic_ml.errors import InputError
+from classic_ml.fit_state import FitState
+from classic_ml.readers import TestDescription, read_raw
+from classic_ml.records import Channel, LedgerEntry, Record
+from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.work_balance import (
+    EXIT_WEIGHT,
+    MIXING_PHI,
+    credit_of_storage,
+    delivered_power,
+    exit_flow_at_inlet,
+    flat_average,
+    psi_weight,
+)
+from classic_ml.work_coefficient import WorkCharacteristic, fit_work_characteristic
+from comparisons.rig import simulate, write_run
+
+HEAT = GAMMA * GAS / (GAMMA - 1)
+HEAD = 2 * HEAT / U_M_S**2
+RATE_HZ = 1000.0
+CELL_HZ = 82.5
+TAU_S = 0.018
+# Value at zero flow and slopes, breaks: those of the rig.
+BETA, BREAKS = np.array([3.4, -12.0, 4.0, -3.0]), (0.05, 0.125)
+PHI = np.array([0.02, 0.05, 0.1])
+
+
+def curve(phi: np.ndarray) -> np.ndarray:
+    pieces = np.minimum(phi, 0.05), np.clip(phi - 0.05, 0, 0.075), np.maximum(phi - 0.125, 0)
+    return BETA[0] + sum(b * p for b, p in zip(BETA[1:], pieces, strict=True))
+
+
+def lagged(inputs: np.ndarray, tau_s: float) -> np.ndarray:
+    """The lag by a plain loop, straight lines between samples, on a grid ten times as fine."""
+    fine = np.interp(np.arange(10 * inputs.size - 9) / 10, np.arange(inputs.size), inputs)
+    step = 0.1 / RATE_HZ / tau_s
+    state, out = fine[0], np.empty_like(fine)
+    out[0] = state
+    for k in range(1, fine.size):
+        middle = 0.5 * (fine[k - 1] + fine[k])
+        state += step / (1 + 0.5 * step) * (middle - state)
+        out[k] = state
+    return out[::10]
+
+
+@cache
+def planes(
+    tau_s: float = TAU_S, size: float = 1.0, seconds: float = 3.0
+) -> tuple[Record, TestDescription]:
+    """Plane averages of stall cycles whose ψ follows the lag and whose volume stores gas."""
+    _, test = make_test(seconds=0.5).load()
+    machine = replace(
+        test.compressor, internal_volume_m3=size * 0.08, inertia_per_m=test.compressor.inertia_per_m
+    )
+    machine = replace(machine, inertia_per_m=machine.inertia_per_m / size)
+    test = replace(
+        test,
+        compressor=machine,
+        areas_m2={plane: size * area for plane, area in test.areas_m2.items()},
+    )
+    time_s = np.arange(round(seconds * RATE_HZ) + 1) / RATE_HZ
+    angle = 2 * np.pi * 7.0 * time_s
+    phi = 0.085 + 0.05 * np.sin(angle) + 0.012 * np.sin(0.61 * angle) + 0.01 * np.sin(2 * angle)
+    # Out of stall for 28 ms of each cycle, on a straight branch of its own.
+    free = (time_s * 7.0) % 1.0 < 0.2
+    psi = lagged(np.where(free, 3.3 + 5.0 * phi, curve(phi)), tau_s)
+    inlet_K, inlet_Pa = np.full(time_s.size, 440.0), np.full(time_s.size, 1.2e5)
+    exit_Pa = 2.6e5 + 4e4 * np.cos(angle - 0.6)
+    static = inlet_K - (phi * U_M_S) ** 2 / (2 * HEAT)
+    mach = phi * U_M_S / np.sqrt(GAMMA * GAS * static)
+    corrected = corrected_flow(mach, size * 0.2938, machine)
+    flow = corrected * inlet_Pa / 101325 * np.sqrt(288.15 / inlet_K)
+    surge = machine.inertia_per_m * np.gradient(np.gradient(flow, 1e-3), 1e-3)
+    exit_rate = np.gradient(exit_Pa, 1e-3)
+    volume = machine.internal_volume_m3 / GAS
+    delivered_K = inlet_K + psi / HEAD
+    mass = EXIT_WEIGHT * volume / (0.5 * (inlet_K + delivered_K)) * exit_rate
+    energy = volume / GAMMA * EXIT_WEIGHT * (exit_rate + surge)
+    exit_K = (flow * delivered_K - energy) / (flow - mass)
+    stored = EXIT_WEIGHT * volume / (0.5 * (inlet_K + exit_K)) * exit_rate
+    ripple = 1 + 0.02 * np.sin(2 * np.pi * CELL_HZ * time_s)
+    columns = {
+        "P25_Pa": (inlet_Pa, "Pa"),
+        "P25_unfiltered_Pa": (inlet_Pa * ripple, "Pa"),
+        "P31_Pa": (exit_Pa, "Pa"),
+        "T25_K": (inlet_K, "K"),
+        "T31_K": (exit_K, "K"),
+        "Wc25_kg_s": (corrected, "kg/s"),
+        "Wc25_hub_kg_s": (corrected + 5.0, "kg/s"),
+        "Wc25_tip_kg_s": (corrected - 5.0, "kg/s"),
+        "W25_kg_s": (flow, "kg/s"),
+        "W31_kg_s": (flow - stored, "kg/s"),
+        "psi_true": (psi, "1"),
+        "phi_true": (phi, "1"),
+    }
+    # In stall the hub passes more than the tip.
+    for name, sign in (("Wc25_hub_kg_s", -5.0), ("Wc25_tip_kg_s", 5.0)):
+        columns[name] = (columns[name][0] + sign * free, "kg/s")
+    return Record.from_arrays(columns, sample_rate_hz=RATE_HZ), test
+
+
+def everywhere(record: Record) -> np.ndarray:
+    return np.ones(record.n_samples, dtype=np.bool_)
+
+
+def fitted(record: Record, test: TestDescription, **options: float) -> WorkCharacteristic:
+    window = everywhere(record)
+    window[:100] = window[-100:] = False
+    # The made-up gas does not mix at plane 31.
+    options = {"mixing_phi": 0.0, **options}
+    return fit_work_characteristic(record, test, window, breakpoints=BREAKS, **options)
+
+
+def test_the_flat_average_removes_cells_and_keeps_parabolas() -> None:
+    time_s = np.arange(400) / RATE_HZ
+    for harmonic in (1, 2, 3):
+        wave = np.sin(2 * np.pi * harmonic * CELL_HZ * time_s + 0.3)
+        kept = flat_average(wave, 1 / CELL_HZ, RATE_HZ)[40:-40]
+        # The ends of the window get fractional weights, which leaves a few per cent of the higher.
+        assert np.max(np.abs(kept)) < (0.01 if harmonic == 1 else 0.15)
+    parabola = 3 + 2 * time_s - 40 * time_s**2
+    np.testing.assert_allclose(
+        flat_average(parabola, 1 / CELL_HZ, RATE_HZ)[40:-40], parabola[40:-40], atol=1e-12
+    )
+
+
+def test_the_two_planes_tell_one_flow() -> None:
+    record, test = planes()
+    np.testing.assert_allclose(exit_flow_at_inlet(record, test), record["W25_kg_s"], rtol=1e-12)
+    slope = np.gradient(record["P31_Pa"], 1e-3)
+    moved = record["W25_kg_s"] - record["W31_kg_s"]
+    # Gas is stored while the pressure rises.
+    assert np.corrcoef(moved, slope)[0, 1] > 0.99
+
+
+def test_the_delivered_power_is_the_work_that_was_put_in() -> None:
+    record, test = planes()
+    phi, flow = record["phi_true"], record["W25_kg_s"]
+    inertia = test.compressor.inertia_per_m
+    power = delivered_power(record, test, flow, phi, inertia_per_m=inertia)
+    # Far above the mixing flow all of the storage counts; near it a part of some 20 K does.
+    rows = phi > 2.5 * MIXING_PHI
+    np.testing.assert_allclose((power / flow)[rows], record["psi_true"][rows], atol=0.03)
+    rise = HEAD * (record["T31_K"] - record["T25_K"])
+    assert np.std((rise - record["psi_true"])[rows]) > 5 * np.std(
+        (power / flow - record["psi_true"])[rows]
+    )
+    without = delivered_power(record, test, flow, phi, inertia_per_m=0.0)
+    assert np.max(np.abs(without - power)) > 0.1
+
+
+def test_power_without_storage_is_flow_times_temperature_rise_in_either_direction() -> None:
+    record, test = planes()
+    flow = np.linspace(-5.0, 5.0, record.n_samples)
+    still = replace(test, compressor=replace(test.compressor, internal_volume_m3=0.0))
+    power = delivered_power(record, still, flow, flow / 60.0, inertia_per_m=10.7)
+    rise = HEAD * (record["T31_K"] - record["T25_K"])
+    np.testing.assert_allclose(power, flow * rise, rtol=1e-12, atol=1e-12)
+
+
+def test_storage_counts_for_nothing_in_reversed_flow() -> None:
+    credit = credit_of_storage(np.array([-0.3, -1e-9, 0.0, MIXING_PHI, 10 * MIXING_PHI]))
+    np.testing.assert_allclose(credit, [0.0, 0.0, 0.0, 0.5, 1.0], atol=1e-4)
+
+
+def test_weights_go_with_the_square_of_the_flow_and_reversed_rows_have_none() -> None:
+    flow = np.array([-4.0, 0.0, 0.4, 3.0, 6.0, 12.0])
+    weight = psi_weight(flow, flow / 80)
+    assert np.all(weight[:3] == 0.0)
+    np.testing.assert_allclose(weight[4:] / weight[3], [4.0, 16.0])
+    assert weight[3:].mean() == pytest.approx(1.0)
+    np.testing.assert_allclose(psi_weight(7 * flow, flow / 80), weight)
+    assert not psi_weight(-np.abs(flow), flow / 80).any()
+    # A lower limit below zero does not let reversed rows in.
+    assert psi_weight(flow, flow / 80, minimum_phi=-1.0)[0] == 0.0
+
+
+@pytest.mark.parametrize("tau_s", [0.012, 0.018, 0.025])
+def test_lag_and_curve_come_back_from_planes_without_error(tau_s: float) -> None:
+    work = fitted(*planes(tau_s))
+    assert work.fit_state is FitState.CONVERGED
+    assert work.time_constant_s == pytest.approx(tau_s, rel=0.015)
+    # The lowest flow of the made-up cycles is 0.013.
+    np.testing.assert_allclose(work.characteristic(PHI)[0], curve(PHI), atol=0.02)
+    assert work.terms == ("1", "min(phi,0.05)", "clip(phi-0.05,0,0.075)", "relu(phi-0.125)")
+    assert work.n_cycles >= 15
+    assert "simulated, not scored" in work.entry.did
+
+
+def test_a_machine_twice_the_size_has_the_same_characteristic() -> None:
+    one, two = fitted(*planes()), fitted(*planes(size=2.0))
+    assert two.time_constant_s == pytest.approx(one.time_constant_s, rel=1e-6)
+    np.testing.assert_allclose(two.coef, one.coef, rtol=1e-5)
+
+
+def test_a_given_time_constant_is_kept_and_has_no_error() -> None:
+    work = fitted(*planes(), time_constant_s=TAU_S)
+    assert work.time_constant_s == pytest.approx(TAU_S)
+    assert work.time_constant_stderr_s == 0.0
+    np.testing.assert_allclose(work.characteristic(PHI)[0], curve(PHI), atol=0.02)
+    assert np.all(np.linalg.eigvalsh(work.covariance) > -1e-12)
+
+
+def test_a_known_delay_of_the_pressures_is_taken_out() -> None:
+    record, test = planes()
+    # Pressures two samples late; the thermocouples are not.
+    late = {
+        name: Channel(name, np.concatenate([[record[name][0]] * 2, record[name][:-2]]), unit)
+        for name, unit in (
+            ("P25_Pa", "Pa"),
+            ("P31_Pa", "Pa"),
+            ("Wc25_kg_s", "kg/s"),
+            ("Wc25_hub_kg_s", "kg/s"),
+            ("Wc25_tip_kg_s", "kg/s"),
+            ("W25_kg_s", "kg/s"),
+            ("W31_kg_s", "kg/s"),
+        )
+    }
+    delayed = record.after(LedgerEntry("test", "delayed"), add=list(late.values()))
+    known, unknown = fitted(delayed, test, pressure_delay_s=2e-3), fitted(delayed, test)
+    assert known.time_constant_s == pytest.approx(TAU_S, rel=0.015)
+    np.testing.assert_allclose(known.characteristic(PHI)[0], curve(PHI), atol=0.02)
+    assert abs(unknown.time_constant_s - TAU_S) > 10 * abs(known.time_constant_s - TAU_S)
+    assert unknown.time_constant_stderr_s > 2 * known.time_constant_stderr_s
+
+
+def test_errors_of_the_flow_do_not_flatten_the_curve() -> None:
+    record, test = planes(seconds=8.0)
+    rng = np.random.default_rng(3)
+    found = []
+    for _ in range(4):
+        # 1.2 kg/s of 13, correlated over a cell period; the planes' errors are independent.
+        noisy = [
+            Channel(
+                name,
+                record[name]
+                + 4.0
+                * np.convolve(rng.standard_normal(record.n_samples), np.ones(12) / 12, "same"),
+                "kg/s",
+            )
+            for name in ("W25_kg_s", "W31_kg_s")
+        ]
+        work = fitted(
+            record.after(LedgerEntry("test", "noise"), add=noisy), test, time_constant_s=TAU_S
+        )
+        found.append(work.characteristic(PHI)[0] - curve(PHI))
+    # One plane alone would be off by -0.16, 0.09 and -0.02, the mean of both by half of that.
+    assert np.all(np.abs(np.mean(found, axis=0)) < [0.08, 0.04, 0.01]), found
+
+
+def test_too_few_cycles_are_answered_by_a_code() -> None:
+    record, test = planes()
+    window = np.zeros(record.n_samples, dtype=np.bool_)
+    window[200:500] = True
+    work = fit_work_characteristic(record, test, window, breakpoints=BREAKS)
+    assert work.fit_state is FitState.TOO_FEW_ROWS
+    assert np.isnan(work.time_constant_s)
+    assert np.isnan(work.characteristic(PHI)[0]).all()
+
+
+@pytest.mark.parametrize("name", ["time_constant_s", "pressure_delay_s", "mixing_phi"])
+@pytest.mark.parametrize("bad", [-1e-3, float("nan")])
+def test_arguments_below_zero_are_refused(name: str, bad: float) -> None:
+    with pytest.raises(InputError, match=f"{name}: expected a positive number"):
+        fitted(*planes(), **{name: bad})
+
+
+def test_breakpoints_out_of_order_are_refused() -> None:
+    record, test = planes()
+    with pytest.raises(InputError, match="increasing flow coefficients"):
+        fit_work_characteristic(record, test, everywhere(record), breakpoints=(0.1, 0.05))
+
+
+def test_thermocouples_that_lag_are_refused() -> None:
+    record, test = planes()
+    said = record.after(LedgerEntry("thermocouples", "lag not inverted", {"invert": False}))
+    with pytest.raises(InputError, match="thermocouple_inversion=True"):
+        fitted(said, test)
+
+
+@cache
+def rig_reduction(case: str, seed: int) -> tuple[Reduction, Record]:
+    run = simulate(case, seed=seed)
+    with TemporaryDirectory() as folder:
+        write_run(run, folder)
+        raw = read_raw(Path(folder) / "raw.csv", Path(folder) / "test.toml")
+    settings = ReductionSettings(phase="none", thermocouple_inversion=True)
+    return reduce_record(*raw, replace(settings, window_s=(1.2, 4.0))), run.truth
+
+
+@cache
+def rig_work(seed: int) -> WorkCharacteristic:
+    reduction, _ = rig_reduction("90", seed)
+    record = reduction.record
+    return fit_work_characteristic(
+        record, reduction.test, record["window"] > 0.5, breakpoints=BREAKS
+    )
+
+
+SEEDS = (0, 1, 2, 3, 4, 5)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_rig_s_work_characteristic_comes_back_from_raw_counts(seed: int) -> None:
+    work = rig_work(seed)
+    error = work.characteristic(PHI)[0] - curve(PHI)
+    # At the bend, 0.05, the noise of φ flattens the curve: 0.1 on average, ± 0.1 between seeds.
+    assert np.all(np.abs(error) < [0.2, 0.4, 0.1]), error
+    assert abs(work.time_constant_s - TAU_S) < 0.006
+    assert work.valid_phi[0] < 0.03
+    assert work.valid_phi[1] > 0.1
+
+
+def test_errors_of_the_rig_s_characteristic_are_stated_over_seeds() -> None:
+    works = [rig_work(seed) for seed in SEEDS]
+    value, stderr = (np.array(v) for v in zip(*(w.characteristic(PHI) for w in works), strict=True))
+    error = value - curve(PHI)
+    assert np.all(np.abs(error.mean(axis=0)) < [0.15, 0.2, 0.05])
+    z = np.sqrt(np.mean((error / stderr) ** 2, axis=0))
+    assert np.all(z < 2.0), z
+    tau = np.array([w.time_constant_s for w in works])
+    tau_stderr = np.array([w.time_constant_stderr_s for w in works])
+    assert abs(tau.mean() - TAU_S) < 0.003
+    assert np.sqrt(np.mean(((tau - TAU_S) / tau_stderr) ** 2)) < 1.5
+
+
+def test_the_mass_balance_shows_psi_row_by_row_where_the_other_forms_do_not() -> None:
+    reduction, truth = rig_reduction("90", 0)
+    record = reduction.record
+    rows = (record["window"] > 0.5) & (truth["in_stall"] > 0.5)
+    rows &= (truth["phi"] > 0.07) & (record["phi"] > 0.07)
+
+    def rms(form: str, cell_period_s: float | None) -> float:
+        out = coefficients(record, reduction.test, work_form=form, cell_period_s=cell_period_s)
+        return float(np.sqrt(np.mean((out["psi"] - truth["psi"])[rows] ** 2)))
+
+    balanced = rms("mass-balance", 1 / CELL_HZ)
+    assert balanced < 0.15
+    assert rms("temperature-rise", None) > 2 * balanced
+    assert rms("exit-flow", None) > 10 * balanced
+
+
+@pytest.mark.parametrize("case", ["95", "985"])
+def test_above_90_percent_one_sentence_says_why_there_is_no_psi(case: str) -> None:
+    reduction, _ = rig_reduction(case, 0)
+    record = reduction.record
+    assert "psi" not in record
+    said = [e for e in record.history if e.step == "work coefficient"]
+    assert [e.did for e in said] == ["ψ is not known"]
+    assert [(d.what, d.why) for d in said[0].dropped] == [("ψ", "no T31 that counts, so no W31")]
+    beyond = [d for e in record.history for d in e.dropped if d.what.startswith("T31")]
+    assert len(beyond) == 2
+    assert all("beyond its limits" in d.why for d in beyond)
+    with pytest.raises(InputError, match="without which there is no W31 and no ψ"):
+        fit_work_characteristic(record, reduction.test, record["window"] > 0.5, breakpoints=BREAKS)
