@@ -33,6 +33,12 @@ class FitState(Enum):
         "fitted as a static curve of least norm."
     )
 
+    BLOWDOWN = (
+        "Hardly a row in stall is in forward flow: the plenum blows down at nearly constant φ, and "
+        "its time constant would be read as the lag's; none is stated. Take a record with more "
+        "throttle, or a smaller discharge volume."
+    )
+
     @property
     def advice(self) -> str:
         """What it means and what to do about it."""

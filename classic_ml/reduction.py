@@ -24,6 +24,7 @@ from classic_ml.coefficients import (
 from classic_ml.errors import InputError
 from classic_ml.faults import choose_channels, inspect_readings
 from classic_ml.filtering import filter_channels
+from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import FEW_CYCLES, find_cycles, segment, window_rows
@@ -194,13 +195,15 @@ def reduce_record(
     window_s, found = _window(record, test, chosen)
     window = window_rows(record, window_s, _window_name(record, test, chosen))
     record = choose_channels(record.after(found), test, window)
-    unfiltered = _unfiltered_averages(record, test, chosen)
+    plain, unfiltered = _unfiltered(record, test, chosen)
     record = _averages(record, test, chosen)
     record = coefficients(
         record, test, inertia_factor=chosen.inertia_factor, work_form=chosen.work_form
     )
     record = _with_channels(record, unfiltered)
     record = _segmented(record, test, chosen, window)
+    named = chosen.window_s is not None or test.window_s is not None
+    record = _with_free_run(record, plain, window, named=named)
     return Reduction(_series(record), record, chosen, test, window_s)
 
 
@@ -283,21 +286,40 @@ def _averages(record: Record, test: TestDescription, settings: ReductionSettings
     return plane_averages(local_flows(record, test), test, settings.probes)
 
 
-def _unfiltered_averages(
+def _unfiltered(
     record: Record, test: TestDescription, settings: ReductionSettings
-) -> list[Channel]:
-    """Plane averages of the unfiltered pressures, for spectra and Fig 5 and 6."""
-    plain = plane_averages(local_flows(record, test), test, settings.probes)
+) -> tuple[Record, list[Channel]]:
+    """Reduce without any low-pass, for the free run, for spectra and for Fig 5 and 6.
+
+    The thermocouples' lag is undone whatever the settings say: behind no filter it is what it is.
+    """
+    plain = _averages(record, test, replace(settings, phase="none", thermocouple_inversion=True))
+    plain = coefficients(
+        plain, test, inertia_factor=settings.inertia_factor, work_form="temperature-rise"
+    )
     names = {
         "P25_Pa": "P25_unfiltered_Pa",
         "P31_Pa": "P31_unfiltered_Pa",
         "Wc25_kg_s": "Wc25_unfiltered_kg_s",
+        "phi": "phi_unfiltered",
+        "psi_p": "psi_p_unfiltered",
     }
-    return [Channel(new, plain[old], plain.channel(old).unit) for old, new in names.items()]
+    kept = [Channel(new, plain[old], plain.channel(old).unit) for old, new in names.items()]
+    return plain, kept
+
+
+def _with_free_run(
+    record: Record, plain: Record, window: NDArray[np.bool_], *, named: bool
+) -> Record:
+    """Mark the rows of the free run; a window that somebody named is taken as it is."""
+    unfiltered = _with_channels(plain, [record.channel("P25_unfiltered_Pa")])
+    inside = window if named else extend_while_settled(unfiltered, window)
+    rows = free_run_rows(unfiltered, plain["phi"], window, inside, record["in_stall"] > 0.5)
+    return record.after(rows.entry, add=rows.channels)
 
 
 def _with_channels(record: Record, channels: list[Channel]) -> Record:
-    entry = LedgerEntry("keep", "plane averages of the unfiltered pressures kept for the report")
+    entry = LedgerEntry("keep", "plane averages, φ and ψ' of the unfiltered pressures kept")
     return record.after(entry, add=channels)
 
 
@@ -369,6 +391,10 @@ def _series(record: Record) -> CoefficientSeries:
         Nc_frac=record["Nc_frac"],
         in_stall=record["in_stall"] > 0.5,
         segment=record["segment"].astype(np.int64),
+        phi_unfiltered=record["phi_unfiltered"],
+        psi_p_unfiltered=record["psi_p_unfiltered"],
+        stalled=record["stalled"] > 0.5,
+        free_run=record["free_run"].astype(np.int64),
         source=record.source,
         history=record.history,
     )

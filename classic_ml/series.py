@@ -20,7 +20,17 @@ __all__ = ["MINIMUM_ROWS", "CoefficientSeries", "ledger_path", "read_series", "w
 
 MINIMUM_ROWS = 100
 REQUIRED_COLUMNS = ("time_s", "phi", "psi_p")
-OPTIONAL_COLUMNS = ("psi", "T25_K", "Nc_frac", "in_stall", "segment")
+OPTIONAL_COLUMNS = (
+    "psi",
+    "T25_K",
+    "Nc_frac",
+    "in_stall",
+    "segment",
+    "phi_unfiltered",
+    "psi_p_unfiltered",
+    "stalled",
+    "free_run",
+)
 COLUMNS = REQUIRED_COLUMNS + OPTIONAL_COLUMNS
 UNITS = {
     "time_s": "s",
@@ -31,7 +41,13 @@ UNITS = {
     "Nc_frac": "1",
     "in_stall": "1",
     "segment": "1",
+    "phi_unfiltered": "1",
+    "psi_p_unfiltered": "1",
+    "stalled": "1",
+    "free_run": "1",
 }
+TRUTH_COLUMNS = ("in_stall", "stalled")
+COUNT_COLUMNS = ("segment", "free_run")
 # Beyond these no compressor works: φ = 1 is already an axial Mach number of order one at any
 # useful wheel speed, and ψ' = 100 would be a pressure ratio beyond 10^4 at 300 m/s.
 POSSIBLE = {
@@ -40,6 +56,9 @@ POSSIBLE = {
     "psi": (-1000.0, 1000.0),
     "T25_K": (50.0, 3000.0),
     "Nc_frac": (0.01, 2.0),
+    "phi_unfiltered": (-3.0, 3.0),
+    "psi_p_unfiltered": (-100.0, 100.0),
+    "free_run": (0.0, 2.0),
 }
 
 
@@ -65,6 +84,13 @@ class CoefficientSeries:
         Corrected speed as a fraction of design.
     in_stall : ndarray of bool, shape (n,), optional
         True while the machine is in stall.
+    phi_unfiltered, psi_p_unfiltered : ndarray of shape (n,), optional
+        φ and ψ' from unfiltered pressures, with the lag of the thermocouples undone: what a free
+        run through the whole record is fitted to.
+    stalled : ndarray of bool, shape (n,), optional
+        In-stall state as the machine itself shows it (hub-minus-tip flow).
+    free_run : ndarray of int, shape (n,), optional
+        0 outside the free run, 1 where it is simulated through, 2 where it is scored.
     source : str
         File or record that the series came from.
     history : tuple of LedgerEntry
@@ -85,6 +111,10 @@ class CoefficientSeries:
     T25_K: FloatArray | None = None
     Nc_frac: FloatArray | None = None
     in_stall: NDArray[np.bool_] | None = None
+    phi_unfiltered: FloatArray | None = None
+    psi_p_unfiltered: FloatArray | None = None
+    stalled: NDArray[np.bool_] | None = None
+    free_run: NDArray[np.int64] | None = None
     source: str = "series"
     history: tuple[LedgerEntry, ...] = ()
 
@@ -146,18 +176,18 @@ def _frozen_column(name: str, values: NDArray[np.generic], source: str) -> NDArr
             + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
             remedy="cut the record there or repair the channel",
         )
-    if name == "segment":
+    if name in COUNT_COLUMNS:
         if np.any(numbers != np.round(numbers)) or np.any(numbers < 0):
             raise InputError(
-                f"{source}: column segment",
+                f"{source}: column {name}",
                 expected="whole numbers from 0 on",
                 found=f"{numbers[(numbers != np.round(numbers)) | (numbers < 0)][0]}",
             )
         column = numbers.astype(np.int64)
-    elif name == "in_stall":
+    elif name in TRUTH_COLUMNS:
         if not np.all(np.isin(numbers, (0.0, 1.0))):
             raise InputError(
-                f"{source}: column in_stall",
+                f"{source}: column {name}",
                 expected="0 or 1",
                 found=f"{numbers[~np.isin(numbers, (0.0, 1.0))][0]}",
             )

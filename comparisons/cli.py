@@ -161,7 +161,7 @@ def _add_reduce(commands: _Commands) -> None:
     )
     parser.add_argument(
         "--work-form",
-        choices=("auto", "exit-flow", "temperature-rise"),
+        choices=("auto", "exit-flow", "mass-balance", "temperature-rise"),
         default=None,
         help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
     )
@@ -215,6 +215,12 @@ def _add_compare(commands: _Commands) -> None:
         default="first",
         help="φ between its samples: joined by lines, or held as in Eq 9 (default: first)",
     )
+    parser.add_argument(
+        "--tau",
+        type=_tau,
+        metavar="TAU",
+        help="hold τ of the classical estimators, as 18ms or 0.018 (seconds); else it is fitted",
+    )
     parser.set_defaults(run=_command("compare"))
 
 
@@ -231,7 +237,7 @@ def _add_reconstruct(commands: _Commands) -> None:
         "--estimator",
         default=None,
         metavar="NAME",
-        help="classic_ml, classic_ml_arx, classic_ml_output_error or sindy; all without it",
+        help="classic_ml, paper, classic_ml_arx, classic_ml_output_error or sindy; all without it",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the scores as JSON")
     parser.add_argument(
@@ -276,6 +282,18 @@ def _run_reproduce(arguments: argparse.Namespace) -> None:
             command=command_line(),
         )
     )
+
+
+def _tau(text: str) -> float:
+    from classic_ml.errors import InputError
+    from comparisons.tau_trial import parse_tau
+
+    try:
+        return parse_tau(text)
+    except InputError as error:
+        # argparse prints the words of its own error alone.
+        words = f"expected {error.expected}, found {error.found}; {error.remedy}"
+        raise argparse.ArgumentTypeError(words.rstrip("; ")) from None
 
 
 def _add_series(parser: argparse.ArgumentParser) -> None:

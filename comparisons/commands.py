@@ -81,7 +81,7 @@ def run_compare(arguments: argparse.Namespace) -> None:
         arguments.series, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ())
     )
     records = [read_series(path) for path in arguments.series]
-    comparison, work = _compare(records, arguments.degree, arguments.hold)
+    comparison, work = _compare(records, arguments.degree, arguments.hold, arguments.tau)
     if arguments.json:
         from comparisons.json_output import comparison_document, to_strict_json
 
@@ -199,7 +199,7 @@ def _settings(arguments: argparse.Namespace) -> ReductionSettings:
 
 
 def _compare(
-    records: Sequence[CoefficientSeries], degree: int, hold: str
+    records: Sequence[CoefficientSeries], degree: int, hold: str, tau_s: float | None
 ) -> tuple[Comparison, Comparison | None]:
     from comparisons.compare import compare_records
 
@@ -207,6 +207,7 @@ def _compare(
         records,
         degree=degree,
         hold=hold,  # type: ignore[arg-type]
+        time_constant_s=tau_s,
         progress=_progress,
     )
     if any(record.psi is None for record in records):
@@ -216,6 +217,7 @@ def _compare(
             records,
             target="psi",
             hold=hold,  # type: ignore[arg-type]
+            time_constant_s=tau_s,
             progress=_progress,
         )
     except InputError as error:

@@ -12,8 +12,9 @@ import numpy as np
 
 from classic_ml.first_order_lag import Hold
 from classic_ml.records import FloatArray
-from classic_ml.residual_checks import CheckRow, coverage, input_correlation, whiteness
+from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import WholeRunFit
 from comparisons.estimators import EstimatorSpec, default_estimators, psi_breakpoints
 from comparisons.fit_quality import (
     FitScore,
@@ -22,19 +23,13 @@ from comparisons.fit_quality import (
     score_fit,
     trusted_range,
 )
-from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS, FitRows, stack_rows
+from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
+from comparisons.record_cautions import TAU_AGREEMENT, comparison_cautions, told_time_constants
 
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
 
 CURVE_POINTS = 121
-# A surge cycle lasts a tenth of a second to a few: slower than this none is seen, and faster no
-# rake follows.
-SLOWEST_HZ, FASTEST_HZ = 20.0, 1e5
-# Records this far apart in corrected speed have different characteristics.
-SPEED_SPREAD = 0.03
-# Estimators that differ by more than this in τ are not measuring one thing.
-TAU_AGREEMENT = 0.15
 Progress = Callable[[Iterable[EstimatorSpec]], Iterable[EstimatorSpec]]
 
 
@@ -68,6 +63,8 @@ class EstimatorResult:
         Residual checks.
     seconds : float
         Time of the fit.
+    whole_run : WholeRunFit or None
+        The free run through whole records behind it; None where it was fitted to the rows.
     """
 
     name: str
@@ -85,6 +82,7 @@ class EstimatorResult:
     held_out_blocks: FloatArray
     checks: tuple[CheckRow, ...]
     seconds: float
+    whole_run: WholeRunFit | None = None
 
     @property
     def converged(self) -> bool:
@@ -150,6 +148,11 @@ class Comparison:
     valid_phi: tuple[float, float]
     cautions: tuple[str, ...]
 
+    @property
+    def from_whole_runs(self) -> tuple[str, ...]:
+        """Keys of the estimators that were fitted to whole unfiltered records."""
+        return tuple(result.name for result in self.results if result.whole_run is not None)
+
     def result(self, name: str) -> EstimatorResult:
         """Return the result of one estimator."""
         return next(result for result in self.results if result.name == name)
@@ -161,6 +164,7 @@ def compare_records(
     target: str = "psi_p",
     degree: int = 2,
     hold: Hold = "first",
+    time_constant_s: float | None = None,
     estimators: Sequence[EstimatorSpec] | None = None,
     progress: Progress = iter,
 ) -> Comparison:
@@ -176,6 +180,8 @@ def compare_records(
         Degree of the classical pressure characteristic.
     hold : {"zero", "first"}
         How φ acts between samples, for all estimators.
+    time_constant_s : float, optional
+        Hold τ of the classical estimators at this value, in seconds.
     estimators : sequence of EstimatorSpec, optional
         In place of :func:`default_estimators`.
     progress : callable
@@ -189,31 +195,39 @@ def compare_records(
     rows = stack_rows(records, target)
     # Fixed beforehand for all fits, as in the paper; one search serves them all.
     breakpoints = psi_breakpoints(rows, hold) if target == "psi" and not estimators else None
-    specs = estimators or default_estimators(degree=degree, hold=hold, breakpoints=breakpoints)
+    specs = estimators or default_estimators(
+        degree=degree, hold=hold, breakpoints=breakpoints, time_constant_s=time_constant_s
+    )
     valid_phi = trusted_range(rows.phi)
-    results = tuple(_run(spec, rows, hold, valid_phi) for spec in progress(specs))
+    results = tuple(_run(spec, rows, records, hold, valid_phi) for spec in progress(specs))
     return Comparison(
         tuple(records),
         rows,
         results,
         _table(results),
         valid_phi,
-        _cautions(records, rows, results),
+        comparison_cautions(
+            records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
+        ),
     )
 
 
 def _run(
-    spec: EstimatorSpec, rows: FitRows, hold: Hold, valid_phi: tuple[float, float]
+    spec: EstimatorSpec,
+    rows: FitRows,
+    records: Sequence[CoefficientSeries],
+    hold: Hold,
+    valid_phi: tuple[float, float],
 ) -> EstimatorResult:
     begin = time.perf_counter()
-    estimator = spec.build(rows).fit(rows.X, rows.measured, segments=rows.labels)
+    estimator = spec.fitted(rows, records, None)
     seconds = time.perf_counter() - begin
     model = _value(estimator, spec, rows, hold, valid_phi)
     reconstruction = model.free_run(
         rows.phi, rows.sample_period_s, rows.labels, start=rows.measured
     )
     predicted, known = _one_step(estimator, model, rows)
-    trained = _trained(spec, rows, hold, valid_phi)
+    trained = _trained(spec, rows, records, hold, valid_phi)
     held_out, blocks = _held_out(rows, trained)
     state, advice = _state(estimator)
     errors = np.where(known, rows.measured - predicted, 0.0)
@@ -233,6 +247,7 @@ def _run(
         blocks,
         _checks(estimator, errors, rows, valid_phi),
         seconds,
+        estimator if isinstance(estimator, WholeRunFit) else None,
     )
 
 
@@ -259,13 +274,20 @@ def _one_step(estimator: Any, model: FittedLag, rows: FitRows) -> tuple[FloatArr
 
 
 def _trained(
-    spec: EstimatorSpec, rows: FitRows, hold: Hold, valid_phi: tuple[float, float]
+    spec: EstimatorSpec,
+    rows: FitRows,
+    records: Sequence[CoefficientSeries],
+    hold: Hold,
+    valid_phi: tuple[float, float],
 ) -> FloatArray | None:
     """Return the free run over all rows of a fit to the training rows, or None without both."""
     if rows.train.all() or not rows.train.any():
         return None
     train = rows.part(rows.train)
-    estimator = spec.build(train).fit(train.X, train.measured, segments=train.labels)
+    until_s = [
+        float(train.time_s[train.record == i].max(initial=-np.inf)) for i in range(len(records))
+    ]
+    estimator = spec.fitted(train, records, until_s)
     model = _value(estimator, spec, train, hold, valid_phi)
     # Where the one segment is cut in two, the held-out part has a measured start of its own.
     labels = 2 * rows.labels + ~rows.train
@@ -283,15 +305,16 @@ def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | Non
 def _checks(
     estimator: Any, errors: FloatArray, rows: FitRows, valid_phi: tuple[float, float]
 ) -> tuple[CheckRow, ...]:
-    checks = (
+    if isinstance(estimator, WholeRunFit):
+        return estimator.checks(valid_phi)
+    if hasattr(estimator, "one_step"):
+        return residual_checks(estimator, rows.X, rows.measured, rows.labels, stated_phi=valid_phi)
+    # The plain lag's prediction from a noisy row before it is never white: no noise model, no test
+    # of one.
+    return (
         input_correlation(errors, rows.phi, rows.runs),
         coverage(rows.phi, rows.runs, valid_phi),
     )
-    if not hasattr(estimator, "one_step"):
-        # The plain lag's prediction from a noisy row before it is never white: no noise model,
-        # no test of one.
-        return checks
-    return (whiteness(errors, rows.runs), *checks)
 
 
 def _state(estimator: Any) -> tuple[str, str]:
@@ -348,7 +371,9 @@ def _trust(
         words.append("worse than a constant on held-out cycles")
     elif 0.0 < abs(difference) < 2.0 * paired_error:
         words.append("no worse than the best within the paired error")
-    taus = _time_constants(results)
+    if result.whole_run is not None:
+        words.append("fitted to unfiltered signals, scored here on the filtered rows of the others")
+    taus = told_time_constants(tuple(r for r in results if r.whole_run is None))
     tau = result.model.time_constant_s
     if len(taus) > 1 and tau in taus and abs(tau / np.median(taus) - 1.0) > TAU_AGREEMENT:
         words.append("τ off the others by more than 15 %")
@@ -356,70 +381,3 @@ def _trust(
     if failed:
         words.append("failed: " + ", ".join(failed))
     return "; ".join(words) or "nothing speaks against it"
-
-
-def _time_constants(results: tuple[EstimatorResult, ...]) -> list[float]:
-    """Return the τ that were measured: those that are told from zero."""
-    models = [result.model for result in results]
-    return [
-        m.time_constant_s
-        for m in models
-        if math.isfinite(m.time_constant_s) and m.time_constant_s > 2.0 * m.time_constant_stderr_s
-    ]
-
-
-def _cautions(
-    records: Sequence[CoefficientSeries], rows: FitRows, results: tuple[EstimatorResult, ...]
-) -> tuple[str, ...]:
-    cautions = []
-    left_out = sum(int(record.scored.sum()) for record in records) - rows.phi.size
-    if left_out:
-        why = "without a known ψ or " if rows.target == "psi" else ""
-        cautions.append(
-            f"{left_out} rows {why}in a stretch of fewer than {MINIMUM_SEGMENT_ROWS} "
-            "were not fitted"
-        )
-    cautions += _record_cautions(records)
-    for record in records:
-        for entry in record.history:
-            cautions += [f"{record.source}: {flag}" for flag in entry.flags]
-    taus = _time_constants(results)
-    if len(taus) > 1 and max(taus) > (1.0 + 2.0 * TAU_AGREEMENT) * min(taus):
-        cautions.append(
-            f"the estimators put τ between {1e3 * min(taus):.3g} and {1e3 * max(taus):.3g} ms: "
-            "what they disagree on is not measured by this record"
-        )
-    return tuple(dict.fromkeys(cautions))
-
-
-def _record_cautions(records: Sequence[CoefficientSeries]) -> list[str]:
-    """Name what is odd about the records themselves."""
-    cautions = []
-    for i, record in enumerate(records):
-        if not record.history:
-            cautions.append(
-                f"{record.source}: no ledger lies beside it, so it is not known how it was "
-                "filtered; a low-pass before the flow equation makes τ come out high"
-            )
-        if record.n_segments == 1 and bool(record.scored.all()):
-            cautions.append(
-                f"{record.source}: all its rows are one segment: unstalled rows, if there are "
-                "any, are fitted as in-stall"
-            )
-        if not SLOWEST_HZ <= record.sample_rate_hz <= FASTEST_HZ:
-            cautions.append(
-                f"{record.source}: {record.sample_rate_hz:g} rows a second: is time_s in seconds?"
-            )
-        for other in records[:i]:
-            if np.array_equal(other.phi, record.phi) and np.array_equal(other.psi_p, record.psi_p):
-                cautions.append(
-                    f"{record.source} holds the same rows as {other.source}: errors are stated "
-                    "too small"
-                )
-    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
-    if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD:
-        cautions.append(
-            f"the records lie between {100 * min(speeds):.0f} and {100 * max(speeds):.0f} % "
-            "corrected speed: one curve is fitted to all of them"
-        )
-    return cautions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.first_order_lag import Hold
+from classic_ml.series import CoefficientSeries
 from comparisons.fit_rows import FitRows
 
 __all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints"]
@@ -28,11 +29,33 @@ class EstimatorSpec:
     build : callable
         ``build(rows) -> estimator``, unfitted, following scikit-learn's contract and DESIGN
         section 5; ``fit(X, y, segments)`` is called on it.
+    fit_records : callable, optional
+        ``fit_records(records, until_s) -> fitted`` takes whole records in place of the rows, each
+        scored up to a time of its own (None: all of it), where they carry what it needs.
     """
 
     name: str
     label: str
     build: Callable[[FitRows], Any]
+    fit_records: Callable[[Sequence[CoefficientSeries], Sequence[float] | None], Any] | None = None
+
+    def fitted(
+        self, rows: FitRows, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
+    ) -> Any:
+        """Fit whole records where this estimator can and they carry what it takes, else the rows.
+
+        Parameters
+        ----------
+        rows : FitRows
+            The rows, only those to be fitted.
+        records : sequence of CoefficientSeries
+            The records they come from.
+        until_s : sequence of float, optional
+            Time up to which each record is fitted.
+        """
+        if self.fit_records is not None and rows.target == "psi_p" and _are_whole(records):
+            return self.fit_records(records, until_s)
+        return self.build(rows).fit(rows.X, rows.measured, segments=rows.labels)
 
 
 def default_estimators(
@@ -40,8 +63,12 @@ def default_estimators(
     degree: int = 2,
     hold: Hold = "first",
     breakpoints: tuple[float, float] | None = None,
+    time_constant_s: float | None = None,
 ) -> tuple[EstimatorSpec, ...]:
-    """Return the paper's way in its three noise models, and the sparse regression.
+    """Return maximum likelihood, the paper's way, two other noise models, and sparse regression.
+
+    ``classic_ml`` is one free run through each whole record, from unfiltered signals, where the
+    reduction left them in the series; else it is armax on the rows, as ``paper`` always is.
 
     Parameters
     ----------
@@ -52,6 +79,8 @@ def default_estimators(
     breakpoints : tuple of float, optional
         Take the piecewise-linear inputs of Fig 22 in place of the polynomial, as the paper does
         for the work coefficient.
+    time_constant_s : float, optional
+        Hold τ of the classical estimators at this value, as the paper had to.
     """
 
     def classical(noise: str) -> Callable[[FitRows], Any]:
@@ -69,6 +98,7 @@ def default_estimators(
                 # C has a root near the unit circle and remembers the start through a whole
                 # segment, so that the two starts give different curves.
                 exact_start=False,
+                time_constant_s=time_constant_s,
             )
 
         return build
@@ -78,14 +108,30 @@ def default_estimators(
 
         return SparseLagRegressor(sample_period_s=rows.sample_period_s, hold=hold)
 
+    def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
+        from classic_ml.whole_run import fit_whole_runs
+
+        return fit_whole_runs(
+            records, degree=degree, hold=hold, time_constant_s=time_constant_s, until_s=until_s
+        )
+
+    # The paper has no way of its own to the work coefficient beside that of classic_ml.
+    paper = EstimatorSpec("paper", "the paper's way (armax)", classical("armax"))
     return (
-        EstimatorSpec("classic_ml", "maximum likelihood (armax)", classical("armax")),
+        EstimatorSpec("classic_ml", "maximum likelihood", classical("armax"), whole),
+        *(() if breakpoints else (paper,)),
         EstimatorSpec("classic_ml_arx", "least squares (arx)", classical("arx")),
         EstimatorSpec(
             "classic_ml_output_error", "free run (output error)", classical("output-error")
         ),
         EstimatorSpec("sindy", "sparse regression (SINDy)", sparse),
     )
+
+
+def _are_whole(records: Sequence[CoefficientSeries]) -> bool:
+    from classic_ml.whole_run import has_whole_run
+
+    return all(has_whole_run(record) for record in records)
 
 
 def psi_breakpoints(rows: FitRows, hold: Hold = "first") -> tuple[float, float]:

@@ -38,7 +38,14 @@ def to_strict_json(document: dict[str, Any]) -> str:
 
 def _body(comparison: Comparison) -> dict[str, Any]:
     pressure = comparison.rows.target == "psi_p"
-    tau = tau_caution(record.history for record in comparison.records) if pressure else None
+    tau = (
+        tau_caution(
+            (record.history for record in comparison.records),
+            from_whole_runs=comparison.from_whole_runs,
+        )
+        if pressure
+        else None
+    )
     return {
         "records": [
             {

@@ -18,6 +18,7 @@ from comparisons.plots_record import (
     plot_surge_cycles,
 )
 from comparisons.plots_style import LineStyle, estimator_styles, figure_to_data_uri, new_figure
+from comparisons.plots_tau_trial import plot_tau_trial
 from comparisons.truth import Truth
 
 __all__ = [
@@ -36,5 +37,6 @@ __all__ = [
     "plot_residuals",
     "plot_series",
     "plot_surge_cycles",
+    "plot_tau_trial",
     "plot_validation",
 ]

@@ -66,13 +66,13 @@ class LineStyle:
 # which white paper swallows.
 KNOWN_STYLES = {
     "classic_ml": LineStyle("#0072B2", "-"),
+    "paper": LineStyle("#56B4E9", (0, (7, 1.5))),
     "classic_ml_arx": LineStyle("#E69F00", (0, (6, 2))),
     "classic_ml_output_error": LineStyle("#009E73", (0, (4, 1.5, 1, 1.5))),
     "sindy": LineStyle("#D55E00", (0, (2.5, 1))),
 }
 SPARE_STYLES = (
     LineStyle("#CC79A7", "-"),
-    LineStyle("#56B4E9", (0, (5, 2))),
     LineStyle("#7a5c00", (0, (1, 1))),
     LineStyle("#000000", (0, (3, 1, 1, 1))),
 )

@@ -194,7 +194,11 @@ def comparison_table(comparison: Comparison) -> str:
     target = comparison.rows.target
     general = (
         ranking_caution(comparison),
-        tau_caution((record.history for record in comparison.records), target=target),
+        tau_caution(
+            (record.history for record in comparison.records),
+            target=target,
+            from_whole_runs=comparison.from_whole_runs,
+        ),
     )
     known = (*filter(None, general), *grouped_cautions(comparison.cautions))
     cautions = [

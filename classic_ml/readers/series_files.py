@@ -16,8 +16,10 @@ from classic_ml.files import replace_whole
 from classic_ml.records import Dropped, FloatArray, LedgerEntry
 from classic_ml.series import (
     COLUMNS,
+    COUNT_COLUMNS,
     MINIMUM_ROWS,
     REQUIRED_COLUMNS,
+    TRUTH_COLUMNS,
     UNITS,
     CoefficientSeries,
 )
@@ -129,7 +131,7 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 
 def _as_numbers(table: pd.DataFrame, name: str, file: Path) -> FloatArray:
     column = table[name].to_numpy(dtype=object, na_value=np.nan)
-    if name == "in_stall":
+    if name in TRUTH_COLUMNS:
         column = np.array([_TRUTH.get(str(v).strip().lower(), v) for v in column], dtype=object)
     try:
         # Python's own conversion is exact, so that a file survives the round trip bit for bit.
@@ -250,7 +252,7 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
     import pandas as pd
 
     columns = {
-        name: values.astype(np.int64) if name in ("in_stall", "segment") else values
+        name: values.astype(np.int64) if name in TRUTH_COLUMNS + COUNT_COLUMNS else values
         for name, values in series.columns().items()
     }
     # repr-exact floats: a series survives the round trip bit for bit.
@@ -261,7 +263,7 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
     import xarray as xr
 
     variables = {
-        name: ("time_s", values.astype(np.int8) if name == "in_stall" else values)
+        name: ("time_s", values.astype(np.int8) if name in TRUTH_COLUMNS else values)
         for name, values in series.columns().items()
         if name != "time_s"
     }

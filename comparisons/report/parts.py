@@ -13,6 +13,7 @@ from comparisons.report.pictures import (
     residual_pictures,
     spectra_pictures,
     time_pictures,
+    trial_picture,
     validation_picture,
 )
 from comparisons.report.tables import (
@@ -54,6 +55,7 @@ def parts_of(section: ReportSection) -> tuple[Part, ...]:
         Part("Spectra before and after the filter", spectra_pictures(section)),
         Part("Quasi-steady characteristics", _characteristics(section)),
         Part("Reconstruction against measurement", _reconstructions(section, fits)),
+        Part("Time constant by trial", _trial(section)),
         Part("Residuals", tuple(block for fit in fits for block in residual_pictures(fit))),
         Part("Residual checks", tuple(checks_table(fit) for fit in fits)),
         Part("Equations", _equations(fits)),
@@ -83,6 +85,13 @@ def _characteristics(section: ReportSection) -> tuple[Block, ...]:
 def _reconstructions(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Block, ...]:
     blocks = [block for fit in fits for block in reconstruction_pictures(fit)]
     return (*blocks, *validation_picture(section.validation))
+
+
+def _trial(section: ReportSection) -> tuple[Block, ...]:
+    fit = section.comparison
+    if fit is None or fit.rows.target != "psi_p":
+        return ()
+    return trial_picture(fit, section.truth)
 
 
 def _equations(fits: tuple[Comparison, ...]) -> tuple[Block, ...]:

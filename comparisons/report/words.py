@@ -48,7 +48,8 @@ def tau_words(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Wor
     """
     fitted = any(fit.rows.target == "psi_p" for fit in fits)
     target = "psi_p" if fitted else "psi"
-    caution = tau_caution(_histories(section, fits), target=target)
+    whole = tuple(dict.fromkeys(name for fit in fits for name in fit.from_whole_runs))
+    caution = tau_caution(_histories(section, fits), target=target, from_whole_runs=whole)
     return () if caution is None else (Words(caution[0].upper() + caution[1:], "caution"),)
 
 

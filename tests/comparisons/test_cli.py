@@ -70,7 +70,8 @@ def test_a_real_record_goes_from_counts_to_both_estimates(
     assert list(pd.read_csv(series).columns[:3]) == ["time_s", "phi", "psi_p"]
     assert run("compare", series, "--json", tmp_path / "c.json") == 0
     out = capsys.readouterr().out
-    assert "maximum likelihood (armax)" in out
+    assert "maximum likelihood" in out
+    assert "the paper's way (armax)" in out
     assert "sparse regression (SINDy)" in out
     document = json.loads((tmp_path / "c.json").read_text("utf-8"))
     curve = document["estimators"]["classic_ml"]["characteristic"]
@@ -93,7 +94,7 @@ def test_simulate_reduce_compare_save_reconstruct(raw: Path, tmp_path: Path) -> 
     assert run("compare", files[0], "--save", model, "--report", report) == 0
     assert "<html" in report.read_text("utf-8")
     out, scores = tmp_path / "rec.csv", tmp_path / "rec.json"
-    again = ("reconstruct", model, files[1], "--estimator", "classic_ml")
+    again = ("reconstruct", model, files[1], "--estimator", "paper")
     assert run(*again, "-o", out, "--json", scores, "--report", tmp_path / "v.html") == 0
     table = pd.read_csv(out)
     error = table["psi_p"] - table["psi_p_reconstructed"]

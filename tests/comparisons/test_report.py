@@ -29,6 +29,7 @@ HEADINGS = (
     "Spectra before and after the filter",
     "Quasi-steady characteristics",
     "Reconstruction against measurement",
+    "Time constant by trial",
     "Residuals",
     "Residual checks",
     "Equations",
@@ -121,7 +122,7 @@ def test_nothing_comes_from_outside(html: str) -> None:
 def test_every_picture_says_what_it_shows_and_how_to_read_it(html: str) -> None:
     page = Page(html)
     pictures = page.all("img")
-    assert len(pictures) == 9
+    assert len(pictures) == 10
     alts = [attributes["alt"] for attributes in pictures]
     assert all(alt and len(alt) > 40 for alt in alts)
     assert len(set(alts)) == len(alts)
