@@ -21,7 +21,7 @@ from classic_ml.spectra import power_spectrum
 __all__ = ["FreeRunRows", "cell_period_s", "extend_while_settled", "free_run_rows", "near"]
 
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.
-MINIMUM_PHI = 0.01
+MINIMUM_PHI = 0.0075
 # The loss in reversed flow acts without the lag and reaches into every average that touches a
 # reversed row: half a cell period and a sample before the reversal. It vanishes with φ² towards
 # its end, where two milliseconds are enough.

@@ -27,7 +27,13 @@ from classic_ml.filtering import filter_channels
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.segments import FEW_CYCLES, find_cycles, segment, window_rows
+from classic_ml.segments import (
+    FEW_CYCLES,
+    cell_frequency_hz,
+    find_cycles,
+    segment,
+    window_rows,
+)
 from classic_ml.series import CoefficientSeries
 
 __all__ = ["Reduction", "ReductionSettings", "reduce_record"]
@@ -77,9 +83,10 @@ class ReductionSettings:
         curve worse.
     near_stall_match : {"pair", "forward", "none"}
         What the near-stall match moves.
-    work_form : {"auto", "exit-flow", "temperature-rise"}
-        How ψ is had: by Eq 13 with W31 as measured, from the temperature rise alone, or by the
-        first unless the flows of the two planes disagree by more than ψ can bear.
+    work_form : {"auto", "exit-flow", "mass-balance", "temperature-rise"}
+        How ψ is had: by Eq 13 with W31 as measured, with the storage between the planes from a
+        balance of mass, from the temperature rise alone, or by the first unless the flows of the
+        two planes disagree by more than ψ can bear.
     window_s : tuple of float, optional
         Quasi-steady cycles on the facility clock; None takes test.toml's, else they are found.
 
@@ -198,7 +205,11 @@ def reduce_record(
     plain, unfiltered = _unfiltered(record, test, chosen)
     record = _averages(record, test, chosen)
     record = coefficients(
-        record, test, inertia_factor=chosen.inertia_factor, work_form=chosen.work_form
+        record,
+        test,
+        inertia_factor=chosen.inertia_factor,
+        work_form=chosen.work_form,
+        cell_period_s=_cell_period_s(_with_channels(record, unfiltered), chosen, window),
     )
     record = _with_channels(record, unfiltered)
     record = _segmented(record, test, chosen, window)
@@ -306,6 +317,13 @@ def _unfiltered(
     }
     kept = [Channel(new, plain[old], plain.channel(old).unit) for old, new in names.items()]
     return plain, kept
+
+
+def _cell_period_s(
+    record: Record, settings: ReductionSettings, window: NDArray[np.bool_]
+) -> float | None:
+    """Return what the mass balance averages over where no filter takes the cells out."""
+    return 1.0 / cell_frequency_hz(record, window) if settings.phase == "none" else None
 
 
 def _with_free_run(

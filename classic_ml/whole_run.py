@@ -48,8 +48,8 @@ LOSS_AVERAGE_S = 0.005
 # Errors that all cycles of a record share and no jackknife over cycles sees: the calibration
 # readings, the rectified noise of probes near zero flow, rows at the edge of the model. Set so
 # that the stated intervals hold the truth as often as they say (benchmarks/tau_on_the_rig.py).
-COMMON_TAU_SHARE = 0.02
-COMMON_CURVE_SHARE = 0.02
+COMMON_TAU_SHARE = 0.025
+COMMON_CURVE_SHARE = 0.025
 # Below this share of the in-stall rows in forward flow the record is one blowdown after another.
 LEAST_SCORED_SHARE = 0.15
 LEAST_SCORED_ROWS = 60

@@ -9,6 +9,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TypeAlias
 
+from comparisons.total_system_command import add_total_system_parser
+
 __all__ = ["build_parser", "main"]
 
 EXIT_DONE = 0
@@ -74,6 +76,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_compare(commands)
     _add_reconstruct(commands)
     _add_reproduce(commands)
+    _add_work(commands)
+    add_total_system_parser(commands)
     return parser
 
 
@@ -268,6 +272,36 @@ def _add_reproduce(commands: _Commands) -> None:
     )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
     parser.set_defaults(run=_run_reproduce)
+
+
+def _add_work(commands: _Commands) -> None:
+    parser = commands.add_parser(
+        "work",
+        help="fit the work characteristic ψ_QS to a raw record with T31",
+        description="Reduce a raw record without a low-pass, undo the lag of the thermocouples and "
+        "fit the piecewise-linear work characteristic of Fig 22 to the power that the blading "
+        "delivers, with rows near zero flow weighted down.",
+    )
+    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (CSV or netCDF)")
+    parser.add_argument(
+        "--test", type=Path, required=True, metavar="TEST.toml", help="its test description"
+    )
+    parser.add_argument(
+        "--breakpoints",
+        type=float,
+        nargs=2,
+        metavar=("D1", "D2"),
+        help="φ at which the slope changes (default: searched)",
+    )
+    parser.add_argument("--tau", type=_tau, metavar="TAU", help="hold τ, as 18ms")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    parser.set_defaults(run=_run_work)
+
+
+def _run_work(arguments: argparse.Namespace) -> None:
+    from comparisons.work_command import run_work
+
+    run_work(arguments)
 
 
 def _run_reproduce(arguments: argparse.Namespace) -> None:

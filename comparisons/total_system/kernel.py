@@ -1,0 +1,444 @@
+"""Compiled loops of the lumped model: rates, stall latch, integration, and the facility's states.
+
+Imported only when a simulation runs, because it pulls in numba. `comparisons.total_system.model`
+explains the model and its equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["Constants", "Inlet", "integrate", "latches", "observe", "orifice"]
+
+FloatArray = NDArray[np.float64]
+
+# Positions in the state vector and, behind it, in an output row; `model` names them.
+W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(11)
+P25, PHI, PSI_P_TOTAL, BLEND, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(11, 19)
+N_STATES, N_COLUMNS = 11, 19
+# Positions in the latch: branch, armed for the other one, and when and from where the blend runs.
+STALLED, ARMED, SINCE, FROM = range(4)
+
+# Newton on Eq 3 from below doubles its digits each time; flows here are subsonic.
+_NEWTON_STEPS = 12
+_LARGEST_SHARE_OF_CHOKE = 0.999
+
+
+def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile with an on-disk cache where some directory can be written, else without."""
+    try:
+        compiled: Callable[..., Any] = njit(cache=True)(function)
+    except RuntimeError:
+        compiled = njit(function)
+    return compiled
+
+
+class Constants(NamedTuple):
+    """What the loops need, all in SI; see `Facility` and `TotalSystemModel` for their meaning."""
+
+    beta1: float
+    beta2: float
+    beta3: float
+    tau: float
+    reverse_loss: float
+    recovery_phi: float
+    rearm_phi: float
+    speed_low: float
+    speed_high: float
+    phi_low: float
+    phi_high: float
+    psi_low: float
+    psi_high: float
+    droop: float
+    efficiency: float
+    blend: float
+    work0: float
+    work1: float
+    work2: float
+    work3: float
+    break1: float
+    break2: float
+    inertia: float
+    inlet_inertia: float
+    storage_volume: float
+    discharge_volume: float
+    exhaust_volume: float
+    inlet_volume: float
+    loss: float
+    supply_flow: float
+    supply_pressure: float
+    supply_temperature: float
+    supply_slope: float
+    coil: float
+    coil_lag: float
+    recirculation: float
+    recirculation_heat: float
+    exchange: float
+    reverse_heat: float
+    face_volume: float
+    face_measured: bool
+    throttle: float
+    exhaust: float
+    ambient: float
+    close_start: float
+    close_rate: float
+    open_ratio: float
+    open_lag: float
+    start: float
+    speed: float
+    velocity: float
+    area: float
+    flow_constant: float
+    choke: float
+    gamma: float
+    gas: float
+    heat: float
+
+
+class Inlet(NamedTuple):
+    """T25 over time, which may drive the model in place of its own face temperature."""
+
+    begin: float
+    step: float
+    values: FloatArray
+
+
+@_compile
+def _t25(inlet: Inlet, time: float) -> float:
+    """Return T25 at a time, by straight lines; the first and last value hold beyond."""
+    x = (time - inlet.begin) / inlet.step
+    last = inlet.values.size - 1
+    if x <= 0.0:
+        return float(inlet.values[0])
+    if x >= last:
+        return float(inlet.values[last])
+    i = int(x)
+    return float(inlet.values[i] + (x - i) * (inlet.values[i + 1] - inlet.values[i]))
+
+
+@_compile
+def _phi(c: Constants, flow: float, pressure: float, temperature: float) -> float:
+    """Return φ = C_z/U of a mass flow (Eq 4, inverse of Eq 3, Eq 7)."""
+    share = abs(flow) * sqrt(temperature) / (pressure * c.flow_constant)
+    # A trial state beyond choking has no Mach number; the search then sees a large residual.
+    share = min(share, _LARGEST_SHARE_OF_CHOKE * c.choke)
+    power = (c.gamma + 1.0) / (2.0 * (c.gamma - 1.0))
+    mach = share
+    for _ in range(_NEWTON_STEPS):
+        bracket = 1.0 + 0.5 * (c.gamma - 1.0) * mach * mach
+        swallowed = mach * bracket**-power
+        step = (share - swallowed) * bracket * mach / (swallowed * (1.0 - mach * mach) + 1e-300)
+        mach += step
+        if abs(step) < 1e-12:
+            break
+    static = temperature / (1.0 + 0.5 * (c.gamma - 1.0) * mach * mach)
+    size = mach * sqrt(c.gamma * c.gas * static) / c.velocity
+    return size if flow >= 0.0 else -size
+
+
+@_compile
+def orifice(
+    c: Constants, area: float, p_up: float, t_up: float, p_down: float, t_down: float
+) -> tuple[float, float]:
+    """Return flow and gas temperature through an effective area, either way, choked or not."""
+    sign, high, low, temperature = 1.0, p_up, p_down, t_up
+    if p_down > p_up:
+        sign, high, low, temperature = -1.0, p_down, p_up, t_down
+    g = c.gamma
+    critical = (2.0 / (g + 1.0)) ** (g / (g - 1.0))
+    ratio = max(low / high, critical)
+    head = 2.0 * g / (g - 1.0) * (ratio ** (2.0 / g) - ratio ** ((g + 1.0) / g))
+    return sign * area * high * sqrt(max(head, 0.0) / (c.gas * temperature)), temperature
+
+
+@_compile
+def _stall_point(c: Constants, t25: float) -> tuple[float, float]:
+    """Return φ_s and ψ'_s at the corrected speed that T25 leaves of the constant rotor speed."""
+    x = (c.speed / sqrt(t25) - c.speed_low) / (c.speed_high - c.speed_low)
+    return c.phi_low + x * (c.phi_high - c.phi_low), c.psi_low + x * (c.psi_high - c.psi_low)
+
+
+@_compile
+def _characteristics(c: Constants, phi: float, t25: float, q: float) -> tuple[float, float]:
+    """Return ψ'_QS and ψ_QS, both branches blended by q; stall never raises the pressure."""
+    phi_s, psi_s = _stall_point(c, t25)
+    over = max(phi - phi_s, 0.0)
+    free = psi_s - c.droop * over * over
+    stalled = min(c.beta1 + phi * (c.beta2 + phi * c.beta3), free)
+    work = (
+        c.work0
+        + c.work1 * min(phi, c.break1)
+        + c.work2 * min(max(phi - c.break1, 0.0), c.break2 - c.break1)
+        + c.work3 * max(phi - c.break2, 0.0)
+    )
+    return free + q * (stalled - free), free / c.efficiency + q * (work - free / c.efficiency)
+
+
+@_compile
+def _throttle(c: Constants, time: float) -> float:
+    """Return the throttle area over its initial one, which the surge start sets to opening."""
+    closed = 1.0 - c.close_rate * max(min(time, c.start) - c.close_start, 0.0)
+    if time <= c.start:
+        return closed
+    return c.open_ratio + (closed - c.open_ratio) * exp(-(time - c.start) / c.open_lag)
+
+
+@_compile
+def _blend(c: Constants, latch: FloatArray, time: float) -> float:
+    """Return the share of the stalled branch: an exponential since the last switch."""
+    fade = exp(-max(time - latch[SINCE], 0.0) / c.blend)
+    return float(latch[STALLED] + (latch[FROM] - latch[STALLED]) * fade)
+
+
+@_compile
+def _rates(
+    c: Constants, inlet: Inlet, time: float, s: FloatArray, latch: FloatArray, d: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill in the state's rates and the output row."""
+    if c.face_measured:
+        s[T_FACE] = _t25(inlet, time)
+    t25 = s[T_FACE]
+    q = _blend(c, latch, time)
+    # Momentum of the inlet duct and of the compressor, one flow through both.
+    before = s[P_IN] - c.loss * s[W] * abs(s[W])
+    psi_p = s[PSI_P]
+    if s[W] < 0.0:
+        # φ before the duct's inertia: with P25 itself the loss would feed back on its own spike.
+        psi_p += c.reverse_loss * _phi(c, s[W], before, t25) ** 2
+    head = c.velocity**2 / (2.0 * c.heat)
+    ratio = max(1.0 + psi_p * head / t25, 0.05) ** (c.gamma / (c.gamma - 1.0))
+    d[W] = (before * ratio - s[P31]) / (c.inertia + c.inlet_inertia * ratio)
+    p25 = before - c.inlet_inertia * d[W]
+    phi = _phi(c, s[W], p25, t25)
+    quasi_p, quasi_w = _characteristics(c, phi, t25, q)
+    d[PSI_P] = (quasi_p - s[PSI_P]) / c.tau
+    d[PSI] = (quasi_w - s[PSI]) / c.tau
+    _behind(c, time, s, d, out)
+    _before(c, s, p25, q, d, out)
+    out[:N_STATES] = s
+    out[P25], out[PHI], out[PSI_P_TOTAL], out[BLEND] = p25, phi, psi_p, q
+
+
+@_compile
+def _behind(c: Constants, time: float, s: FloatArray, d: FloatArray, out: FloatArray) -> None:
+    """Fill in discharge and exhaust: mass and energy of two volumes behind two orifices."""
+    t25 = s[T_FACE]
+    area = c.throttle * _throttle(c, time)
+    wt, tt = orifice(c, area, s[P31], s[T31], s[P_EX], s[T_EX])
+    t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
+    stored = c.storage_volume / (c.gas * 0.5 * (t25 + t2))
+    gain = c.gamma * c.gas / c.discharge_volume
+    d[P31] = gain * (s[W] * t2 - wt * tt) / (1.0 + gain * stored * t2)
+    w31 = s[W] - stored * d[P31]
+    if w31 < 0.0:
+        # Gas that comes back out of the discharge volume has that volume's temperature.
+        d[P31] = gain * (s[W] * s[T31] - wt * tt) / (1.0 + gain * stored * s[T31])
+        w31 = s[W] - stored * d[P31]
+    mass = s[P31] * c.discharge_volume / (c.gas * s[T31])
+    d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
+    we, te = orifice(c, c.exhaust, s[P_EX], s[T_EX], c.ambient, c.supply_temperature)
+    d[P_EX] = c.gamma * c.gas / c.exhaust_volume * (wt * tt - we * te)
+    mass = s[P_EX] * c.exhaust_volume / (c.gas * s[T_EX])
+    d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
+    out[W31], out[W_THROTTLE], out[W_EXHAUST] = w31, wt, we
+
+
+@_compile
+def _before(
+    c: Constants, s: FloatArray, p25: float, q: float, d: FloatArray, out: FloatArray
+) -> None:
+    """Fill in inlet volume and face: supply, compressor, and what recirculation stirs and heats."""
+    t25 = s[T_FACE]
+    supply = max(c.supply_flow - c.supply_slope * (s[P_IN] - c.supply_pressure), 0.0)
+    t_supply = c.supply_temperature + c.coil * (s[T_COIL] - c.supply_temperature)
+    stirred = q * c.recirculation * p25 / (c.gas * t25) * c.velocity * c.area
+    mixed = c.exchange * stirred
+    out_flow, back = max(s[W], 0.0), max(-s[W], 0.0)
+    heat = supply * t_supply - out_flow * s[T_IN] + back * t25 + mixed * (t25 - s[T_IN])
+    d[P_IN] = c.gamma * c.gas / c.inlet_volume * heat
+    mass = s[P_IN] * c.inlet_volume / (c.gas * s[T_IN])
+    d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - s[W]) / mass)
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag
+    warming = (
+        (out_flow + mixed) * (s[T_IN] - t25)
+        + back * c.reverse_heat * (s[T31] - t25)
+        + stirred * c.recirculation_heat
+        + c.face_volume / c.heat * d[P_IN]
+    )
+    d[T_FACE] = warming * c.gas * t25 / (s[P_IN] * c.face_volume)
+    out[W_SUPPLY] = supply
+
+
+@_compile
+def _switch(
+    c: Constants, latch: FloatArray, t25: float, old: float, new: float, time: float, h: float
+) -> bool:
+    """Move the latch after φ went from ``old`` to ``new`` in the step that ends at ``time``.
+
+    Out of stall above φ_rec, armed only once φ has been below φ_rec − rearm; into stall below
+    φ_s, armed only once φ has been above it, and in any case below φ_rec − rearm.
+    """
+    low = c.recovery_phi - c.rearm_phi
+    phi_s, _ = _stall_point(c, t25)
+    edge = 0.0
+    if latch[STALLED] > 0.5:
+        if new < low:
+            latch[ARMED] = 1.0
+        if latch[ARMED] < 0.5 or new <= c.recovery_phi:
+            return False
+        edge = c.recovery_phi
+    else:
+        if new > phi_s:
+            latch[ARMED] = 1.0
+            return False
+        if latch[ARMED] < 0.5 and new >= low:
+            return False
+        edge = phi_s if latch[ARMED] > 0.5 else low
+    # Where the line between the two values meets the edge: the switch must not hang on the step.
+    back = h * min(max((new - edge) / (new - old), 0.0), 1.0) if new != old else 0.0
+    latch[FROM] = _blend(c, latch, time - back)
+    latch[SINCE] = time - back
+    latch[STALLED], latch[ARMED] = 1.0 - latch[STALLED], 0.0
+    return True
+
+
+@_compile
+def _step(
+    c: Constants, inlet: Inlet, time: float, h: float, s: FloatArray, latch: FloatArray,
+    work: FloatArray, row: FloatArray,
+) -> None:  # fmt: skip
+    """Advance the state by one classical Runge-Kutta step whose first rates are in ``work[0]``."""
+    k1, k2, k3, k4, trial = work[0], work[1], work[2], work[3], work[4]
+    trial[:] = s + 0.5 * h * k1
+    _rates(c, inlet, time + 0.5 * h, trial, latch, k2, row)
+    trial[:] = s + 0.5 * h * k2
+    _rates(c, inlet, time + 0.5 * h, trial, latch, k3, row)
+    trial[:] = s + h * k3
+    _rates(c, inlet, time + h, trial, latch, k4, row)
+    s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+@_compile
+def integrate(
+    c: Constants, inlet: Inlet, state: FloatArray, begin_latch: FloatArray, begin: float,
+    first: float, n_rows: int, row_s: float, substeps: int, forced: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Integrate from ``begin`` and return one row at ``first`` and each ``row_s`` after it.
+
+    ``forced`` holds a latch for each row, which the branches then follow in place of φ; with no
+    rows in it the model switches by itself.
+    """
+    rows = np.empty((n_rows, N_COLUMNS))
+    s, latch = state.copy(), begin_latch.copy()
+    work, scratch = np.empty((5, N_STATES)), np.empty(N_COLUMNS)
+    phi, last_h = np.nan, 0.0
+    # Row -1 is the stretch up to the first row, which need not be a whole row long.
+    for i in range(-1, n_rows):
+        length = max(first - begin, 0.0) if i < 0 else row_s
+        n_steps = int(np.ceil(length / row_s * substeps - 1e-9)) if i < 0 else substeps
+        if i == n_rows - 1:
+            n_steps = 1
+        h = length / max(n_steps, 1)
+        origin = begin if i < 0 else first + i * row_s
+        for j in range(n_steps):
+            time = origin + j * h
+            row = rows[i] if i >= 0 and j == 0 else scratch
+            if 0 <= i < forced.shape[0] - 1:
+                # A switch inside the row is written to the latch of the next one.
+                after = time >= forced[i + 1, SINCE] and forced[i + 1, SINCE] > first
+                latch[:] = forced[i + 1] if after else forced[i]
+            _rates(c, inlet, time, s, latch, work[0], row)
+            if not np.isnan(phi) and forced.shape[0] == 0:
+                new = row[PHI]
+                if _switch(c, latch, s[T_FACE], phi, new, time, last_h):
+                    _rates(c, inlet, time, s, latch, work[0], row)
+            phi, last_h = row[PHI], h
+            if i < n_rows - 1:
+                _step(c, inlet, time, h, s, latch, work, scratch)
+    return rows
+
+
+@_compile
+def latches(c: Constants, inlet: Inlet, phi: FloatArray, first: float, row_s: float) -> FloatArray:
+    """Return the latch of each row of a measured φ, in stall from the surge start on."""
+    out = np.empty((phi.size, 4))
+    latch = np.zeros(4)
+    latch[SINCE] = first
+    begun = False
+    for i in range(phi.size):
+        time = first + i * row_s
+        if not begun and time >= c.start:
+            begun = True
+            latch[STALLED], latch[ARMED], latch[SINCE], latch[FROM] = 1.0, 0.0, c.start, 0.0
+        elif begun:
+            _switch(c, latch, _t25(inlet, time), phi[i - 1], phi[i], time, row_s)
+        out[i] = latch
+    return out
+
+
+@_compile
+def observe(
+    c: Constants, inlet: Inlet, measured: FloatArray, latch: FloatArray, first: float,
+    row_s: float, state: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Return the model's states at each row with the measured ones put in for the compressor.
+
+    ``measured`` has the columns W25, ψ', P31, P_in, P25 and φ. What no probe reads (gas
+    temperatures of the volumes, exhaust pressure, ψ) follows from the same balances, driven by
+    what was measured; nothing unstable is left in them, so that they forget their start.
+    """
+    n = measured.shape[0]
+    rows = np.empty((n, N_STATES))
+    s, ahead = state.copy(), np.empty(N_STATES)
+    here, there = np.zeros(N_STATES), np.zeros(N_STATES)
+    for i in range(n):
+        s[W], s[PSI_P], s[P31], s[P_IN] = measured[i, :4]
+        s[T_FACE] = _t25(inlet, first + i * row_s)
+        rows[i] = s
+        if i == n - 1:
+            break
+        slopes = (measured[i + 1] - measured[i]) / row_s
+        _unmeasured(c, inlet, first + i * row_s, measured[i], slopes, latch[i], s, here)
+        ahead[:] = s + row_s * here
+        j = i + 1
+        _unmeasured(c, inlet, first + j * row_s, measured[j], slopes, latch[j], ahead, there)
+        s += 0.5 * row_s * (here + there)
+    return rows
+
+
+@_compile
+def _unmeasured(
+    c: Constants, inlet: Inlet, time: float, at: FloatArray, slopes: FloatArray, latch: FloatArray,
+    s: FloatArray, d: FloatArray,
+) -> None:  # fmt: skip
+    """Fill in the rates of the states that no probe reads, with the measured ones put in."""
+    flow, p31, p_in, p25, phi = at[0], at[2], at[3], at[4], at[5]
+    t25, q = _t25(inlet, time), _blend(c, latch, time)
+    k = (c.gamma - 1.0) / c.gamma
+    t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
+    _, quasi_w = _characteristics(c, phi, t25, q)
+    d[PSI] = (quasi_w - s[PSI]) / c.tau
+    # With P measured, mass and energy give dT/T = k dP/P + W_in (T_in − T)/(m T).
+    w31 = flow - c.storage_volume / (c.gas * 0.5 * (t25 + t2)) * slopes[2]
+    mass = p31 * c.discharge_volume / (c.gas * s[T31])
+    d[T31] = k * s[T31] * slopes[2] / p31 + max(w31, 0.0) * (t2 - s[T31]) / mass
+    wt, tt = orifice(c, c.throttle * _throttle(c, time), p31, s[T31], s[P_EX], s[T_EX])
+    we, te = orifice(c, c.exhaust, s[P_EX], s[T_EX], c.ambient, c.supply_temperature)
+    mass = s[P_EX] * c.exhaust_volume / (c.gas * s[T_EX])
+    d[P_EX] = c.gamma * c.gas / c.exhaust_volume * (wt * tt - we * te)
+    d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
+    supply = max(c.supply_flow - c.supply_slope * (p_in - c.supply_pressure), 0.0)
+    t_supply = c.supply_temperature + c.coil * (s[T_COIL] - c.supply_temperature)
+    stirred = q * c.recirculation * p25 / (c.gas * t25) * c.velocity * c.area
+    mixed = c.exchange * stirred + max(-flow, 0.0)
+    mass = p_in * c.inlet_volume / (c.gas * s[T_IN])
+    gained = supply * (t_supply - s[T_IN]) + mixed * (t25 - s[T_IN])
+    d[T_IN] = k * s[T_IN] * slopes[3] / p_in + gained / mass
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag

@@ -1,0 +1,266 @@
+"""What was measured, as the total-system fit takes it: three outputs, one input, the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.airflow import corrected_from_physical, physical_flow
+from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
+from classic_ml.errors import InputError
+from classic_ml.filtering import period_average
+from classic_ml.readers.test_description import TestDescription
+from classic_ml.records import Record
+from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from comparisons.total_system.model import STATES, Drive, TotalSystemModel
+
+__all__ = ["OUTPUTS", "Measured", "measured_signals", "observed_states", "state_before_surge"]
+
+FloatArray = NDArray[np.float64]
+
+# Channels that are fitted, and their units.
+OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
+_NEEDED = ("W25_kg_s", "P25_Pa", "P31_Pa", "T25_K")
+# One period of the stall cells (82.5 Hz on this machine, claim 17) leaves no ripple.
+SMOOTHING_S = 1.0 / 82.5
+# The collapse takes 17 ms; a cell period would move its zero by 3 to 4 ms, 3 ms by less than one.
+_CROSSING_S = 0.003
+# The flow collapses some 17 ms before it reverses; the reading before it ends well ahead.
+_BEFORE_S = (0.045, 0.025)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The signals of one record, without a low-pass filter before the flow equations.
+
+    Parameters
+    ----------
+    test : TestDescription
+        The test.
+    time_s : ndarray of shape (n,)
+        Clock of the record.
+    W25, P25, P31, T25 : ndarray of shape (n,)
+        Flow in kg/s, pressures in Pa, temperature in K.
+    near_stall_flow_kg_s : float
+        Mean flow of the near-stall reading.
+    reversal_s : float
+        When the flow first runs backwards.
+    window_s : tuple of float
+        Quasi-steady cycles; all that follows the first reversal where they are not known.
+    smoothing_s : float
+        Width of the moving average behind states that are read off the record.
+    source : str
+        The record.
+    """
+
+    test: TestDescription
+    time_s: FloatArray
+    W25: FloatArray
+    P25: FloatArray
+    P31: FloatArray
+    T25: FloatArray
+    near_stall_flow_kg_s: float
+    reversal_s: float
+    window_s: tuple[float, float]
+    smoothing_s: float
+    source: str
+
+    @property
+    def period_s(self) -> float:
+        """Sample period, in seconds."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    @property
+    def outputs(self) -> FloatArray:
+        """P31, P25 and W25, of shape (n, 3), in the order of `OUTPUTS`."""
+        return np.column_stack([self.P31, self.P25, self.W25])
+
+    @property
+    def drive(self) -> Drive:
+        """The measured T25 as a boundary of the model."""
+        return Drive(float(self.time_s[0]), self.period_s, self.smooth(self.T25))
+
+    def smooth(self, values: FloatArray) -> FloatArray:
+        """Return a signal averaged over the smoothing width."""
+        return period_average(values, self.smoothing_s, 1.0 / self.period_s)
+
+    def phi(self) -> FloatArray:
+        """Return φ of the averaged flow, pressure and temperature (Eq 7)."""
+        p25, t25 = self.smooth(self.P25), self.smooth(self.T25)
+        return flow_coefficient(
+            corrected_from_physical(self.smooth(self.W25), p25, t25),
+            t25,
+            self.test.areas_m2[25],
+            self.test.rotor_velocity_m_s,
+            self.test.compressor,
+        )
+
+    def rows(self, from_s: float, to_s: float) -> slice:
+        """Return the rows from one time to another."""
+        first, last = np.searchsorted(self.time_s, (from_s - 1e-9, to_s + 1e-9))
+        return slice(int(first), int(last))
+
+
+def measured_signals(
+    data: Record | Reduction, test: TestDescription, smoothing_s: float = SMOOTHING_S
+) -> Measured:
+    """Take the signals of the fit out of a record.
+
+    Parameters
+    ----------
+    data : Record or Reduction
+        A raw record, which is reduced without a low-pass filter; a reduction, whose unfiltered
+        plane averages are taken; or a record of ``W25_kg_s``, ``P25_Pa``, ``P31_Pa`` and
+        ``T25_K``.
+    test : TestDescription
+        The test it belongs to.
+    smoothing_s : float
+        Width of the moving average behind states that are read off the record; 0 for signals
+        without noise.
+
+    Returns
+    -------
+    Measured
+        The signals.
+
+    Raises
+    ------
+    InputError
+        When a channel is missing or not finite, no near-stall reading is in the record, or the
+        flow never reverses.
+    """
+    if not (np.isfinite(smoothing_s) and 0.0 <= smoothing_s < 0.1):
+        raise InputError(
+            "smoothing_s", expected="0 to 0.1 s", found=f"{smoothing_s}", remedy="one cell period"
+        )
+    window: tuple[float, float] | None = None
+    if isinstance(data, Record) and all(name in data for name in test.channel_names):
+        data = reduce_record(
+            data, test, ReductionSettings(phase="none", thermocouple_inversion=True)
+        )
+    if isinstance(data, Reduction):
+        window, data = data.window_s, _unfiltered(data.record)
+    signals = {name: data[name] for name in _NEEDED}
+    for name, values in signals.items():
+        if not np.all(np.isfinite(values)):
+            row = int(np.argmin(np.isfinite(values)))
+            raise InputError(
+                f"{data.source}: channel {name}",
+                expected="finite values",
+                found=f"{values[row]} in row {row + 1}",
+            )
+    w25, p25, p31, t25 = (signals[name] for name in _NEEDED)
+    near = test.near_stall
+    reading = (data.time_s >= near.from_s) & (data.time_s <= near.to_s)
+    if not np.any(reading):
+        raise InputError(
+            data.source,
+            expected=f"the near-stall reading of {near.from_s:g} to {near.to_s:g} s in the record",
+            found=f"{data.time_s[0]:g} to {data.time_s[-1]:g} s",
+        )
+    width = min(smoothing_s, _CROSSING_S)
+    reversal = _first_reversal(data, period_average(w25, width, data.sample_rate_hz))
+    return Measured(
+        test,
+        data.time_s,
+        w25,
+        p25,
+        p31,
+        t25,
+        float(np.mean(w25[reading])),
+        reversal,
+        window or (reversal + SMOOTHING_S, float(data.time_s[-1])),
+        smoothing_s,
+        data.source,
+    )
+
+
+def _unfiltered(record: Record) -> Record:
+    """Return the plane averages before the low-pass filter, as the reduction keeps them."""
+    p25 = record["P25_unfiltered_Pa"]
+    flow = physical_flow(record["Wc25_unfiltered_kg_s"], p25, record["T25_K"])
+    return Record.from_arrays(
+        {
+            "W25_kg_s": (flow, "kg/s"),
+            "P25_Pa": (p25, "Pa"),
+            "P31_Pa": (record["P31_unfiltered_Pa"], "Pa"),
+            "T25_K": (record["T25_K"], "K"),
+        },
+        sample_rate_hz=record.sample_rate_hz,
+        start_s=record.start_s,
+        source=record.source,
+    )
+
+
+def _first_reversal(record: Record, flow: FloatArray) -> float:
+    """Return when the flow first crosses zero, between two rows."""
+    back = np.flatnonzero(flow < 0.0)
+    if back.size == 0 or back[0] == 0:
+        raise InputError(
+            f"{record.source}: plane 25",
+            expected="a record that begins before the first reversal of the flow and holds it",
+            found="reversed flow in the first row" if back.size else "no reversed flow",
+            remedy="the total-system method needs the start of the surge",
+        )
+    i = int(back[0])
+    share = flow[i - 1] / (flow[i - 1] - flow[i])
+    return float(record.time_s[i - 1] + share * record.sample_period_s)
+
+
+def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatArray, FloatArray]:
+    """Return the model's states and stall latch at each row, as the measurement gives them.
+
+    W25, P31 and the pressure of the inlet volume are read off; ψ' is that of the momentum
+    equation without the unlagged reverse loss; the rest follows from the facility's balances.
+
+    Parameters
+    ----------
+    measured : Measured
+        The record.
+    model : TotalSystemModel
+        The facility, and τ for ψ.
+
+    Returns
+    -------
+    states : ndarray of shape (n, 11)
+        In the order of `STATES`.
+    latches : ndarray of shape (n, 4)
+        Branch, armed, since when and from which blend.
+    """
+    from comparisons.total_system import kernel
+
+    test, machine, c = measured.test, measured.test.compressor, model.constants()
+    flow, p25, p31 = (measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31))
+    t25 = measured.drive.T25_K
+    slope = rate_of_change(flow, measured.period_s)
+    phi = measured.phi()
+    psi_p = pressure_coefficient(
+        p25, p31, t25, slope, machine.inertia_per_m, test.rotor_velocity_m_s, machine
+    )
+    lagged = psi_p - c.reverse_loss * np.minimum(phi, 0.0) ** 2
+    p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia * slope
+    inlet, first = measured.drive.inlet(), float(measured.time_s[0])
+    latch = kernel.latches(c, inlet, phi, first, measured.period_s)
+    columns = np.column_stack([flow, lagged, p31, p_in, p25, phi])
+    states = kernel.observe(
+        c, inlet, columns, latch, first, measured.period_s, model.near_stall_state()
+    )
+    return states, latch
+
+
+def state_before_surge(measured: Measured, states: FloatArray) -> FloatArray:
+    """Return the mean state of the 20 ms before the flow collapses, of shape (11,)."""
+    early, late = _BEFORE_S
+    rows = measured.rows(measured.reversal_s - early, measured.reversal_s - late)
+    if rows.stop - rows.start < 2:
+        raise InputError(
+            measured.source,
+            expected=f"{1e3 * early:.0f} ms of record before the first reversal",
+            found=f"a first reversal at {measured.reversal_s:.3f} s",
+        )
+    mean = states[rows].mean(axis=0)
+    plain = np.column_stack([measured.W25, measured.P31])[rows].mean(axis=0)
+    mean[STATES.index("W25")], mean[STATES.index("P31")] = plain
+    return np.asarray(mean)
