@@ -327,7 +327,9 @@ def _mass_balance(
         record, test, flow, smooth(record["phi"]), inertia_per_m=inertia, smooth=smooth
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(smooth(power) / smooth(flow))
+        psi = np.asarray(smooth(power) / smooth(flow))
+    # The averaged flow may be at zero where that of the row is not.
+    return _bridge(psi, psi_is_known(smooth(record["phi"])))
 
 
 def _energy_form(record: Record, test: TestDescription, inertia: float) -> FloatArray:

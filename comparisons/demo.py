@@ -15,9 +15,11 @@ from classic_ml.series import write_series
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
+    from classic_ml.work_coefficient import WorkCharacteristic
     from comparisons.compare import Comparison
     from comparisons.reconstruction import Reconstruction
     from comparisons.report import ReportSection
+    from comparisons.report.blocks import Part
     from comparisons.rig import RigRun
     from comparisons.truth import Truth
 
@@ -30,6 +32,8 @@ VALIDATION = "985-second"
 RIG_FILES = {"raw.csv", "test.toml", "truth"}
 # Beyond this the rig's in-stall parabola meets its unstalled branch.
 TRUTH_TO_PHI = 0.24
+# The paper's own valid range of the 90 % curves is 0 to 0.1.
+WORK_TO_PHI = 0.1
 
 
 @dataclass(frozen=True)
@@ -95,8 +99,12 @@ def run(
         truth = _truth(rig, "psi_p")
         work_truth = _truth(rig, "psi") if work else None
         lines += _against_truth(title, comparison, truth)
+        extra: tuple[Part, ...] = ()
         if work is not None and work_truth is not None:
             lines += _against_truth(title, work, work_truth)
+            power = _power_balance(folder / f"raw_{case}")
+            lines += _power_against_truth(title, power, work_truth)
+            extra = (_power_part(power, work_truth),)
         sections.append(
             ReportSection(
                 title=f"Simulated test at {title}",
@@ -106,6 +114,7 @@ def run(
                 truth=truth,
                 work_truth=work_truth,
                 validation=validation,
+                extra=extra,
             )
         )
     report = folder / "report.html"
@@ -159,6 +168,43 @@ def _validate(comparison: Comparison, seed: int, folder: Path) -> tuple[Reconstr
     _, reduction = _test(VALIDATION, seed + 1, folder)
     return tuple(
         reconstruct_record(result.model, reduction.series) for result in comparison.results
+    )
+
+
+def _power_balance(raw: Path) -> WorkCharacteristic:
+    """Fit ψ_QS to the power the blading delivers, as `sindy-surge work` does."""
+    from classic_ml.readers import read_raw
+    from comparisons.work_command import fit_work
+
+    return fit_work(*read_raw(raw / "raw.csv", raw / "test.toml"))
+
+
+def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) -> list[str]:
+    low, high = max(power.valid_phi[0], 0.0), min(power.valid_phi[1], WORK_TO_PHI)
+    at = np.linspace(low, high, 50)
+    off = np.max(np.abs(power.characteristic(at)[0] - np.interp(at, truth.phi, truth.quasi_steady)))
+    return [
+        f"{title}, ψ_QS from the power balance (`work`), φ from {low:.2f} to {high:.2f}: off by at "
+        f"most {off:.2f}, τ {1e3 * power.time_constant_s:.1f} ms for "
+        f"{1e3 * truth.time_constant_s:.0f}"
+    ]
+
+
+def _power_part(power: WorkCharacteristic, truth: Truth) -> Part:
+    from comparisons.report.blocks import Head, Part, Table, Words
+    from comparisons.rounding import round_to_error
+
+    at = np.round(np.arange(0.02, WORK_TO_PHI + 0.005, 0.01), 3)
+    value, stderr = power.characteristic(at)
+    true = np.interp(at, truth.phi, truth.quasi_steady)
+    rows = tuple(
+        (f"{p:.2f}", round_to_error(v, s), f"{t:.2f}")
+        for p, v, s, t in zip(at, value, stderr, true, strict=True)
+    )
+    heads = (Head("φ"), Head("ψ_QS"), Head("truth"))
+    return Part(
+        "Work characteristic from the power balance",
+        (Words(power.entry.did), Table("ψ_QS from W25 ψ in one free run", heads, rows)),
     )
 
 

@@ -1,0 +1,83 @@
+"""The command `work`: the work characteristic of the 90 % case from raw counts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from comparisons.cli import main
+from comparisons.rig import simulate, write_run
+
+AT = np.array([0.02, 0.05, 0.1])
+TRUE = 3.4 - 12.0 * np.minimum(AT, 0.05) + 4.0 * np.clip(AT - 0.05, 0.0, 0.075)
+
+
+def folder(tmp_path: Path, case: str, seed: int) -> Path:
+    write_run(simulate(case, seed=seed), tmp_path / case)
+    return tmp_path / case
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_curve_comes_back_with_the_breakpoints_known(
+    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw, out = folder(tmp_path, "90", seed), tmp_path / "w.json"
+    command = ("work", raw / "raw.csv", "--test", raw / "test.toml", "--json", out)
+    assert run(*command, "--breakpoints", 0.05, 0.125) == 0
+    assert "work characteristic ψ_QS" in capsys.readouterr().out
+    document = json.loads(out.read_text("utf-8"))
+    assert document["schema"] == "sindy-surge/work/1"
+    curve = document["characteristic"]
+    found, error = (np.interp(AT, curve["phi"], curve[key]) for key in ("psi", "stderr"))
+    assert np.all(np.abs(found - TRUE) < 0.2)
+    assert np.all(np.abs(found - TRUE) < 3.0 * error)
+    tau = document["time_constant_s"]
+    assert abs(tau["value"] - 0.018) < 3.0 * tau["stderr"]
+    # Searched breakpoints cost accuracy at the bend, not sense.
+    assert run(*command, "--tau", "18ms") == 0
+    curve = json.loads(out.read_text("utf-8"))["characteristic"]
+    assert np.all(np.abs(np.interp(AT, curve["phi"], curve["psi"]) - TRUE) < 0.35)
+    assert json.loads(out.read_text("utf-8"))["time_constant_s"]["value"] == pytest.approx(0.018)
+
+
+@pytest.mark.parametrize("case", ["95", "985"])
+def test_above_90_percent_there_is_no_psi_and_one_sentence_says_why(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = folder(tmp_path, case, 0)
+    assert run("work", raw / "raw.csv", "--test", raw / "test.toml") == 2
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0
+    for words in ("no T31 that counts, so no W31", "beyond their limits"):
+        assert words in said
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--breakpoints", 0.1, 0.05), "--breakpoints"),
+        (("--breakpoints", -1, 0.05), "--breakpoints"),
+        (("--tau", "18"), "--tau"),
+        (("--json", "no/such/folder/w.json"), "no/such/folder"),
+    ],
+)
+def test_bad_options_are_named(
+    options: tuple[object, ...],
+    named: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    raw = folder(tmp_path, "90", 0)
+    try:
+        code = run("work", raw / "raw.csv", "--test", raw / "test.toml", *options)
+    except SystemExit as stopped:
+        code = int(stopped.code or 0)
+    assert code == 2
+    assert named in capsys.readouterr().err
