@@ -208,6 +208,7 @@ def reconstruction_error_over_tau(
     """
     taus = trial_taus(*(e.tau_s for e in estimates)) if taus_s is None else _increasing(taus_s)
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
+    averaged = terms
     if terms is None:
         terms = np.asarray(polynomial_basis(degree).fit_transform(rows.X))
     if np.count_nonzero(keep) <= terms.shape[1] + 1:
@@ -231,7 +232,8 @@ def reconstruction_error_over_tau(
         best_tau,
         _interval(taus, best_tau, [error for _, error in fits], best, rows, keep),
         min(least, float(refitted[best])),
-        _noise(rows),
+        # With inputs of another kind the rows are averages, whose noise is no longer white.
+        _noise(rows) if averaged is None else math.nan,
         int(np.count_nonzero(keep)),
         rows.target,
         tuple(estimates),

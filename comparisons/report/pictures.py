@@ -242,7 +242,9 @@ def trial_picture(fit: Comparison, truth: Truth | None) -> tuple[Block, ...]:
     return (
         Picture(
             "Reconstruction error over τ",
-            figure_to_data_uri(plot_tau_trial(trial, truth.time_constant_s if truth else None)),
+            figure_to_data_uri(
+                plot_tau_trial(trial, truth.time_constant_s if truth else None, marked_as="truth")
+            ),
             f"Error of the free run over the τ that is held, on {where}; least at "
             f"{1e3 * trial.best_tau_s:.3g} ms, no worse from {low:.3g} to {high:.3g} ms.",
             "As the paper found its 18 ms, by trial. A flat bottom says that the record hardly "

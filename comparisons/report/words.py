@@ -194,10 +194,15 @@ def _best_words(fit: Comparison) -> str:
 
 
 def _tau_range_words(fit: Comparison) -> str:
-    best = fit.table[0]
+    best = next((row for row in fit.table if row.estimator in fit.from_whole_runs), fit.table[0])
     tau = round_to_error(1e3 * best.time_constant_s, 1e3 * best.time_constant_stderr_s)
     all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
     words = f"Its time constant: τ = {tau} ms (standard error)."
+    if best.estimator in fit.from_whole_runs:
+        words = (
+            f"The time constant by {best.label}, from one free run through the unfiltered signals: "
+            f"τ = {tau} ms (standard error)."
+        )
     if not best.time_constant_stderr_s < best.time_constant_s:
         words += " It is not told from zero."
     if len(all_ms) > 1:
