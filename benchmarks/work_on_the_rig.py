@@ -1,6 +1,6 @@
 """ψ_QS of the 90 % case from raw counts on the rig, as `sindy-surge work` fits it.
 
-    python benchmarks/work_on_the_rig.py [--seeds 6] [--first-seed 0] [--json FILE]
+Run as `python benchmarks/work_on_the_rig.py [--seeds 6] [--first-seed 0] [--json FILE]`.
 """
 
 from __future__ import annotations
