@@ -7,7 +7,7 @@ changes between the regimes. The other rows are simulated through.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,19 +96,20 @@ def extend_while_settled(record: Record, window: NDArray[np.bool_]) -> NDArray[n
     """Return the window, extended to both sides over the rows of the same settled machine.
 
     The cycles need not repeat each other for a free run: it ends where N_c leaves 8 % of its
-    median in the window, or where a pressure reading does not count.
+    median in the window, or where a reading in use does not count.
 
     Parameters
     ----------
     record : Record
-        With ``Nc_frac`` and the fault channels of its pressures.
+        With ``Nc_frac`` and the fault channels of its readings.
     window : ndarray of bool, shape (n_samples,)
         Rows of the cycles that repeat each other.
     """
     speed = period_average(record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz)
     good = np.abs(speed / np.median(speed[window]) - 1.0) <= SETTLED_SHARE
     for name in record.channels:
-        if name.startswith("fault_P"):
+        # A channel that was dropped does not count, whatever it reads.
+        if name.startswith("fault_") and name.removeprefix("fault_") in record:
             good &= record[name] == 0.0
     rows = np.flatnonzero(window)
     before = np.flatnonzero(~good[: rows[0]])
@@ -179,18 +180,13 @@ def free_run_rows(
     rows = np.flatnonzero(inside)
     ends[rows[0] + rows_of(END_S) : rows[-1] + 1 - rows_of(END_S)] = False
     scored = inside & stalled & ~backward & ~switching & ~ends
-    entry = _entry(record, phi, inside, stalled, backward, switching, scored, period_s, rule)
     if not has_cells:
         flags += (
             "no line of rotating stall stands out of the spectrum of P25: averages are taken over "
             f"{1e3 * PLAIN_PERIOD_S:g} ms",
         )
-    return FreeRunRows(
-        stalled,
-        inside,
-        scored,
-        LedgerEntry(entry.step, entry.did, entry.parameters, entry.dropped, flags),
-    )
+    entry = _entry(record, phi, inside, stalled, backward, switching, scored, period_s, rule)
+    return FreeRunRows(stalled, inside, scored, replace(entry, flags=flags))
 
 
 def _state(

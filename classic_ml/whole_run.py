@@ -43,6 +43,8 @@ __all__ = [
     "whole_run_rows",
 ]
 
+# Where the line of the unstalled branch is levelled, the same for all records of a fit.
+UNSTALLED_PHI = 0.25
 # Width of the average that tells the reversed flow behind the loss term, in seconds.
 LOSS_AVERAGE_S = 0.005
 # Errors that all cycles of a record share and no jackknife over cycles sees: the calibration
@@ -65,8 +67,10 @@ class WholeRunRows:
         Averaged flow coefficient.
     terms : ndarray of shape (n, q)
         The s_i(φ) in stall, averaged after they were formed.
-    nuisance : ndarray of shape (n, p)
-        What carries the state through unstalled and reversed rows.
+    nuisance : ndarray of shape (n, 4)
+        What carries the state through unstalled and reversed rows: level and slope of the
+        unstalled branch, the loss in reversed flow and its derivative. A column is zero where a
+        record has no such rows.
     psi_p : ndarray of shape (n,)
         Averaged ψ'.
     weight : ndarray of shape (n,)
@@ -131,6 +135,8 @@ class WholeRunFit:
         The fit behind it, over the averaged terms and the nuisances.
     rows_ : tuple of WholeRunRows
         What was fitted.
+    kept_ : tuple of int
+        Columns of terms and nuisances that the fit used.
     """
 
     time_constant_s_: float
@@ -144,6 +150,7 @@ class WholeRunFit:
     fit_state_: FitState
     model_: LagRegressor
     rows_: tuple[WholeRunRows, ...]
+    kept_: tuple[int, ...]
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
@@ -154,6 +161,7 @@ class WholeRunFit:
     def stacked(self) -> tuple[StackedRuns, NDArray[np.bool_]]:
         """Return what was fitted, and which rows were scored."""
         X, y, weight, labels = _stacked(self.rows_)
+        X = X[:, self.kept_]
         stacked = StackedRuns(
             np.concatenate([row.phi for row in self.rows_]),
             y,
@@ -173,9 +181,10 @@ class WholeRunFit:
         stated_phi : tuple of float
             Range of φ in which the curve is stated.
         """
-        if not self.n_scored_ or not math.isfinite(self.model_.time_constant_s_):
+        if not math.isfinite(self.time_constant_s_):
             return ()
         X, y, weight, labels = _stacked(self.rows_)
+        X = X[:, self.kept_]
         fit = linearised_fit(self.model_, X, y, labels, weight)
         phi = np.concatenate([row.phi for row in self.rows_])[fit.rows]
         pieces = list(fit.pieces)
@@ -237,20 +246,17 @@ def whole_run_rows(series: CoefficientSeries, degree: int = 2) -> WholeRunRows:
         return period_average(values, period_s, rate)
 
     inside = series.free_run > 0
-    unstalled = phi[inside & ~series.stalled]
-    centre = float(np.mean(unstalled)) if unstalled.size else 0.0
     powers = [average(stalled * phi**power) for power in range(degree + 1)]
-    other = [average(1.0 - stalled), average((1.0 - stalled) * (phi - centre))]
+    other = [average(1.0 - stalled), average((1.0 - stalled) * (phi - UNSTALLED_PHI))]
     smooth = period_average(phi, LOSS_AVERAGE_S, rate)
     loss = average(stalled * np.where(smooth < 0.0, smooth**2, 0.0))
     # An unlagged loss e is the answer of the lag to e + τ de/dt: with its derivative beside it the
     # term acts without the lag for any τ.
     nuisance = [*other, loss, np.gradient(loss)]
-    keep = [column for column in nuisance if np.ptp(column[inside]) > 1e-9]
     return WholeRunRows(
         average(phi)[inside],
         np.column_stack(powers)[inside],
-        np.column_stack([*keep, np.zeros((phi.size, 0))])[inside],
+        np.column_stack(nuisance)[inside],
         average(psi_p)[inside],
         (series.free_run[inside] == 2).astype(np.float64),
         series.time_s[inside],
@@ -292,7 +298,7 @@ def fit_whole_runs(
         When a series lacks the unfiltered columns.
     """
     rows = tuple(whole_run_rows(record, degree) for record in records)
-    n_nuisance = max(row.nuisance.shape[1] for row in rows)
+    _check_rates(records)
     if until_s is not None:
         rows = tuple(
             WholeRunRows(
@@ -306,7 +312,12 @@ def fit_whole_runs(
             )
             for row, end in zip(rows, until_s, strict=True)
         )
-    X, y, weight, labels = _stacked(rows, n_nuisance)
+    X, y, weight, labels = _stacked(rows)
+    # Nuisances of which no record has anything would make the fit look rank deficient.
+    n_terms = degree + 1
+    moving = np.ptp(X[:, n_terms:], axis=0) > 1e-9
+    kept = (*range(n_terms), *(n_terms + np.flatnonzero(moving)).tolist())
+    X = X[:, kept]
     model = LagRegressor(
         records[0].sample_period_s,
         noise="output-error",
@@ -315,9 +326,27 @@ def fit_whole_runs(
         time_constant_s=time_constant_s,
     )
     if not np.any(weight > 0.0):
-        weight = np.ones_like(weight)
+        return _refusal(model, rows, degree)
     model.fit(X, y, segments=labels, sample_weight=weight)
-    return _result(model, rows, degree, y[weight > 0.0], held=time_constant_s is not None)
+    return _result(model, rows, degree, y[weight > 0.0], kept, held=time_constant_s is not None)
+
+
+def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -> WholeRunFit:
+    """Without a row to score: nothing is fitted, not even to the rows that are held out."""
+    return WholeRunFit(
+        math.nan,
+        math.nan,
+        _names(degree),
+        np.zeros(degree + 1),
+        np.full((degree + 1, degree + 1), math.nan),
+        degree,
+        0,
+        0,
+        FitState.BLOWDOWN,
+        model,
+        rows,
+        (),
+    )
 
 
 def _result(
@@ -325,6 +354,7 @@ def _result(
     rows: tuple[WholeRunRows, ...],
     degree: int,
     scored_psi_p: FloatArray,
+    kept: tuple[int, ...],
     *,
     held: bool,
 ) -> WholeRunFit:
@@ -338,13 +368,14 @@ def _result(
     if not held:
         stderr_s = math.hypot(stderr_s, COMMON_TAU_SHARE * tau_s)
     if n_scored < max(LEAST_SCORED_SHARE * in_stall, LEAST_SCORED_ROWS):
-        state, tau_s, stderr_s = FitState.BLOWDOWN, math.nan, math.nan
+        state = FitState.BLOWDOWN
         covariance[:] = math.nan
-    basis = polynomial_basis(degree).fit(np.zeros((2, 1)))
+        # A held τ was not read from these rows.
+        tau_s, stderr_s = (tau_s, stderr_s) if held else (math.nan, math.nan)
     return WholeRunFit(
         tau_s,
         stderr_s,
-        term_names(basis, ["phi"], n_terms),
+        _names(degree),
         model.coef_[:n_terms],
         covariance,
         degree,
@@ -353,24 +384,35 @@ def _result(
         state,
         model,
         rows,
+        kept,
     )
 
 
+def _names(degree: int) -> list[str]:
+    basis = polynomial_basis(degree).fit(np.zeros((2, 1)))
+    return term_names(basis, ["phi"], degree + 1)
+
+
 def _stacked(
-    rows: Sequence[WholeRunRows], n_nuisance: int | None = None
+    rows: Sequence[WholeRunRows],
 ) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
-    width = n_nuisance or max(row.nuisance.shape[1] for row in rows)
-    blocks = []
-    for row in rows:
-        nuisance = np.zeros((row.phi.size, width))
-        nuisance[:, : row.nuisance.shape[1]] = row.nuisance
-        blocks.append(np.column_stack([row.terms, nuisance]))
     return (
-        np.concatenate(blocks),
+        np.concatenate([np.column_stack([row.terms, row.nuisance]) for row in rows]),
         np.concatenate([row.psi_p for row in rows]),
         np.concatenate([row.weight for row in rows]),
         np.concatenate([np.full(row.phi.size, i) for i, row in enumerate(rows)]),
     )
+
+
+def _check_rates(records: Sequence[CoefficientSeries]) -> None:
+    periods = [record.sample_period_s for record in records]
+    if not periods or max(periods) - min(periods) > 1e-6 * periods[0]:
+        raise InputError(
+            ", ".join(record.source for record in records) or "records",
+            expected="records of one sample rate",
+            found=" and ".join(f"{1.0 / period:g} Hz" for period in periods) or "none",
+            remedy="fit them one at a time",
+        )
 
 
 def _identity() -> object:

@@ -227,7 +227,10 @@ def _compare(
 
 
 def _models(comparison: Comparison, work: Comparison | None) -> dict[str, FittedLag]:
-    models = {result.name: result.model for result in comparison.results}
+    # A refused fit is no model: nothing may be reconstructed with it later.
+    models = {
+        result.name: result.model for result in comparison.results if result.state != "blowdown"
+    }
     if work is not None:
         models.update({f"{result.name}:psi": result.model for result in work.results})
     return models

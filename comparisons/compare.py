@@ -1,4 +1,8 @@
-"""Several estimators on the same rows: fits, reconstructions, held-out scores, and the table."""
+"""Several estimators side by side: fits, reconstructions, held-out scores, and the table.
+
+All are scored on the same rows, those of the series' segments. They are fitted to these too, but
+for one that takes whole unfiltered records where the series carry them.
+"""
 
 from __future__ import annotations
 
@@ -149,9 +153,26 @@ class Comparison:
     cautions: tuple[str, ...]
 
     @property
-    def from_whole_runs(self) -> tuple[str, ...]:
-        """Keys of the estimators that were fitted to whole unfiltered records."""
-        return tuple(result.name for result in self.results if result.whole_run is not None)
+    def quotable(self) -> tuple[str, ...]:
+        """Keys of the estimators whose τ is free of what a low-pass does: fitted, and measured.
+
+        From whole unfiltered records, not refused, not held, and told from zero.
+        """
+        return tuple(
+            result.name
+            for result in self.results
+            if result.whole_run is not None
+            and result.converged
+            and 0.0 < 2.0 * result.model.time_constant_stderr_s < result.model.time_constant_s
+        )
+
+    @property
+    def has_whole_run(self) -> bool:
+        """Whether an estimator was fitted to whole unfiltered records and not refused."""
+        return any(
+            result.whole_run is not None and math.isfinite(result.model.time_constant_s)
+            for result in self.results
+        )
 
     def result(self, name: str) -> EstimatorResult:
         """Return the result of one estimator."""

@@ -41,7 +41,7 @@ def _body(comparison: Comparison) -> dict[str, Any]:
     tau = (
         tau_caution(
             (record.history for record in comparison.records),
-            from_whole_runs=comparison.from_whole_runs,
+            from_whole_runs=comparison.quotable,
         )
         if pressure
         else None

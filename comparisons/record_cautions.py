@@ -10,6 +10,7 @@ import numpy as np
 
 from classic_ml.first_order_lag import Hold
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import has_whole_run
 from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS, FitRows
 from comparisons.fit_warnings import drift_of, drift_warnings, filter_warnings, noise_model_warnings
 from comparisons.tau_trial import TauEstimate
@@ -42,7 +43,8 @@ def told_time_constants(results: tuple[EstimatorResult, ...]) -> list[float]:
     return [
         m.time_constant_s
         for m in models
-        if math.isfinite(m.time_constant_s) and m.time_constant_s > 2.0 * m.time_constant_stderr_s
+        if math.isfinite(m.time_constant_s)
+        and 0.0 < 2.0 * m.time_constant_stderr_s < m.time_constant_s
     ]
 
 
@@ -92,6 +94,13 @@ def comparison_cautions(
             f"{who} put τ between {1e3 * min(taus):.3g} and {1e3 * max(taus):.3g} ms: what they "
             "disagree on is not measured by those rows"
         )
+    if rows.target == "psi_p" and not any(result.whole_run for result in results):
+        without = [record.source for record in records if not has_whole_run(record)]
+        if any(result.name == "classic_ml" for result in results) and without:
+            cautions.append(
+                f"classic_ml was fitted to the rows (armax): {', '.join(without)} without the "
+                "unfiltered columns and the ledger entry that `sindy-surge reduce` writes"
+            )
     cautions += _fit_cautions(records, rows, results, degree=degree, hold=hold, held=held)
     return tuple(dict.fromkeys(cautions))
 

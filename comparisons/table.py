@@ -197,7 +197,7 @@ def comparison_table(comparison: Comparison) -> str:
         tau_caution(
             (record.history for record in comparison.records),
             target=target,
-            from_whole_runs=comparison.from_whole_runs,
+            from_whole_runs=comparison.quotable,
         ),
     )
     known = (*filter(None, general), *grouped_cautions(comparison.cautions))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
@@ -23,6 +24,7 @@ WORK_SCHEMA = "sindy-surge/work/1"
 # Slopes over less than this share of the range cannot be told from the errors of φ.
 LEAST_PIECE = 0.25
 GRID_POINTS = 7
+FEWEST_ROWS = 60
 
 
 def fit_work(
@@ -73,14 +75,21 @@ def fit_work(
 
     if breakpoints is not None:
         return fitted(breakpoints)
-    scored = reduction.series.free_run == 2
-    low, high = np.percentile(reduction.series.phi[scored], [5.0, 95.0])
-    grid = np.round(np.linspace(low, high, GRID_POINTS + 2)[1:-1], 3)
-    pairs = [
-        pair for pair in combinations(grid, 2) if np.diff(pair)[0] >= LEAST_PIECE * (high - low)
-    ]
-    fits = [fitted((float(a), float(b))) for a, b in pairs]
-    return min(fits, key=lambda fit: fit.residual_std)
+    phi = reduction.series.phi[reduction.record["free_run"] == 2.0]
+    if phi.size < FEWEST_ROWS:
+        raise InputError(
+            f"{record.source}: ψ",
+            expected=f"at least {FEWEST_ROWS} rows of forward flow in stall",
+            found=f"{phi.size}",
+            remedy="name a longer [window] in the test description",
+        )
+    low, high = np.percentile(phi, [5.0, 95.0])
+    apart = LEAST_PIECE * (high - low)
+    # A little off the grid's own spacing, so that rounding decides nothing.
+    grid = np.linspace(low, high, GRID_POINTS + 2)[1:-1]
+    pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
+    fits = [fitted(pair) for pair in pairs]
+    return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
 
 
 def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
@@ -133,10 +142,12 @@ def work_table(fit: WorkCharacteristic) -> str:
     from comparisons.rounding import bracketed, round_to_error
 
     low, high = fit.valid_phi
+    if not math.isfinite(high):
+        return f"ψ_QS is not stated: {fit.n_cycles} cycles. {fit.fit_state.advice}\n{fit.entry.did}"
     lines = [
         f"work characteristic ψ_QS from {fit.n_scored} rows in {fit.n_cycles} cycles, φ "
         f"{low:.3f} to {high:.3f}, pieces meeting at φ "
-        + " and ".join(f"{point:g}" for point in fit.breakpoints),
+        + " and ".join(f"{point:.3g}" for point in fit.breakpoints),
         "τ = "
         + bracketed(1e3 * fit.time_constant_s, 1e3 * fit.time_constant_stderr_s)
         + f" ms; {fit.fit_state.advice}",
@@ -190,5 +201,6 @@ def _pair(values: Iterable[float] | None) -> tuple[float, float] | None:
 
 
 def _curve(fit: WorkCharacteristic) -> tuple[FloatArray, FloatArray, FloatArray]:
-    phi = np.round(np.arange(0.0, max(fit.valid_phi[1], 0.01) + 0.005, 0.01), 3)
+    last = fit.valid_phi[1] if math.isfinite(fit.valid_phi[1]) else 0.0
+    phi = np.round(np.arange(0.0, max(last, 0.01) + 0.005, 0.01), 3)
     return (phi, *fit.characteristic(phi))

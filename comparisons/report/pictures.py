@@ -236,7 +236,7 @@ def trial_picture(fit: Comparison, truth: Truth | None) -> tuple[Block, ...]:
     low, high = (1e3 * edge for edge in trial.interval_s)
     where = (
         "the scored rows of the free run through the unfiltered signals"
-        if fit.from_whole_runs
+        if fit.has_whole_run
         else "the fitted rows, from each segment's own start"
     )
     return (

@@ -48,7 +48,7 @@ def tau_words(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Wor
     """
     fitted = any(fit.rows.target == "psi_p" for fit in fits)
     target = "psi_p" if fitted else "psi"
-    whole = tuple(dict.fromkeys(name for fit in fits for name in fit.from_whole_runs))
+    whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
     caution = tau_caution(_histories(section, fits), target=target, from_whole_runs=whole)
     return () if caution is None else (Words(caution[0].upper() + caution[1:], "caution"),)
 
@@ -194,11 +194,11 @@ def _best_words(fit: Comparison) -> str:
 
 
 def _tau_range_words(fit: Comparison) -> str:
-    best = next((row for row in fit.table if row.estimator in fit.from_whole_runs), fit.table[0])
+    best = next((row for row in fit.table if row.estimator in fit.quotable), fit.table[0])
     tau = round_to_error(1e3 * best.time_constant_s, 1e3 * best.time_constant_stderr_s)
     all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
     words = f"Its time constant: τ = {tau} ms (standard error)."
-    if best.estimator in fit.from_whole_runs:
+    if best.estimator in fit.quotable:
         words = (
             f"The time constant by {best.label}, from one free run through the unfiltered signals: "
             f"τ = {tau} ms (standard error)."

@@ -123,6 +123,12 @@ def test_a_record_of_one_blowdown_after_another_is_refused(folder: Path) -> None
     assert "none is stated" in result.advice
     document = comparison_document(comparison)["estimators"]["classic_ml"]
     assert np.isnan(document["time_constant_s"]["value"])
+    # Nothing recommends, checks or keeps a refused number.
+    assert comparison.quotable == ()
+    assert document["checks"] == []
+    assert not any(
+        "which τ to quote" in words for words in comparison_document(comparison)["cautions"]
+    )
 
 
 def test_tau_held_at_a_trial_value(folder: Path) -> None:

@@ -81,3 +81,28 @@ def test_bad_options_are_named(
         code = int(stopped.code or 0)
     assert code == 2
     assert named in capsys.readouterr().err
+
+
+def test_a_record_without_cycles_is_answered_without_a_curve(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw, out = folder(tmp_path, "75-stall", 1), tmp_path / "w.json"
+    assert run("work", raw / "raw.csv", "--test", raw / "test.toml", "--json", out) == 0
+    assert "ψ_QS is not stated" in capsys.readouterr().out
+    assert json.loads(out.read_text("utf-8"))["time_constant_s"]["value"] is None
+
+
+@pytest.mark.parametrize("window", ["from_s = 2.0\nto_s = 2.02", "from_s = 2.0\nto_s = 2.1"])
+def test_a_window_of_a_few_rows_is_no_traceback(
+    window: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = folder(tmp_path, "90", 1)
+    test = raw / "test.toml"
+    test.write_text(test.read_text("utf-8") + f"\n[window]\n{window}\n", "utf-8")
+    code = run("work", raw / "raw.csv", "--test", test)
+    said = capsys.readouterr()
+    assert (code, "rows of forward flow" in said.err) in ((2, True), (2, False), (0, False))
+    if code == 0:
+        assert "not stated" in said.out
+    else:
+        assert said.err.strip().count("\n") == 0
