@@ -228,7 +228,9 @@ def _entry(
         (
             reversed_rows,
             "reversed flow: the plenum blows down while φ stays near "
-            f"{pinned:.3f}, and the loss acts without the lag",
+            f"{pinned:.3f}, and the loss acts without the lag"
+            if pinned < 0.0
+            else "flow near zero, inside the dead band of the probes",
         ),
         (smeared, "the average smears them across stall entry or recovery"),
         (unstalled, "unstalled"),

@@ -214,7 +214,7 @@ def reduce_record(
     record = _with_channels(record, unfiltered)
     record = _segmented(record, test, chosen, window)
     named = chosen.window_s is not None or test.window_s is not None
-    record = _with_free_run(record, plain, window, named=named)
+    record = _with_free_run(record, plain, window, chosen.probes, named=named)
     return Reduction(_series(record), record, chosen, test, window_s)
 
 
@@ -327,13 +327,22 @@ def _cell_period_s(
 
 
 def _with_free_run(
-    record: Record, plain: Record, window: NDArray[np.bool_], *, named: bool
+    record: Record, plain: Record, window: NDArray[np.bool_], probes: str, *, named: bool
 ) -> Record:
     """Mark the rows of the free run; a window that somebody named is taken as it is."""
     unfiltered = _with_channels(plain, [record.channel("P25_unfiltered_Pa")])
     inside = window if named else extend_while_settled(unfiltered, window)
     rows = free_run_rows(unfiltered, plain["phi"], window, inside, record["in_stall"] > 0.5)
-    return record.after(rows.entry, add=rows.channels)
+    entry = rows.entry
+    if probes != "all":
+        flag = (
+            f"the flow is that of the {probes} alone, not of the plane: the shift between hub and "
+            "tip enters φ, and neither the curve nor the time constant can be quoted"
+        )
+        entry = replace(
+            entry, parameters={**entry.parameters, "probes": probes}, flags=(*entry.flags, flag)
+        )
+    return record.after(entry, add=rows.channels)
 
 
 def _with_channels(record: Record, channels: list[Channel]) -> Record:

@@ -45,6 +45,10 @@ __all__ = [
 
 # Where the line of the unstalled branch is levelled, the same for all records of a fit.
 UNSTALLED_PHI = 0.25
+# The slowest cells that turn, some 10 Hz: a longer average would be one over surge itself.
+LONGEST_AVERAGE_S = 0.1
+# A filtered signal and its original agree to 0.9 and more, even under strong stall cells.
+LEAST_LIKENESS = 0.5
 # Width of the average that tells the reversed flow behind the loss term, in seconds.
 LOSS_AVERAGE_S = 0.005
 # Errors that all cycles of a record share and no jackknife over cycles sees: the calibration
@@ -246,6 +250,7 @@ def whole_run_rows(series: CoefficientSeries, degree: int = 2) -> WholeRunRows:
         return period_average(values, period_s, rate)
 
     inside = series.free_run > 0
+    _check_alike(series, inside)
     powers = [average(stalled * phi**power) for power in range(degree + 1)]
     other = [average(1.0 - stalled), average((1.0 - stalled) * (phi - UNSTALLED_PHI))]
     smooth = period_average(phi, LOSS_AVERAGE_S, rate)
@@ -424,5 +429,33 @@ def _identity() -> object:
 def _average_s(series: CoefficientSeries) -> float | None:
     for entry in reversed(series.history):
         if entry.step == "free run" and "average_s" in entry.parameters:
-            return float(entry.parameters["average_s"])
+            return _checked_average_s(series, entry.parameters["average_s"])
     return None
+
+
+def _checked_average_s(series: CoefficientSeries, found: object) -> float:
+    low, high = 2.0 * series.sample_period_s, LONGEST_AVERAGE_S
+    if isinstance(found, int | float) and not isinstance(found, bool) and low <= found <= high:
+        return float(found)
+    raise InputError(
+        f"{series.source}: ledger, step 'free run', average_s",
+        expected=f"a number of seconds from {low:g} to {high:g}",
+        found=repr(found),
+        remedy="reduce the record again",
+    )
+
+
+def _check_alike(series: CoefficientSeries, inside: NDArray[np.bool_]) -> None:
+    """Refuse unfiltered columns that are not those of the filtered ones beside them."""
+    for name in ("phi", "psi_p"):
+        filtered, plain = (
+            getattr(series, name)[inside],
+            getattr(series, f"{name}_unfiltered")[inside],
+        )
+        if np.ptp(plain) == 0.0 or np.corrcoef(filtered, plain)[0, 1] < LEAST_LIKENESS:
+            raise InputError(
+                f"{series.source}: column {name}_unfiltered",
+                expected=f"the signal that {name} was filtered from",
+                found="another one",
+                remedy="reduce the record again",
+            )

@@ -242,7 +242,7 @@ def _check_targets(inputs: Sequence[Path], *targets: tuple[Path | None, tuple[st
     for path, suffixes in wanted:
         check_target(path, suffixes)
     check_apart(
-        [*inputs, *(ledger_path(path) for path in inputs)],
+        [*inputs, *(ledger_path(path) for path in inputs if path.name)],
         [*(path for path, _ in wanted)],
     )
 

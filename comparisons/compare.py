@@ -29,7 +29,12 @@ from comparisons.fit_quality import (
 )
 from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
-from comparisons.record_cautions import TAU_AGREEMENT, comparison_cautions, told_time_constants
+from comparisons.record_cautions import (
+    TAU_AGREEMENT,
+    comparison_cautions,
+    spread_speeds,
+    told_time_constants,
+)
 
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
 
@@ -156,13 +161,18 @@ class Comparison:
     def quotable(self) -> tuple[str, ...]:
         """Keys of the estimators whose τ is free of what a low-pass does: fitted, and measured.
 
-        From whole unfiltered records, not refused, not held, and told from zero.
+        From whole unfiltered records of one speed, with all probes and the stall state from hub and
+        tip, φ joined by lines, not refused, not held, told from zero and with φ over its range.
         """
+        if spread_speeds(self.records) or not all(map(_is_clean_run, self.records)):
+            return ()
         return tuple(
             result.name
             for result in self.results
             if result.whole_run is not None
             and result.converged
+            and result.model.hold == "first"
+            and all(check.passed for check in result.checks if check.check == "phi_coverage")
             and 0.0 < 2.0 * result.model.time_constant_stderr_s < result.model.time_constant_s
         )
 
@@ -230,6 +240,16 @@ def compare_records(
         comparison_cautions(
             records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
         ),
+    )
+
+
+def _is_clean_run(record: CoefficientSeries) -> bool:
+    """Tell whether the ledger shows a free run on all probes, with the state from hub and tip."""
+    return any(
+        entry.step == "free run"
+        and entry.parameters.get("stall_rule", "hub-tip") == "hub-tip"
+        and entry.parameters.get("probes", "all") == "all"
+        for entry in record.history
     )
 
 

@@ -18,7 +18,7 @@ from comparisons.tau_trial import TauEstimate
 if TYPE_CHECKING:
     from comparisons.compare import EstimatorResult
 
-__all__ = ["TAU_AGREEMENT", "comparison_cautions", "told_time_constants"]
+__all__ = ["TAU_AGREEMENT", "comparison_cautions", "spread_speeds", "told_time_constants"]
 
 # A surge cycle lasts a tenth of a second to a few: slower than this none is seen, and faster no
 # rake follows.
@@ -29,6 +29,18 @@ SPEED_SPREAD = 0.03
 TAU_AGREEMENT = 0.15
 # The estimators that differ in the noise model alone; `paper` is armax wherever it stands.
 NOISE_KINDS = ("paper", "classic_ml_arx", "classic_ml_output_error")
+
+
+def spread_speeds(records: Sequence[CoefficientSeries]) -> list[float]:
+    """Return the corrected speeds of records that are too far apart for one curve, else none.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        The records.
+    """
+    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
+    return speeds if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD else []
 
 
 def told_time_constants(results: tuple[EstimatorResult, ...]) -> list[float]:
@@ -97,9 +109,10 @@ def comparison_cautions(
     if rows.target == "psi_p" and not any(result.whole_run for result in results):
         without = [record.source for record in records if not has_whole_run(record)]
         if any(result.name == "classic_ml" for result in results) and without:
-            cautions.append(
+            cautions.insert(
+                0,
                 f"classic_ml was fitted to the rows (armax): {', '.join(without)} without the "
-                "unfiltered columns and the ledger entry that `sindy-surge reduce` writes"
+                "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
             )
     cautions += _fit_cautions(records, rows, results, degree=degree, hold=hold, held=held)
     return tuple(dict.fromkeys(cautions))
@@ -160,8 +173,8 @@ def _record_cautions(records: Sequence[CoefficientSeries]) -> list[str]:
                     f"{record.source} holds the same rows as {other.source}: errors are stated "
                     "too small"
                 )
-    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
-    if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD:
+    speeds = spread_speeds(records)
+    if speeds:
         cautions.append(
             f"the records lie between {100 * min(speeds):.0f} and {100 * max(speeds):.0f} % "
             "corrected speed: one curve is fitted to all of them"

@@ -84,6 +84,8 @@ def _tau(row: ComparisonRow, _: EstimatorResult) -> str:
 
 def _interval(row: ComparisonRow, result: EstimatorResult) -> str:
     low, high = result.model.ci95_s
+    if row.time_constant_stderr_s == 0.0:
+        return "held"
     if not (math.isfinite(low) and math.isfinite(high)):
         return NOT_KNOWN
     if not row.time_constant_stderr_s < row.time_constant_s:

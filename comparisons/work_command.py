@@ -131,13 +131,15 @@ def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
     }
 
 
-def work_table(fit: WorkCharacteristic) -> str:
+def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     """Return the fit as text.
 
     Parameters
     ----------
     fit : WorkCharacteristic
         The fit.
+    searched : bool
+        The breakpoints were searched: then the errors do not say all.
     """
     from comparisons.rounding import bracketed, round_to_error
 
@@ -156,6 +158,11 @@ def work_table(fit: WorkCharacteristic) -> str:
     inside = [(p, v, s) for p, v, s in zip(*_curve(fit), strict=True) if low <= p <= high]
     lines += [f"{p:.3f}   {round_to_error(v, s)}" for p, v, s in inside]
     lines.append(fit.entry.did)
+    if searched:
+        lines.append(
+            "the breakpoints were searched: errors of the curve do not contain this choice and are "
+            "two to three times too small; name them with --breakpoints where they are known"
+        )
     return "\n".join(lines)
 
 
@@ -181,7 +188,7 @@ def run_work(arguments: argparse.Namespace) -> None:
         breakpoints=_pair(arguments.breakpoints),
         time_constant_s=arguments.tau,
     )
-    print(work_table(fit))
+    print(work_table(fit, searched=arguments.breakpoints is None))
     if arguments.json:
         write_whole(arguments.json, to_strict_json(work_document(fit, str(Path(arguments.raw)))))
         print(f"numbers: {arguments.json}")
@@ -194,7 +201,7 @@ def _pair(values: Iterable[float] | None) -> tuple[float, float] | None:
     if not 0.0 < first < second < 1.0:
         raise InputError(
             "--breakpoints",
-            expected="two flow coefficients above 0, the smaller first",
+            expected="two flow coefficients between 0 and 1, the smaller first",
             found=f"{first:g} {second:g}",
         )
     return first, second

@@ -144,7 +144,7 @@ def test_what_is_held_out_does_not_reach_the_fit() -> None:
     spoilt[3000:] += 5.0
     fits = [
         fit_whole_runs([one], until_s=[2.9])
-        for one in (record, replace(record, psi_p_unfiltered=spoilt))
+        for one in (record, replace(record, psi_p_unfiltered=spoilt, psi_p=spoilt))
     ]
     assert fits[0].time_constant_s_ == pytest.approx(fits[1].time_constant_s_, rel=1e-6)
 
@@ -207,6 +207,21 @@ def test_a_series_without_the_columns_is_told() -> None:
         whole_run_rows(record)
     with pytest.raises(InputError, match="ledger"):
         whole_run_rows(replace(series(0), history=()))
+
+
+@pytest.mark.parametrize("found", ["x", None, float("nan"), 12.12, 0, -1.0, True])
+def test_an_average_that_cannot_be_is_refused_with_its_place(found: object) -> None:
+    entry = LedgerEntry("free run", "", {"average_s": found})  # type: ignore[dict-item]
+    with pytest.raises(InputError, match="average_s"):
+        fit_whole_runs([replace(series(0), history=(entry,))])
+
+
+@pytest.mark.parametrize("name", ["phi_unfiltered", "psi_p_unfiltered"])
+def test_columns_of_another_signal_are_refused(name: str) -> None:
+    record = series(0)
+    other = np.random.default_rng(0).permutation(getattr(record, name))
+    with pytest.raises(InputError, match=name):
+        fit_whole_runs([replace(record, **{name: other})])
 
 
 def test_near_reaches_before_and_behind() -> None:

@@ -443,3 +443,14 @@ def test_the_demo_leaves_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixt
     at_a_file = tmp_path / "file"
     at_a_file.write_text("")
     assert "folder" in refused(capsys, "demo", "--out", at_a_file)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("compare", "."), ("reduce", ".", "--test", ".", "-o", "x.csv"), ("reconstruct", ".", ".")],
+)
+def test_a_folder_for_a_file_is_named(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*command) == 2
+    assert capsys.readouterr().err.strip().count("\n") == 0

@@ -131,6 +131,28 @@ def test_a_record_of_one_blowdown_after_another_is_refused(folder: Path) -> None
     )
 
 
+@pytest.mark.parametrize("probes", ["tip", "hub"])
+def test_with_half_of_the_probes_no_tau_is_recommended(probes: str, folder: Path) -> None:
+    """The shift between hub and tip then stands in φ: 8 to 12 ms of the tip, 26 to 30 of the hub."""
+    own_series("985", 0, folder)
+    files = folder / "985_0"
+    raw = read_raw(files / "raw.csv", files / "test.toml")
+    series = reduce_record(*raw, ReductionSettings(probes=probes)).series
+    comparison = compare_records([series], estimators=only("classic_ml"))
+    assert abs(comparison.result("classic_ml").model.time_constant_s - TAU_S) > 0.004
+    assert comparison.quotable == ()
+    assert any(f"that of the {probes} alone" in caution for caution in comparison.cautions)
+
+
+def test_two_speeds_or_zero_hold_recommend_no_tau(folder: Path) -> None:
+    main, slow = own_series("985", 0, folder), own_series("90", 0, folder)
+    both = compare_records([main, slow], estimators=only("classic_ml"))
+    assert both.quotable == ()
+    zero = default_estimators(hold="zero")[:1]
+    assert compare_records([main], hold="zero", estimators=zero).quotable == ()
+    assert compare_records([main], estimators=only("classic_ml")).quotable == ("classic_ml",)
+
+
 def test_tau_held_at_a_trial_value(folder: Path) -> None:
     series = own_series("985", 0, folder)
     comparison = compare_records([series], estimators=default_estimators(time_constant_s=0.018)[:2])
