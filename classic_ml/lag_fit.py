@@ -51,7 +51,12 @@ class LagFit:
     ripple : ndarray of shape (n_runs, 2 n_frequencies)
         Sine and cosine amplitudes.
     moves : ndarray of shape (n_blocks, 2 + q)
-        What leaving out each block does to log τ, dead time and β.
+        By how much each block moves log τ, dead time and β.
+    back : ndarray of shape (q, r)
+        What turns coefficients of nearly orthogonal terms into β.
+    curve_moves : ndarray of shape (n_blocks, r)
+        Moves of those coefficients, their mean taken out. In powers of φ the moves of β all but
+        cancel in those of the curve; these do not.
     cost : float
         Sum of squared weighted errors.
     n_errors, n_lags : int
@@ -67,6 +72,8 @@ class LagFit:
     drift: FloatArray
     ripple: FloatArray
     moves: FloatArray
+    back: FloatArray
+    curve_moves: FloatArray
     cost: float
     n_errors: int
     n_lags: int
@@ -209,7 +216,9 @@ def _finished(fit: Fit, conditioned: Conditioned, state: FitState, n_lags: int) 
     at, problem = fit.at, fit.at.problem
     n_shape, q = problem.n_shape, problem.terms.shape[0]
     bread = pseudo_inverse(at.reduced[:-1, :-1])
-    moves, means = leave_out_moves(
+    point = at.moved(np.concatenate([np.zeros(n_shape), fit.linear]), fit.shape)
+    hats = point.hats
+    moves, level_moves = leave_out_moves(
         at.cells,
         problem.columns,
         at.grams,
@@ -218,16 +227,18 @@ def _finished(fit: Fit, conditioned: Conditioned, state: FitState, n_lags: int) 
         at.start_weight,
         at.point.starts,
         problem.constrained,
+        problem.weight,
+        hats,
+        at.mean,
     )
-    point = at.moved(np.concatenate([np.zeros(n_shape), fit.linear]), fit.shape)
-    level, beta_moves = 0.0, moves[:, n_shape:] @ conditioned.back.T
-    coef = conditioned.back @ point.beta
-    hats = point.hats
+    level, back, curve_moves = 0.0, conditioned.back, moves[:, n_shape:]
+    coef = back @ point.beta
     weight = float(at.mean.sum())
     if conditioned.constant is not None and weight > 0.0:
         level = float(at.mean @ hats) / weight
         coef = coef + level * conditioned.constant
-        beta_moves = beta_moves + np.outer(means / weight, conditioned.constant)
+        back = np.column_stack([back, conditioned.constant])
+        curve_moves = np.column_stack([curve_moves, level_moves])
     shape_moves = np.zeros((moves.shape[0], 2))
     shape_moves[:, 0] = 0.0 if problem.fixed_tau else moves[:, 0]
     if problem.fit_dead:
@@ -242,7 +253,9 @@ def _finished(fit: Fit, conditioned: Conditioned, state: FitState, n_lags: int) 
         MovingAverage(point.free).coefficients,
         _centred(problem, hats - level),
         point.ripple,
-        np.column_stack([shape_moves, beta_moves]),
+        np.column_stack([shape_moves, curve_moves @ back.T]),
+        back,
+        curve_moves - curve_moves.mean(axis=0),
         fit.cost,
         at.cells.n_errors,
         n_lags,

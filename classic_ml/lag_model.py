@@ -11,24 +11,22 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
-from classic_ml.conditioning import Conditioned, condition
-from classic_ml.drift import knots_of
+from classic_ml.conditioning import condition
 from classic_ml.errors import InputError
 from classic_ml.first_order_lag import FirstOrderLag, Hold
 from classic_ml.fit_state import FitState
 from classic_ml.lag_fit import LagFit, fit_lag
+from classic_ml.lag_setup import lag_problem, ripple_frequencies
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
 from classic_ml.prediction import LagProblem
 from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of, with_known_inputs
+from classic_ml.runs import runs_of
 from classic_ml.validation import one_of, positive, whole_number
 
 __all__ = ["LagRegressor"]
 
-# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
-MOST_DEAD_SAMPLES = 250
-MOST_OF_A_RUN = 0.1
-MOST_OF_A_GIVEN_RUN = 0.5
+# Of the size of ψ': a smaller range is rounding, and there is no response to read a lag from.
+NO_RESPONSE = 1e-12
 
 
 class LagRegressor(RegressorMixin, BaseEstimator):
@@ -185,14 +183,17 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         runs = [slice(0, y.size)] if self.link_segments else runs
         terms = self._fit_basis(X)
         conditioned = condition(terms, self.drift is not None)
-        problem = self._problem(y, conditioned, weight, runs)
+        problem = lag_problem(self, y, conditioned, weight, runs)
         if problem.n_errors <= problem.n_parameters(terms.shape[1]):
-            self._store_static(y, terms, weight, problem)
+            self._store_static(y, terms, weight, problem, FitState.TOO_FEW_ROWS)
+            return self
+        if self.time_constant_s is None and _is_constant(y[problem.weight > 0.0]):
+            self._store_static(y, terms, weight, problem, FitState.RANK_DEFICIENT)
             return self
         fit = fit_lag(problem, conditioned)
         if self.dead_time_s == "fit":
             # Now that it is known within a sample, few rows need to be left unscored for it.
-            problem = self._problem(y, conditioned, weight, runs, fit.dead)
+            problem = lag_problem(self, y, conditioned, weight, runs, fit.dead)
             fit = fit_lag(problem, conditioned, fit)
         self._store(fit, problem, terms.shape[1])
         return self
@@ -304,8 +305,10 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         points = np.asarray(phi, dtype=np.float64)
         points = points.reshape(-1, self.n_features_in_) if points.ndim < 2 else points
         terms = self._terms_of(points)
-        variance: FloatArray = np.einsum("ij,jk,ik->i", terms, self.covariance_, terms)
-        return terms @ self.coef_, np.sqrt(np.maximum(variance, 0.0))
+        # Raw powers of φ all but cancel: t' covariance_ t keeps no digit where the curve has many.
+        moves = (terms @ self._curve_back) @ self._curve_moves.T
+        share = (len(self._curve_moves) - 1) / len(self._curve_moves)
+        return terms @ self.coef_, np.sqrt(share) * np.linalg.norm(moves, axis=1)
 
     def score(
         self,
@@ -348,10 +351,6 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         tags.regressor_tags.poor_score = True
         return tags
 
-    @property
-    def _order(self) -> int:
-        return self.noise_order if self.noise == "armax" else 0
-
     def _check_parameters(self) -> None:
         one_of("noise", self.noise, NOISE_KINDS)
         one_of("drift", self.drift, (None, "spline"))
@@ -377,7 +376,7 @@ class LagRegressor(RegressorMixin, BaseEstimator):
 
     def _check_ripple(self) -> None:
         highest = 0.5 / self.sample_period_s
-        frequencies = self._ripple()
+        frequencies = ripple_frequencies(self.ripple_hz)
         for frequency in frequencies:
             positive("ripple_hz", frequency)
             if frequency >= highest:
@@ -411,63 +410,9 @@ class LagRegressor(RegressorMixin, BaseEstimator):
     def _terms_of(self, X: FloatArray) -> FloatArray:
         return np.asarray(self.basis_.transform(X), dtype=np.float64)
 
-    def _ripple(self) -> tuple[Any, ...]:
-        if self.ripple_hz is None:
-            return ()
-        return tuple(np.atleast_1d(np.asarray(self.ripple_hz, dtype=object)).tolist())
-
     def _lag(self) -> FirstOrderLag:
         return FirstOrderLag(
             self.time_constant_s_, float(self.sample_period_s), self.hold, self.dead_time_s_
-        )
-
-    def _problem(
-        self,
-        y: FloatArray,
-        conditioned: Conditioned,
-        weight: FloatArray,
-        runs: list[slice],
-        about: float | None = None,
-    ) -> LagProblem:
-        """Set up the fit; ``about`` is the dead time in samples where it is roughly known."""
-        period = float(self.sample_period_s)
-        shortest = min(run.stop - run.start for run in runs)
-        fit_dead = self.dead_time_s == "fit"
-        if not fit_dead:
-            dead = longest = float(self.dead_time_s) / period
-            if longest > MOST_OF_A_GIVEN_RUN * shortest:
-                raise InputError(
-                    "dead_time_s",
-                    expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
-                    found=f"{self.dead_time_s:g}",
-                )
-        else:
-            dead = 0.0 if about is None else about
-            longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
-            longest = longest if about is None else min(longest, about + 1.0)
-        if longest > 0.0:
-            weight = with_known_inputs(weight, runs, int(np.ceil(longest)) + 1)
-        knots = None if self.drift is None else knots_of(runs, period, self.knot_spacing_s)
-        held = self.time_constant_s
-        return LagProblem(
-            # Compiled code takes read-only and strided arrays for other types, to be compiled anew.
-            np.require(y, requirements=["C", "W"]),
-            conditioned.rows,
-            np.require(weight, requirements=["C", "W"]),
-            np.zeros(0) if np.all(weight == 1.0) else np.sqrt(weight),
-            tuple(runs),
-            period,
-            self.hold,
-            self.noise,
-            self._order,
-            bool(self.exact_start),
-            None if held is None else float(np.log(held)),
-            dead,
-            fit_dead,
-            knots,
-            knots is not None and conditioned.constant is None,
-            2.0 * np.pi * period * np.asarray(self._ripple(), dtype=np.float64),
-            longest,
         )
 
     def _store(self, fit: LagFit, problem: LagProblem, n_terms: int) -> None:
@@ -485,10 +430,12 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         self.dead_time_stderr_s_ = float(np.sqrt(self.joint_covariance_[1, 1]))
         self.coef_ = fit.coef
         self.covariance_ = self.parameter_covariance_[1:, 1:]
+        self._curve_back, self._curve_moves = fit.back, fit.curve_moves
         self.drift_coef_ = fit.drift
         self.ripple_coef_ = fit.ripple
         self.moving_average_ = fit.moving_average
         self.fit_state_ = fit.state
+        self._n_late = problem.n_late
         scored = problem.weight[problem.weight > 0.0]
         freedom = max(fit.n_errors - problem.n_parameters(n_terms), 1)
         self.residual_std_ = float(np.sqrt(fit.cost / freedom / scored.mean()))
@@ -497,9 +444,14 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         self.n_scored_ = fit.n_errors
 
     def _store_static(
-        self, y: FloatArray, terms: FloatArray, weight: FloatArray, problem: LagProblem
+        self,
+        y: FloatArray,
+        terms: FloatArray,
+        weight: FloatArray,
+        problem: LagProblem,
+        state: FitState,
     ) -> None:
-        """Without enough rows for a lag: the weighted static curve of least norm, and a code."""
+        """Where no lag can be had: the weighted static curve of least norm, and a code."""
         root = np.sqrt(weight)
         n_terms = terms.shape[1]
         coef = np.asarray(np.linalg.lstsq(terms * root[:, None], y * root)[0])
@@ -508,17 +460,23 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         self.dead_time_s_ = self.dead_time_stderr_s_ = float("nan")
         self.coef_ = np.asarray(coef, dtype=np.float64)
         self.covariance_ = np.full((n_terms, n_terms), np.nan)
+        self._curve_back, self._curve_moves = np.zeros((n_terms, 1)), np.full((1, 1), np.nan)
         self.parameter_covariance_ = np.full((n_terms + 1, n_terms + 1), np.nan)
         self.joint_covariance_ = np.full((n_terms + 2, n_terms + 2), np.nan)
         levels = 0 if problem.knots is None else problem.knots.n_levels
         self.drift_coef_ = np.zeros(max(levels - 1, 0))
         self.ripple_coef_ = np.zeros((len(problem.runs), 2 * problem.omega.size))
-        self.moving_average_ = np.zeros(self._order)
-        self.fit_state_ = FitState.TOO_FEW_ROWS
+        self.moving_average_ = np.zeros(problem.order)
+        self.fit_state_ = state
+        self._n_late = problem.n_late
         self.residual_std_ = float(np.sqrt(np.mean(error**2)))
         self.residual_lag_ = 1
         self.n_blocks_ = 0
         self.n_scored_ = int(np.count_nonzero(weight))
+
+
+def _is_constant(values: FloatArray) -> bool:
+    return bool(np.ptp(values) <= NO_RESPONSE * np.max(np.abs(values)))
 
 
 def _factor(name: str) -> str:

@@ -26,8 +26,11 @@ def leave_out_moves(
     start_weight: FloatArray,
     starts: FloatArray,
     constrained: bool,
+    row_weight: FloatArray,
+    hats: FloatArray,
+    mean: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the move of the global unknowns, and of the drift's weighted sum, for each block.
+    """Return by how much each block moves the global unknowns and the level of the drift.
 
     Parameters
     ----------
@@ -37,16 +40,25 @@ def leave_out_moves(
         Inverse of the reduced normal equations.
     constrained : bool
         The drift has zero mean (else it carries the constant).
+    row_weight : ndarray of shape (n,)
+        Weight of each row of the record.
+    hats : ndarray of shape (all_hats,)
+        Values of the drift at its knots.
+    mean : ndarray of shape (all_hats,)
+        Weighted sum of each hat.
 
     Returns
     -------
     moves : ndarray of shape (n_blocks, g)
-    means : ndarray of shape (n_blocks,)
+        The whole fit less the fit without the block.
+    levels : ndarray of shape (n_blocks,)
+        The same for the weighted mean of the drift, that of the fit without the block taken over
+        the rows outside it: within the block its drift is extrapolated.
 
     Notes
     -----
     With N the normal matrix, B its inverse, A_g and s_g the part and the score of block g, the
-    linearised fit without it moves by B (I - A_g B)⁻¹ s_g (Bell and McCaffrey 2002). A_g is not
+    linearised fit without it moves by -B (I - A_g B)⁻¹ s_g (Bell and McCaffrey 2002). A_g is not
     zero only where the block's own unknowns are, so that B is wanted only there.
     """
     g = columns.n_global
@@ -63,6 +75,7 @@ def leave_out_moves(
         mean_local = seen - local[:, :g] @ tilt
         mean_wave = mean_wave - wave[:, :, :g] @ tilt
     first = np.searchsorted(cells.block, np.arange(cells.n_blocks + 1)).astype(np.int64)
+    shares = _shares_of_hats(cells.rows, cells.knots, row_weight)
     moves, means = _moves(
         cells.rows,
         first,
@@ -93,8 +106,41 @@ def leave_out_moves(
         cells.ahead > 0,
         columns.n_hats + columns.n_states,
         columns.n_waves,
+        eliminated.hat_number,
+        shares,
     )
-    return moves, means
+    return moves, _levels(cells, shares, means, hats, mean)
+
+
+def _levels(
+    cells: Cells, shares: FloatArray, means: FloatArray, hats: FloatArray, mean: FloatArray
+) -> FloatArray:
+    """Turn moves of the sum over the rows outside each block into moves of the level."""
+    weight = float(mean.sum())
+    if weight <= 0.0:
+        return np.zeros(cells.n_blocks)
+    left = cells.rows[:, 4]
+    of_cells = shares[:, 0] * hats[left] + shares[:, 1] * hats[left + 1]
+    inside = np.bincount(cells.block, of_cells, cells.n_blocks)
+    others = weight - np.bincount(cells.block, shares.sum(axis=1), cells.n_blocks)
+    level = float(mean @ hats) / weight
+    known = others > FULL_LEVERAGE * weight
+    sums = weight * level - inside - means
+    return np.where(known, level - sums / np.where(known, others, 1.0), 0.0)
+
+
+@compiled
+def _shares_of_hats(rows: IntArray, knots: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the weighted sums, over the rows of each cell, of the hats to its left and right."""
+    shares = np.zeros((rows.shape[0], 2))
+    for cell in range(rows.shape[0]):
+        if rows[cell, 4] < 0:
+            continue
+        for row in range(rows[cell, 0], rows[cell, 1]):
+            place = knots[cell, 0] + knots[cell, 1] * (row - rows[cell, 0])
+            shares[cell, 0] += weight[row] * (1.0 - place)
+            shares[cell, 1] += weight[row] * place
+    return shares
 
 
 @compiled
@@ -271,7 +317,10 @@ def _moves(
     scored_starts: bool,
     n_local: int,
     n_waves: int,
+    hat_number: IntArray,
+    shares: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
+    """Return the moves, and those of the drift's weighted sum over the rows of the others."""
     n_blocks, g = first.size - 1, bread.shape[0]
     moves, means = np.zeros((n_blocks, g)), np.zeros(n_blocks)
     selected = _band_inverse(band, run_ptr)
@@ -322,4 +371,9 @@ def _moves(
         rest = score + part @ move
         means[block] = np.sum(mean_local[lo:hi] * rest[:w]) + np.sum(mean_wave[run] * rest[w:m])
         means[block] += np.sum(mean_global * rest[m:])
+        for cell in range(begin, end):
+            for i in range(2 if rows[cell, 4] >= 0 else 0):
+                at = hat_number[rows[cell, 4] + i]
+                if at >= 0:
+                    means[block] -= shares[cell, i] * move[at - lo]
     return moves, means

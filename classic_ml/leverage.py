@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.prediction import rows_late
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of, scored_pieces
 
@@ -274,10 +275,11 @@ def _is_free_run(model: OneStepModel) -> bool:
 
 
 def _rows_late(model: Any) -> int:
+    fitted = getattr(model, "_n_late", None)
+    if fitted is not None:
+        return int(fitted)
     dead = getattr(model, "dead_time_s_", 0.0)
-    if not dead > 0.0:
-        return 0
-    return int(np.ceil(dead / float(model.sample_period_s))) + 1
+    return rows_late(dead / float(model.sample_period_s)) if dead > 0.0 else 0
 
 
 def _output_columns(model: Any, weight: FloatArray, runs: list[slice]) -> FloatArray:

@@ -15,7 +15,7 @@ from classic_ml.noise_models import MovingAverage, NoiseKind
 from classic_ml.records import FloatArray
 from classic_ml.runs import scored_pieces
 
-__all__ = ["LagProblem", "Pass", "Point"]
+__all__ = ["LagProblem", "Pass", "Point", "rows_late"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,17 @@ class Point:
     starts: FloatArray
     hats: FloatArray
     ripple: FloatArray
+
+
+def rows_late(dead: float) -> int:
+    """Return how many rows of a run answer to inputs from before it.
+
+    Parameters
+    ----------
+    dead : float
+        Dead time, in samples.
+    """
+    return int(np.ceil(dead)) + 1 if dead > 0.0 else 0
 
 
 @dataclass(frozen=True)
@@ -107,6 +118,11 @@ class LagProblem:
     longest_dead: float = 0.0
 
     @property
+    def n_late(self) -> int:
+        """Rows at the head of each run that are not scored, since they answer to older inputs."""
+        return rows_late(self.longest_dead)
+
+    @property
     def is_output_error(self) -> bool:
         """Whether the free run is fitted."""
         return self.noise == "output-error"
@@ -133,7 +149,7 @@ class LagProblem:
         return int(counts.sum()) + self.ahead * int(counts.size)
 
     def n_parameters(self, n_terms: int) -> int:
-        """Return the number of fitted parameters; the starts of runs are not counted.
+        """Return the number of fitted parameters, the start of each scored piece among them.
 
         Parameters
         ----------
@@ -142,7 +158,8 @@ class LagProblem:
         """
         levels = 0 if self.knots is None else self.knots.n_levels
         ripple = 2 * self.omega.size * len(self.runs)
-        return self.n_shape + n_terms + max(levels - 1, 0) + ripple
+        starts = self.columns.n_starts * self.pieces()[1].size
+        return self.n_shape + n_terms + max(levels - 1, 0) + ripple + starts
 
     @cached_property
     def columns(self) -> Columns:

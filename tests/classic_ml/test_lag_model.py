@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
+from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, SplineTransformer
@@ -263,6 +264,80 @@ def test_too_few_rows_are_a_state_with_advice_not_an_error() -> None:
     assert np.isnan(m.time_constant_s_)
     assert "fewer scored rows" in m.fit_state_.advice
     assert np.all(np.isfinite(m.predict(np.zeros((3, 1)))))
+
+
+@pytest.mark.parametrize(("n_segments", "n_rows"), [(1, 5), (1500, 1)])
+def test_a_free_run_through_every_row_is_no_fit(n_segments: int, n_rows: int) -> None:
+    """Each segment has a start of its own, so that these have as many parameters as rows."""
+    rng = np.random.default_rng(19)
+    phi = flow(n_segments * n_rows, rng)
+    y = lagged(phi, "first") + 0.01 * rng.standard_normal(phi.size)
+    labels = np.repeat(np.arange(n_segments), n_rows)
+    m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y, labels)
+    assert m.fit_state_ is FitState.TOO_FEW_ROWS
+    assert np.isnan(m.time_constant_s_)
+    _, stderr = m.characteristic(phi[:3])
+    assert np.all(np.isnan(stderr))
+
+
+@pytest.mark.parametrize("noise", ["arx", "output-error"])
+def test_the_residual_of_short_segments_is_unbiased(noise: str) -> None:
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        runs = flow(900, rng).reshape(300, 3)
+        error = 0.01 * rng.standard_normal((300, 3))
+        if noise == "arx":
+            for k in (1, 2):
+                error[:, k] += np.exp(-PERIOD_S / TAU_S) * error[:, k - 1]
+        y = np.concatenate([lagged(run, "zero") for run in runs]) + error.ravel()
+        m = LagRegressor(PERIOD_S, noise=noise)
+        m.fit(runs.reshape(-1, 1), y, np.repeat(np.arange(300), 3))
+        found.append(m.residual_std_)
+    assert np.mean(found) == pytest.approx(0.01, abs=4.0 * np.std(found) / np.sqrt(20))
+
+
+@pytest.mark.parametrize("drift", [None, "spline"])
+@pytest.mark.parametrize(("degree", "offset"), [(9, 0.0), (12, 0.0), (2, 1e3)])
+def test_the_band_of_the_curve_does_not_depend_on_where_phi_is_counted_from(
+    degree: int, offset: float, drift: str | None
+) -> None:
+    rng = np.random.default_rng(20)
+    phi = flow(3000, rng)
+    y = lagged(phi, "zero") + 0.01 * rng.standard_normal(3000)
+    centre = float(phi.mean())
+    at = np.linspace(*np.quantile(phi, [0.02, 0.98]), 9)
+    model = LagRegressor(PERIOD_S, noise="output-error", degree=degree, drift=drift)
+    value, stderr = clone(model).fit((phi - centre)[:, None], y).characteristic(at - centre)
+    m = clone(model).fit((phi + offset)[:, None], y)
+    raw, band = pickle.loads(pickle.dumps(m)).characteristic(at + offset)
+    assert np.all(stderr > 0.0)
+    np.testing.assert_allclose(band, stderr, rtol=1e-4)
+    np.testing.assert_allclose(raw, value, atol=1e-3 * stderr.min())
+
+
+def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
+    X, y = clean()
+    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
+    at = np.linspace(0.1, 0.5, 5)
+    for held in (None, TAU_S):
+        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
+        terms = at[:, None] ** np.arange(3)
+        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
+        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)
+
+
+@pytest.mark.parametrize("drift", [None, "spline"])
+@pytest.mark.parametrize("level", [0.0, 0.3])
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_constant_output_has_no_time_constant(
+    noise: str, level: float, drift: str | None
+) -> None:
+    phi = flow(500, np.random.default_rng(22))[:, None]
+    m = LagRegressor(PERIOD_S, noise=noise, drift=drift).fit(phi, np.full(500, level))
+    assert m.fit_state_ is FitState.RANK_DEFICIENT
+    assert np.isnan(m.time_constant_s_)
+    np.testing.assert_allclose(m.predict(phi), level, atol=1e-12)
 
 
 def test_data_without_a_lag_give_a_time_constant_far_below_the_sample_period() -> None:

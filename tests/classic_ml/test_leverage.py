@@ -112,6 +112,7 @@ def test_dead_time_and_ripple_are_part_of_the_fit_that_is_linearised(noise: str)
     size = np.linalg.norm(fit.jacobian, axis=0) * np.linalg.norm(fit.errors)
     # τ, three β and the dead time; the starts of the two differ by a row or so.
     assert np.all(np.abs(fit.jacobian.T @ fit.errors)[:5] < 0.02 * size[:5])
+    assert fit.errors.size == m.n_scored_
     assert np.std(fit.errors) == pytest.approx(m.residual_std_, rel=0.02)
     assert np.std(fit.aside) == pytest.approx(0.03 / np.sqrt(2.0), rel=0.05)
 

@@ -35,13 +35,13 @@ def record(
 
 
 @pytest.mark.parametrize("truth", TRUTHS)
-def test_bic_finds_the_right_orders_in_nine_seeds_of_ten(truth: str) -> None:
+def test_bic_finds_the_right_orders(truth: str) -> None:
     noise, order, c = TRUTHS[truth]
     right = 0
-    n_seeds = 10
+    n_seeds = 5
     for seed in range(n_seeds):
         lag = seed % 3
-        X, y, labels = record(seed, c, lag)
+        X, y, labels = record(seed, c, lag, n=250)
         table = select_order(
             X,
             y,
@@ -57,7 +57,9 @@ def test_bic_finds_the_right_orders_in_nine_seeds_of_ten(truth: str) -> None:
         right += found == (noise, order, lag, 2)
         if table.recommended is best:
             assert "BIC holds" in table.reason
-    assert right >= 9
+    # Twenty of twenty over the four truths: with 95 % confidence the rate is above 0.05**(1/20),
+    # 86 %. benchmarks/false_alarms_of_checks.py counts over more.
+    assert right == n_seeds
 
 
 def test_tau_of_the_recommended_row_is_right_and_equals_are_listed_with_it() -> None:

@@ -80,9 +80,8 @@ def cycles(
     psi_p = []
     for p in phi:
         e = rng.standard_normal(n) if noise == "normal" else rng.standard_t(4, n) / np.sqrt(2.0)
-        error = np.zeros(n)
-        for k in range(1, n):
-            error[k] = a * error[k - 1] + 0.002 * e[k]
+        e[0] = 0.0
+        error = lfilter([0.002], [1.0, -a], e)
         psi_p.append(lagged(p, "first") + error)
     return np.concatenate(phi)[:, None], np.concatenate(psi_p), np.repeat(np.arange(n_cycles), n)
 
@@ -94,15 +93,16 @@ def checked(X: np.ndarray, y: np.ndarray, labels: np.ndarray) -> dict[str, Check
 
 def test_clean_records_pass_and_false_alarms_are_as_rare_as_stated() -> None:
     alarms: Counter[str] = Counter()
-    for seed in range(100):
+    n_seeds = 30
+    for seed in range(n_seeds):
         alarms.update(row.check for row in checked(*cycles(seed)).values() if not row.passed)
-    # 1 % is stated for each, 2 % for the leverage; three standard deviations above that.
-    assert alarms["whiteness"] <= 4
-    assert alarms["input_correlation"] <= 4
-    assert alarms["normality"] <= 4
-    assert alarms["leverage"] <= 6
-    assert alarms["phi_range"] <= 2
-    assert alarms["phi_cycles"] <= 2
+    # Three standard deviations of a binomial count above its mean: 1 in 30 where 1 % is stated,
+    # 2 where 2 % is. benchmarks/false_alarms_of_checks.py counts over hundreds.
+    stated = {"whiteness": 0.01, "input_correlation": 0.01, "normality": 0.01, "leverage": 0.02}
+    for check, p in stated.items():
+        assert alarms[check] <= n_seeds * p + 3.0 * np.sqrt(n_seeds * p * (1.0 - p)), check
+    assert alarms["phi_range"] == 0
+    assert alarms["phi_cycles"] == 0
 
 
 def test_one_corrupted_cycle_is_found_and_named() -> None:
@@ -133,8 +133,8 @@ def test_heavy_tails_are_seen_through_coloured_errors_and_colour_alone_is_not_ta
 
 
 def test_heavy_tails_of_a_fits_errors_are_seen() -> None:
-    failed = [not checked(*cycles(seed, noise="heavy"))["normality"].passed for seed in range(20)]
-    assert sum(failed) >= 19
+    failed = [not checked(*cycles(seed, noise="heavy"))["normality"].passed for seed in range(8)]
+    assert all(failed)
 
 
 def test_too_few_errors_have_no_law() -> None:

@@ -67,7 +67,7 @@ def estimates(rows: FitRows) -> list[TauEstimate]:
 
 def test_clean_records_raise_no_more_alarms_than_stated() -> None:
     models = filters = drifts = 0
-    for seed in range(30):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         phi = flow(N, rng)
         # White equation errors: all three noise models are consistent.
@@ -76,9 +76,11 @@ def test_clean_records_raise_no_more_alarms_than_stated() -> None:
         models += bool(noise_model_warnings(found))
         drifts += bool(drift_warnings(found, drift_of(rows)))
         filters += bool(filter_warnings(rows))
+    # Three standard deviations of a binomial count above its mean: 1.2 of twelve where 1 % is
+    # stated, 1.7 for the two tests of the filters together.
     assert models <= 1
     assert drifts <= 1
-    assert filters <= 2
+    assert filters <= 1
 
 
 def test_output_noise_parts_arx_from_the_others() -> None:
@@ -163,9 +165,10 @@ def test_filtering_one_signal_alone_is_seen(where: str, phase: str, seen: tuple[
 
 def test_filtering_both_alike_is_not_held_against_them() -> None:
     alarms = 0
-    for seed in range(15):
+    for seed in range(8):
         _, phi, psi_p = record(seed)
         alarms += bool(filter_warnings(rows_of(low_pass(phi, "causal"), low_pass(psi_p, "causal"))))
+    # As above: 1.3 of eight where two tests state 1 % each.
     assert alarms <= 1
 
 

@@ -133,7 +133,7 @@ def test_a_record_of_one_blowdown_after_another_is_refused(folder: Path) -> None
 
 @pytest.mark.parametrize("probes", ["tip", "hub"])
 def test_with_half_of_the_probes_no_tau_is_recommended(probes: str, folder: Path) -> None:
-    """The shift between hub and tip then stands in φ: 8 to 12 ms of the tip, 26 to 30 of the hub."""
+    """The shift between hub and tip then stands in φ: some 10 ms of the tip, 28 of the hub."""
     own_series("985", 0, folder)
     files = folder / "985_0"
     raw = read_raw(files / "raw.csv", files / "test.toml")

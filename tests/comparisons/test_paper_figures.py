@@ -15,10 +15,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.transforms import BboxBase
 from numpy.testing import assert_allclose
+from paper_runs import paper_runs
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.filtering import butterworth_gain
-from classic_ml.reduction import ReductionSettings
 from classic_ml.spectra import peak_frequency_hz
 from comparisons.paper.figures import PaperFigure, draw_figures
 from comparisons.paper.figures_instrument import draw_instrument_figures
@@ -32,41 +32,17 @@ from comparisons.paper.figures_truth import (
     temperature_K,
     unstalled_psi_p,
 )
-from comparisons.paper.instabilities import (
-    PAPER_SETTINGS,
-    Instabilities,
-    InstabilityRun,
-    reduce_run,
-)
-from comparisons.paper.paper_fit import fit_held, fit_paper, fit_steady
-from comparisons.rig import gas, simulate
+from comparisons.paper.instabilities import Instabilities
+from comparisons.rig import gas
 
 NUMBERS = range(3, 28)
 PSI_PA = 6894.757293
 SCHEMATIC = (1, 2, 10)
 
 
-def made_run(case: str, window_s: tuple[float, float] | None = None) -> InstabilityRun:
-    rig = simulate(case, seed=3)
-    settings = replace(PAPER_SETTINGS, window_s=window_s)
-    paper, reduction = reduce_run(rig, settings, ReductionSettings())
-    if case == "75-stall":
-        return InstabilityRun(case, rig, paper, reduction, {"psi_p": fit_steady(paper.series)})
-    fits = {"psi_p": fit_paper(paper.series), "psi_p_243ms": fit_held(paper.series, 0.243)}
-    if paper.series.psi is not None:
-        fits["psi"] = fit_paper(paper.series, target="psi")
-    return InstabilityRun(case, rig, paper, reduction, fits)
-
-
 @pytest.fixture(scope="module")
 def runs() -> Instabilities:
-    return Instabilities(
-        {
-            "90": made_run("90"),
-            "985": made_run("985", (1.8, 3.6)),
-            "75-stall": made_run("75-stall"),
-        }
-    )
+    return paper_runs("90", "985", "75-stall")
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ Every column is kept over the whole record and solved by QR, the drift and the s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -111,6 +112,9 @@ class PredictionModel(Protocol):
     def piece_lengths(self) -> list[int]:
         """Return the number of scored rows of each stretch, in order."""
 
+    def rows_of_errors(self) -> NDArray[np.int64]:
+        """Return the row of each error, -1 where it has none."""
+
 
 @dataclass(frozen=True)
 class OutputError:
@@ -159,6 +163,11 @@ class OutputError:
             error = error * np.sqrt(self.data.weight[run])
             starts.append(float(quasi_steady[0] + (decay @ error / power if power > 0 else 0.0)))
         return starts
+
+    def rows_of_errors(self) -> NDArray[np.int64]:
+        """Return the row of each error."""
+        rows = np.concatenate([np.arange(run.start, run.stop) for run in self._scored_runs()])
+        return np.asarray(rows[self.data.weight[rows] > 0.0], dtype=np.int64)
 
     def piece_lengths(self) -> list[int]:
         """Return the number of scored rows of each run."""
@@ -231,6 +240,12 @@ class EquationError:
             block = np.column_stack([whitener.whiten(slope), whitener.sensitivities(errors)])
             blocks.append(self._project(block, whitener, piece))
         return np.concatenate(blocks)
+
+    def rows_of_errors(self) -> NDArray[np.int64]:
+        """Return the row of each error, -1 for the errors before a stretch."""
+        ahead = np.full(self._ahead, -1)
+        stretches = [np.arange(piece.start + 1, piece.stop) for piece in self._pieces()]
+        return np.concatenate([part for rows in stretches for part in (ahead, rows)])
 
     def piece_lengths(self) -> list[int]:
         """Return the number of equations of each stretch, with the errors before it."""
@@ -510,7 +525,11 @@ def correlation_length(innovations: FloatArray, piece_lengths: list[int]) -> int
 
 
 def block_jackknife(
-    jacobian: FloatArray, innovations: FloatArray, piece_lengths: list[int], n_lags: int
+    jacobian: FloatArray,
+    innovations: FloatArray,
+    piece_lengths: list[int],
+    n_lags: int,
+    restated: Callable[[slice, FloatArray], FloatArray] | None = None,
 ) -> tuple[FloatArray, int]:
     """Return the covariance by leaving out one block at a time, linearised about the fit.
 
@@ -524,6 +543,8 @@ def block_jackknife(
         Rows of each stretch. A short stretch (one surge cycle) is a block; a long one is cut.
     n_lags : int
         Rows over which errors hang together; no block is cut shorter.
+    restated : callable, optional
+        Turns a block and its move of θ into the move of what is wanted.
 
     Returns
     -------
@@ -548,10 +569,11 @@ def block_jackknife(
         rows = columns[block]
         score = rows.T @ innovations[block]
         # lstsq, not solve: a block that alone determines a parameter makes this singular.
-        moves.append(bread @ np.linalg.lstsq(identity - rows.T @ rows @ bread, score)[0])
+        move = bread @ np.linalg.lstsq(identity - rows.T @ rows @ bread, score)[0] / scale
+        moves.append(move if restated is None else restated(block, move))
     spread = np.asarray(moves) - np.mean(moves, axis=0)
     share = (len(moves) - 1) / len(moves)
-    return np.asarray(share * spread.T @ spread / np.outer(scale, scale)), len(moves)
+    return np.asarray(share * spread.T @ spread), len(moves)
 
 
 def _blocks(piece_lengths: list[int], n_lags: int) -> list[slice]:
@@ -639,10 +661,28 @@ def dense_fit(
     outcome = search(model, starts)
     n_rows, n_parameters = outcome.jacobian.shape
     n_lags = correlation_length(outcome.innovations, outcome.piece_lengths)
+    n_shape, row_of = outcome.shape.size, model.rows_of_errors()
+    first = n_shape + n_terms
+
+    def without_extrapolated_drift(block: slice, move: FloatArray) -> FloatArray:
+        # The drift of the other rows has zero mean over them; the constant takes up the rest.
+        rows = row_of[block][row_of[block] >= 0]
+        inside = weight[rows] @ columns[rows] @ (outcome.coef[n_terms:] + move[first:])
+        moved = move.copy()
+        moved[n_shape] -= inside / (weight.sum() - weight[rows].sum())
+        return moved
+
     covariance, n_blocks = block_jackknife(
-        outcome.jacobian, outcome.innovations, outcome.piece_lengths, n_lags
+        outcome.jacobian,
+        outcome.innovations,
+        outcome.piece_lengths,
+        n_lags,
+        without_extrapolated_drift if drift else None,
     )
-    n_shape = outcome.shape.size
+    if noise == "output-error":
+        n_parameters += len(outcome.piece_lengths)
+    elif exact_start:
+        n_parameters += order * len(outcome.piece_lengths)
     keep = [0, *range(n_shape, n_shape + n_terms)]
     to_tau = np.ones(n_terms + 1)
     to_tau[0] = np.exp(outcome.shape[0])

@@ -1,0 +1,31 @@
+"""The runs behind the paper's claims and figures, made once for every file that looks at them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from comparisons.paper.instabilities import Instabilities, InstabilityRun, run_case
+from comparisons.rig import SensorSettings
+from comparisons.rig.cases import RigCase
+
+CASES = ("90", "95", "985", "985-second", "75-stall")
+
+
+@cache
+def paper_case(case: str) -> InstabilityRun:
+    """One test with the rig as it is, seed 0."""
+    return run_case(case, 0)
+
+
+def remembered_case(
+    case: str | RigCase, seed: int = 0, sensors: SensorSettings | None = None
+) -> InstabilityRun:
+    """Return what `run_case` returns, from memory where the rig is as it is."""
+    if isinstance(case, str) and seed == 0 and sensors is None:
+        return paper_case(case)
+    return run_case(case, seed, sensors)
+
+
+def paper_runs(*cases: str) -> Instabilities:
+    """Return the runs of these cases, of all by default."""
+    return Instabilities({case: paper_case(case) for case in cases or CASES})
