@@ -77,8 +77,8 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
             "value": model.time_constant_s,
             "stderr": model.time_constant_stderr_s,
             "ci95": list(model.ci95_s),
-            "held": model.time_constant_stderr_s == 0.0,
         },
+        "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": [
             {"name": name, "coefficient": coefficient, "stderr": stderr}
             for name, coefficient, stderr in zip(
