@@ -13,10 +13,12 @@ from sindy_surge.lag_problem import LagProblem, equations_about, features, noise
 __all__ = [
     "LinearProblem",
     "StructureFit",
+    "WhiteEquations",
     "fit_structure",
     "linearise",
     "output_error",
     "scan_lag",
+    "white_equations",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -210,8 +212,50 @@ class LinearProblem:
         return float(max(self.outside / freedom, 1.0))
 
 
-def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
-    """Set up the regression on the whole library about one fit.
+@dataclass(frozen=True)
+class WhiteEquations:
+    """The whole library about one fit, whitened, before any compression.
+
+    Parameters
+    ----------
+    nuisances : ndarray of shape (n_white, n_nuisances)
+        Derivatives with respect to what is estimated beside the coefficients (τ first).
+    columns : ndarray of shape (n_white, n_columns)
+        Derivatives with respect to the coefficient of every usable term.
+    target : ndarray of shape (n_white,)
+        What the terms have to explain: residual plus the fitted terms.
+    groups : Segments
+        Runs of the whitened rows.
+    rows : ndarray of int of shape (n_white,)
+        Row of the record at which each whitened equation ends.
+    """
+
+    nuisances: FloatArray
+    columns: FloatArray
+    target: FloatArray
+    groups: Segments
+    rows: NDArray[np.intp]
+
+    def compressed(self) -> LinearProblem:
+        """Project the nuisances out and keep as many rows as there are columns."""
+        stacked = np.column_stack((self.nuisances, self.columns, self.target))
+        norms = np.linalg.norm(stacked, axis=0)
+        norms[norms == 0] = 1.0
+        triangle: FloatArray = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
+        n = self.nuisances.shape[1]
+        columns, goal = triangle[n:, n:-1], triangle[n:, -1] * norms[-1]
+        rank = min(columns.shape)
+        # Projecting τ out shortens a column that a change of τ can stand in for.
+        left = np.linalg.norm(columns, axis=0)
+        left[left < 1e-12] = 1.0
+        outside = float(goal[rank:] @ goal[rank:])
+        return LinearProblem(
+            columns[:rank] / left, goal[:rank], norms[n:-1] * left, outside, stacked.shape[0]
+        )
+
+
+def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
+    """Set up the whitened equations of the whole library about one fit.
 
     Parameters
     ----------
@@ -222,8 +266,8 @@ def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
 
     Returns
     -------
-    LinearProblem
-        Whitened and compressed.
+    WhiteEquations
+        One column for each usable term.
     """
     support = np.array(fit.support, dtype=np.intp)
     found = features(problem, problem.inputs - fit.input_noise, fit.blur)
@@ -240,20 +284,33 @@ def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
     nuisances = [eq.tau_column]
     if problem.hold == "first":
         nuisances.append(eq.bend_column)
-    stacked = eq.whitener(np.column_stack((*nuisances, eq.raw_columns, target)))
-    norms = np.linalg.norm(stacked, axis=0)
-    norms[norms == 0] = 1.0
-    triangle: FloatArray = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
     n = len(nuisances)
-    columns, goal = triangle[n:, n:-1], triangle[n:, -1] * norms[-1]
-    rank = min(columns.shape)
-    # Projecting τ out shortens a column that a change of τ can stand in for.
-    left = np.linalg.norm(columns, axis=0)
-    left[left < 1e-12] = 1.0
-    outside = float(goal[rank:] @ goal[rank:])
-    return LinearProblem(
-        columns[:rank] / left, goal[:rank], norms[n:-1] * left, outside, stacked.shape[0]
+    stacked = eq.whitener(np.column_stack((*nuisances, eq.raw_columns, target)))
+    return WhiteEquations(
+        stacked[:, :n],
+        stacked[:, n:-1],
+        stacked[:, -1],
+        eq.whitener.groups,
+        problem.segments.later[eq.whitener.kept],
     )
+
+
+def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
+    """Set up the regression on the whole library about one fit, whitened and compressed.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        The data.
+    fit : StructureFit
+        See `white_equations`.
+
+    Returns
+    -------
+    LinearProblem
+        Whitened and compressed.
+    """
+    return white_equations(problem, fit).compressed()
 
 
 def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[float, FloatArray]:

@@ -109,14 +109,14 @@ class Whitener:
         self.equation_segments = Segments(
             first, np.concatenate((first[1:], [later.size])).astype(np.intp)
         )
-        self._keep = self.equation_segments.offsets() >= noise.colour.size
+        self.kept = np.flatnonzero(self.equation_segments.offsets() >= noise.colour.size)
 
     @property
     def groups(self) -> Segments:
         """The runs of the whitened rows."""
         number = np.repeat(
             np.arange(self.equation_segments.starts.size), self.equation_segments.lengths
-        )[self._keep]
+        )[self.kept]
         return Segments.from_labels(number, number.size)
 
     def __call__(self, columns: FloatArray) -> FloatArray:
@@ -144,7 +144,7 @@ class Whitener:
         for lag, coefficient in enumerate(self._colour, start=1):
             # Rows that would reach into the segment before are dropped below.
             filtered[lag:] -= coefficient * white[:-lag]
-        return np.asarray(filtered[self._keep])
+        return np.asarray(filtered[self.kept])
 
     def precision(self, column: FloatArray) -> FloatArray:
         """Apply the inverse covariance of the white part to one vector over the equations."""
