@@ -26,7 +26,7 @@ _FEWEST_BLOCKS = 4
 
 
 def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
-    """Return the covariance of (β, τ) from the scatter of the scores, not of the residuals.
+    """Return the covariance of the fit from the scatter of the scores, not of the residuals.
 
     H⁻¹ S H⁻¹ with H the information of the whitened equations and S the Newey-West sum of the
     scores up to two time constants (Bartlett weights; Newey & West 1987), each segment on its
@@ -43,8 +43,9 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
 
     Returns
     -------
-    ndarray of shape (n_support + 1, n_support + 1)
-        Covariance of the coefficients in physical units, and of τ in the last row and column.
+    ndarray of shape (n_parameters, n_parameters)
+        Covariance of the coefficients, of the dead time where it is fitted, and of τ in the last
+        row and column.
     """
     columns, residual = fit.sensitivity, fit.residual
     n = residual.size
@@ -71,8 +72,8 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
     inner = bread @ middle @ bread * n / max(n - keep.size, 1)
     full = np.full((norms.size, norms.size), np.nan)
     full[np.ix_(keep, keep)] = inner / np.outer(norms[keep], norms[keep])
-    size = len(fit.support)
-    wanted = [*range(size), norms.size - 1]
+    bend = len(fit.support) if problem.hold == "first" else norms.size
+    wanted = [i for i in range(norms.size) if i != bend]
     return full[np.ix_(wanted, wanted)]
 
 

@@ -10,7 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from sindy_surge.errors import InputError
 
-__all__ = ["Hold", "HoldCoefficients", "Segments", "hold_coefficients", "simulate"]
+__all__ = [
+    "Hold",
+    "HoldCoefficients",
+    "LagTaps",
+    "Segments",
+    "hold_coefficients",
+    "hold_sensitivities",
+    "lag_taps",
+    "run_lag",
+    "simulate",
+    "tap_sensitivities",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -162,6 +173,182 @@ def hold_sensitivities(
     return HoldCoefficients(d_pole, d_now, -d_pole - d_now)
 
 
+@dataclass(frozen=True)
+class LagTaps:
+    """Coefficients of x[k] = pole x[k-1] + Σ_i taps[i] f[k - shift - i], exact for the hold.
+
+    Parameters
+    ----------
+    pole : float
+        exp(-h/τ).
+    shift : int
+        Whole samples of the dead time; negative if the input comes late.
+    taps : ndarray of shape (2,) or (3,)
+        Weights of the input; three where the dead time is no whole number of samples.
+    """
+
+    pole: float
+    shift: int
+    taps: FloatArray
+
+    def drive(self, values: FloatArray, rows: IntArray) -> FloatArray:
+        """Apply the input side: Σ_i taps[i] values[row - shift - i].
+
+        Parameters
+        ----------
+        values : ndarray of shape (n_rows,) or (n_rows, n_columns)
+            Inputs over the record.
+        rows : ndarray of int of shape (n,)
+            Rows k of the record.
+
+        Returns
+        -------
+        ndarray of shape (n,) or (n, n_columns)
+            The drive of each row.
+        """
+        result: FloatArray = self.taps[0] * values[rows - self.shift]
+        for number, tap in enumerate(self.taps[1:], start=1):
+            result += tap * values[rows - self.shift - number]
+        return result
+
+
+def lag_taps(
+    time_constant_s: float,
+    sample_period_s: float,
+    hold: Hold,
+    dead_time_s: float = 0.0,
+    shift: int | None = None,
+) -> LagTaps:
+    """Discretise τ x'(t) + x(t) = f(t - d) exactly for an input held in the given way.
+
+    With d = (m + θ) h, 0 ≤ θ < 1, a sample period falls into two parts, θ h and (1 - θ) h, on
+    each of which the held input is a straight line (hold "first") or constant (hold "zero").
+
+    Parameters
+    ----------
+    time_constant_s : float
+        τ > 0 in seconds.
+    sample_period_s : float
+        h > 0 in seconds.
+    hold : {"first", "zero"}
+        How the input runs between two samples.
+    dead_time_s : float
+        d in seconds; negative if the input was measured late.
+    shift : int or None
+        m, where d lies on the edge of two samples and the caller has decided; None finds it, and
+        gives two taps when θ = 0.
+
+    Returns
+    -------
+    LagTaps
+        The coefficients; the taps sum to 1 - pole.
+    """
+    samples = dead_time_s / sample_period_s
+    whole = int(np.floor(samples + 1e-12)) if shift is None else shift
+    part = samples - whole
+    pole = float(np.exp(-sample_period_s / time_constant_s))
+    if abs(part) <= 1e-12:
+        _, now, before = hold_coefficients(time_constant_s, sample_period_s, hold)
+        taps = [now, before] if shift is None else [now, before, 0.0]
+        return LagTaps(pole, whole, np.array(taps))
+    _, now_1, before_1 = hold_coefficients(time_constant_s, part * sample_period_s, hold)
+    rest_s = (1 - part) * sample_period_s
+    pole_2, now_2, before_2 = (
+        hold_coefficients(time_constant_s, rest_s, hold) if rest_s else HoldCoefficients(1, 0, 0)
+    )
+    if hold == "zero":
+        return LagTaps(pole, whole, np.array([0.0, before_2, pole_2 * before_1]))
+    # First part: θ f[k-2] + (1-θ) f[k-1] to f[k-1]; second: from there to θ f[k-1] + (1-θ) f[k].
+    middle = before_2 + now_2 * part + pole_2 * (now_1 + before_1 * (1 - part))
+    return LagTaps(pole, whole, np.array([now_2 * (1 - part), middle, pole_2 * before_1 * part]))
+
+
+def tap_sensitivities(
+    time_constant_s: float,
+    sample_period_s: float,
+    hold: Hold,
+    dead_time_s: float,
+    shift: int | None,
+) -> tuple[LagTaps, LagTaps]:
+    """Return the derivatives of `lag_taps` with respect to τ and to the dead time, in 1/s.
+
+    Parameters
+    ----------
+    time_constant_s, sample_period_s, hold, dead_time_s, shift
+        See `lag_taps`; the derivative with respect to d is from the right at θ = 0, and
+        zero where `shift` is None.
+
+    Returns
+    -------
+    by_tau, by_dead_time : LagTaps
+        Derivatives of the pole and of the taps.
+    """
+    now = lag_taps(time_constant_s, sample_period_s, hold, dead_time_s, shift)
+    if now.taps.size == 2:
+        pole, first, before = hold_sensitivities(time_constant_s, sample_period_s, hold)
+        return (
+            LagTaps(pole, now.shift, np.array([first, before])),
+            LagTaps(0.0, now.shift, np.zeros(2)),
+        )
+
+    def taps(tau: float, dead: float) -> LagTaps:
+        return lag_taps(tau, sample_period_s, hold, dead, now.shift)
+
+    step = 1e-5 * time_constant_s
+    above, below = (
+        taps(time_constant_s + step, dead_time_s),
+        taps(time_constant_s - step, dead_time_s),
+    )
+    by_tau = LagTaps(
+        (above.pole - below.pole) / (2 * step), now.shift, (above.taps - below.taps) / (2 * step)
+    )
+    # One-sided towards the inside of the sample, so that the layout of the taps stays the same.
+    inside = dead_time_s / sample_period_s - now.shift < 0.5
+    move = (1e-5 if inside else -1e-5) * sample_period_s
+    near, far = (
+        taps(time_constant_s, dead_time_s + move),
+        taps(time_constant_s, dead_time_s + 2 * move),
+    )
+    slope = (4 * near.taps - 3 * now.taps - far.taps) / (2 * move)
+    return by_tau, LagTaps(0.0, now.shift, slope)
+
+
+def run_lag(
+    drive: FloatArray, segments: Segments, pole: float, initial: FloatArray | None = None
+) -> FloatArray:
+    """Run x[k] = pole x[k-1] + drive[k] through every segment from its own initial state.
+
+    Parameters
+    ----------
+    drive : ndarray of shape (n_rows,) or (n_rows, n_columns)
+        Drive of each row; that of a segment's first row is not used.
+    segments : Segments
+        The runs of rows.
+    pole : float
+        exp(-h/τ).
+    initial : ndarray of shape (n_segments,) or None
+        State at the first row of each segment; None starts every run at zero.
+
+    Returns
+    -------
+    ndarray
+        The states, in the shape of `drive`.
+    """
+    from scipy.signal import lfilter
+
+    states = np.empty_like(drive)
+    for number, rows in enumerate(segments.slices()):
+        start = 0.0 if initial is None else float(initial[number])
+        states[rows.start] = start
+        if rows.stop - rows.start < 2:
+            continue
+        memory = np.full((1, *drive.shape[1:]), pole * start)
+        states[rows.start + 1 : rows.stop], _ = lfilter(
+            [1.0], [1.0, -pole], drive[rows.start + 1 : rows.stop], axis=0, zi=memory
+        )
+    return states
+
+
 def simulate(
     forcing: FloatArray,
     segments: Segments,
@@ -186,19 +373,7 @@ def simulate(
     ndarray
         The states, in the shape of `forcing`.
     """
-    from scipy.signal import lfilter
-
     pole, now, before = coefficients
-    states = np.empty_like(forcing)
-    for number, rows in enumerate(segments.slices()):
-        start = 0.0 if initial is None else float(initial[number])
-        states[rows.start] = start
-        if rows.stop - rows.start < 2:
-            continue
-        drive = now * forcing[rows.start + 1 : rows.stop]
-        drive += before * forcing[rows.start : rows.stop - 1]
-        memory = np.full((1, *forcing.shape[1:]), pole * start)
-        states[rows.start + 1 : rows.stop], _ = lfilter(
-            [1.0], [1.0, -pole], drive, axis=0, zi=memory
-        )
-    return states
+    drive = now * forcing
+    drive[1:] += before * forcing[:-1]
+    return run_lag(drive, segments, pole, initial)

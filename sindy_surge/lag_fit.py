@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sindy_surge.free_run import Segments, simulate
-from sindy_surge.lag_problem import LagProblem, equations_about, features, noise_in_inputs
+from sindy_surge.features import features
+from sindy_surge.free_run import Segments, run_lag
+from sindy_surge.lag_equations import (
+    Equations,
+    Point,
+    equations_about,
+    noise_in_inputs,
+    start_point,
+)
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 
 __all__ = [
-    "LinearProblem",
     "StructureFit",
     "WhiteEquations",
     "fit_structure",
     "linearise",
+    "moved_point",
     "output_error",
     "scan_lag",
     "white_equations",
@@ -24,6 +33,11 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 _MAX_STEPS = 20
+# Steps before the estimated noise of φ is damped: a kink can throw it to and fro for ever.
+_UNDAMPED = 6
+# Changes of χ² that end a fit: 1e-3 standard errors, or 1e-2 while rows cross a kink to and fro.
+_NEGLIGIBLE = 1e-6
+_HARMLESS = 1e-4
 # A smooth signal runs above or below its chords by 1/12 of its second difference on average;
 # straight lines do not. The size of that correction (0: lines, 1: smooth) is
 # fitted, with 1/2 ± 1/2 known beforehand.
@@ -38,45 +52,57 @@ class StructureFit:
     ----------
     support : tuple of int
         Positions of the terms within the usable columns.
-    time_constant_s : float
-        τ in seconds.
-    coefficients : ndarray of shape (n_support,)
-        β in physical units.
+    point : Point
+        τ, dead time, coefficients and the estimated noise of φ.
     chi2 : float
         Sum of the squared whitened residuals.
     residual : ndarray of shape (n_white,)
         The whitened residuals.
     sensitivity : ndarray of shape (n_white, n_parameters)
-        Whitened derivatives with respect to β, the bend (hold "first" only) and τ last.
+        Whitened derivatives with respect to β, the bend (hold "first" only), the dead time (if
+        fitted) and τ last.
     prior : ndarray of shape (n_parameters,)
         Information from outside the record: that on the bend.
-    bend : float
-        Share of the smooth-signal correction to the straight lines; 0 for hold "zero".
     groups : Segments
         Runs of the whitened rows.
-    input_noise : ndarray of shape (n_rows, n_inputs)
-        The part of the inputs that the fit takes for noise.
-    blur : ndarray of shape (n_inputs,)
-        Standard deviation of the noise it leaves.
-    initial : ndarray of shape (n_segments,)
-        ψ' at the start of each segment.
+    rows : ndarray of int of shape (n_white,)
+        Row of the record at which each whitened equation ends.
     converged : bool
         Whether the last step was negligible.
+    settles : bool
+        Whether ψ' comes to rest at every φ of the record; terms with ψ' may drive it away.
     """
 
     support: tuple[int, ...]
-    time_constant_s: float
-    coefficients: FloatArray
+    point: Point
     chi2: float
     residual: FloatArray
     sensitivity: FloatArray
     prior: FloatArray
-    bend: float
     groups: Segments
-    input_noise: FloatArray
-    blur: FloatArray
-    initial: FloatArray
+    rows: NDArray[np.intp]
     converged: bool
+    settles: bool
+
+    @property
+    def time_constant_s(self) -> float:
+        """τ in seconds."""
+        return self.point.time_constant_s
+
+    @property
+    def dead_time_s(self) -> float:
+        """Dead time in seconds."""
+        return self.point.dead_time_s
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """β; those of terms with ψ' in the library's own units."""
+        return self.point.coefficients
+
+    @property
+    def initial(self) -> FloatArray:
+        """ψ' at the first usable row of each run."""
+        return self.point.initial
 
 
 def fit_structure(
@@ -85,6 +111,7 @@ def fit_structure(
     tau_s: float,
     beta: FloatArray | None = None,
     max_steps: int = _MAX_STEPS,
+    near: StructureFit | None = None,
 ) -> StructureFit:
     """Fit τ and β of given terms by Gauss-Newton on the whitened free run.
 
@@ -100,116 +127,127 @@ def fit_structure(
     tau_s : float
         Start value of τ in seconds.
     beta : ndarray of shape (n_support,) or None
-        Start values of the coefficients; None solves for them first.
+        Start values of the coefficients; None solves for them first (terms without ψ' only).
     max_steps : int
         Most Gauss-Newton steps.
+    near : StructureFit or None
+        A fit of the same problem to start from: its dead time and its simulated ψ'.
 
     Returns
     -------
     StructureFit
         The fit; `converged` says whether it ended by itself.
     """
-    chosen = np.array(support, dtype=np.intp)
     tau = _bounded(problem, tau_s)
-    noise_part = np.zeros_like(problem.inputs)
-    blur = problem.noise.inputs.copy()
-    found = features(problem, problem.inputs, blur)
-    b = output_error(problem, found.values[:, chosen], tau)[1] if beta is None else beta
-    bends = problem.hold == "first"
-    bend = 0.0
-    prior = np.zeros(chosen.size + 1 + bends)
+    if beta is None:
+        blur = problem.noise.inputs.copy()
+        values = features(problem, problem.inputs, blur, support).values
+        beta = output_error(problem, values, tau)[1]
+    point = start_point(problem, tau, beta)
+    if near is not None:
+        low, high = problem.dead_time_range_s
+        kept = near.point.state
+        point = replace(
+            point,
+            dead_time_s=float(np.clip(near.dead_time_s, low, high)),
+            state=kept if kept is not None and kept.size == problem.usable.rows.size else None,
+        )
+    extra = _nuisances(problem)
+    prior = np.zeros(len(support) + len(extra))
     converged = False
     for step in range(max_steps + 1):
-        if step:
-            found = features(problem, problem.inputs - noise_part, blur)
-        eq = equations_about(problem, found, chosen, tau, b, noise_part, bend)
+        eq = equations_about(problem, support, point)
         white = eq.whitener(eq.residual)
-        if bends:
+        if problem.hold == "first":
             # In units of the residual found: on exact data the prior must not pull at all.
-            prior[-2] = _BEND_PRIOR[1] ** -2 * min(1.0, float(white @ white) / white.size)
-        extra = (eq.bend_column, eq.tau_column) if bends else (eq.tau_column,)
-        columns = eq.whitener(np.column_stack((eq.raw_columns[:, chosen], *extra)))
+            mean_square = float(white @ white) / max(white.size, 1)
+            prior[len(support)] = _BEND_PRIOR[1] ** -2 * min(1.0, mean_square)
+        nuisances = [getattr(eq, name) for name in extra]
+        columns = eq.whitener(np.column_stack((eq.raw_columns, *nuisances)))
+        point = replace(point, initial=eq.initial, state=eq.state)
         if converged or step == max_steps:
             break
         pull = np.zeros(prior.size)
-        pull[-2:-1] = bends * (_BEND_PRIOR[0] - bend)
-        change = _solve(
+        pull[len(support) : len(support) + 1] = _BEND_PRIOR[0] - point.bend
+        change = least_squares(
             np.vstack((columns, np.diag(np.sqrt(prior)))),
             np.concatenate((white, np.sqrt(prior) * pull)),
         )
         moved = float(np.sum((columns @ change) ** 2))
-        tau_new = _bounded(problem, float(np.clip(tau + change[-1], tau / 3, 3 * tau)))
-        # A step cut short leaves the coefficients where they belong to the longer one.
-        share = 1.0 if change[-1] == 0 else min(1.0, abs((tau_new - tau) / change[-1]))
-        b = b + max(share, 0.1) * change[: chosen.size]
-        bend += bends * max(share, 0.1) * float(change[-2])
-        tau = tau_new
-        noise_part = noise_in_inputs(problem, eq, tau)
-        blur = np.sqrt(np.maximum(problem.noise.inputs**2 - np.mean(noise_part**2, axis=0), 0.0))
-        # 1e-7 in χ² is 3e-4 standard errors; the second condition ends a run into a bound.
-        at_bound = tau in (problem.shortest_lag_s, problem.longest_lag_s) and share < 1.0
-        converged = step > 0 and (moved < 1e-7 or (at_bound and step > 8))
+        before = point.time_constant_s
+        point = moved_point(problem, point, change)
+        point = _with_renewed_noise(problem, point, eq, 1.0 if step < _UNDAMPED else 0.5)
+        tau = point.time_constant_s
+        cut = abs(tau - before) < 0.999 * abs(change[-1])
+        at_bound = tau in (problem.shortest_lag_s, problem.longest_lag_s) and cut
+        enough = _NEGLIGIBLE if step < _UNDAMPED else _HARMLESS
+        # The second condition ends a run into a bound.
+        converged = step > 0 and (moved < enough or (at_bound and step > 8))
     return StructureFit(
         support=support,
-        time_constant_s=tau,
-        coefficients=b,
+        point=point,
         chi2=float(white @ white),
         residual=white,
         sensitivity=columns,
         prior=prior,
-        bend=bend,
         groups=eq.whitener.groups,
-        input_noise=noise_part,
-        blur=blur,
-        initial=eq.initial,
+        rows=problem.usable.rows[problem.usable.later[eq.whitener.kept]],
         converged=converged,
+        settles=eq.greatest_gain < 1.0,
     )
+
+
+def _nuisances(problem: LagProblem) -> list[str]:
+    """Return the columns of the equations that are estimated beside β, τ last."""
+    names = ["bend_column"] if problem.hold == "first" else []
+    names += ["dead_time_column"] if problem.dead_time.fitted else []
+    return [*names, "tau_column"]
+
+
+def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
+    """Take one step from a point, cut short at the bounds of τ and of the dead time.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        Supplies the bounds.
+    point : Point
+        Where the step begins.
+    change : ndarray of shape (n_parameters,)
+        The step, in the order of `StructureFit.sensitivity`.
+
+    Returns
+    -------
+    Point
+        With the same estimated noise of the inputs.
+    """
+    size = point.coefficients.size
+    move = dict(zip(_nuisances(problem), change[size:].tolist(), strict=True))
+    tau, step = point.time_constant_s, move["tau_column"]
+    tau_new = _bounded(problem, float(np.clip(tau + step, tau / 3, 3 * tau)))
+    # A step cut short leaves the coefficients where they belong to the longer one.
+    share = max(1.0 if step == 0 else min(1.0, abs((tau_new - tau) / step)), 0.1)
+    low, high = problem.dead_time_range_s
+    dead = point.dead_time_s + share * move.get("dead_time_column", 0.0)
+    return replace(
+        point,
+        time_constant_s=tau_new,
+        dead_time_s=float(np.clip(dead, low, high)) if problem.dead_time.fitted else dead,
+        coefficients=point.coefficients + share * change[:size],
+        bend=point.bend + share * move.get("bend_column", 0.0),
+    )
+
+
+def _with_renewed_noise(problem: LagProblem, point: Point, eq: Equations, share: float) -> Point:
+    """Estimate the noise of φ anew, and take that share of the new estimate."""
+    noise_part = share * noise_in_inputs(problem, eq, point)
+    noise_part += (1 - share) * point.input_noise
+    variance = problem.noise.inputs**2 - np.mean(noise_part**2, axis=0)
+    return replace(point, input_noise=noise_part, blur=np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _bounded(problem: LagProblem, tau: float) -> float:
     return float(np.clip(tau, problem.shortest_lag_s, problem.longest_lag_s))
-
-
-def _solve(columns: FloatArray, target: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0] = 1.0
-    solution: FloatArray = np.linalg.lstsq(columns / norms, target, rcond=1e-12)[0] / norms
-    return solution
-
-
-@dataclass(frozen=True)
-class LinearProblem:
-    """The regression about one fit, compressed by QR to as many rows as columns.
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n_rows, n_columns)
-        Every usable term, whitened, τ projected out, scaled to unit norm.
-    target : ndarray of shape (n_rows,)
-        What the terms have to explain.
-    norms : ndarray of shape (n_columns,)
-        Norms taken out of the columns.
-    outside : float
-        The part of χ² that no term can explain.
-    n_equations : int
-        Number of whitened equations behind it.
-    """
-
-    columns: FloatArray
-    target: FloatArray
-    norms: FloatArray
-    outside: float
-    n_equations: int
-
-    @property
-    def variance(self) -> float:
-        """Variance of the whitened residual when every term is in.
-
-        Not below 1: it is 1 by construction, and next to nothing on exact data, where
-        rounding and interpolation would otherwise decide.
-        """
-        freedom = max(self.n_equations - self.columns.shape[1] - 1, 1)
-        return float(max(self.outside / freedom, 1.0))
 
 
 @dataclass(frozen=True)
@@ -238,20 +276,7 @@ class WhiteEquations:
 
     def compressed(self) -> LinearProblem:
         """Project the nuisances out and keep as many rows as there are columns."""
-        stacked = np.column_stack((self.nuisances, self.columns, self.target))
-        norms = np.linalg.norm(stacked, axis=0)
-        norms[norms == 0] = 1.0
-        triangle: FloatArray = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
-        n = self.nuisances.shape[1]
-        columns, goal = triangle[n:, n:-1], triangle[n:, -1] * norms[-1]
-        rank = min(columns.shape)
-        # Projecting τ out shortens a column that a change of τ can stand in for.
-        left = np.linalg.norm(columns, axis=0)
-        left[left < 1e-12] = 1.0
-        outside = float(goal[rank:] @ goal[rank:])
-        return LinearProblem(
-            columns[:rank] / left, goal[:rank], norms[n:-1] * left, outside, stacked.shape[0]
-        )
+        return without_nuisances(self.nuisances, self.columns, self.target)
 
 
 def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
@@ -269,29 +294,18 @@ def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
     WhiteEquations
         One column for each usable term.
     """
-    support = np.array(fit.support, dtype=np.intp)
-    found = features(problem, problem.inputs - fit.input_noise, fit.blur)
-    eq = equations_about(
-        problem,
-        found,
-        support,
-        fit.time_constant_s,
-        fit.coefficients,
-        fit.input_noise,
-        fit.bend,
-    )
-    target = eq.residual + eq.raw_columns[:, support] @ fit.coefficients
-    nuisances = [eq.tau_column]
-    if problem.hold == "first":
-        nuisances.append(eq.bend_column)
+    eq = equations_about(problem, fit.support, fit.point, whole=True)
+    target = eq.residual + eq.raw_columns[:, list(fit.support)] @ fit.coefficients
+    nuisances = [getattr(eq, name) for name in reversed(_nuisances(problem))]
     n = len(nuisances)
     stacked = eq.whitener(np.column_stack((*nuisances, eq.raw_columns, target)))
+    usable = problem.usable
     return WhiteEquations(
         stacked[:, :n],
         stacked[:, n:-1],
         stacked[:, -1],
         eq.whitener.groups,
-        problem.segments.later[eq.whitener.kept],
+        usable.rows[usable.later[eq.whitener.kept]],
     )
 
 
@@ -313,7 +327,9 @@ def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
     return white_equations(problem, fit).compressed()
 
 
-def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[float, FloatArray]:
+def output_error(
+    problem: LagProblem, values: FloatArray, tau: float, dead_time_s: float | None = None
+) -> tuple[float, FloatArray]:
     """Return the sum of squares and β of the plain free run, initial states projected out.
 
     Parameters
@@ -324,6 +340,8 @@ def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[f
         Terms at the measured inputs.
     tau : float
         τ in seconds.
+    dead_time_s : float or None
+        Dead time in seconds; None takes the problem's own.
 
     Returns
     -------
@@ -332,14 +350,18 @@ def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[f
     beta : ndarray of shape (n_terms,)
         Coefficients.
     """
-    segments = problem.segments
-    lag = problem.hold_at(tau)
-    stacked = np.column_stack((simulate(values, segments, lag), problem.output))
-    decay = lag.pole ** segments.offsets().astype(float)
-    power = np.add.reduceat(decay**2, segments.starts)
-    share = np.add.reduceat(decay[:, None] * stacked, segments.starts, axis=0) / power[:, None]
-    stacked = stacked - decay[:, None] * np.repeat(share, segments.lengths, axis=0)
-    beta = _solve(stacked[:, :-1], stacked[:, -1])
+    usable = problem.usable
+    taps = problem.taps_at(tau, problem.dead_time.seconds if dead_time_s is None else dead_time_s)
+    drive = np.zeros((usable.rows.size, values.shape[1]))
+    drive[usable.later] = taps.drive(values, usable.rows[usable.later])
+    states = run_lag(drive, usable.segments, taps.pole)
+    stacked = np.column_stack((states, problem.output[usable.rows]))
+    decay = taps.pole ** usable.segments.offsets().astype(float)
+    power = np.add.reduceat(decay**2, usable.segments.starts)
+    share = np.add.reduceat(decay[:, None] * stacked, usable.segments.starts, axis=0)
+    share /= power[:, None]
+    stacked = stacked - decay[:, None] * np.repeat(share, usable.segments.lengths, axis=0)
+    beta = least_squares(stacked[:, :-1], stacked[:, -1])
     residual = stacked[:, -1] - stacked[:, :-1] @ beta
     return float(residual @ residual), beta
 
@@ -362,8 +384,9 @@ def scan_lag(problem: LagProblem, extra_s: tuple[float, ...] = ()) -> float:
     from scipy.optimize import minimize_scalar
 
     # Six terms follow any characteristic well enough to find the basin of τ.
-    few = problem.columns[: min(6, max(1, problem.segments.later.size // 4))]
-    values = problem.terms(problem.inputs)[:, few]
+    most = min(6, max(1, problem.usable.later.size // 4), problem.n_without_state)
+    few = problem.columns[:most]
+    values = problem.terms(problem.inputs, wanted=few.tolist())
     grid = np.geomspace(0.1 * problem.sample_period_s, problem.longest_lag_s, 16)
     inside = [t for t in extra_s if grid[0] < t < grid[-1]]
     grid = np.unique(np.concatenate((grid, inside)))

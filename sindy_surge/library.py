@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,15 +13,7 @@ from pysindy.utils import AxesArray
 
 from sindy_surge.errors import InputError
 
-__all__ = [
-    "CandidateTerms",
-    "Powers",
-    "StallTerms",
-    "default_knots",
-    "default_library",
-    "independent_columns",
-    "polynomial_degree",
-]
+__all__ = ["Powers", "StallLibrary", "StallTerms", "default_knots", "default_library", "hinge_name"]
 
 FloatArray = NDArray[np.float64]
 
@@ -76,6 +67,23 @@ class Powers(PolynomialLibrary):
     millisecond for each term, whatever the number of rows.
     """
 
+    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
+        """Evaluate some of the terms.
+
+        Parameters
+        ----------
+        x : ndarray of shape (n_rows, n_inputs)
+            The inputs.
+        wanted : sequence of int
+            Positions of the terms.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_wanted)
+            The terms.
+        """
+        return _products(x, self.powers_[list(wanted)])
+
     @x_sequence_or_item
     def transform(self, x_full: Any) -> list[Any]:
         """Evaluate the powers and products."""
@@ -87,10 +95,24 @@ class Powers(PolynomialLibrary):
 
 def _products(x: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
     columns = np.ones((x.shape[0], len(powers)), order="F")
+    # Chains of multiplications: numpy's power takes ten times as long.
+    chain: dict[tuple[int, int], FloatArray] = {}
     for number, exponents in enumerate(powers):
         for j in np.flatnonzero(exponents):
-            columns[:, number] *= x[:, j] ** int(exponents[j])
+            columns[:, number] *= _chained(x, int(j), int(exponents[j]), chain)
     return columns
+
+
+def _chained(
+    x: FloatArray, j: int, power: int, chain: dict[tuple[int, int], FloatArray]
+) -> FloatArray:
+    if (j, power) not in chain:
+        chain[j, power] = (
+            np.ascontiguousarray(x[:, j])
+            if power == 1
+            else _chained(x, j, power - 1, chain) * _chained(x, j, 1, chain)
+        )
+    return chain[j, power]
 
 
 class StallTerms(BaseFeatureLibrary):
@@ -122,9 +144,12 @@ class StallTerms(BaseFeatureLibrary):
                 expected=f"knots and scales for each of {self.n_features_in_} inputs",
                 found=f"{len(self.knots)} and {len(self.scales)}",
             )
-        self.n_output_features_ = sum(
-            len(k) + 1 + len(s) for k, s in zip(self.knots, self.scales, strict=True)
-        )
+        self._plan: list[tuple[int, str, float]] = []
+        for j, (knots, scales) in enumerate(zip(self.knots, self.scales, strict=True)):
+            self._plan += [(j, "hinge", float(k)) for k in knots]
+            self._plan.append((j, "reverse", 0.0))
+            self._plan += [(j, "fall", float(s)) for s in scales]
+        self.n_output_features_ = len(self._plan)
         return self
 
     @x_sequence_or_item
@@ -135,13 +160,21 @@ class StallTerms(BaseFeatureLibrary):
         ]
 
     def _columns(self, x: FloatArray) -> FloatArray:
-        columns = []
-        for j, (knots, scales) in enumerate(zip(self.knots, self.scales, strict=True)):
+        return self.columns_at(x, range(self.n_output_features_))
+
+    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
+        """Evaluate some of the terms; see `Powers.columns_at`."""
+        columns = np.empty((x.shape[0], len(wanted)), order="F")
+        for number, position in enumerate(wanted):
+            j, kind, value = self._plan[position]
             phi = x[:, j]
-            columns += [np.maximum(phi - k, 0.0) for k in knots]
-            columns.append(np.where(phi < 0, phi**2, 0.0))
-            columns += [np.exp(-phi / s) for s in scales]
-        return np.column_stack(columns)
+            if kind == "hinge":
+                columns[:, number] = np.maximum(phi - value, 0.0)
+            elif kind == "reverse":
+                columns[:, number] = np.square(np.minimum(phi, 0.0))
+            else:
+                columns[:, number] = np.exp(-phi / value)
+        return columns
 
     def get_feature_names(self, input_features: Any = None) -> list[str]:
         """Return the names, e.g. ``relu(phi-0.05)``."""
@@ -149,13 +182,43 @@ class StallTerms(BaseFeatureLibrary):
             input_features = [f"x{j}" for j in range(self.n_features_in_)]
         names = []
         for name, knots, scales in zip(input_features, self.knots, self.scales, strict=True):
-            names += [_hinge_name(name, k) for k in knots]
+            names += [hinge_name(name, k) for k in knots]
             names.append(f"{name}^2[{name}<0]")
             names += [f"exp(-{name}/{s:.12g})" for s in scales]
         return names
 
 
-def _hinge_name(name: str, knot: float) -> str:
+class StallLibrary(ConcatLibrary):
+    """Polynomials and `StallTerms` side by side, with any of their terms alone."""
+
+    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
+        """Evaluate some of the terms; see `Powers.columns_at`."""
+        powers, special = self.libraries
+        edge = powers.n_output_features_
+        order = np.argsort([position >= edge for position in wanted], kind="stable")
+        first = [wanted[i] for i in order if wanted[i] < edge]
+        second = [wanted[i] - edge for i in order if wanted[i] >= edge]
+        columns = np.empty((x.shape[0], len(wanted)), order="F")
+        columns[:, order[: len(first)]] = powers.columns_at(x, first)
+        columns[:, order[len(first) :]] = special.columns_at(x, second)
+        return columns
+
+
+def hinge_name(name: str, knot: float) -> str:
+    """Return the name of max(φ - k, 0), e.g. ``relu(phi-0.05)``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the input.
+    knot : float
+        k.
+
+    Returns
+    -------
+    str
+        The name.
+    """
     if knot == 0:
         return f"relu({name})"
     return f"relu({name}{'-' if knot > 0 else '+'}{abs(knot):.12g})"
@@ -202,7 +265,7 @@ def default_library(
         missing = 15 - (degree + 2 + len(each_knots[-1]) + len(each_scales[-1]))
         if missing > 0 and knots is None:
             each_knots[-1] = _finer(each_knots[-1], phi, missing)
-    return ConcatLibrary([polynomials, StallTerms(each_knots, each_scales)])
+    return StallLibrary([polynomials, StallTerms(each_knots, each_scales)])
 
 
 def _finer(knots: tuple[float, ...], phi: FloatArray, missing: int) -> tuple[float, ...]:
@@ -223,150 +286,3 @@ def _n_polynomials(n_inputs: int, degree: int) -> int:
     from math import comb
 
     return comb(n_inputs + degree, degree)
-
-
-class _Evaluator(Protocol):
-    def transform(self, x: Any) -> Any: ...
-
-
-class CandidateTerms:
-    """A fitted library with its names and the columns that can be told apart on this data.
-
-    Parameters
-    ----------
-    library : pysindy library, scikit-learn transformer or None
-        Deep-copied, then fitted to `X`; None builds `default_library`.
-    X : ndarray of shape (n_rows, n_inputs)
-        The inputs.
-    input_names : list of str
-        Name of each input, used in the names of the terms.
-    degree, knots
-        See `default_library`; unused with a library of one's own.
-    """
-
-    def __init__(
-        self,
-        library: Any,
-        X: FloatArray,
-        input_names: list[str],
-        *,
-        degree: int = 5,
-        knots: ArrayLike | None = None,
-    ) -> None:
-        chosen = default_library(X, degree=degree, knots=knots) if library is None else library
-        for method in ("fit", "transform"):
-            if not hasattr(chosen, method):
-                raise InputError(
-                    "library",
-                    expected="a pysindy feature library or a scikit-learn transformer",
-                    found=f"{type(chosen).__name__}, which has no `{method}`",
-                )
-        self._library: _Evaluator = copy.deepcopy(chosen).fit(X)
-        self.names = _names(self._library, input_names, self(X[:1]).shape[1])
-
-    def __call__(self, X: FloatArray) -> FloatArray:
-        """Evaluate every term.
-
-        Parameters
-        ----------
-        X : ndarray of shape (n_rows, n_inputs)
-            The inputs.
-
-        Returns
-        -------
-        ndarray of shape (n_rows, n_terms)
-            The terms in physical units.
-
-        Raises
-        ------
-        InputError
-            If a term is not finite somewhere.
-        """
-        # A plain float array: pysindy hands back its own subclass, slow in everything after.
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = self._library.transform(X)
-        if hasattr(values, "toarray"):
-            values = values.toarray()
-        values = np.array(values, dtype=np.float64, order="F", subok=False)
-        if not np.all(np.isfinite(values)):
-            column = int(np.flatnonzero(~np.all(np.isfinite(values), axis=0))[0])
-            raise InputError(
-                "library",
-                expected="finite terms over the whole range of the data",
-                found=f"infinite or NaN values in column {column}",
-                remedy="leave that term out, or restrict the range",
-            )
-        return values
-
-
-def _names(library: Any, input_names: list[str], n_terms: int) -> tuple[str, ...]:
-    if hasattr(library, "get_feature_names"):
-        names = library.get_feature_names(input_names)
-    elif hasattr(library, "get_feature_names_out"):
-        names = library.get_feature_names_out(np.asarray(input_names, dtype=object))
-    else:
-        names = [f"s{i}" for i in range(n_terms)]
-    # pysindy and scikit-learn write a product as "a b".
-    return tuple(str(name) for name in names)
-
-
-def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[np.intp]:
-    """Return the columns, first come first kept, that no earlier ones reproduce.
-
-    Zero columns (the reverse branch of a record that never reverses) and exact aliases go.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows, n_terms)
-        The terms over the data.
-    tolerance : float
-        Least share of a column's norm that must be new.
-
-    Returns
-    -------
-    ndarray of int
-        Indices of the columns kept.
-    """
-    norms = np.linalg.norm(values, axis=0)
-    # The triangular factor holds all inner products in as many rows as there are terms.
-    scaled = values / np.where(norms > 0, norms, 1.0)
-    triangle: FloatArray = np.asarray(np.linalg.qr(scaled, mode="r"))
-    basis = np.empty((triangle.shape[0], 0))
-    kept: list[int] = []
-    for j, norm in enumerate(norms):
-        if norm == 0.0 or len(kept) >= values.shape[0]:
-            continue
-        rest = triangle[:, j]
-        for _ in range(2):  # twice is enough (Kahan, in Parlett, The Symmetric Eigenvalue Problem)
-            rest = rest - basis @ (basis.T @ rest)
-        size = float(np.linalg.norm(rest))
-        if size > tolerance:
-            basis = np.column_stack((basis, rest / size))
-            kept.append(j)
-    return np.array(kept, dtype=np.intp)
-
-
-def polynomial_degree(name: str, input_names: Sequence[str]) -> int | None:
-    """Return the total degree of a term, or None if it is no power or product of the inputs.
-
-    Parameters
-    ----------
-    name : str
-        Name of the term, e.g. ``1``, ``phi^2`` or ``x0 x1^2``.
-    input_names : sequence of str
-        Names of the inputs.
-
-    Returns
-    -------
-    int or None
-        Sum of the exponents; 0 for ``1``.
-    """
-    if name == "1":
-        return 0
-    degree = 0
-    for factor in name.split(" "):
-        base, _, power = factor.partition("^")
-        if base not in input_names or not (power == "" or power.isdecimal()):
-            return None
-        degree += int(power or 1)
-    return degree

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sindy_surge.covariance import sandwich
+from sindy_surge.features import features
 from sindy_surge.free_run import simulate
+from sindy_surge.lag_equations import equations_about, start_point
 from sindy_surge.lag_fit import (
-    LinearProblem,
     StructureFit,
     fit_structure,
     output_error,
     scan_lag,
+    white_equations,
 )
-from sindy_surge.lag_problem import LagProblem, equations_about, features
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.weak_form import WeakLag, weak_lag
 from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
@@ -25,6 +30,19 @@ __all__ = ["Prepared", "prepare"]
 FloatArray = NDArray[np.float64]
 
 
+# A dead time is believed beyond this many standard errors of the fit of all terms.
+_BELIEVED = 4.0
+# Noise of ψ' assumed at least, in rms corrections for chords. Matters below 0.1 % of noise: on
+# exact signals with a kink the corrected chords leave five of these.
+_CHORDS = 5.0
+# Share of χ² that terms with ψ' must leave to be counted among all terms.
+_TAKEN_OVER = 0.5
+# A fit of the dead time reaches two samples at a time.
+_MOST_MOVES = 15
+
+DeadTimeChoice = float | Literal["auto", "fit"]
+
+
 @dataclass(frozen=True)
 class Prepared:
     """The problem with its noise levels, the fit of all terms and the weak estimates.
@@ -32,14 +50,14 @@ class Prepared:
     Parameters
     ----------
     problem : LagProblem
-        The data with noise levels and colour.
+        The data with noise levels and colour, and the dead time found.
     rich : StructureFit
-        The fit of all terms.
+        The fit of all terms without ψ'.
     weak : WeakLag or None
         The weak estimates of τ.
     excess : float
-        χ²/N of the fit of all terms before its colour is filtered out: the variance of what
-        all terms leave over that of the white noise which differences show.
+        χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what
+        they leave over that of the white noise which differences show.
     """
 
     problem: LagProblem
@@ -48,60 +66,138 @@ class Prepared:
     excess: float
 
 
-def prepare(problem: LagProblem) -> Prepared:
-    """Find τ's basin and the noise levels, and fit all terms.
+def prepare(
+    problem: LagProblem, dead_time: DeadTimeChoice = 0.0, required: tuple[int, ...] = ()
+) -> Prepared:
+    """Find τ's basin, the noise levels and their colour, and the dead time; fit all terms.
+
+    A channel that is late by a sample moves τ by a fifth and fakes terms with ψ', and coloured
+    noise fakes terms of φ: both are tested for before any structure is read.
 
     Parameters
     ----------
     problem : LagProblem
-        The data; its noise levels are replaced.
+        The data; its noise levels and dead time are replaced.
+    dead_time : float, "fit" or "auto"
+        The dead time in seconds, or whether to fit it: always, or where it shows.
+    required : tuple of int
+        Terms that must not be dropped, however many there are.
 
     Returns
     -------
     Prepared
         With noise levels, and their colour if the whitened residual has any.
     """
-    values = problem.terms(problem.inputs)
-    # One weak equation comes every quarter of a half width, so far fewer than rows.
-    few = values[:, problem.columns[: max(2, min(20, problem.output.size // 100))]]
-    weak = weak_lag(problem.output, few, problem.segments, problem.sample_period_s)
-    extra = () if weak is None else (weak.reverse_s, weak.forward_s)
-    tau = scan_lag(problem, extra)
-    problem = _screened(problem, values, tau)
-    problem = replace(problem, noise=_noise(problem, values, tau))
-    everything = tuple(range(problem.columns.size))
+    given = 0.0 if isinstance(dead_time, str) else float(dead_time)
+    problem = problem.with_dead_time(given, False)
+    tau = scan_lag(problem, _brackets(_weak(problem)))
+    problem = _screened(problem, tau, required)
+    problem = replace(problem, noise=_noise(problem, tau))
+    everything = tuple(range(problem.n_without_state))
     rich = fit_structure(problem, everything, tau, max_steps=6)
-    excess = rich.chi2 / max(rich.residual.size, 1)
-    colour = autoregression(rich.residual, rich.groups)
+    if isinstance(dead_time, str):
+        problem, rich = _with_dead_time(problem, rich, always=dead_time == "fit")
+    left = _left_by_all(problem, rich)
+    excess = float(np.mean(left**2)) if left.size else 0.0
+    colour = autoregression(left, rich.groups)
     # Five orders below the least noise assumed there is only rounding, and its colour is nothing.
-    if colour.size and rich.chi2 > 1e-10 * rich.residual.size:
+    if colour.size and excess > 1e-10:
         problem = replace(problem, noise=replace(problem.noise, colour=colour))
-        rich = fit_structure(
-            problem, everything, rich.time_constant_s, rich.coefficients, max_steps=4
-        )
-    return Prepared(problem, rich, weak, excess)
+        rich = _refitted(problem, rich)
+        if problem.dead_time.fitted and dead_time == "auto" and not _late(problem, rich):
+            # Coloured noise had passed for a time shift.
+            problem = problem.with_dead_time(0.0, False)
+            rich = _refitted(problem, rich)
+    return Prepared(problem, rich, _weak(problem), excess)
 
 
-def _screened(problem: LagProblem, values: FloatArray, tau: float) -> LagProblem:
+def _left_by_all(problem: LagProblem, rich: StructureFit) -> FloatArray:
+    """Return the whitened residual when terms with ψ' are allowed too, to first order."""
+    if problem.columns.size == problem.n_without_state:
+        return rich.residual
+    equations = white_equations(problem, rich)
+    design = np.column_stack((equations.nuisances, equations.columns))
+    left = equations.target - design @ least_squares(design, equations.target)
+    # Terms with ψ' that take over little would only eat some of the colour.
+    return left if left @ left < _TAKEN_OVER * rich.chi2 else rich.residual
+
+
+def _weak(problem: LagProblem) -> WeakLag | None:
+    # One weak equation comes every quarter of a half width, so far fewer than rows.
+    most = max(2, min(20, problem.output.size // 100, problem.n_without_state))
+    few = problem.terms(problem.inputs)[:, problem.columns[:most]]
+    return weak_lag(problem.output, problem.late(few), problem.segments, problem.sample_period_s)
+
+
+def _brackets(weak: WeakLag | None) -> tuple[float, ...]:
+    return () if weak is None else (weak.reverse_s, weak.forward_s)
+
+
+def _refitted(problem: LagProblem, fit: StructureFit) -> StructureFit:
+    return fit_structure(
+        problem, fit.support, fit.time_constant_s, fit.coefficients, max_steps=4, near=fit
+    )
+
+
+def _with_dead_time(
+    problem: LagProblem, rich: StructureFit, *, always: bool
+) -> tuple[LagProblem, StructureFit]:
+    """Fit the dead time with all terms, two samples at a time, and keep it where it shows."""
+    found, fit = problem, rich
+    for _ in range(_MOST_MOVES):
+        trial = found.with_dead_time(fit.dead_time_s, True)
+        if trial.usable.later.size < 2 * len(rich.support) + 8:
+            return problem, rich
+        found = trial
+        fit = fit_structure(found, rich.support, fit.time_constant_s, fit.coefficients, max_steps=6)
+        low, high = found.dead_time_range_s
+        if low < fit.dead_time_s < high:
+            break
+    if not (always or _late(found, fit)):
+        return problem, rich
+    found = found.with_dead_time(fit.dead_time_s, True)
+    return found, fit_structure(
+        found, rich.support, fit.time_constant_s, fit.coefficients, max_steps=6
+    )
+
+
+def _late(problem: LagProblem, fit: StructureFit) -> bool:
+    """Return whether the dead time differs from zero, terms with ψ' notwithstanding.
+
+    It must by its own standard error, which allows for coloured noise; and against the best that
+    terms with ψ' could do in its place, for they look alike.
+    """
+    stderr = float(np.sqrt(sandwich(problem, fit)[-2, -2]))
+    if abs(fit.dead_time_s) <= _BELIEVED * stderr:
+        return False
+    equations = white_equations(problem, fit)
+    tau, dead_time = equations.nuisances[:, :1], equations.nuisances[:, 1]
+    others = np.column_stack((tau, equations.nuisances[:, 2:]))
+    # What the terms have to explain if there is no dead time.
+    target = equations.target + fit.dead_time_s * dead_time
+    without = without_nuisances(others, equations.columns, target)
+    return without.outside - equations.compressed().outside > _BELIEVED**2 * without.variance
+
+
+def _screened(problem: LagProblem, tau: float, required: tuple[int, ...]) -> LagProblem:
     """Keep at most a quarter as many terms as equations, and 40, chosen by greedy addition."""
-    most = max(min(problem.segments.later.size // 4, 40), 1)
-    if problem.columns.size <= most:
+    n_inputs_terms = problem.n_without_state
+    with_state = problem.columns[n_inputs_terms:]
+    most = max(min(problem.usable.later.size // 4, 40), 1)
+    if n_inputs_terms <= most:
         return problem
-    fit = _plain_fit(problem, values, tau)
-    ranked = beam_search(fit, most, width=1)
-    kept = ranked[max(ranked)][0][1]
-    return replace(problem, columns=problem.columns[list(kept)])
-
-
-def _plain_fit(problem: LagProblem, values: FloatArray, tau: float) -> LinearProblem:
-    lag = problem.hold_at(tau)
-    columns = simulate(values[:, problem.columns], problem.segments, lag)
+    values = problem.terms(problem.inputs)[:, problem.columns[:n_inputs_terms]]
+    columns = simulate(problem.late(values), problem.segments, problem.hold_at(tau))
     norms = np.linalg.norm(columns, axis=0)
     norms[norms == 0] = 1.0
-    return LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
+    plain = LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
+    always = tuple(i for i in required if i < n_inputs_terms)
+    ranked = beam_search(plain, max(most, len(always)), width=1, required=always)
+    kept = problem.columns[list(ranked[max(ranked)][0][1])]
+    return replace(problem, columns=np.concatenate((kept, with_state)))
 
 
-def _noise(problem: LagProblem, values: FloatArray, tau: float) -> NoiseLevels:
+def _noise(problem: LagProblem, tau: float) -> NoiseLevels:
     segments = problem.segments
     scale = float(np.std(problem.output))
     guess = NoiseLevels(
@@ -111,12 +207,20 @@ def _noise(problem: LagProblem, values: FloatArray, tau: float) -> NoiseLevels:
     )
     silent = NoiseLevels(scale, np.zeros(problem.inputs.shape[1]), np.empty(0))
     clean = replace(problem, noise=silent)
-    found = features(clean, problem.inputs, silent.inputs)
-    everything = np.arange(problem.columns.size)
-    beta = output_error(clean, found.values, tau)[1]
-    eq = equations_about(clean, found, everything, tau, beta, np.zeros_like(problem.inputs))
+    everything = tuple(range(problem.n_without_state))
+    values = features(clean, problem.inputs, silent.inputs, everything).values
+    beta = output_error(clean, values, tau)[1]
+    eq = equations_about(clean, everything, start_point(clean, tau, beta))
+    taps = problem.taps_at(tau, problem.dead_time.seconds)
+    usable = problem.usable
     limited = _limited(eq.slopes)
-    return refine_noise(eq.residual, problem.hold_at(tau), limited, guess, segments, scale)
+    noise = refine_noise(eq.residual, taps, limited, guess, usable.segments, usable.rows, scale)
+    if problem.hold == "first":
+        # Where a knot lies between two samples, the correction for chords is wrong by as much as
+        # it is large.
+        chords = _CHORDS * float(np.sqrt(np.mean(eq.bend_column**2)))
+        noise = replace(noise, output=max(noise.output, chords))
+    return noise
 
 
 def _limited(slopes: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -11,10 +11,16 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sindy_surge.equations import format_equation
+from sindy_surge.checks import check_parameters, is_constant, refuse_not_finite
+from sindy_surge.display import FittedDisplay
+from sindy_surge.equations import EquationParts, pysindy_equations, write_equation
 from sindy_surge.errors import InputError
-from sindy_surge.free_run import Hold, Segments, hold_coefficients, simulate
+from sindy_surge.export import RateFunction, SelectedTerms, python_source
+from sindy_surge.free_run import Hold, Segments
+from sindy_surge.preparation import DeadTimeChoice
+from sindy_surge.simulation import FreeModel
 from sindy_surge.states import FitState
+from sindy_surge.summary import ModelSummary
 
 __all__ = ["SparseLagRegressor"]
 
@@ -24,7 +30,7 @@ FloatArray = NDArray[np.float64]
 _SPARE_EQUATIONS = 8
 
 
-class SparseLagRegressor(RegressorMixin, BaseEstimator):
+class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     """Find the terms of ψ'_QS(φ) and the lag τ dψ'/dt + ψ' = Σ β_i s_i(φ) in a record.
 
     A pysindy library supplies the candidate terms, a pysindy optimizer the path through them,
@@ -44,14 +50,28 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
         exponentials over the range of the data.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
-        What proposes the structures.
+    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
+        What proposes the structures; the best subsets of each size are always looked at too.
     max_terms : int
         Largest structure considered.
     degree : int
         Highest degree of the default library's polynomials.
     knots : array-like of float or None
-        Knots of the default library's hinges; None takes round numbers within the data.
+        Knots of the default library's hinges; None takes round numbers within the data, and
+        moves a knot of the chosen structure where the data ask for it.
+    psi_terms : bool or pysindy feature library or scikit-learn transformer
+        Terms that hold ψ' beside the lag's own: True for ψ'², ψ'³ and products with φ and φ²,
+        False for none, a library over (ψ', inputs) for others.
+    constraints : mapping of str to str, or None
+        What is known beforehand: for the name of a term "required", "forbidden", "positive" or
+        "negative" (two joined by a space). The lag itself is always there, with τ > 0.
+    dead_time_s : float, "auto" or "fit"
+        How much later than φ ψ' was measured, in seconds (negative: φ is late). "auto" tests
+        for it before any structure is read, and fits it with every structure where it shows.
+    n_bootstrap : int
+        Resamples of the cycles for `inclusion_probability_`; 0 for none.
+    random_state : int, numpy Generator or None
+        Seed of the resamples.
 
     Attributes
     ----------
@@ -62,7 +82,7 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
     terms_ : tuple of str
         Names of the selected terms.
     coef_ : ndarray of shape (n_terms,)
-        β_i of ψ'_QS, in physical units.
+        β_i, in physical units.
     covariance_ : ndarray of shape (n_terms, n_terms)
         Covariance of `coef_`: sandwich with Newey-West scores, τ estimated along; where model
         error dominates, a jackknife over cycles, with what a repeated error and the choice of
@@ -77,6 +97,18 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         Every structure proposed or tested, with its score.
     rivals_ : tuple of tuple of str
         Structures of the same size that the data cannot tell from the chosen one.
+    aliases_ : dict of str to str
+        Terms of the library that are zero or a sum of others over this record, and were left out:
+        name and what it equals.
+    inclusion_probability_ : dict of str to float
+        For each term that could be chosen the share of resampled records (cycles drawn with
+        replacement) whose structure holds it.
+    dead_time_s_ : float
+        Dead time in seconds: how much later than φ ψ' was measured.
+    dead_time_stderr_s_ : float
+        Its standard error in seconds; 0 if it was not fitted.
+    cautions_ : tuple of str
+        What a user should know before the numbers are used.
     weak_form_ : WeakLag or None
         The two weak estimates of τ, whose gap measures the noise.
     noise_ : tuple of (float, ndarray) or None
@@ -104,6 +136,11 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         max_terms: int = 6,
         degree: int = 5,
         knots: Sequence[float] | None = None,
+        psi_terms: Any = True,
+        constraints: Mapping[str, str] | None = None,
+        dead_time_s: DeadTimeChoice = "auto",
+        n_bootstrap: int = 100,
+        random_state: Any = 0,
     ) -> None:
         self.sample_period_s = sample_period_s
         self.hold = hold
@@ -112,6 +149,11 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         self.max_terms = max_terms
         self.degree = degree
         self.knots = knots
+        self.psi_terms = psi_terms
+        self.constraints = constraints
+        self.dead_time_s = dead_time_s
+        self.n_bootstrap = n_bootstrap
+        self.random_state = random_state
 
     def fit(
         self, X: ArrayLike, y: ArrayLike, segments: ArrayLike | None = None
@@ -140,45 +182,44 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         InputError
             For parameters, labels or a library that cannot be used.
         """
-        self._check_parameters()
+        check_parameters(self)
         X_checked, y_checked = validate_data(
-            self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
+            self,
+            X,
+            y,
+            dtype=np.float64,
+            y_numeric=True,
+            ensure_min_samples=2,
+            ensure_all_finite=False,
         )
         y_checked = y_checked.astype(np.float64)
+        refuse_not_finite(X_checked, y_checked)
         runs = Segments.from_labels(segments, X_checked.shape[0])
-        from sindy_surge.library import CandidateTerms, independent_columns
+        from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
 
         self._input_names = self._names_of_inputs()
         self._candidates = CandidateTerms(
-            self.library, X_checked, self._input_names, degree=self.degree, knots=self.knots
+            self.library,
+            X_checked,
+            self._input_names,
+            degree=self.degree,
+            knots=self.knots,
+            psi_terms=self.psi_terms,
+            psi_p=y_checked,
         )
         self.candidate_terms_ = self._candidates.names
         self.feature_range_ = np.stack((X_checked.min(axis=0), X_checked.max(axis=0)))
         values = self._candidates(X_checked)
         columns = independent_columns(values)
+        self.aliases_ = aliases_of(values, columns, self.candidate_terms_)
         equations = int(runs.later.size)
         if columns.size < 1 or equations < _SPARE_EQUATIONS + 3:
             self._fit_static(values, y_checked, runs, FitState.TOO_FEW_ROWS)
-        elif _constant(X_checked) or _constant(y_checked[:, None]):
+        elif is_constant(X_checked) or is_constant(y_checked[:, None]):
             self._fit_static(values[:, columns], y_checked, runs, FitState.CONSTANT_SIGNAL, columns)
         else:
             self._fit_lag(X_checked, y_checked, runs, columns)
         return self
-
-    def _check_parameters(self) -> None:
-        period: Any = self.sample_period_s
-        if not (isinstance(period, (int, float, np.number)) and np.isfinite(period) and period > 0):
-            raise InputError(
-                "sample_period_s", expected="a positive time in seconds", found=repr(period)
-            )
-        if self.hold not in ("first", "zero"):
-            raise InputError("hold", expected='"first" or "zero"', found=repr(self.hold))
-        if self.knots is not None and not np.all(np.isfinite(np.asarray(self.knots, dtype=float))):
-            raise InputError("knots", expected="finite values of φ", found=repr(self.knots))
-        for name in ("max_terms", "degree"):
-            value: Any = getattr(self, name)
-            if not (isinstance(value, (int, np.integer)) and value >= 1):
-                raise InputError(name, expected="a whole number of at least 1", found=repr(value))
 
     def _names_of_inputs(self) -> list[str]:
         if hasattr(self, "feature_names_in_"):
@@ -190,70 +231,56 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
     def _fit_lag(
         self, X: FloatArray, y: FloatArray, runs: Segments, columns: NDArray[np.intp]
     ) -> None:
-        from sindy_surge.covariance import sandwich
-        from sindy_surge.held_out import (
-            model_error_dominates,
-            select_by_held_out,
-            with_held_out,
-        )
-        from sindy_surge.lag_problem import LagProblem
-        from sindy_surge.library import polynomial_degree
-        from sindy_surge.preparation import prepare
-        from sindy_surge.selection import select_structure
-        from sindy_surge.whitening import NoiseLevels
+        from sindy_surge.checks import cautions_of
+        from sindy_surge.identification import Choices, identify, silent_problem
+        from sindy_surge.state_terms import physical_form
 
-        silent = NoiseLevels(1.0, np.zeros(X.shape[1]), np.empty(0))
-        prepared = prepare(
-            LagProblem(
-                X,
-                y,
-                runs,
-                float(self.sample_period_s),
-                self.hold,
-                self._candidates,
-                columns,
-                silent,
-            )
+        period = float(self.sample_period_s)
+        choices = Choices(
+            self.optimizer,
+            int(self.max_terms),
+            self.constraints,
+            self.dead_time_s,
+            int(self.n_bootstrap),
+            self.random_state,
         )
-        usable = prepared.problem.columns
-        names = [self.candidate_terms_[i] for i in usable]
-        self.weak_form_ = prepared.weak
-        self.noise_: tuple[float, FloatArray] | None = (
-            prepared.problem.noise.output,
-            prepared.problem.noise.inputs,
+        problem = silent_problem(X, y, runs, period, self.hold, self._candidates, columns)
+        found = identify(problem, choices, self._input_names)
+        noise = found.problem.noise
+        self._candidates = found.problem.terms
+        self._selected = found.selected
+        self.weak_form_, self.path_, self.rivals_ = found.weak, found.path, found.rivals
+        self.inclusion_probability_ = found.inclusion
+        self.noise_: tuple[float, FloatArray] | None = (noise.output, noise.inputs)
+        self.dead_time_s_ = found.dead_time_s
+        self.dead_time_stderr_s_ = found.dead_time_stderr_s
+        self.initial_states_ = found.initial
+        self._model = FreeModel(
+            found.problem.terms,
+            found.selected,
+            found.coefficients,
+            found.time_constant_s,
+            found.dead_time_s,
+            period,
+            self.hold,
+            (float(y.min()), float(y.max())),
         )
-        chosen = select_structure(prepared, self.optimizer, int(self.max_terms), names)
-        dominated = model_error_dominates(prepared, chosen.consistent)
-        robust = None
-        if dominated:
-            degrees = [polynomial_degree(name, self._input_names) for name in names]
-            robust = select_by_held_out(
-                prepared.problem, self.optimizer, int(self.max_terms), degrees
-            )
-        self.path_ = chosen.path if robust is None else with_held_out(chosen.path, robust, names)
-        self.rivals_ = (
-            tuple(tuple(names[i] for i in rival) for rival in chosen.rivals)
-            if robust is None
-            else ()
+        names = self._candidates.names
+        form = physical_form(
+            [names[i] for i in found.selected],
+            found.coefficients,
+            found.time_constant_s,
+            found.covariance,
+            self._candidates.states,
+            self._input_names,
         )
-        fit = chosen.fit if robust is None else robust
-        self._selected = usable[list(fit.support)]
-        self.terms_ = tuple(self.candidate_terms_[i] for i in self._selected)
-        self.coef_ = fit.coefficients
-        self.time_constant_s_ = fit.time_constant_s
-        self.joint_covariance_ = (
-            sandwich(prepared.problem, chosen.fit) if robust is None else robust.covariance
-        )
-        self.covariance_ = self.joint_covariance_[:-1, :-1]
-        self.time_constant_stderr_s_ = float(np.sqrt(self.joint_covariance_[-1, -1]))
-        self.initial_states_ = fit.initial
-        if robust is not None:
-            state = FitState.MODEL_ERROR_DOMINATES
-        elif dominated or not chosen.consistent:
-            state = FitState.NO_CONSISTENT_STRUCTURE
-        else:
-            state = FitState.OK if chosen.fit.converged else FitState.NOT_CONVERGED
-        self.fit_state_ = self._state(state, prepared.problem.longest_lag_s)
+        self.terms_, self.coef_ = form.names, form.coefficients
+        self.time_constant_s_ = form.time_constant_s
+        self.joint_covariance_ = form.covariance
+        self.covariance_ = form.covariance[:-1, :-1]
+        self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
+        self.fit_state_ = self._state(found.state, problem.longest_lag_s)
+        self.cautions_ = cautions_of(found)
 
     def _state(self, otherwise: FitState, longest_s: float) -> FitState:
         tau, error = self.time_constant_s_, self.time_constant_stderr_s_
@@ -289,13 +316,25 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         self.joint_covariance_ = np.full((size + 1, size + 1), np.nan)
         self.covariance_ = np.full((size, size), np.nan)
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
-        self.path_, self.rivals_ = (), ()
+        self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
+        self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
         self.weak_form_ = self.noise_ = None
         self.initial_states_ = y[runs.starts]
         self.fit_state_ = state
+        self.cautions_ = (state.advice,)
+        self._model = FreeModel(
+            self._candidates,
+            self._selected,
+            self.coef_,
+            float("nan"),
+            0.0,
+            float(self.sample_period_s),
+            self.hold,
+            (float(y.min()), float(y.max())),
+        )
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Evaluate ψ'_QS and its standard error.
+        """Evaluate ψ'_QS, the ψ' at rest, and its standard error.
 
         Parameters
         ----------
@@ -326,9 +365,28 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
             )
         if inputs.shape[0] == 0:
             return np.empty(0), np.empty(0)
-        values = self._candidates(inputs)[:, self._selected]
+        curve = self._model.at_rest(inputs)
+        resting = np.nan_to_num(curve)
+        values = self._physical_model().values(inputs, resting)
+        # With terms in ψ' a change of the forcing moves the ψ' at rest by 1/(1 - gain) of it.
+        values = values / (1.0 - self._physical_model().gain(inputs, resting))[:, None]
         variance = np.einsum("ij,jk,ik->i", values, self.covariance_, values)
-        return values @ self.coef_, np.sqrt(np.maximum(variance, 0.0))
+        return curve, np.sqrt(np.maximum(variance, 0.0))
+
+    def _physical_model(self) -> FreeModel:
+        """Return the model as `terms_` and `coef_` state it."""
+        physical = self._candidates.physical()
+        names = physical.names
+        return FreeModel(
+            physical,
+            np.array([names.index(term) for term in self.terms_], dtype=np.intp),
+            self.coef_,
+            self.time_constant_s_,
+            self.dead_time_s_,
+            float(self.sample_period_s),
+            self.hold,
+            self._model.seen,
+        )
 
     def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
         """Run the lag freely over the inputs, each segment from equilibrium at its first row.
@@ -348,11 +406,10 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         checked = validate_data(self, X, dtype=np.float64, reset=False)
         runs = Segments.from_labels(segments, checked.shape[0])
-        forcing, _ = self.characteristic(checked)
         if np.isnan(self.time_constant_s_):
-            return forcing
-        lag = hold_coefficients(self.time_constant_s_, float(self.sample_period_s), self.hold)
-        return simulate(forcing, runs, lag, forcing[runs.starts])
+            return self._model.at_rest(checked)
+        start = np.nan_to_num(self._model.at_rest(checked[runs.starts]))
+        return self._model.run(checked, runs, start)
 
     def score(
         self,
@@ -397,13 +454,79 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         if style not in ("text", "latex", "python"):
             raise InputError("style", expected='"text", "latex" or "python"', found=repr(style))
-        return format_equation(
+        if style == "python":
+            return python_source(self._parts(), self._term_values(), self.feature_range_)
+        return write_equation(self._parts(), style)
+
+    def equations(self, precision: int = 3) -> list[str]:
+        """Write dψ'/dt as pysindy does.
+
+        Parameters
+        ----------
+        precision : int
+            Digits of each coefficient.
+
+        Returns
+        -------
+        list of str
+            One string: rates in 1/s, for example ``-55.556 psi_p + 19.444 1 + 66.667 phi``.
+
+        Raises
+        ------
+        InputError
+            For a static fit.
+        """
+        check_is_fitted(self)
+        return pysindy_equations(self._parts(), precision)
+
+    def as_function(self) -> RateFunction:
+        """Return dψ'/dt as a function of ψ' and the inputs, for any integrator.
+
+        Returns
+        -------
+        RateFunction
+            ``rate(psi_p, phi)`` in 1/s; it can be pickled.
+
+        Raises
+        ------
+        InputError
+            For a static fit.
+        """
+        check_is_fitted(self)
+        return RateFunction(self._parts(), self._term_values())
+
+    def _parts(self) -> EquationParts:
+        return EquationParts(
             self.terms_,
-            self.coef_.tolist(),
-            np.sqrt(np.diag(self.covariance_)).tolist(),
-            self.time_constant_s_,
-            self.time_constant_stderr_s_,
-            style,
+            tuple(self.coef_.tolist()),
+            tuple(np.sqrt(np.diag(self.covariance_)).tolist()),
+            float(self.time_constant_s_),
+            float(self.time_constant_stderr_s_),
+            dead_time_s=self.dead_time_s_,
+            dead_time_stderr_s=self.dead_time_stderr_s_ or float("nan"),
+            input_names=tuple(self._input_names),
+        )
+
+    def _term_values(self) -> SelectedTerms:
+        model = self._physical_model()
+        return SelectedTerms(model.terms, tuple(model.selected.tolist()))
+
+    def _summary(self) -> ModelSummary | None:
+        if not hasattr(self, "fit_state_"):
+            return None
+        searched = bool(self.path_) and self.fit_state_ is not FitState.MODEL_ERROR_DOMINATES
+        known = self.inclusion_probability_
+        return ModelSummary(
+            self._parts(),
+            self.fit_state_,
+            n_candidates=len(self.candidate_terms_),
+            inclusion=[known.get(term, float("nan")) for term in self.terms_] if known else None,
+            rivals=self.rivals_ if searched else None,
+            aliases=tuple(self.aliases_.items()),
+            noise=None if self.noise_ is None else (self.noise_[0], self.noise_[1].tolist()),
+            weak=self.weak_form_,
+            path=self.path_,
+            input_ranges=self.feature_range_,
         )
 
     def __sklearn_tags__(self) -> Any:
@@ -411,8 +534,3 @@ class SparseLagRegressor(RegressorMixin, BaseEstimator):
         tags = super().__sklearn_tags__()
         tags.regressor_tags.poor_score = True
         return tags
-
-
-def _constant(values: FloatArray) -> bool:
-    spread = np.ptp(values, axis=0)
-    return bool(np.all(spread <= 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300)))

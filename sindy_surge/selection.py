@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sindy_surge.constraints import Constraints
 from sindy_surge.lag_fit import (
-    LinearProblem,
     StructureFit,
     fit_structure,
     linearise,
 )
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.preparation import Prepared
 from sindy_surge.sparse_paths import Support, beam_search, proposals, support_chi2
 
 __all__ = ["PathRow", "Selection", "information_penalty", "select_structure"]
+
+FloatArray = NDArray[np.float64]
 
 # Extended BIC (Chen & Chen 2008): k (ln N + 2 γ ln p). 1.5 was needed once in 240 records.
 _GAMMA = 1.5
 # Differences in χ² below this do not decide between structures of one size.
 _TIE = 4.0
 _MOST_FITS = 24
+# Supports of each size that are compared with a structure about its fit.
+_COMPARED = 5
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ class PathRow:
     chosen : bool
         Whether it is the answer.
     held_out_rms : float
-        Error of the weak equations on cycles left out; nan unless model error dominates.
+        Error of the free run on cycles left out, in units of ψ'; of the weak equations where
+        model error dominates; nan for structures that were not fitted by themselves.
     """
 
     size: int
@@ -79,12 +86,15 @@ class Selection:
         Structures that the data cannot tell from the chosen one (χ² within 4).
     consistent : bool
         False if every structure tested was refuted; the fit is then the best of them.
+    fits : dict
+        The fit of every structure that had one, by support.
     """
 
     fit: StructureFit
     path: tuple[PathRow, ...]
     rivals: tuple[Support, ...]
     consistent: bool
+    fits: Mapping[Support, StructureFit]
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:
@@ -112,18 +122,24 @@ class _Search:
     problem: LagProblem
     rich: StructureFit
     max_terms: int
+    constraints: Constraints
     queue: list[Support]
     fits: dict[Support, StructureFit] = field(default_factory=dict)
     scores: dict[Support, float] = field(default_factory=dict)
     consistent: list[Support] = field(default_factory=list)
 
-    def fit(self, support: Support, about: LinearProblem, start: StructureFit) -> StructureFit:
+    def fit(self, support: Support, about: LinearProblem) -> StructureFit:
         if support not in self.fits:
-            columns = about.columns[:, list(support)]
-            solution = np.linalg.lstsq(columns, about.target, rcond=1e-12)[0]
-            beta = solution / about.norms[list(support)]
-            self.fits[support] = fit_structure(self.problem, support, start.time_constant_s, beta)
+            beta = _coefficients(about, support)
+            start = self.rich
+            self.fits[support] = fit_structure(
+                self.problem, support, start.time_constant_s, beta, near=start
+            )
         return self.fits[support]
+
+    def admits(self, fit: StructureFit) -> bool:
+        """Return whether physics allows a fit: signs as asked for, and a ψ' that comes to rest."""
+        return fit.settles and self.constraints.allow(fit.support, fit.coefficients)
 
     def test(self, support: Support, fit: StructureFit) -> list[Support]:
         """Return the structures that beat this one about its own fit, the best first."""
@@ -133,19 +149,34 @@ class _Search:
         own = support_chi2(linear, support) / variance + penalty * size
         self.scores[support] = own
         beaten: list[tuple[float, Support]] = []
-        for other_size, ranked in beam_search(linear, self.max_terms + 1).items():
+        required = self.constraints.required
+        for other_size, ranked in beam_search(
+            linear, self.max_terms + 1, required=required
+        ).items():
             if other_size < size:
                 continue
             margin = _TIE if other_size == size else 0.0
-            for chi2, other in ranked[:5]:
+            for chi2, other in ranked[:_COMPARED]:
                 score = chi2 / variance + penalty * other_size
-                if score < own - margin and other != support:
+                better = score < own - margin and other != support
+                if better and self.constraints.allow(other, _coefficients(linear, other)):
                     beaten.append((score, other))
         return [other for _, other in sorted(beaten)]
 
 
+def _coefficients(linear: LinearProblem, support: Support) -> FloatArray:
+    chosen = list(support)
+    solution = np.linalg.lstsq(linear.columns[:, chosen], linear.target, rcond=1e-12)[0]
+    return np.asarray(solution / linear.norms[chosen])
+
+
 def select_structure(
-    prepared: Prepared, optimizer: Any, max_terms: int, names: Sequence[str]
+    prepared: Prepared,
+    optimizer: Any,
+    max_terms: int,
+    names: Sequence[str],
+    plain: Sequence[bool],
+    constraints: Constraints,
 ) -> Selection:
     """Choose the terms.
 
@@ -165,7 +196,11 @@ def select_structure(
     max_terms : int
         Largest structure considered.
     names : sequence of str
-        Names of the usable terms, for the table and the tie rule.
+        Names of the usable terms, for the table.
+    plain : sequence of bool
+        Which of them are polynomials of the inputs, for the tie rule.
+    constraints : Constraints
+        What is known of the terms beforehand.
 
     Returns
     -------
@@ -175,27 +210,34 @@ def select_structure(
     problem, rich = prepared.problem, prepared.rich
     about = linearise(problem, rich)
     penalty = information_penalty(about.n_equations, about.columns.shape[1])
-    proposed = proposals(about, optimizer, max_terms)
+    proposed = proposals(about, optimizer, max_terms, constraints.required)
     rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposed}
-    search = _Search(problem, rich, max_terms, _seeds(proposed, rough))
+    seeds = _seeds(problem, proposed, rough)
+    search = _Search(problem, rich, max_terms, constraints, seeds)
     _run(search, about, rough)
-    chosen, rivals = _choose(search, names)
+    chosen, rivals = _choose(search, plain)
     path = _table(search, rough, about, chosen, names)
-    return Selection(search.fits[chosen], path, rivals, bool(search.consistent))
+    return Selection(search.fits[chosen], path, rivals, bool(search.consistent), search.fits)
 
 
-def _seeds(proposed: list[Support], rough: dict[Support, float]) -> list[Support]:
+def _seeds(
+    problem: LagProblem, proposed: list[Support], rough: dict[Support, float]
+) -> list[Support]:
     """Take the four best proposals, two more of the best one's size and two of one less.
 
     A score 60 above the best is no candidate: about the fit with all terms the scores were
-    found wrong by 25 at most.
+    found wrong by 25 at most. Of structures with ψ' terms only the two best are fitted: a fit
+    of all terms of φ, wild at the ends of the range, leaves much for them to explain.
     """
     ranked = sorted(proposed, key=lambda s: rough[s])
-    size, best = len(ranked[0]), rough[ranked[0]]
-    seeds = ranked[:4]
-    seeds += [s for s in ranked if len(s) == size][:3]
-    seeds += [s for s in ranked if len(s) == size - 1][:2]
-    return [s for s in dict.fromkeys(seeds) if rough[s] < best + 60]
+    with_state = [s for s in ranked if problem.holds_state(s)]
+    without = [s for s in ranked if not problem.holds_state(s)] or ranked
+    size, best = len(without[0]), rough[without[0]]
+    seeds = without[:4]
+    seeds += [s for s in without if len(s) == size][:3]
+    seeds += [s for s in without if len(s) == size - 1][:2]
+    seeds = [s for s in dict.fromkeys(seeds) if rough[s] < best + 60]
+    return seeds + [s for s in with_state[:2] if rough[s] < best]
 
 
 def _run(search: _Search, about: LinearProblem, rough: dict[Support, float]) -> None:
@@ -209,16 +251,24 @@ def _run(search: _Search, about: LinearProblem, rough: dict[Support, float]) -> 
             return
         support = min(waiting, key=lambda s: (len(s), rough.get(s, np.inf)))
         tested.add(support)
-        fit = search.fit(support, about, search.rich)
+        fit = search.fit(support, about)
         beating = search.test(support, fit)
+        if not search.admits(fit):
+            continue
         if not beating:
             if all(len(support) < len(s) for s in search.consistent):
                 search.queue += _neighbours(search, support, fit)
             search.consistent.append(support)
             continue
-        for other in beating[:4]:
+        for other in _next(search, beating):
             if len(other) <= search.max_terms and other not in search.queue:
                 search.queue.append(other)
+
+
+def _next(search: _Search, beating: list[Support]) -> list[Support]:
+    """Take the three best structures of φ alone and the best of all."""
+    without = [s for s in beating if not search.problem.holds_state(s)][:4]
+    return list(dict.fromkeys((*beating[:1], *without)))
 
 
 def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Support]:
@@ -232,8 +282,11 @@ def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Su
     own = support_chi2(linear, support) / linear.variance + penalty * len(support)
     smaller: list[tuple[float, Support]] = []
     equal: list[tuple[float, Support]] = []
-    for size, ranked in beam_search(linear, len(support)).items():
-        for chi2, other in ranked[:5]:
+    required = search.constraints.required
+    for size, ranked in beam_search(linear, len(support), required=required).items():
+        for chi2, other in ranked[:_COMPARED]:
+            if not search.constraints.allow(other, _coefficients(linear, other)):
+                continue
             score = chi2 / linear.variance + penalty * size
             if size < len(support) and score < own:
                 smaller.append((score, other))
@@ -243,21 +296,17 @@ def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Su
     return [other for other in found if other not in search.queue]
 
 
-def _choose(search: _Search, names: Sequence[str]) -> tuple[Support, tuple[Support, ...]]:
+def _choose(search: _Search, plain: Sequence[bool]) -> tuple[Support, tuple[Support, ...]]:
     if not search.consistent:
-        best = min(search.fits, key=lambda s: search.scores[s])
+        allowed = [s for s, f in search.fits.items() if search.admits(f)]
+        best = min(allowed or search.fits, key=lambda s: search.scores[s])
         return best, ()
     size = min(len(s) for s in search.consistent)
     level = [s for s in search.consistent if len(s) == size]
     least = min(search.fits[s].chi2 for s in level)
     tied = [s for s in level if search.fits[s].chi2 < least + _TIE]
-    chosen = min(tied, key=lambda s: (_n_special(s, names), search.fits[s].chi2))
+    chosen = min(tied, key=lambda s: (sum(not plain[i] for i in s), search.fits[s].chi2))
     return chosen, tuple(s for s in tied if s != chosen)
-
-
-def _n_special(support: Support, names: Sequence[str]) -> int:
-    """Count the terms that are not polynomials."""
-    return sum(any(c in names[i] for c in "([") for i in support)
 
 
 def _table(

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import copy
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.errors import InputError
-from sindy_surge.lag_fit import LinearProblem
+from sindy_surge.linear_problem import LinearProblem
 
-__all__ = ["OPTIMIZERS", "beam_search", "proposals", "proposed_supports", "support_chi2"]
+__all__ = [
+    "OPTIMIZERS",
+    "beam_search",
+    "proposals",
+    "proposed_supports",
+    "support_chi2",
+    "without_required",
+]
 
 FloatArray = NDArray[np.float64]
 Support = tuple[int, ...]
 
-OPTIMIZERS = ("SSR", "STLSQ", "FROLS")
+OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
 
 # Dropping the term whose loss hurts least needs one regression for each term left: 0.2 s with
 # 20 terms, several seconds with 60.
 _MOST_TERMS_FOR_RESIDUAL_CRITERION = 30
 _STLSQ_THRESHOLDS = 40
+_ENSEMBLE_MODELS = 60
 
 
 def support_chi2(linear: LinearProblem, support: Support) -> float:
@@ -57,7 +67,7 @@ def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> 
     ----------
     linear : LinearProblem
         The regression.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
         An instance is deep-copied, fitted once, and its history and result are the path.
     max_terms : int
         Largest support returned.
@@ -81,7 +91,9 @@ def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> 
     return sorted(found, key=lambda s: (len(s), s))
 
 
-def proposals(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
+def proposals(
+    linear: LinearProblem, optimizer: Any, max_terms: int, required: Support = ()
+) -> list[Support]:
     """Return the optimizer's path and, beside it, the best supports of every size.
 
     A path that drops or adds one term at a time never returns from a wrong turn: one
@@ -91,20 +103,63 @@ def proposals(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Sup
     ----------
     linear : LinearProblem
         The regression.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
         See `proposed_supports`.
     max_terms : int
         Largest support returned.
+    required : tuple of int
+        Terms that every support holds.
 
     Returns
     -------
     list of tuple of int
         Distinct supports, smallest first.
     """
-    supports = set(proposed_supports(linear, optimizer, max_terms))
-    for ranked in beam_search(linear, max_terms).values():
-        supports.update(support for _, support in ranked[:4])
-    return sorted(supports, key=lambda s: (len(s), s))
+    rest, free = without_required(linear, required)
+    room = max_terms - len(required)
+    found: set[Support] = {required} if required else set()
+    if room > 0 and free:
+        for support in proposed_supports(rest, optimizer, room):
+            found.add(tuple(sorted((*required, *(free[i] for i in support)))))
+    for ranked in beam_search(linear, max_terms, required=required).values():
+        found.update(support for _, support in ranked[:4])
+    return sorted(found, key=lambda s: (len(s), s))
+
+
+def without_required(
+    linear: LinearProblem, required: Support
+) -> tuple[LinearProblem, tuple[int, ...]]:
+    """Project terms that are always in out of a regression.
+
+    Parameters
+    ----------
+    linear : LinearProblem
+        The regression.
+    required : tuple of int
+        Positions of those terms.
+
+    Returns
+    -------
+    rest : LinearProblem
+        The regression of what they leave on the other terms, scaled to unit norm again.
+    free : tuple of int
+        Positions of the other terms in `linear`.
+    """
+    n_terms = linear.columns.shape[1]
+    free = tuple(i for i in range(n_terms) if i not in required)
+    if not required:
+        return linear, free
+    basis, _ = np.linalg.qr(linear.columns[:, list(required)])
+    columns = linear.columns[:, list(free)]
+    columns = columns - basis @ (basis.T @ columns)
+    target = linear.target - basis @ (basis.T @ linear.target)
+    left = np.linalg.norm(columns, axis=0)
+    left[left < 1e-12] = 1.0
+    norms = linear.norms[list(free)] * left
+    return (
+        LinearProblem(columns / left, target, norms, linear.outside, linear.n_equations),
+        free,
+    )
 
 
 def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
@@ -121,6 +176,10 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
             )
         # A copy: pysindy's optimizers carry state from one fit to the next.
         return [copy.deepcopy(optimizer)]
+    if optimizer == "best-subset":
+        return []
+    if optimizer == "ensemble":
+        return [_ensemble(linear)]
     if optimizer == "SSR":
         few = n_terms <= _MOST_TERMS_FOR_RESIDUAL_CRITERION
         criteria = "model_residual" if few else "coefficient_value"
@@ -139,9 +198,41 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
     )
 
 
+def _ensemble(linear: LinearProblem) -> Any:
+    """Return STLSQ over libraries from which terms are left out by lot.
+
+    Rows of a compressed problem cannot be drawn by lot: each stands for the whole record.
+    """
+    from pysindy.optimizers import STLSQ, EnsembleOptimizer
+
+    size = float(np.linalg.norm(linear.target)) or 1.0
+    n_terms = linear.columns.shape[1]
+    return EnsembleOptimizer(
+        STLSQ(threshold=0.02 * size, alpha=0.0, max_iter=2 * n_terms, ridge_kw={"solver": "svd"}),
+        library_ensemble=True,
+        n_models=_ENSEMBLE_MODELS,
+        n_candidates_to_drop=max(1, n_terms // 4),
+    )
+
+
+@contextmanager
+def _global_seed(seed: int) -> Iterator[None]:
+    """Seed NumPy's global generator, which pysindy's ensemble draws from, and put it back."""
+    kept = np.random.get_state()  # noqa: NPY002
+    np.random.seed(seed)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        np.random.set_state(kept)  # noqa: NPY002
+
+
 def _history(optimizer: Any, linear: LinearProblem) -> list[FloatArray]:
     """Fit and return every coefficient vector met on the way."""
-    with warnings.catch_warnings():
+    from sklearn import config_context
+
+    # Hundreds of regressions on some twenty rows: checking the arrays would take most of the time.
+    quick = config_context(assume_finite=True, skip_parameter_validation=True)
+    with warnings.catch_warnings(), _global_seed(0), quick:
         # STLSQ warns whenever a threshold removes every term, which ends a sweep as it should.
         warnings.simplefilter("ignore")
         try:
@@ -150,12 +241,16 @@ def _history(optimizer: Any, linear: LinearProblem) -> list[FloatArray]:
             # FROLS stops so on columns that rounding makes dependent; what it found still counts.
             if not getattr(optimizer, "history_", None):
                 return []
-    met = [*getattr(optimizer, "history_", ()), getattr(optimizer, "coef_", np.zeros(0))]
+    met = [
+        *getattr(optimizer, "history_", ()),
+        *getattr(optimizer, "coef_list", ()),
+        getattr(optimizer, "coef_", np.zeros(0)),
+    ]
     return [np.ravel(np.asarray(one)) for one in met]
 
 
 def beam_search(
-    linear: LinearProblem, max_terms: int, width: int = 200
+    linear: LinearProblem, max_terms: int, width: int = 200, required: Support = ()
 ) -> dict[int, list[tuple[float, Support]]]:
     """Find the best supports of every size by adding terms to the best of one size less.
 
@@ -169,18 +264,29 @@ def beam_search(
         Largest size.
     width : int
         Supports kept of each size.
+    required : tuple of int
+        Terms that every support holds.
 
     Returns
     -------
     dict
         Size to a list of (χ², support), best first.
     """
+    if required:
+        rest, free = without_required(linear, required)
+        result = {len(required): [(support_chi2(rest, ()), required)]}
+        for size, ranked in beam_search(rest, max_terms - len(required), width).items():
+            result[size + len(required)] = [
+                (chi2, tuple(sorted((*required, *(free[i] for i in support)))))
+                for chi2, support in ranked
+            ]
+        return result
     columns, target = linear.columns, linear.target
     n_terms = columns.shape[1]
     beam: list[Support] = [()]
     bases = np.zeros((1, columns.shape[0], 0))
     rests = target[None, :]
-    result: dict[int, list[tuple[float, Support]]] = {}
+    found: dict[int, list[tuple[float, Support]]] = {}
     for size in range(1, min(max_terms, n_terms) + 1):
         # One Gram-Schmidt step for every support and every term at once.
         new = columns[None] - bases @ (np.swapaxes(bases, 1, 2) @ columns[None])
@@ -212,7 +318,7 @@ def beam_search(
         rests = rests[parents]
         rests = rests - fresh * np.sum(fresh * rests, axis=1)[:, None]
         beam = list(best)
-        result[size] = [
+        found[size] = [
             (max(score, 0.0) + linear.outside, support) for support, (score, _, _) in best.items()
         ]
-    return result
+    return found

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sindy_surge.free_run import HoldCoefficients, Segments
+from sindy_surge.free_run import LagTaps, Segments
 
 __all__ = ["NoiseLevels", "Whitener", "autoregression", "difference_noise", "refine_noise"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 # The least noise assumed is that of a 12-bit converter whose range is five standard deviations,
 # 5 / 4096 / √12: below it, rounding and interpolation would ask for terms.
@@ -64,44 +65,61 @@ def difference_noise(signal: FloatArray, segments: Segments) -> float:
 class Whitener:
     """Whitens the equations A e = A v - B D n of one fit (v, n white).
 
-    With A e[k] = e[k] - a e[k-1], and n entering through the slope d of ψ'_QS, the covariance
-    of A e is tridiagonal: σ_ψ²(1 + a²) + σ_φ²(c0² d[k]² + c1² d[k-1]²) on the diagonal and
-    -a σ_ψ² + σ_φ² c0 c1 d[k]² beside it. One banded Cholesky factor whitens a column in O(N).
-    Leaving out the first row of each segment is the same as a free initial state.
+    With A e[k] = p[k] e[k] - q[k] e[k-1] (1 and a for a linear lag), and n entering through the
+    taps t_i of the hold and the slope d of ψ'_QS, the covariance of A e has the band
+    σ_ψ²(p[k]² + q[k]²) + σ_φ² Σ t_i² d[k-i]² on the diagonal, -σ_ψ² p[k] q[k+1] + σ_φ² Σ t_i t_i+1
+    d[k-i]² beside it, and for a fraction of a sample of dead time one more. One banded
+    Cholesky factor whitens a column in O(N). Leaving out the first row of each run is the
+    same as a free initial state.
 
     Parameters
     ----------
-    coefficients : HoldCoefficients
+    taps : LagTaps
         Of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
     noise : NoiseLevels
         The noise.
     segments : Segments
-        The runs of rows.
+        The runs of usable rows.
+    rows : ndarray of int of shape (n_usable,) or None
+        Row of the record of each usable row; None: they are all usable.
+    ahead, behind : ndarray of shape (n_equations,) or None
+        p and q; None for a linear lag.
     """
 
     def __init__(
         self,
-        coefficients: HoldCoefficients,
+        taps: LagTaps,
         slopes: FloatArray,
         noise: NoiseLevels,
         segments: Segments,
+        rows: IntArray | None = None,
+        ahead: FloatArray | None = None,
+        behind: FloatArray | None = None,
     ) -> None:
         from scipy.linalg import cholesky_banded
 
-        pole, now, before = coefficients
         later = segments.later
+        at = (later if rows is None else rows[later]) - taps.shift
+        p = np.ones(later.size) if ahead is None else ahead
+        q = np.full(later.size, taps.pole) if behind is None else behind
         carried = (noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0)
         # Keeps the factor exact to eight digits even about a wild intermediate characteristic.
         carried = np.minimum(carried, 1e8 * noise.output**2)
-        band = np.zeros((2, later.size))
-        band[0] = noise.output**2 * (1 + pole**2)
-        band[0] += now**2 * carried[later] + before**2 * carried[later - 1]
         joined = np.diff(later) == 1
-        band[1, :-1] = np.where(
-            joined, -pole * noise.output**2 + now * before * carried[later[:-1]], 0.0
-        )
+        band = np.zeros((taps.taps.size, later.size))
+        for distance in range(taps.taps.size):
+            both = np.ones(later.size, dtype=bool)
+            for step in range(distance):
+                both[: later.size - 1 - step] &= joined[step:]
+                both[later.size - 1 - step :] = False
+            shared = np.zeros(later.size)
+            for i in range(taps.taps.size - distance):
+                shared += taps.taps[i] * taps.taps[i + distance] * carried[at - i]
+            band[distance] = np.where(both, shared, 0.0)
+        band[0] += noise.output**2 * (p**2 + q**2)
+        band[1, :-1] -= np.where(joined, noise.output**2 * p[:-1] * q[1:], 0.0)
         self._factor = cholesky_banded(band, lower=True)
         self._colour = noise.colour
         # An autoregression of order q has no residual for the first q rows of a segment.
@@ -159,10 +177,11 @@ class Whitener:
 
 def refine_noise(
     residual: FloatArray,
-    coefficients: HoldCoefficients,
+    taps: LagTaps,
     slopes: FloatArray,
     guess: NoiseLevels,
     segments: Segments,
+    rows: IntArray,
     output_scale: float,
 ) -> NoiseLevels:
     """Split the residual of a fit between the noise of ψ' and that of the inputs.
@@ -175,14 +194,16 @@ def refine_noise(
     ----------
     residual : ndarray of shape (n_equations,)
         A e of a fit with all terms.
-    coefficients : HoldCoefficients
+    taps : LagTaps
         Of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
     guess : NoiseLevels
         From fourth differences.
     segments : Segments
-        The runs of rows.
+        The runs of usable rows.
+    rows : ndarray of int of shape (n_usable,)
+        Their rows in the record.
     output_scale : float
         Standard deviation of ψ', for the floor.
 
@@ -199,7 +220,7 @@ def refine_noise(
 
     def level(log_ratio: float) -> tuple[float, float]:
         trial = replace(unit, inputs=unit.inputs * np.exp(log_ratio))
-        white = Whitener(coefficients, slopes, trial, segments)
+        white = Whitener(taps, slopes, trial, segments, rows)
         variance = float(np.mean(white(residual) ** 2))
         return n * np.log(max(variance, 1e-300)) + white.log_determinant(), variance
 
@@ -213,14 +234,14 @@ def refine_noise(
     inputs = unit.inputs * min(ratio * scale, top)
     return floored(
         NoiseLevels(min(scale, top) * unit.output, inputs, np.empty(0)),
-        coefficients,
+        taps.pole,
         slopes,
         output_scale,
     )
 
 
 def floored(
-    noise: NoiseLevels, coefficients: HoldCoefficients, slopes: FloatArray, output_scale: float
+    noise: NoiseLevels, pole: float, slopes: FloatArray, output_scale: float
 ) -> NoiseLevels:
     """Keep the noise of ψ' off zero: a tenth of what the lag passes of the inputs' noise.
 
@@ -231,8 +252,8 @@ def floored(
     ----------
     noise : NoiseLevels
         The noise.
-    coefficients : HoldCoefficients
-        Of the lag.
+    pole : float
+        exp(-h/τ) of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
     output_scale : float
@@ -245,7 +266,7 @@ def floored(
     """
     carried = float((noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0).mean())
     # A first-order lag passes white noise with the variance (1 - a)/(1 + a).
-    passed = carried * (1 - coefficients.pole) / (1 + coefficients.pole)
+    passed = carried * (1 - pole) / (1 + pole)
     floor = max(0.1 * float(np.sqrt(passed)), _RELATIVE_FLOOR * output_scale)
     return replace(noise, output=max(noise.output, floor))
 

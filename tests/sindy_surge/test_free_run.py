@@ -5,7 +5,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sindy_surge import InputError
-from sindy_surge.free_run import Segments, hold_coefficients, hold_sensitivities, simulate
+from sindy_surge.free_run import (
+    Segments,
+    hold_coefficients,
+    hold_sensitivities,
+    lag_taps,
+    run_lag,
+    simulate,
+    tap_sensitivities,
+)
 
 
 def _run(forcing: np.ndarray, tau_s: float, period_s: float, hold: str, start: float) -> np.ndarray:
@@ -92,3 +100,56 @@ def test_segments_run_alone() -> None:
 def test_bad_labels_are_refused(labels: object) -> None:
     with pytest.raises(InputError, match="segments"):
         Segments.from_labels(labels, 5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+@pytest.mark.parametrize("samples", [-2.5, -1.0, -0.3, 0.0, 0.4, 1.0, 2.75])
+def test_dead_time_equals_a_shifted_input(hold: str, samples: float) -> None:
+    tau, period = 0.018, 1e-3
+    rng = np.random.default_rng(2)
+    forcing = rng.standard_normal(60)
+    fine = 400
+    # The held input on a fine grid, shifted there, run with tiny steps.
+    at = np.arange(59 * fine + 1) / fine
+    held = np.interp(at, np.arange(60), forcing) if hold == "first" else forcing[at.astype(int)]
+    move = round(samples * fine)
+    shifted = np.roll(held, move)
+    decay = np.exp(-period / fine / tau)
+    state, path = 0.0, [0.0]
+    start = 10 * fine
+    for k in range(start, 50 * fine):
+        mean = 0.5 * (shifted[k] + shifted[k + 1]) if hold == "first" else shifted[k]
+        state = decay * state + (1 - decay) * mean
+        path.append(state)
+    exact = np.array(path[::fine])
+    taps = lag_taps(tau, period, hold, samples * period)
+    rows = np.arange(10, 51)
+    drive = taps.drive(forcing, rows)
+    mine = run_lag(drive, Segments(np.array([0]), np.array([41])), taps.pole)
+    np.testing.assert_allclose(mine, exact, atol=2e-5 if hold == "first" else 1e-9)
+    assert taps.taps.sum() == pytest.approx(1 - taps.pole)
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+@pytest.mark.parametrize("samples", [-1.3, 0.0, 0.2, 0.9])
+def test_tap_sensitivities_are_the_derivatives(hold: str, samples: float) -> None:
+    tau, period = 0.018, 1e-3
+    shift = int(np.floor(samples))
+    by_tau, by_dead = tap_sensitivities(tau, period, hold, samples * period, shift)
+
+    def at(t: float, d: float) -> np.ndarray:
+        return lag_taps(t, period, hold, d, shift).taps
+
+    step = 1e-6
+    dead = samples * period + 0.03 * period  # inside the sample on both sides
+    by_tau_2, by_dead_2 = tap_sensitivities(tau, period, hold, dead, shift)
+    np.testing.assert_allclose(
+        by_tau_2.taps, (at(tau + step, dead) - at(tau - step, dead)) / (2 * step), rtol=1e-5
+    )
+    h = 1e-3 * period
+    np.testing.assert_allclose(
+        by_dead_2.taps, (at(tau, dead + h) - at(tau, dead - h)) / (2 * h), rtol=1e-4, atol=1e-6
+    )
+    # Continuous up to the edge of the sample.
+    np.testing.assert_allclose(by_tau.taps, by_tau_2.taps, rtol=0.5, atol=0.2)
+    assert abs(by_dead.taps.sum()) < 1e-6 * np.abs(by_dead.taps).max()

@@ -10,9 +10,9 @@ from pysindy.feature_library import FourierLibrary, PolynomialLibrary
 from scipy.signal import butter, sosfiltfilt
 
 from sindy_surge import FitState, SparseLagRegressor
+from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
 from sindy_surge.free_run import Segments
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.library import CandidateTerms, polynomial_degree
 from sindy_surge.sparse_paths import support_chi2
 from sindy_surge.weak_equations import WeakEquations
 from sindy_surge.whitening import NoiseLevels
@@ -104,7 +104,10 @@ def test_white_noise_is_left_to_the_likelihood(surge: Callable[..., Any]) -> Non
     record = surge("quadratic", 0.02, 61)
     model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
     assert model.fit_state_ is FitState.OK
-    assert all(np.isnan(row.held_out_rms) for row in model.path_)
+    # The free run on cycles left out then shows little more than the noise of ψ'.
+    chosen = next(row for row in model.path_ if row.chosen)
+    noise = 0.02 * record.clean_psi_p.std()
+    assert noise < chosen.held_out_rms < 1.3 * noise
 
 
 def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else(
@@ -158,7 +161,6 @@ def test_segments_too_short_for_a_test_function_are_no_success() -> None:
     phi, psi_p = _record(0, 600.0)
     model = SparseLagRegressor().fit(phi[:, None], psi_p, segments=np.arange(2200) // 8)
     assert model.fit_state_ is FitState.NO_CONSISTENT_STRUCTURE
-    assert all(np.isnan(row.held_out_rms) for row in model.path_)
 
 
 def test_weak_equations_recover_an_exact_lag(surge: Callable[..., Any]) -> None:

@@ -8,7 +8,8 @@ from pysindy.feature_library import FourierLibrary, PolynomialLibrary
 from sklearn.preprocessing import PolynomialFeatures, SplineTransformer
 
 from sindy_surge import InputError
-from sindy_surge.library import CandidateTerms, default_knots, independent_columns
+from sindy_surge.candidate_terms import CandidateTerms, independent_columns
+from sindy_surge.library import default_knots
 
 PHI = np.linspace(-0.04, 0.51, 400)
 

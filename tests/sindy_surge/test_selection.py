@@ -7,7 +7,7 @@ import pytest
 from pysindy.optimizers import SSR, STLSQ
 
 from sindy_surge import InputError
-from sindy_surge.lag_fit import LinearProblem
+from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.sparse_paths import beam_search, proposed_supports, support_chi2
 
 

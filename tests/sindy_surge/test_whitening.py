@@ -6,28 +6,41 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sindy_surge.free_run import Segments, hold_coefficients
+from sindy_surge.free_run import Segments, lag_taps
 from sindy_surge.whitening import NoiseLevels, Whitener, autoregression, difference_noise
 
 
 @pytest.mark.parametrize("hold", ["first", "zero"])
-def test_whitening_matches_the_dense_covariance(hold: str) -> None:
+@pytest.mark.parametrize("dead_samples", [0.0, 1.0, 0.4, -1.7])
+@pytest.mark.parametrize("linear", [True, False])
+def test_whitening_matches_the_dense_covariance(
+    hold: str, dead_samples: float, linear: bool
+) -> None:
     rng = np.random.default_rng(0)
-    n = 40
-    runs = Segments.from_labels(np.repeat([0, 1, 2], [15, 1, 24]), n)
-    lag = hold_coefficients(0.006, 1e-3, hold)
+    n, edge = 46, 3
+    lag = lag_taps(0.006, 1e-3, hold, dead_samples * 1e-3)
     slopes = rng.standard_normal((1, n))
     noise = NoiseLevels(0.3, np.array([0.2]), np.empty(0))
-    # A e = A v - B D n, written out as matrices over one segment after the other.
+    # Three runs of usable rows, away from the ends by more than the dead time reaches.
+    rows = np.concatenate((np.arange(edge, 17), [20], np.arange(23, n - edge)))
+    runs = Segments.from_labels(np.repeat([0, 1, 2], [17 - edge, 1, n - edge - 23]), rows.size)
     later = runs.later
+    ahead = np.ones(later.size) if linear else rng.uniform(0.8, 1.2, later.size)
+    behind = np.full(later.size, lag.pole) if linear else rng.uniform(0.6, 0.9, later.size)
+    # A e = A v - B D n, written out as matrices over one run after the other.
     a_matrix = np.zeros((later.size, n))
     b_matrix = np.zeros((later.size, n))
-    for row, k in enumerate(later):
-        a_matrix[row, k], a_matrix[row, k - 1] = 1.0, -lag.pole
-        b_matrix[row, k] = lag.now * slopes[0, k]
-        b_matrix[row, k - 1] = lag.before * slopes[0, k - 1]
+    for number, k in enumerate(later):
+        a_matrix[number, rows[k]], a_matrix[number, rows[k] - 1] = ahead[number], -behind[number]
+        for i, tap in enumerate(lag.taps):
+            source = rows[k] - lag.shift - i
+            b_matrix[number, source] += tap * slopes[0, source]
     covariance = 0.3**2 * a_matrix @ a_matrix.T + 0.2**2 * b_matrix @ b_matrix.T
-    whitener = Whitener(lag, slopes, noise, runs)
+    # The lone row between two runs has no equation; nothing links the runs.
+    apart = np.abs(np.subtract.outer(rows[later], rows[later])) > 5
+    covariance[apart] = 0.0
+    given = (None, None) if linear else (ahead, behind)
+    whitener = Whitener(lag, slopes, noise, runs, rows, *given)
     white = whitener(np.eye(later.size))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(later.size), atol=1e-10)
     assert whitener.log_determinant() == pytest.approx(np.linalg.slogdet(covariance)[1])
@@ -67,7 +80,7 @@ def test_autoregression_finds_order_and_coefficients() -> None:
 
 def test_coloured_rows_do_not_reach_across_segments() -> None:
     runs = Segments.from_labels(np.repeat([0, 1], [20, 30]), 50)
-    lag = hold_coefficients(0.006, 1e-3, "first")
+    lag = lag_taps(0.006, 1e-3, "first")
     noise = NoiseLevels(1.0, np.zeros(1), np.array([0.5, 0.2]))
     whitener = Whitener(lag, np.ones((1, 50)), noise, runs)
     column = np.zeros(48)

@@ -1,0 +1,249 @@
+"""The candidate terms of a fit, and which of them its data can tell apart."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sindy_surge.library import default_library, hinge_name
+from sindy_surge.library_adapters import evaluated, fitted_library, term_names
+from sindy_surge.linear_problem import least_squares
+from sindy_surge.state_terms import ProductStateTerms, StateTerms, state_terms
+
+__all__ = ["CandidateTerms", "aliases_of", "independent_columns", "polynomial_degree"]
+
+FloatArray = NDArray[np.float64]
+
+
+class CandidateTerms:
+    """A fitted library with its names: terms of the inputs first, then those that hold ψ'.
+
+    Parameters
+    ----------
+    library : pysindy library, scikit-learn transformer or None
+        Deep-copied, then fitted to `X`; None builds `default_library`.
+    X : ndarray of shape (n_rows, n_inputs)
+        The inputs.
+    input_names : list of str
+        Name of each input, used in the names of the terms.
+    degree, knots
+        See `default_library`; unused with a library of one's own.
+    psi_terms : bool or library
+        See `sindy_surge.state_terms.state_terms`; without `psi_p` there are none.
+    psi_p : ndarray of shape (n_rows,) or None
+        ψ' at the rows of `X`.
+    output_name : str
+        Name of ψ'.
+    """
+
+    def __init__(
+        self,
+        library: Any,
+        X: FloatArray,
+        input_names: list[str],
+        *,
+        degree: int = 5,
+        knots: ArrayLike | None = None,
+        psi_terms: Any = False,
+        psi_p: FloatArray | None = None,
+        output_name: str = "psi_p",
+    ) -> None:
+        chosen = default_library(X, degree=degree, knots=knots) if library is None else library
+        self._library = fitted_library(copy.deepcopy(chosen), X, "library")
+        n_terms = evaluated(self._library, X[:1]).shape[1]
+        self._input_names = tuple(input_names)
+        self._own_names = term_names(self._library, input_names, n_terms)
+        self._extra: tuple[tuple[int, float], ...] = ()
+        self.states: StateTerms | None = (
+            None
+            if psi_p is None
+            else state_terms(psi_terms, X, psi_p, input_names, output_name, self._own_names)
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all terms; those that hold ψ' come last."""
+        extra = tuple(hinge_name(self._input_names[j], knot) for j, knot in self._extra)
+        return self._own_names + extra + (() if self.states is None else tuple(self.states.names))
+
+    @property
+    def n_without_state(self) -> int:
+        """Number of terms that do not hold ψ'."""
+        return len(self._own_names) + len(self._extra)
+
+    def physical(self) -> CandidateTerms:
+        """Return the library with terms in ψ' itself, as their names say."""
+        if not isinstance(self.states, ProductStateTerms):
+            return self
+        plain = copy.copy(self)
+        plain.states = self.states.physical()
+        return plain
+
+    def with_hinges(self, extra: Sequence[tuple[int, float]]) -> CandidateTerms:
+        """Return a library with further hinges behind its terms of the inputs.
+
+        Parameters
+        ----------
+        extra : sequence of (int, float)
+            Input and knot of each.
+
+        Returns
+        -------
+        CandidateTerms
+            The longer library; they take the place of such added before.
+        """
+        longer = copy.copy(self)
+        longer._extra = tuple(extra)
+        return longer
+
+    def __call__(
+        self,
+        X: FloatArray,
+        psi_p: FloatArray | None = None,
+        wanted: Sequence[int] | None = None,
+    ) -> FloatArray:
+        """Evaluate terms.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n_rows, n_inputs)
+            The inputs.
+        psi_p : ndarray of shape (n_rows,) or None
+            ψ' at the same rows; needed for the terms that hold it.
+        wanted : sequence of int or None
+            Positions of the terms, rising; None takes all, without ψ' all that do not hold it.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_wanted)
+            The terms in physical units.
+
+        Raises
+        ------
+        InputError
+            If a term is not finite somewhere.
+        """
+        own, edge = len(self._own_names), self.n_without_state
+        if wanted is None:
+            wanted = range(edge if psi_p is None else len(self.names))
+        parts = []
+        inputs_alone = [i for i in wanted if i < own]
+        if inputs_alone:
+            every = len(inputs_alone) == own
+            parts.append(evaluated(self._library, X, None if every else inputs_alone))
+        extra = [self._extra[i - own] for i in wanted if own <= i < edge]
+        parts += [np.maximum(X[:, j] - knot, 0.0)[:, None] for j, knot in extra]
+        with_state = [i - edge for i in wanted if i >= edge]
+        if with_state and self.states is not None and psi_p is not None:
+            parts.append(self.states(X, psi_p)[:, with_state])
+        if not parts:
+            return np.empty((X.shape[0], 0))
+        return parts[0] if len(parts) == 1 else np.asfortranarray(np.hstack(parts))
+
+
+def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[np.intp]:
+    """Return the columns, first come first kept, that no earlier ones reproduce.
+
+    Zero columns (the reverse branch of a record that never reverses) and exact aliases go.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_rows, n_terms)
+        The terms over the data.
+    tolerance : float
+        Least share of a column's norm that must be new.
+
+    Returns
+    -------
+    ndarray of int
+        Indices of the columns kept.
+    """
+    norms = np.linalg.norm(values, axis=0)
+    # The triangular factor holds all inner products in as many rows as there are terms.
+    scaled = values / np.where(norms > 0, norms, 1.0)
+    triangle: FloatArray = np.asarray(np.linalg.qr(scaled, mode="r"))
+    basis = np.empty((triangle.shape[0], 0))
+    kept: list[int] = []
+    for j, norm in enumerate(norms):
+        if norm == 0.0 or len(kept) >= values.shape[0]:
+            continue
+        rest = triangle[:, j]
+        for _ in range(2):  # twice is enough (Kahan, in Parlett, The Symmetric Eigenvalue Problem)
+            rest = rest - basis @ (basis.T @ rest)
+        size = float(np.linalg.norm(rest))
+        if size > tolerance:
+            basis = np.column_stack((basis, rest / size))
+            kept.append(j)
+    return np.array(kept, dtype=np.intp)
+
+
+def aliases_of(values: FloatArray, kept: NDArray[np.intp], names: Sequence[str]) -> dict[str, str]:
+    """Say what the terms equal that the data cannot tell from others.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_rows, n_terms)
+        The terms over the data.
+    kept : ndarray of int
+        Columns from `independent_columns`.
+    names : sequence of str
+        Names of the terms.
+
+    Returns
+    -------
+    dict of str to str
+        Name of each term left out, and the sum of others that it is on this data ("0" for a term
+        that is zero on every row), e.g. ``{"phi |phi|": "phi^2 - 2 phi^2[phi<0]"}``.
+    """
+    found = {}
+    for j in range(values.shape[1]):
+        if j in kept:
+            continue
+        if not np.any(values[:, j]):
+            found[names[j]] = "0"
+            continue
+        share = least_squares(values[:, kept], values[:, j])
+        weights = share * np.linalg.norm(values[:, kept], axis=0)
+        large = np.flatnonzero(np.abs(weights) > 1e-6 * np.linalg.norm(values[:, j]))
+        found[names[j]] = _written_sum([(float(share[i]), names[kept[i]]) for i in large])
+    return found
+
+
+def _written_sum(parts: Sequence[tuple[float, str]]) -> str:
+    text = ""
+    for factor, name in parts:
+        size = f"{abs(factor):.6g}"
+        body = name if size == "1" else (size if name == "1" else f"{size} {name}")
+        sign = "-" if factor < 0 else "+"
+        text += f" {sign} {body}" if text else ("-" if factor < 0 else "") + body
+    return text or "0"
+
+
+def polynomial_degree(name: str, input_names: Sequence[str]) -> int | None:
+    """Return the total degree of a term, or None if it is no power or product of the inputs.
+
+    Parameters
+    ----------
+    name : str
+        Name of the term, e.g. ``1``, ``phi^2`` or ``x0 x1^2``.
+    input_names : sequence of str
+        Names of the inputs.
+
+    Returns
+    -------
+    int or None
+        Sum of the exponents; 0 for ``1``.
+    """
+    if name == "1":
+        return 0
+    degree = 0
+    for factor in name.split(" "):
+        base, _, power = factor.partition("^")
+        if base not in input_names or not (power == "" or power.isdecimal()):
+            return None
+        degree += int(power or 1)
+    return degree

@@ -1,0 +1,125 @@
+"""What is known of the terms beforehand: required, forbidden, or of one sign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.errors import InputError
+
+__all__ = ["Constraints", "constraints_of"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_WORDS = ("required", "forbidden", "positive", "negative")
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Prior knowledge by position among the usable terms.
+
+    Parameters
+    ----------
+    required : tuple of int
+        Terms that every structure holds.
+    signs : ndarray of shape (n_columns,)
+        +1 or -1 where only that sign is possible, else 0.
+    """
+
+    required: tuple[int, ...]
+    signs: FloatArray
+
+    def allow(self, support: Sequence[int], coefficients: FloatArray) -> bool:
+        """Return whether the coefficients of a structure have the signs asked for.
+
+        Parameters
+        ----------
+        support : sequence of int
+            Positions of its terms.
+        coefficients : ndarray of shape (n_support,)
+            Their coefficients.
+
+        Returns
+        -------
+        bool
+            True if no sign is wrong.
+        """
+        return bool(np.all(self.signs[list(support)] * coefficients >= 0.0))
+
+
+def constraints_of(
+    wishes: Mapping[str, str] | None, names: Sequence[str], usable: IntArray
+) -> tuple[IntArray, Constraints]:
+    """Read a user's constraints.
+
+    Parameters
+    ----------
+    wishes : mapping of str to str, or None
+        For the name of a term one or two of "required", "forbidden", "positive", "negative",
+        separated by a space.
+    names : sequence of str
+        Names of all terms of the library.
+    usable : ndarray of int
+        The terms of the library that the data can tell apart.
+
+    Returns
+    -------
+    columns : ndarray of int
+        The usable terms that are not forbidden.
+    constraints : Constraints
+        What is asked of them.
+
+    Raises
+    ------
+    InputError
+        For an unknown term or word, a contradiction, or a required term that the data cannot
+        tell from others.
+    """
+    asked = {} if wishes is None else _asked(wishes, names)
+    forbidden = {names.index(name) for name, words in asked.items() if "forbidden" in words}
+    columns = np.array([i for i in usable if int(i) not in forbidden], dtype=np.intp)
+    position = {names[int(i)]: number for number, i in enumerate(columns)}
+    required, signs = [], np.zeros(columns.size)
+    for name, words in asked.items():
+        if "required" in words:
+            if name not in position:
+                raise InputError(
+                    "constraints",
+                    expected=f"{name!r} to be told apart from the other terms by the data",
+                    found="a term that is zero or a sum of others over this record",
+                    remedy="forbid one of those, or leave the requirement out",
+                )
+            required.append(position[name])
+        if name in position:
+            signs[position[name]] = ("positive" in words) - float("negative" in words)
+    return columns, Constraints(tuple(sorted(required)), signs)
+
+
+def _asked(wishes: Mapping[str, str], names: Sequence[str]) -> dict[str, set[str]]:
+    if not isinstance(wishes, Mapping):
+        raise InputError(
+            "constraints",
+            expected='a mapping such as {"phi^2": "negative", "1": "required"}',
+            found=type(wishes).__name__,
+        )
+    asked: dict[str, set[str]] = {}
+    for name, text in wishes.items():
+        if name not in names:
+            raise InputError(
+                "constraints", expected=f"a term among {', '.join(names)}", found=repr(name)
+            )
+        words: Any = set(text.split()) if isinstance(text, str) else {repr(text)}
+        clash = {"required", "forbidden"} <= words or {"positive", "negative"} <= words
+        if not words or not words <= set(_WORDS) or clash:
+            raise InputError(
+                f"constraints[{name!r}]",
+                expected=f"one of {', '.join(_WORDS)}, or two that agree",
+                found=repr(text),
+            )
+        asked[name] = words
+    return asked

@@ -1,0 +1,114 @@
+"""Values and slopes of the terms where φ carries noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.lag_problem import LagProblem
+
+__all__ = ["Features", "features"]
+
+FloatArray = NDArray[np.float64]
+
+_SMALL_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class Features:
+    """Terms along the record.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n_rows, n_columns)
+        The terms.
+    slopes : ndarray of shape (n_inputs, n_rows, n_columns)
+        Derivatives with respect to each input.
+    state_slopes : ndarray of shape (n_rows, n_columns)
+        Derivatives with respect to ψ'; no columns where no state was given.
+    """
+
+    values: FloatArray
+    slopes: FloatArray
+    state_slopes: FloatArray
+
+
+def features(
+    problem: LagProblem,
+    inputs: FloatArray,
+    blur: FloatArray,
+    support: Sequence[int],
+    state: FloatArray | None = None,
+) -> Features:
+    """Evaluate some of the usable terms and undo the bend that remaining noise gives them.
+
+    Noise of standard deviation s left in φ turns g into G g, its Gaussian average. The value
+    returned is 3g - 3Gg + GGg, exact for powers up to five with the three-point
+    Gauss-Hermite rule used here (nodes 0 and ±√3 s). The slope is the central difference over
+    the same nodes. ψ' is the simulated one: it carries next to no noise.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        Supplies the terms.
+    inputs : ndarray of shape (n_rows, n_inputs)
+        Where to evaluate.
+    blur : ndarray of shape (n_inputs,)
+        Standard deviation s of the noise left in each input.
+    support : sequence of int
+        Positions among the usable terms, rising.
+    state : ndarray of shape (n_rows,) or None
+        ψ' at the times when the inputs act; needed for the terms that hold it.
+
+    Returns
+    -------
+    Features
+        Values and slopes of those terms.
+    """
+    n_rows, n_inputs = inputs.shape
+    least = _SMALL_STEP * np.ptp(problem.inputs, axis=0)
+    least[least == 0] = _SMALL_STEP
+    reach = np.sqrt(3.0) * blur
+    blurred = reach > least
+    steps = np.where(blurred, reach, least)
+    moves = [np.zeros(n_inputs)]
+    for j in range(n_inputs):
+        unit = np.eye(n_inputs)[j] * steps[j]
+        moves += [unit, -unit, 2 * unit, -2 * unit] if blurred[j] else [unit, -unit]
+    # All moves in one call: pysindy's array type costs more for each call than for each row.
+    places = np.concatenate([inputs + move for move in moves])
+    wanted = problem.columns[list(support)].tolist()
+    if state is None:
+        stacked = problem.terms(places, wanted=wanted)
+        state_slopes = np.zeros((n_rows, 0))
+    else:
+        stacked = problem.terms(places, np.tile(state, len(moves)), wanted)
+        state_slopes = _state_slopes(problem, inputs, state, wanted)
+    at = iter(stacked.reshape(len(moves), n_rows, stacked.shape[1]))
+    base = next(at)
+    values, slopes = base.copy(), []
+    for j in range(n_inputs):
+        above, below = next(at), next(at)
+        slopes.append((above - below) / (2 * steps[j]))
+        if blurred[j]:
+            once = 2 / 3 * base + (above + below) / 6
+            twice = base / 2 + 2 / 9 * (above + below) + (next(at) + next(at)) / 36
+            values += 2 * base - 3 * once + twice
+    return Features(values, np.stack(slopes), state_slopes)
+
+
+def _state_slopes(
+    problem: LagProblem, inputs: FloatArray, state: FloatArray, wanted: Sequence[int]
+) -> FloatArray:
+    slopes = np.zeros((state.size, len(wanted)))
+    first = problem.terms.n_without_state
+    holding = [number for number, i in enumerate(wanted) if i >= first]
+    if holding:
+        step = _SMALL_STEP * max(float(np.ptp(problem.output)), 1e-300)
+        those = [wanted[number] for number in holding]
+        above = problem.terms(inputs, state + step, those)
+        slopes[:, holding] = (above - problem.terms(inputs, state - step, those)) / (2 * step)
+    return slopes

@@ -1,0 +1,339 @@
+"""From arrays to a structure with its errors: the steps of a fit in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+from sindy_surge.constraints import Constraints, constraints_of
+from sindy_surge.covariance import sandwich
+from sindy_surge.cycles import cycle_blocks
+from sindy_surge.free_run import Segments
+from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
+from sindy_surge.held_out_run import held_out_rms
+from sindy_surge.inclusion import inclusion_probabilities
+from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
+from sindy_surge.lag_fit import StructureFit, white_equations
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare
+from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
+from sindy_surge.state_powers import choose_power
+from sindy_surge.states import FitState
+from sindy_surge.weak_form import WeakLag
+from sindy_surge.whitening import NoiseLevels
+
+__all__ = ["Choices", "Identified", "identify", "silent_problem"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+# Blocks of cycles are left out and drawn whole; none is shorter than this many rows.
+_SHORTEST_BLOCK = 20
+# More terms than this may stand in for one kink between two knots.
+_LARGE = 4
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user decides of a search.
+
+    Parameters
+    ----------
+    optimizer : str or pysindy optimizer
+        What proposes the structures.
+    max_terms : int
+        Largest structure considered.
+    constraints : mapping of str to str, or None
+        See `sindy_surge.constraints.constraints_of`.
+    dead_time : float, "fit" or "auto"
+        Dead time in seconds, or whether to fit it.
+    n_bootstrap : int
+        Resamples of the cycles; 0 for none.
+    seed : int, Generator or None
+        Of the resamples.
+    """
+
+    optimizer: Any
+    max_terms: int
+    constraints: Mapping[str, str] | None
+    dead_time: DeadTimeChoice
+    n_bootstrap: int
+    seed: Any
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A structure with its parameters, and what was looked at on the way.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        The data with noise levels and dead time, and the library searched.
+    selected : ndarray of int of shape (n_terms,)
+        Positions of the terms in the library.
+    coefficients : ndarray of shape (n_terms,)
+        β, those of terms with ψ' in the library's own units.
+    time_constant_s, dead_time_s, dead_time_stderr_s : float
+        τ and the dead time in seconds, with its standard error (0 if it was not fitted).
+    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
+        Of β and, last, τ.
+    initial : ndarray of shape (n_segments,)
+        ψ' at the first usable row of each segment.
+    state : FitState
+        What became of the fit, as far as the search can tell.
+    path : tuple of PathRow
+        Every structure proposed or tested.
+    rivals : tuple of tuple of str
+        Structures that the data cannot tell from the chosen one.
+    inclusion : dict of str to float
+        Share of the resamples whose structure holds a term; empty without resamples.
+    weak : WeakLag or None
+        The weak estimates of τ.
+    knots : tuple of MovedKnot
+        Hinges off the library's grid that were added to it.
+    """
+
+    problem: LagProblem
+    selected: IntArray
+    coefficients: FloatArray
+    time_constant_s: float
+    dead_time_s: float
+    dead_time_stderr_s: float
+    covariance: FloatArray
+    initial: FloatArray
+    state: FitState
+    path: tuple[PathRow, ...]
+    rivals: tuple[tuple[str, ...], ...]
+    inclusion: dict[str, float]
+    weak: WeakLag | None
+    knots: tuple[MovedKnot, ...]
+
+
+def silent_problem(
+    X: FloatArray,
+    y: FloatArray,
+    segments: Segments,
+    sample_period_s: float,
+    hold: Any,
+    terms: CandidateTerms,
+    columns: IntArray,
+) -> LagProblem:
+    """Return the problem before anything is known of its noise.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_rows, n_inputs)
+        Inputs.
+    y : ndarray of shape (n_rows,)
+        ψ'.
+    segments : Segments
+        The runs of rows.
+    sample_period_s : float
+        Sample period in seconds.
+    hold : {"first", "zero"}
+        How the terms run between two samples.
+    terms : CandidateTerms
+        The library.
+    columns : ndarray of int
+        Its terms without ψ' that the data can tell apart.
+
+    Returns
+    -------
+    LagProblem
+        With all terms that hold ψ' behind them.
+    """
+    with_state = np.arange(terms.n_without_state, len(terms.names))
+    return LagProblem(
+        X,
+        y,
+        segments,
+        sample_period_s,
+        hold,
+        terms,
+        np.concatenate((columns, with_state)).astype(np.intp),
+        NoiseLevels(1.0, np.zeros(X.shape[1]), np.empty(0)),
+    )
+
+
+def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
+    """Search the structure of a record and estimate its parameters.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        The data.
+    choices : Choices
+        What the user decides.
+    input_names : sequence of str
+        Names of the inputs.
+
+    Returns
+    -------
+    Identified
+        The structure.
+    """
+    search = _searched(problem, choices, input_names)
+    if search.may_lack_a_knot:
+        search = _with_knots(search, choices, input_names)
+    if model_error_dominates(search.prepared, search.found.consistent):
+        robust = _by_held_out(search, choices)
+        if robust is not None:
+            return robust
+    return _by_likelihood(search, choices)
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """One search over one library."""
+
+    whole: LagProblem
+    prepared: Prepared
+    found: Selection
+    names: list[str]
+    degrees: list[int | None]
+    constraints: Constraints
+    knots: tuple[MovedKnot, ...] = ()
+
+    @property
+    def may_lack_a_knot(self) -> bool:
+        """A hinge in the structure, a large one, or none that stands."""
+        support = self.found.fit.support
+        kinked = any("relu(" in self.names[i] for i in support)
+        return kinked or len(support) > _LARGE or not self.found.consistent
+
+
+def _searched(
+    problem: LagProblem,
+    choices: Choices,
+    input_names: Sequence[str],
+    knots: tuple[MovedKnot, ...] = (),
+) -> _Searched:
+    library = problem.terms.names
+    columns, constraints = constraints_of(choices.constraints, library, problem.columns)
+    prepared = prepare(replace(problem, columns=columns), choices.dead_time, constraints.required)
+    usable = prepared.problem.columns
+    _, constraints = constraints_of(choices.constraints, library, usable)
+    names = [library[i] for i in usable]
+    degrees = [polynomial_degree(name, input_names) for name in names]
+    plain = [degree is not None for degree in degrees]
+    found = select_structure(
+        prepared, choices.optimizer, choices.max_terms, names, plain, constraints
+    )
+    return _Searched(problem, prepared, found, names, degrees, constraints, knots)
+
+
+def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str]) -> _Searched:
+    """Search again with hinges off the grid, and keep what comes out if it stands."""
+    problem, fit = search.prepared.problem, search.found.fit
+    knots = moved_knots(problem, fit, search.constraints.required)
+    if not knots:
+        return search
+    wide, _ = with_hinges(search.whole, [(moved.column, moved.knot) for moved in knots])
+    again = _searched(wide, choices, input_names, knots)
+    stands = again.found.consistent and not model_error_dominates(again.prepared, True)
+    first = again.prepared.problem.n_without_state - len(knots)
+    uses = any(i >= first for i in again.found.fit.support)
+    return again if stands and uses else search
+
+
+def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
+    prepared, found, names = search.prepared, search.found, search.names
+    power = choose_power(prepared.problem, found.fit)
+    problem, fit = power.problem, power.fit
+    rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
+    blocks = cycle_blocks(
+        problem.inputs[:, 0], problem.segments, problem.sample_period_s, _SHORTEST_BLOCK
+    )
+    runs = {
+        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks).rms
+        for support, one in found.fits.items()
+        if one.converged
+    }
+    path = tuple(replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path)
+    inclusion: dict[str, float] = {}
+    if choices.n_bootstrap:
+        equations = white_equations(problem, fit)
+        shares = inclusion_probabilities(
+            equations,
+            blocks,
+            choices.max_terms,
+            penalty_per_term=information_penalty(equations.target.size, len(names)),
+            n_resamples=choices.n_bootstrap,
+            rng=np.random.default_rng(choices.seed),
+            required=search.constraints.required,
+        )
+        inclusion = dict(zip(names, shares.terms.tolist(), strict=True))
+    covariance = sandwich(problem, _with_knot_columns(problem, fit, search.knots))
+    dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.dead_time.fitted else 0.0
+    wanted = [*range(len(fit.support)), -1]
+    covariance = covariance[np.ix_(wanted, wanted)]
+    if model_error_dominates(prepared, found.consistent) or not found.consistent:
+        state = FitState.NO_CONSISTENT_STRUCTURE
+    else:
+        state = FitState.OK if fit.converged else FitState.NOT_CONVERGED
+    return Identified(
+        problem,
+        problem.columns[list(fit.support)],
+        fit.coefficients,
+        fit.time_constant_s,
+        fit.dead_time_s,
+        dead_time_stderr,
+        covariance,
+        _of_segments(problem, fit.initial),
+        state,
+        path,
+        tuple(tuple(names[i] for i in rival) for rival in rivals),
+        inclusion,
+        prepared.weak,
+        search.knots,
+    )
+
+
+def _with_knot_columns(
+    problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, ...]
+) -> StructureFit:
+    """Count the moved knots among the parameters, so that the errors of the others allow for it."""
+    extra = knot_columns(problem, fit, knots)
+    # Before the dead time and τ, which come last.
+    at = [len(fit.support) + (problem.hold == "first")] * extra.shape[1]
+    return replace(
+        fit,
+        sensitivity=np.insert(fit.sensitivity, at, extra, axis=1),
+        prior=np.insert(fit.prior, at, 0.0),
+    )
+
+
+def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
+    prepared, found, names = search.prepared, search.found, search.names
+    problem = prepared.problem
+    fit = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.degrees)
+    if fit is None:
+        return None
+    return Identified(
+        problem,
+        problem.columns[list(fit.support)],
+        fit.coefficients,
+        fit.time_constant_s,
+        problem.dead_time.seconds,
+        0.0,
+        fit.covariance,
+        fit.initial,
+        FitState.MODEL_ERROR_DOMINATES,
+        with_held_out(found.path, fit, names),
+        (),
+        {},
+        prepared.weak,
+        (),
+    )
+
+
+def _of_segments(problem: LagProblem, initial: FloatArray) -> FloatArray:
+    """Return one initial state for each segment; of those too short, the measured ψ'."""
+    result = problem.output[problem.segments.starts].copy()
+    result[problem.usable.home] = initial
+    return result

@@ -1,0 +1,123 @@
+"""Anybody's library of terms, pysindy's or scikit-learn's, as plain arrays and names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.errors import InputError
+
+__all__ = ["Evaluator", "evaluated", "fitted_library", "term_names"]
+
+FloatArray = NDArray[np.float64]
+
+
+class Evaluator(Protocol):
+    """A fitted library."""
+
+    def transform(self, x: Any) -> Any:
+        """Evaluate the terms."""
+        ...
+
+
+def fitted_library(library: Any, X: FloatArray, where: str) -> Evaluator:
+    """Fit a library of anybody's, or say what is wrong with it.
+
+    Parameters
+    ----------
+    library : object
+        With `fit` and `transform`.
+    X : ndarray of shape (n_rows, n_inputs)
+        What to fit it to.
+    where : str
+        Parameter to name in the error.
+
+    Returns
+    -------
+    object
+        The fitted library.
+    """
+    for method in ("fit", "transform"):
+        if not hasattr(library, method):
+            raise InputError(
+                where,
+                expected="a pysindy feature library or a scikit-learn transformer",
+                found=f"{type(library).__name__}, which has no `{method}`",
+            )
+    fitted: Evaluator = library.fit(X)
+    return fitted
+
+
+def evaluated(library: Evaluator, X: FloatArray, wanted: Sequence[int] | None = None) -> FloatArray:
+    """Evaluate a fitted library as a plain array, and refuse what is not finite.
+
+    Parameters
+    ----------
+    library : object
+        A fitted library.
+    X : ndarray of shape (n_rows, n_inputs)
+        Its inputs.
+    wanted : sequence of int or None
+        Positions of the terms; None for all of them.
+
+    Returns
+    -------
+    ndarray of shape (n_rows, n_terms)
+        The terms.
+
+    Raises
+    ------
+    InputError
+        If a term is not finite somewhere.
+    """
+    # A plain float array: pysindy hands back its own subclass, slow in everything after.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if wanted is not None and hasattr(library, "columns_at"):
+            values = np.asarray(library.columns_at(X, wanted), dtype=np.float64)
+        else:
+            values = library.transform(X)
+            if hasattr(values, "toarray"):
+                values = values.toarray()
+            values = np.array(values, dtype=np.float64, order="F", subok=False)
+            values = values if wanted is None else values[:, list(wanted)]
+    finite = np.isfinite(values)
+    if not finite.all():
+        column = int(np.flatnonzero(~finite.all(axis=0))[0])
+        raise InputError(
+            "library",
+            expected="finite terms over the whole range of the data",
+            found=f"infinite or NaN values in column {column}",
+            remedy="leave that term out, or restrict the range",
+        )
+    result: FloatArray = values
+    return result
+
+
+def term_names(library: Any, input_names: list[str], n_terms: int) -> tuple[str, ...]:
+    """Return the names of a library's terms.
+
+    Parameters
+    ----------
+    library : object
+        A fitted library.
+    input_names : list of str
+        Names of its inputs.
+    n_terms : int
+        Number of its terms, for one that knows no names.
+
+    Returns
+    -------
+    tuple of str
+        pysindy's or scikit-learn's own names, else ``s0``, ``s1``, …
+    """
+    if hasattr(library, "get_feature_names"):
+        names = library.get_feature_names(input_names)
+    elif hasattr(library, "get_feature_names_out"):
+        names = library.get_feature_names_out(np.asarray(input_names, dtype=object))
+    else:
+        names = [f"s{i}" for i in range(n_terms)]
+    # pysindy and scikit-learn write a product as "a b".
+    return tuple(str(name) for name in names)

@@ -1,0 +1,101 @@
+"""A regression on all terms, small enough for an optimizer of any kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LinearProblem", "least_squares", "without_nuisances"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearProblem:
+    """The regression about one fit, compressed by QR to as many rows as columns.
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n_rows, n_columns)
+        Every usable term, whitened, τ projected out, scaled to unit norm.
+    target : ndarray of shape (n_rows,)
+        What the terms have to explain.
+    norms : ndarray of shape (n_columns,)
+        Norms taken out of the columns.
+    outside : float
+        The part of χ² that no term can explain.
+    n_equations : int
+        Number of whitened equations behind it.
+    """
+
+    columns: FloatArray
+    target: FloatArray
+    norms: FloatArray
+    outside: float
+    n_equations: int
+
+    @property
+    def variance(self) -> float:
+        """Variance of the whitened residual when every term is in.
+
+        Not below 1: it is 1 by construction, and next to nothing on exact data, where
+        rounding and interpolation would otherwise decide.
+        """
+        freedom = max(self.n_equations - self.columns.shape[1] - 1, 1)
+        return float(max(self.outside / freedom, 1.0))
+
+
+def without_nuisances(
+    nuisances: FloatArray, columns: FloatArray, target: FloatArray
+) -> LinearProblem:
+    """Project out what is estimated beside the terms, and compress by QR.
+
+    Parameters
+    ----------
+    nuisances : ndarray of shape (n_rows, n_nuisances)
+        Columns that are in every structure.
+    columns : ndarray of shape (n_rows, n_columns)
+        Every usable term.
+    target : ndarray of shape (n_rows,)
+        What the terms have to explain.
+
+    Returns
+    -------
+    LinearProblem
+        With as many rows as there are terms.
+    """
+    n = nuisances.shape[1]
+    stacked = np.column_stack((nuisances, columns, target))
+    norms = np.linalg.norm(stacked, axis=0)
+    norms[norms == 0] = 1.0
+    triangle: FloatArray = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
+    terms, goal = triangle[n:, n:-1], triangle[n:, -1] * norms[-1]
+    rank = min(terms.shape)
+    # Projecting τ out shortens a column that a change of τ can stand in for.
+    left = np.linalg.norm(terms, axis=0)
+    left[left < 1e-12] = 1.0
+    outside = float(goal[rank:] @ goal[rank:])
+    return LinearProblem(terms[:rank] / left, goal[:rank], norms[n:-1] * left, outside, target.size)
+
+
+def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
+    """Solve a regression on columns of unlike size.
+
+    Parameters
+    ----------
+    design : ndarray of shape (n_rows, n_columns)
+        The columns.
+    target : ndarray of shape (n_rows,)
+        What they have to explain.
+
+    Returns
+    -------
+    ndarray of shape (n_columns,)
+        The coefficients, of least norm where columns cannot be told apart.
+    """
+    norms = np.linalg.norm(design, axis=0)
+    norms[norms == 0] = 1.0
+    solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
+    return solution

@@ -1,0 +1,169 @@
+"""Free run of an identified model over new inputs, and its state at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.candidate_terms import CandidateTerms
+from sindy_surge.free_run import Hold, Segments, lag_taps, run_lag
+
+__all__ = ["FreeModel"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_MOST_STEPS = 60
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class FreeModel:
+    """τ dψ'/dt + ψ' = Σ β_i s_i(φ(t - d), ψ') with its numbers.
+
+    Parameters
+    ----------
+    terms : CandidateTerms
+        The library.
+    selected : ndarray of int of shape (n_terms,)
+        The terms of the model.
+    coefficients : ndarray of shape (n_terms,)
+        β.
+    time_constant_s, dead_time_s : float
+        τ and d in seconds.
+    sample_period_s : float
+        Sample period in seconds.
+    hold : {"first", "zero"}
+        How the terms run between two samples.
+    seen : tuple of float
+        Least and greatest ψ' of the record. A model with terms in ψ' may run away far from its
+        record; it is stopped ten ranges outside.
+    """
+
+    terms: CandidateTerms
+    selected: IntArray
+    coefficients: FloatArray
+    time_constant_s: float
+    dead_time_s: float
+    sample_period_s: float
+    hold: Hold
+    seen: tuple[float, float]
+
+    @property
+    def holds_state(self) -> bool:
+        """Whether a term holds ψ'."""
+        return bool(np.any(self.selected >= self.terms.n_without_state))
+
+    def values(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Evaluate the terms of the model.
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n, n_inputs)
+            The inputs when they act.
+        psi_p : ndarray of shape (n,)
+            ψ' then.
+
+        Returns
+        -------
+        ndarray of shape (n, n_terms)
+            The terms.
+        """
+        order = np.argsort(self.selected, kind="stable")
+        rising = self.terms(inputs, psi_p, self.selected[order].tolist())
+        values = np.empty_like(rising)
+        values[:, order] = rising
+        return values
+
+    def forcing(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Return Σ β_i s_i; see `values`."""
+        result: FloatArray = self.values(inputs, psi_p) @ self.coefficients
+        return result
+
+    def gain(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Return ∂(Σ β_i s_i)/∂ψ'; see `values`."""
+        if not self.holds_state:
+            return np.zeros(psi_p.size)
+        step = _STEP * max(1.0, float(np.max(np.abs(psi_p), initial=0.0)))
+        above, below = self.forcing(inputs, psi_p + step), self.forcing(inputs, psi_p - step)
+        return (above - below) / (2 * step)
+
+    def at_rest(self, inputs: FloatArray) -> FloatArray:
+        """Return the ψ' at which nothing changes, by Newton's method from ψ' = 0.
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n, n_inputs)
+            The inputs.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            ψ'_QS; nan where terms with ψ' leave none.
+        """
+        state = self.forcing(inputs, np.zeros(inputs.shape[0]))
+        if not self.holds_state:
+            return state
+        state = self._bounded(state)
+        with np.errstate(all="ignore"):
+            for _ in range(_MOST_STEPS):
+                gap = self.forcing(inputs, state) - state
+                state = self._bounded(state - gap / (self.gain(inputs, state) - 1.0))
+            gap = self.forcing(inputs, state) - state
+        return np.where(np.abs(gap) < 1e-9 * (1.0 + np.abs(state)), state, np.nan)
+
+    def _bounded(self, state: FloatArray) -> FloatArray:
+        low, high = self.seen
+        reach = 10.0 * max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-300)
+        return np.clip(np.nan_to_num(state), low - reach, high + reach)
+
+    def run(self, inputs: FloatArray, segments: Segments, initial: FloatArray) -> FloatArray:
+        """Run the model freely, each segment from an initial state.
+
+        Before a segment begins its inputs are taken to have been what they are at its first
+        row (after its end, for a dead time below zero, at its last).
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n_rows, n_inputs)
+            Inputs at the samples.
+        segments : Segments
+            The runs of rows.
+        initial : ndarray of shape (n_segments,)
+            ψ' at the first row of each segment.
+
+        Returns
+        -------
+        ndarray of shape (n_rows,)
+            ψ'.
+        """
+        taps = lag_taps(self.time_constant_s, self.sample_period_s, self.hold, self.dead_time_s)
+        low = np.repeat(segments.starts, segments.lengths)
+        high = np.repeat(segments.stops, segments.lengths) - 1
+        rows = np.arange(segments.n_rows)
+        sources = [
+            np.clip(rows - taps.shift - number, low, high) for number in range(taps.taps.size)
+        ]
+
+        def driven(forcing: FloatArray) -> FloatArray:
+            pairs = zip(taps.taps, sources, strict=True)
+            return np.asarray(sum(tap * forcing[source] for tap, source in pairs))
+
+        state = np.repeat(initial, segments.lengths)
+        whole = self.dead_time_s / self.sample_period_s
+        ahead = int(np.floor(whole))
+        part = whole - ahead
+        for _ in range(_MOST_STEPS if self.holds_state else 1):
+            # ψ' at the times when the inputs of each row act.
+            near = state[np.clip(rows + ahead, low, high)]
+            far = state[np.clip(rows + ahead + 1, low, high)]
+            forcing = self.forcing(inputs, (1 - part) * near + part * far)
+            following = run_lag(driven(forcing), segments, taps.pole, initial)
+            following = self._bounded(following) if self.holds_state else following
+            moved = float(np.max(np.abs(following - state)))
+            state = following
+            if moved < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
+                break
+        return state

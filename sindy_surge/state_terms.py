@@ -1,0 +1,305 @@
+"""Candidate terms that hold ψ' itself: its powers and its products with φ."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import comb
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.errors import InputError
+from sindy_surge.library_adapters import evaluated, fitted_library, term_names
+
+__all__ = [
+    "LibraryStateTerms",
+    "PhysicalForm",
+    "ProductStateTerms",
+    "StateTerms",
+    "physical_form",
+    "state_terms",
+]
+
+FloatArray = NDArray[np.float64]
+
+# ψ'², ψ'³, ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
+# a time shift between the channels.
+_OWN_POWERS = (2, 3)
+_PRODUCT_POWERS = (1, 2)
+_MOST_INPUTS = 2
+
+
+class StateTerms(Protocol):
+    """Terms of ψ' and the inputs."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in terms of ψ' itself."""
+        ...
+
+    def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Evaluate every term; shape (n_rows, n_terms)."""
+        ...
+
+
+@dataclass(frozen=True)
+class ProductStateTerms:
+    """Powers of z = (ψ' - centre)/scale and its products with powers of the inputs.
+
+    ψ' runs from 0.35 to 0.53 in a surge record, over which 1, ψ', ψ'² and ψ'³ are all but
+    collinear; z runs from -1 to 1.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names in terms of ψ' itself, e.g. ``psi_p^2`` or ``psi_p phi``.
+    exponents : tuple of (int, int, int)
+        For each term the power of z, the input and its power.
+    centre, scale : float
+        Middle and half range of ψ'.
+    """
+
+    names: tuple[str, ...]
+    exponents: tuple[tuple[int, int, int], ...]
+    centre: float
+    scale: float
+
+    def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Evaluate every term.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n_rows, n_inputs)
+            The inputs.
+        psi_p : ndarray of shape (n_rows,)
+            ψ' at the same rows.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_terms)
+            The terms, in z.
+        """
+        z = (psi_p - self.centre) / self.scale
+        columns = np.empty((z.size, len(self.exponents)), order="F")
+        for number, (own, j, power) in enumerate(self.exponents):
+            columns[:, number] = z**own * X[:, j] ** power
+        return columns
+
+    def physical(self) -> ProductStateTerms:
+        """Return the same terms in ψ' itself."""
+        return replace(self, centre=0.0, scale=1.0)
+
+
+class LibraryStateTerms:
+    """Terms of a library of the user's own over (ψ', inputs), as they are.
+
+    Parameters
+    ----------
+    library : pysindy feature library or scikit-learn transformer
+        Deep-copied and fitted; columns without ψ', and ψ' alone, are left out.
+    X : ndarray of shape (n_rows, n_inputs)
+        The inputs.
+    psi_p : ndarray of shape (n_rows,)
+        ψ' at the same rows.
+    input_names : sequence of str
+        Names of the inputs.
+    output_name : str
+        Name of ψ'.
+    """
+
+    def __init__(
+        self,
+        library: Any,
+        X: FloatArray,
+        psi_p: FloatArray,
+        input_names: Sequence[str],
+        output_name: str,
+    ) -> None:
+        both = np.column_stack((psi_p, X))
+        self._library = fitted_library(copy.deepcopy(library), both, "psi_terms")
+        moved = both.copy()
+        moved[:, 0] += max(float(np.ptp(psi_p)), 1e-3)
+        values = evaluated(self._library, both)
+        depends = np.any(np.abs(evaluated(self._library, moved) - values) > 0, axis=0)
+        names = term_names(self._library, [output_name, *input_names], values.shape[1])
+        kept = [i for i in np.flatnonzero(depends) if names[i] != output_name]
+        self._kept = np.array(kept, dtype=np.intp)
+        self.names = tuple(names[i] for i in kept)
+
+    def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Evaluate every term; see `ProductStateTerms`."""
+        values: FloatArray = evaluated(self._library, np.column_stack((psi_p, X)))
+        return values[:, self._kept]
+
+
+def state_terms(
+    choice: Any,
+    X: FloatArray,
+    psi_p: FloatArray,
+    input_names: Sequence[str],
+    output_name: str,
+    known: Sequence[str],
+) -> StateTerms | None:
+    """Make the terms with ψ'.
+
+    Parameters
+    ----------
+    choice : bool or library
+        True for powers and products of ψ', False for none, else a pysindy library or
+        scikit-learn transformer over (ψ', inputs).
+    X : ndarray of shape (n_rows, n_inputs)
+        The inputs.
+    psi_p : ndarray of shape (n_rows,)
+        ψ' at the same rows.
+    input_names : sequence of str
+        Names of the inputs.
+    output_name : str
+        Name of ψ'.
+    known : sequence of str
+        Names of the terms without ψ': z is centred only if what centring adds is among them.
+
+    Returns
+    -------
+    StateTerms or None
+        None if there are none.
+
+    Raises
+    ------
+    InputError
+        If `choice` is neither a truth value nor a library.
+    """
+    if isinstance(choice, (bool, np.bool_)):
+        if not choice or X.shape[1] > _MOST_INPUTS:
+            return None
+        return _products(X, psi_p, input_names, output_name, known)
+    if not (hasattr(choice, "fit") and hasattr(choice, "transform")):
+        raise InputError(
+            "psi_terms",
+            expected="True, False, a pysindy feature library or a scikit-learn transformer",
+            found=type(choice).__name__,
+        )
+    made = LibraryStateTerms(choice, X, psi_p, input_names, output_name)
+    return made if made.names else None
+
+
+def _products(
+    X: FloatArray,
+    psi_p: FloatArray,
+    input_names: Sequence[str],
+    output_name: str,
+    known: Sequence[str],
+) -> ProductStateTerms:
+    names = [f"{output_name}^{power}" for power in _OWN_POWERS]
+    exponents = [(power, 0, 0) for power in _OWN_POWERS]
+    for j, name in enumerate(input_names):
+        for power in _PRODUCT_POWERS:
+            names.append(f"{output_name} {_power(name, power)}")
+            exponents.append((1, j, power))
+    low, high = float(np.min(psi_p)), float(np.max(psi_p))
+    scale = (high - low) / 2
+    centre = (high + low) / 2
+    if not scale > 1e-9 * max(abs(low), abs(high)):
+        centre, scale = 0.0, max(abs(low), abs(high)) or 1.0
+    needed = {"1", *(_power(name, power) for name in input_names for power in _PRODUCT_POWERS)}
+    if not needed <= set(known):
+        centre = 0.0
+    return ProductStateTerms(tuple(names), tuple(exponents), centre, scale)
+
+
+def _power(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}^{power}"
+
+
+@dataclass(frozen=True)
+class PhysicalForm:
+    """A model in physical terms: τ dψ'/dt + ψ' = Σ β_i s_i.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the terms.
+    coefficients : ndarray of shape (n_terms,)
+        β in physical units.
+    time_constant_s : float
+        τ in seconds.
+    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
+        Of β and, last, τ.
+    """
+
+    names: tuple[str, ...]
+    coefficients: FloatArray
+    time_constant_s: float
+    covariance: FloatArray
+
+
+def physical_form(
+    names: Sequence[str],
+    coefficients: FloatArray,
+    time_constant_s: float,
+    covariance: FloatArray,
+    states: StateTerms | None,
+    input_names: Sequence[str],
+) -> PhysicalForm:
+    """Write a model that was found in z = (ψ' - c)/s in ψ' itself.
+
+    γ z^p φ^q expands to γ s^-p Σ_i C(p, i) (-c)^(p-i) ψ'^i φ^q. What falls to ψ' itself, L ψ',
+    joins the lag: τ dψ'/dt + (1 - L) ψ' = …, which is divided by 1 - L.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the terms.
+    coefficients : ndarray of shape (n_terms,)
+        Their coefficients, those of terms with ψ' in z.
+    time_constant_s : float
+        τ in seconds.
+    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
+        Of the coefficients and, last, τ.
+    states : StateTerms or None
+        The terms with ψ'.
+    input_names : sequence of str
+        Names of the inputs.
+
+    Returns
+    -------
+    PhysicalForm
+        The same model.
+    """
+    own = set(names) & set(states.names) if isinstance(states, ProductStateTerms) else set()
+    if not own or not isinstance(states, ProductStateTerms):
+        return PhysicalForm(tuple(names), coefficients, time_constant_s, covariance)
+    # Rows of the map: physical terms; its last row is the share L of ψ' itself.
+    rows: dict[str, FloatArray] = {}
+    lag_share = np.zeros(len(names))
+
+    def add(name: str, number: int, value: float) -> None:
+        if value != 0.0:
+            rows.setdefault(name, np.zeros(len(names)))[number] += value
+
+    output = states.names[0].partition("^")[0]
+    for number, name in enumerate(names):
+        if name not in own:
+            add(name, number, 1.0)
+            continue
+        power, j, q = states.exponents[states.names.index(name)]
+        factor = _power(input_names[j], q) if q else ""
+        for i in range(power + 1):
+            value = comb(power, i) * (-states.centre) ** (power - i) / states.scale**power
+            if i == 0:
+                add(factor or "1", number, value)
+            elif i == 1 and not factor:
+                lag_share[number] += value
+            else:
+                add(f"{_power(output, i)} {factor}".strip(), number, value)
+    matrix = np.array(list(rows.values()))
+    whole = 1.0 - float(lag_share @ coefficients)
+    numerators = matrix @ coefficients
+    beta, tau = numerators / whole, time_constant_s / whole
+    # d(numerator/whole) = (dn + (n/whole) L·dγ)/whole.
+    top = (matrix + np.outer(beta, lag_share)) / whole
+    bottom = np.append(tau * lag_share, 1.0) / whole
+    jacobian = np.vstack((np.column_stack((top, np.zeros(len(rows)))), bottom))
+    return PhysicalForm(tuple(rows), beta, tau, jacobian @ covariance @ jacobian.T)

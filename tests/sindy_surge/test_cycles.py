@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from sindy_surge.covariance import block_slices
+from sindy_surge.cycles import cycle_blocks, surge_period_s
+from sindy_surge.free_run import Segments
+
+from .conftest import PERIOD_S
+
+SHORTEST = 40
+# One period of a relaxation wave: a slow fall, a drop into reversed flow, a slow rise, a jump.
+_CORNERS = ([0.0, 0.4, 0.45, 0.95, 1.0], [0.51, 0.37, -0.04, 0.10, 0.51])
+
+SHAPES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "relaxation": lambda cycles: np.interp(cycles % 1, *_CORNERS),
+    "sine": lambda cycles: 0.2 + 0.25 * np.sin(2 * np.pi * cycles),
+    "brief reversal": lambda cycles: np.where(cycles % 1 < 0.15, -0.05, 0.4),
+}
+
+
+def _whole(n: int) -> Segments:
+    return Segments.from_labels(None, n)
+
+
+def _wave(shape: str, period: float, n: int, seed: int = 0, noise: float = 0.0) -> np.ndarray:
+    """Waves of a known period in samples, with white noise and rotating stall of 62 Hz."""
+    rng = np.random.default_rng(seed)
+    rows = np.arange(n)
+    phi = SHAPES[shape](rows / period + rng.uniform())
+    ripple = noise * phi.std() * np.sqrt(2) * np.sin(2 * np.pi * 62 * PERIOD_S * rows)
+    return phi + noise * phi.std() * rng.standard_normal(n) + ripple
+
+
+def _rows(blocks: list[slice]) -> np.ndarray:
+    return np.concatenate([np.arange(block.start, block.stop) for block in blocks])
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.1])
+def test_period_is_that_of_the_wave(shape: str, noise: float) -> None:
+    for seed in range(4):
+        phi = _wave(shape, 163.7, 4000, seed, noise)
+        found = surge_period_s(phi, _whole(4000), PERIOD_S)
+        assert found == pytest.approx(0.1637, rel=0.02)
+
+
+def test_period_of_a_wave_that_wanders(surge: Callable[..., Any]) -> None:
+    for seed in range(3):
+        record = surge("quadratic", 0.1, seed)
+        found = surge_period_s(record.phi, _whole(record.phi.size), PERIOD_S)
+        assert found is not None
+        assert 1 / 7 < found < 1 / 5
+        clean = surge_period_s(record.clean_phi, _whole(record.phi.size), PERIOD_S)
+        assert found == pytest.approx(clean, rel=0.02)
+
+
+def test_in_stall_segments_hold_no_cycle(surge: Callable[..., Any]) -> None:
+    # With 20 % noise a few segments flutter about the band.
+    for seed, noise in product(range(6), (0.1, 0.2)):
+        record = surge("quadratic", noise, seed)
+        phi, inside = record.phi, record.clean_phi < 0.27
+        labels = np.cumsum(np.diff(inside, prepend=False))[inside]
+        segments = Segments.from_labels(labels, labels.size)
+        assert segments.starts.size > 10
+        assert surge_period_s(phi[inside], segments, PERIOD_S) is None
+        blocks = cycle_blocks(phi[inside], segments, PERIOD_S, SHORTEST)
+        assert [b.start for b in blocks] == segments.starts.tolist()
+
+
+def test_random_excitation_is_no_surge() -> None:
+    found = []
+    for seed in range(60):
+        white = np.random.default_rng(seed).standard_normal(4000)
+        steps = np.repeat(np.sign(white[:200]), 20)
+        for phi in (white, lfilter([1.0], [1.0, -0.9], white), steps):
+            found.append(surge_period_s(phi, _whole(4000), PERIOD_S))
+    assert np.mean([period is None for period in found]) > 0.97
+
+
+@pytest.mark.parametrize("cycles", [0.4, 1.3])
+def test_less_than_two_cycles_are_none(cycles: float) -> None:
+    phi = _wave("sine", 1000 / cycles, 1000)
+    assert surge_period_s(phi, _whole(1000), PERIOD_S) is None
+
+
+def test_constant_and_tiny_records_have_no_cycles() -> None:
+    assert surge_period_s(np.full(500, 0.3), _whole(500), PERIOD_S) is None
+    assert surge_period_s(np.array([0.3]), _whole(1), PERIOD_S) is None
+
+
+def test_scale_offset_and_sample_period_carry_through() -> None:
+    phi = _wave("relaxation", 150, 3000, 1, 0.05)
+    found = surge_period_s(phi, _whole(3000), 1e-3)
+    assert found is not None
+    assert surge_period_s(7.0 * phi - 3.0, _whole(3000), 2e-3) == pytest.approx(2 * found)
+    both = np.column_stack((phi, np.random.default_rng(0).standard_normal(3000)))
+    assert surge_period_s(both, _whole(3000), 1e-3) == found
+    plain = cycle_blocks(phi, _whole(3000), 1e-3, SHORTEST)
+    assert cycle_blocks(both, _whole(3000), 1e-3, SHORTEST) == plain
+
+
+def test_blocks_are_whole_cycles() -> None:
+    for shape in SHAPES:
+        phi = _wave(shape, 160, 4000, 2, 0.05)
+        blocks = cycle_blocks(phi, _whole(4000), PERIOD_S, SHORTEST)
+        inner = np.array([b.stop - b.start for b in blocks[1:-1]])
+        assert inner.size >= 22
+        # Noise moves a crossing of the sine, whose slope is least, by a few samples.
+        assert np.all(np.abs(inner - 160) <= 16)
+        assert abs(inner.mean() - 160) < 2
+
+
+@pytest.mark.parametrize("lengths", [[4000], [3000, 90, 1200, 20, 700], [90] * 30, [2000, 1]])
+@pytest.mark.parametrize("shortest", [1, 40, 300])
+def test_blocks_cover_every_row_once_and_cross_no_border(lengths: list[int], shortest: int) -> None:
+    n = sum(lengths)
+    segments = Segments.from_labels(np.repeat(np.arange(len(lengths)), lengths), n)
+    for phi in (_wave("relaxation", 150, n, 3, 0.05), np.random.default_rng(0).random(n)):
+        blocks = cycle_blocks(phi, segments, PERIOD_S, shortest)
+        np.testing.assert_array_equal(_rows(blocks), np.arange(n))
+        assert set(segments.starts.tolist()) <= {b.start for b in blocks}
+        parts = [b for b in blocks if b.start not in segments.starts]
+        assert all(b.stop - b.start >= shortest for b in parts)
+
+
+def test_a_rise_begins_within_its_own_segment() -> None:
+    # The second segment starts in the band and rises out of it, but nothing there came from below.
+    first = 0.2 + 0.25 * np.sin(2 * np.pi * np.arange(760) / 160)
+    second = 0.2 + 0.25 * np.sin(2 * np.pi * np.arange(800) / 160)
+    assert first[-1] < 0
+    segments = Segments.from_labels(np.repeat([0, 1], [760, 800]), 1560)
+    blocks = cycle_blocks(np.concatenate((first, second)), segments, PERIOD_S, 1)
+    (opening,) = [b for b in blocks if b.start == 760]
+    assert opening.stop - opening.start > 160
+
+
+def test_segments_without_a_whole_cycle_stay_whole() -> None:
+    lengths = [3000, 140, 120, 90]
+    segments = Segments.from_labels(np.repeat(np.arange(4), lengths), sum(lengths))
+    phi = _wave("sine", 150, sum(lengths), 0, 0.05)
+    blocks = cycle_blocks(phi, segments, PERIOD_S, SHORTEST)
+    assert [b.stop - b.start for b in blocks[-3:]] == [140, 120, 90]
+    assert len(blocks) > 20
+
+
+def test_many_cycles_are_joined_evenly() -> None:
+    phi = _wave("sine", 50, 10_000)
+    blocks = cycle_blocks(phi, _whole(10_000), PERIOD_S, SHORTEST)
+    lengths = np.array([b.stop - b.start for b in blocks])
+    assert 40 <= len(blocks) <= 60
+    assert set(lengths[1:-1].round(-1).tolist()) <= {150, 200}
+
+
+def test_a_steady_stretch_is_cut_as_long_as_a_cycle() -> None:
+    surging = _wave("relaxation", 150, 3000, 0, 0.02)
+    steady = 0.45 + 0.002 * np.random.default_rng(1).standard_normal(3000)
+    blocks = cycle_blocks(np.concatenate((steady, surging)), _whole(6000), PERIOD_S, SHORTEST)
+    lengths = np.array([b.stop - b.start for b in blocks])
+    assert lengths.max() < 2 * 150
+    assert len(blocks) > 35
+
+
+def test_without_cycles_the_rows_are_cut_evenly() -> None:
+    segments = Segments.from_labels(np.repeat([1, 2], [2500, 500]), 3000)
+    phi = np.random.default_rng(0).standard_normal(3000)
+    blocks = cycle_blocks(phi, segments, PERIOD_S, SHORTEST)
+    assert blocks == block_slices(segments, SHORTEST)

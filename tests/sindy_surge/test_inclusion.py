@@ -1,0 +1,283 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from sindy_surge import InputError
+from sindy_surge.candidate_terms import CandidateTerms, independent_columns
+from sindy_surge.cycles import cycle_blocks
+from sindy_surge.free_run import Segments
+from sindy_surge.inclusion import Inclusion, inclusion_probabilities
+from sindy_surge.lag_fit import WhiteEquations, fit_structure, white_equations
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.selection import information_penalty
+from sindy_surge.whitening import NoiseLevels
+
+from .conftest import PERIOD_S, TAU_S, TERMS
+
+PENALTY = 17.0
+N_BLOCKS = 30
+
+
+def _equations(
+    columns: np.ndarray, target: np.ndarray, nuisances: np.ndarray | None = None
+) -> WhiteEquations:
+    n = target.size
+    if nuisances is None:
+        nuisances = np.sin(np.arange(n) / 7.0)[:, None]
+    rows = np.arange(n)
+    return WhiteEquations(nuisances, columns, target, Segments.from_labels(None, n), rows)
+
+
+def _even_blocks(n: int, n_blocks: int = N_BLOCKS) -> list[slice]:
+    edges = np.linspace(0, n, n_blocks + 1).astype(int)
+    return [slice(a, b) for a, b in pairwise(edges.tolist())]
+
+
+def _resampled(equations: WhiteEquations, blocks: list[slice], **changes: Any) -> Inclusion:
+    settings: dict[str, Any] = {
+        "penalty_per_term": PENALTY,
+        "n_resamples": 100,
+        "rng": np.random.default_rng(11),
+    }
+    return inclusion_probabilities(equations, blocks, 5, **{**settings, **changes})
+
+
+def _random(seed: int, n: int = 1500, q: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((n, q)) + 0.5 * rng.standard_normal((n, 1))
+    return columns, rng.standard_normal(n)
+
+
+def _powers(n: int, seed: int) -> np.ndarray:
+    """Powers and exponentials over a narrow range away from zero: condition 1e10."""
+    x = 3.0 + 0.6 * np.random.default_rng(seed).random(n)
+    columns = np.column_stack([x**k for k in range(5)] + [np.exp(-x), np.maximum(x - 3.3, 0)])
+    assert 1e8 < np.linalg.cond(columns / np.linalg.norm(columns, axis=0)) < 1e12
+    return columns
+
+
+def _best(
+    equations: WhiteEquations, most: int, required: tuple[int, ...] = ()
+) -> tuple[tuple[int, ...], float]:
+    """Best structure by trying all of them, on all rows and without any compression."""
+
+    def chi2(members: tuple[int, ...]) -> float:
+        design = np.column_stack((equations.nuisances, equations.columns[:, list(members)]))
+        design = design / np.linalg.norm(design, axis=0)
+        solution = np.linalg.lstsq(design, equations.target, rcond=1e-14)[0]
+        return float(np.sum((equations.target - design @ solution) ** 2))
+
+    n, q = equations.columns.shape
+    variance = max(chi2(tuple(range(q))) / (n - q - 1), 1.0)
+    scores = {
+        members: chi2(members) / variance + PENALTY * size
+        for size in range(1, most + 1)
+        for members in combinations(range(q), size)
+        if set(required) <= set(members)
+    }
+    best = sorted(scores, key=lambda members: scores[members])
+    return best[0], scores[best[1]] - scores[best[0]]
+
+
+@pytest.mark.parametrize("curve", ["quadratic", "hinge"])
+def test_true_terms_are_in_and_absent_ones_are_not(surge: Callable[..., Any], curve: str) -> None:
+    for seed in range(4):
+        record = surge(curve, 0.02, seed)
+        inputs = record.phi[:, None]
+        terms = CandidateTerms(None, inputs, ["phi"])
+        usable = independent_columns(terms(inputs))
+        noise = NoiseLevels(
+            0.02 * record.clean_psi_p.std(), np.array([0.02 * record.clean_phi.std()]), np.empty(0)
+        )
+        whole = Segments.from_labels(None, inputs.size)
+        problem = LagProblem(inputs, record.psi_p, whole, PERIOD_S, "first", terms, usable, noise)
+        names = [terms.names[i] for i in usable]
+        truth = tuple(sorted(names.index(name) for name in TERMS[curve]))
+        equations = white_equations(problem, fit_structure(problem, truth, TAU_S))
+        penalty = information_penalty(equations.target.size, usable.size)
+        blocks = cycle_blocks(inputs, whole, PERIOD_S, 36)
+        found = _resampled(equations, blocks, penalty_per_term=penalty)
+        assert found.terms.shape == usable.shape
+        assert found.terms[list(truth)].min() >= 0.9
+        assert np.delete(found.terms, truth).max() <= 0.1
+        assert found.structures[0][0] == truth
+        assert sum(share for _, share in found.structures) == pytest.approx(1.0)
+
+
+def test_probability_at_the_detection_limit_is_that_of_the_normal_law() -> None:
+    # A term whose estimate lies z standard errors from zero is drawn with z + N(0, 1) and is
+    # taken above the square root of the penalty.
+    limit = np.sqrt(PENALTY)
+    expected, found = [], []
+    for seed in range(24):
+        columns, noise = _random(seed, q=5)
+        nuisances = np.ones((noise.size, 1))
+        design = np.column_stack((nuisances, columns))
+        error = np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
+        wanted = limit + np.linspace(-2, 2, 24)[seed]
+        target = columns[:, [0, 3]] @ [3.0, -2.0] + noise
+        own = np.linalg.lstsq(design, target)[0][2]
+        target += columns[:, 1] * (wanted * error - own)
+        found.append(
+            _resampled(
+                _equations(columns, target, nuisances), _even_blocks(noise.size), n_resamples=200
+            ).terms[1]
+        )
+        expected.append(norm.cdf(wanted - limit))
+    # Thirty blocks know the variance of the score to a quarter, hence single cases within 0.25.
+    assert np.max(np.abs(np.subtract(found, expected))) < 0.25
+    assert abs(np.mean(found) - np.mean(expected)) < 0.05
+    assert found[0] < 0.15
+    assert found[-1] > 0.85
+
+
+def test_bootstrap_agrees_with_refits_of_repeated_rows() -> None:
+    columns, noise = _random(3, 600, 6)
+    target = columns @ [0.0, 0.4, 0.18, 0.0, -0.5, 0.0] + noise
+    equations = _equations(columns, target)
+    blocks = _even_blocks(600, 12)
+    rng = np.random.default_rng(5)
+    counts = np.zeros(6)
+    for _ in range(150):
+        drawn = [np.arange(blocks[i].start, blocks[i].stop) for i in rng.integers(0, 12, 12)]
+        rows = np.concatenate(drawn)
+        again = _equations(columns[rows], target[rows], equations.nuisances[rows])
+        counts[list(_best(again, 4)[0])] += 1
+    found = _resampled(equations, blocks, n_resamples=600).terms
+    honest = counts / 150
+    assert 0.1 < honest[2] < 0.9
+    scatter = np.sqrt(np.maximum(found * (1 - found), 0.002) * (1 / 150 + 1 / 600))
+    assert np.all(np.abs(found - honest) < 4 * scatter)
+
+
+@pytest.mark.parametrize("required", [(), (5,), (0, 6)])
+def test_nearly_dependent_columns_lose_no_digits(required: tuple[int, ...]) -> None:
+    decided = 0
+    for seed in range(6):
+        columns = _powers(400, seed)
+        target = 1e4 * columns[:, [1, 6]] @ [1.0, -0.7]
+        target += np.random.default_rng(seed + 100).standard_normal(400)
+        # Twelve cycles that are all alike: whatever is drawn, the answer is the record's own.
+        equations = _equations(np.tile(columns, (12, 1)), np.tile(target, 12))
+        equations = replace(equations, nuisances=np.tile(equations.nuisances[:400], (12, 1)))
+        best, margin = _best(equations, 5, required)
+        if margin < 0.01:
+            continue
+        decided += 1
+        found = _resampled(equations, _even_blocks(4800, 12), required=required, n_resamples=20)
+        assert found.structures == ((best, 1.0),)
+    assert decided >= 4
+
+
+def test_an_effect_of_one_cycle_is_in_as_often_as_that_cycle_is_drawn() -> None:
+    columns, noise = _random(4)
+    blocks = _even_blocks(noise.size)
+    only = np.zeros(noise.size)
+    only[blocks[7]] = 1.0
+    columns[:, 2] *= only
+    target = 5 * columns[:, 0] + 8 * columns[:, 2] + noise
+    found = _resampled(_equations(columns, target), blocks, n_resamples=400)
+    chance = 1 - (1 - 1 / N_BLOCKS) ** N_BLOCKS
+    assert found.terms[2] == pytest.approx(chance, abs=4 * np.sqrt(chance * (1 - chance) / 400))
+    assert found.terms[0] == 1.0
+
+
+def test_what_a_resample_lacks_it_does_not_choose() -> None:
+    columns, noise = _random(4, q=12)
+    blocks = _even_blocks(noise.size)
+    partial = {2: 7, 5: 12, 9: 20}
+    target = 5 * columns[:, 0] + noise
+    for term, block in partial.items():
+        only = np.zeros(noise.size)
+        only[blocks[block]] = 1.0
+        columns[:, term] *= only
+        target += 8 * columns[:, term]
+    found = _resampled(_equations(columns, target), blocks, n_resamples=400)
+    chance = 1 - (1 - 1 / N_BLOCKS) ** N_BLOCKS
+    for term in partial:
+        assert abs(found.terms[term] - chance) < 4 * np.sqrt(chance * (1 - chance) / 400)
+    assert np.delete(found.terms, [0, *partial]).max() < 0.1
+    # None, some or all of the three cycles are drawn: eight structures, and hardly any other.
+    assert sum(share for support, share in found.structures if {0, *partial} >= set(support)) > 0.9
+    assert len([s for s, _ in found.structures if {0, *partial} >= set(s)]) == 8
+
+
+def test_many_hinges_do_not_hide_a_cubic() -> None:
+    # Whoever adds term by term starts with hinges here and never meets the cubic.
+    rng = np.random.default_rng(2)
+    phi = 0.235 + 0.27 * np.sin(np.arange(3000) / 25.0) + 0.01 * rng.standard_normal(3000)
+    hinges = [np.maximum(phi - knot, 0) for knot in np.arange(0, 0.46, 0.025)]
+    columns = np.column_stack([phi**k for k in range(6)] + hinges)
+    target = 1000 * columns[:, :4] @ [0.30, 0.5, 3.0, -7.0] + rng.standard_normal(3000)
+    equations = _equations(columns, target)
+    found = _resampled(
+        equations, _even_blocks(3000), penalty_per_term=information_penalty(3000, 25)
+    )
+    assert found.structures[0][0] == (0, 1, 2, 3)
+    assert found.structures[0][1] > 0.9
+
+
+def test_repeatable_and_the_same_in_any_order_of_blocks_scale_and_nuisance() -> None:
+    columns, noise = _random(6)
+    target = columns @ [0.3, 0, 0.12, 0, 0.1, 0, 0, 0.0] + noise
+    equations = _equations(columns, target)
+    blocks = _even_blocks(noise.size)
+    first = _resampled(equations, blocks)
+    assert 0 < first.terms[2] < 1
+    shuffled = [blocks[i] for i in np.random.default_rng(0).permutation(N_BLOCKS)]
+    scales = 10.0 ** np.linspace(-8, 8, 8)
+    shifted = replace(equations, target=target + 1e3 * equations.nuisances[:, 0])
+    for again in (
+        _resampled(equations, blocks),
+        _resampled(equations, shuffled),
+        _resampled(replace(equations, columns=columns * scales), blocks),
+        _resampled(shifted, blocks),
+    ):
+        np.testing.assert_array_equal(again.terms, first.terms)
+        assert again.structures == first.structures
+    other = _resampled(equations, blocks, rng=np.random.default_rng(12))
+    assert not np.array_equal(other.terms, first.terms)
+
+
+def test_required_terms_are_in_every_structure() -> None:
+    columns, noise = _random(8)
+    equations = _equations(columns, 2 * columns[:, 0] + noise)
+    found = _resampled(equations, _even_blocks(noise.size), required=(3, 6))
+    assert found.terms[[0, 3, 6]].tolist() == [1.0, 1.0, 1.0]
+    assert all({3, 6} <= set(support) for support, _ in found.structures)
+    more = inclusion_probabilities(
+        equations,
+        _even_blocks(noise.size),
+        1,
+        penalty_per_term=PENALTY,
+        n_resamples=10,
+        rng=np.random.default_rng(0),
+        required=(3, 6),
+    )
+    assert more.structures == (((3, 6), 1.0),)
+
+
+def test_equations_are_taken_by_the_row_of_the_record_they_belong_to() -> None:
+    columns, noise = _random(9)
+    target = columns @ [0.3, 0, 0.12, 0, 0.1, 0, 0, 0.0] + noise
+    equations = _equations(columns, target)
+    blocks = _even_blocks(noise.size)
+    later = replace(equations, rows=2 * equations.rows + 1)
+    moved = [slice(2 * b.start, 2 * b.stop) for b in blocks]
+    assert _resampled(later, moved).structures == _resampled(equations, blocks).structures
+    none = _resampled(equations, [slice(5000, 6000)])
+    assert np.all(np.isnan(none.terms))
+    assert none.structures == ()
+
+
+def test_no_resample_is_refused() -> None:
+    columns, noise = _random(10)
+    with pytest.raises(InputError, match="n_resamples"):
+        _resampled(_equations(columns, noise), _even_blocks(noise.size), n_resamples=0)
