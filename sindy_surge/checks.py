@@ -64,22 +64,25 @@ def _is_number(value: Any) -> bool:
     return number and bool(np.isfinite(value))
 
 
-def refuse_not_finite(X: FloatArray, y: FloatArray) -> None:
+def refuse_not_finite(X: Any, y: Any) -> None:
     """Name the first row that holds NaN or an infinite value.
 
     Parameters
     ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        Inputs.
-    y : ndarray of shape (n_rows,)
-        ψ'.
+    X, y : array-like
+        Inputs and ψ'; what is no array of floats is left to scikit-learn.
 
     Raises
     ------
     InputError
         If a value is not finite.
     """
-    for name, values in (("X (φ)", X), ("y (ψ')", y)):
+    for name, data in (("X (φ)", X), ("y (ψ')", y)):
+        if data is None or hasattr(data, "toarray"):
+            continue
+        values = np.asarray(data)
+        if values.dtype.kind != "f":
+            continue
         bad = ~np.isfinite(values)
         if bad.any():
             row = int(np.argwhere(bad)[0][0])

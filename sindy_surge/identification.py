@@ -20,7 +20,7 @@ from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import StructureFit, white_equations
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare
+from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.state_powers import choose_power
 from sindy_surge.states import FitState
@@ -289,7 +289,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         path,
         tuple(tuple(names[i] for i in rival) for rival in rivals),
         inclusion,
-        prepared.weak,
+        weak_estimates(problem, fit.support) or prepared.weak,
         search.knots,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.covariance import sandwich
+from sindy_surge.cycles import surge_period_s
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -21,11 +22,11 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
-from sindy_surge.sparse_paths import beam_search
-from sindy_surge.weak_form import WeakLag, weak_lag
+from sindy_surge.sparse_paths import Support, beam_search
+from sindy_surge.weak_form import WeakLag, compensated_lag, weak_lag
 from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
 
-__all__ = ["Prepared", "prepare"]
+__all__ = ["DeadTimeChoice", "Prepared", "prepare", "weak_estimates"]
 
 FloatArray = NDArray[np.float64]
 
@@ -125,8 +126,58 @@ def _left_by_all(problem: LagProblem, rich: StructureFit) -> FloatArray:
 def _weak(problem: LagProblem) -> WeakLag | None:
     # One weak equation comes every quarter of a half width, so far fewer than rows.
     most = max(2, min(20, problem.output.size // 100, problem.n_without_state))
-    few = problem.terms(problem.inputs)[:, problem.columns[:most]]
-    return weak_lag(problem.output, problem.late(few), problem.segments, problem.sample_period_s)
+    few = problem.terms(problem.inputs, wanted=problem.columns[:most].tolist())
+    return weak_lag(
+        problem.output,
+        problem.late(few),
+        problem.segments,
+        problem.sample_period_s,
+        surge_period_s=_surge_period_s(problem),
+    )
+
+
+def _surge_period_s(problem: LagProblem) -> float | None:
+    return surge_period_s(problem.inputs, problem.segments, problem.sample_period_s)
+
+
+def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
+    """Estimate τ of a structure in the weak form: forward, reverse, and with the noise taken off.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        The data, with noise levels and dead time.
+    support : tuple of int
+        Positions of the terms; those with ψ' are left out, for the weak form has no simulated ψ'.
+
+    Returns
+    -------
+    WeakLag or None
+        None if the segments are too short.
+    """
+    without = [i for i in support if i < problem.n_without_state]
+    found = features(problem, problem.inputs, problem.noise.inputs, without)
+    values = problem.late(found.values)
+    weak = weak_lag(
+        problem.output,
+        values,
+        problem.segments,
+        problem.sample_period_s,
+        surge_period_s=_surge_period_s(problem),
+    )
+    if weak is None:
+        return None
+    compensated = compensated_lag(
+        problem.output,
+        values,
+        np.stack([problem.late(slope) for slope in found.slopes]),
+        problem.segments,
+        round(weak.half_width_s / problem.sample_period_s),
+        problem.sample_period_s,
+        problem.noise.output,
+        problem.noise.inputs,
+    )
+    return replace(weak, compensated_s=compensated)
 
 
 def _brackets(weak: WeakLag | None) -> tuple[float, ...]:

@@ -183,17 +183,11 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For parameters, labels or a library that cannot be used.
         """
         check_parameters(self)
+        refuse_not_finite(X, y)
         X_checked, y_checked = validate_data(
-            self,
-            X,
-            y,
-            dtype=np.float64,
-            y_numeric=True,
-            ensure_min_samples=2,
-            ensure_all_finite=False,
+            self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
         )
         y_checked = y_checked.astype(np.float64)
-        refuse_not_finite(X_checked, y_checked)
         runs = Segments.from_labels(segments, X_checked.shape[0])
         from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
 
@@ -265,7 +259,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             self.hold,
             (float(y.min()), float(y.max())),
         )
-        names = self._candidates.names
+        names = self.candidate_terms_ = self._candidates.names
         form = physical_form(
             [names[i] for i in found.selected],
             found.coefficients,

@@ -210,7 +210,9 @@ def select_structure(
     problem, rich = prepared.problem, prepared.rich
     about = linearise(problem, rich)
     penalty = information_penalty(about.n_equations, about.columns.shape[1])
-    proposed = proposals(about, optimizer, max_terms, constraints.required)
+    proposed = _allowed(
+        about, proposals(about, optimizer, max_terms, constraints.required), max_terms, constraints
+    )
     rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposed}
     seeds = _seeds(problem, proposed, rough)
     search = _Search(problem, rich, max_terms, constraints, seeds)
@@ -218,6 +220,22 @@ def select_structure(
     chosen, rivals = _choose(search, plain)
     path = _table(search, rough, about, chosen, names)
     return Selection(search.fits[chosen], path, rivals, bool(search.consistent), search.fits)
+
+
+def _allowed(
+    about: LinearProblem, proposed: list[Support], max_terms: int, constraints: Constraints
+) -> list[Support]:
+    """Keep the proposals whose signs are as asked for, and look further down where they are not."""
+    if not np.any(constraints.signs):
+        return proposed
+
+    def good(support: Support) -> bool:
+        return constraints.allow(support, _coefficients(about, support))
+
+    found = {s for s in proposed if good(s)}
+    for ranked in beam_search(about, max_terms, required=constraints.required).values():
+        found.update([s for _, s in ranked if good(s)][:4])
+    return sorted(found, key=lambda s: (len(s), s)) or proposed
 
 
 def _seeds(

@@ -1,0 +1,124 @@
+"""What a user is told of bad input and of results to be wary of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from pysindy.feature_library import CustomLibrary, PolynomialLibrary
+
+from sindy_surge import FitState, InputError, SparseLagRegressor
+from sindy_surge.candidate_terms import aliases_of, independent_columns
+
+from .conftest import TERMS
+
+
+@pytest.mark.parametrize(
+    ("value", "word"), [(np.nan, "NaN"), (np.inf, "infinity"), (-np.inf, "infinity")]
+)
+@pytest.mark.parametrize("where", ["X", "y"])
+def test_what_is_not_finite_is_named_with_its_row(value: float, word: str, where: str) -> None:
+    X, y = np.linspace(0, 1, 100)[:, None], np.linspace(0, 1, 100)
+    (X if where == "X" else y)[37] = value
+    with pytest.raises(InputError, match=rf"^{where} .*{word}.*row 37 \(1 .*segments"):
+        SparseLagRegressor().fit(X, y)
+
+
+@pytest.mark.parametrize(
+    ("options", "where"),
+    [
+        ({"n_bootstrap": -1}, "n_bootstrap"),
+        ({"n_bootstrap": 1.5}, "n_bootstrap"),
+        ({"max_terms": True}, "max_terms"),
+        ({"sample_period_s": True}, "sample_period_s"),
+        ({"constraints": {"psi": "required"}}, "constraints"),
+    ],
+)
+def test_bad_parameters_are_named(options: dict[str, Any], where: str) -> None:
+    rng = np.random.default_rng(0)
+    phi = rng.uniform(0, 1, (200, 1))
+    with pytest.raises(InputError, match=where):
+        SparseLagRegressor(**options).fit(phi, phi[:, 0])
+
+
+def test_collinear_library_is_told_as_aliases(surge: Callable[..., Any]) -> None:
+    record = surge("reverse", 0.01, 3)
+    library = PolynomialLibrary(2) + CustomLibrary(
+        [lambda x: x**2 * (x < 0), lambda x: x * np.abs(x), lambda x: 3 * x + 1],
+        [lambda n: f"{n}^2[{n}<0]", lambda n: f"{n} |{n}|", lambda n: f"3{n}+1"],
+    )
+    model = SparseLagRegressor(library=library, psi_terms=False, n_bootstrap=0)
+    model.fit(record.phi[:, None], record.psi_p)
+    assert model.aliases_ == {"phi |phi|": "phi^2 - 2 phi^2[phi<0]", "3phi+1": "1 + 3 phi"}
+    assert set(model.terms_) == set(TERMS["reverse"])
+
+
+def test_aliases_are_exact_sums() -> None:
+    rng = np.random.default_rng(0)
+    free = rng.normal(size=(50, 3))
+    values = np.column_stack((free, free @ [1.0, -2.0, 0.0], np.zeros(50), 0.5 * free[:, 2]))
+    kept = independent_columns(values)
+    assert kept.tolist() == [0, 1, 2]
+    names = ["a", "b", "c", "d", "e", "f"]
+    assert aliases_of(values, kept, names) == {"d": "a - 2 b", "e": "0", "f": "0.5 c"}
+
+
+def test_no_reversed_flow_leaves_the_branch_out(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 2)
+    inside = record.clean_phi > 0.05
+    labels = np.cumsum(np.diff(inside, prepend=inside[0]) != 0)[inside]
+    model = SparseLagRegressor(n_bootstrap=0).fit(
+        record.phi[inside, None], record.psi_p[inside], segments=labels
+    )
+    assert model.aliases_["phi^2[phi<0]"] == "0"
+    assert set(model.terms_) == set(TERMS["quadratic"])
+
+
+def test_segments_too_short_are_counted(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.01, 2)
+    labels = np.repeat(np.arange(4), 1000)
+    labels[::500] = 100 + np.arange(8)
+    model = SparseLagRegressor(n_bootstrap=0).fit(
+        record.phi[:, None], record.psi_p, segments=labels
+    )
+    assert any(c.startswith("8 of 16 segments are too short") for c in model.cautions_)
+    assert set(model.terms_) == set(TERMS["quadratic"])
+    assert model.initial_states_.size == 16
+
+
+def test_bad_fits_carry_their_advice_among_the_cautions() -> None:
+    rng = np.random.default_rng(0)
+    pinned = SparseLagRegressor().fit(np.full((200, 1), 0.2), 3 + rng.standard_normal(200))
+    assert pinned.fit_state_ is FitState.CONSTANT_SIGNAL
+    assert pinned.cautions_ == (FitState.CONSTANT_SIGNAL.advice,)
+    short = SparseLagRegressor().fit([[0.1], [0.2], [0.4]], [1.0, 2.0, 4.0])
+    assert "segments" in short.cautions_[0]
+    assert pinned.dead_time_s_ == 0.0
+    assert pinned.inclusion_probability_ == {}
+
+
+def test_inclusion_says_how_sure_a_term_is(surge: Callable[..., Any]) -> None:
+    record = surge("hinge", 0.02, 1)
+    model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
+    known = model.inclusion_probability_
+    assert set(known) <= set(model.candidate_terms_)
+    assert all(known[term] > 0.9 for term in model.terms_)
+    assert max(p for term, p in known.items() if term not in model.terms_) < 0.5
+    again = SparseLagRegressor(random_state=0).fit(record.phi[:, None], record.psi_p)
+    assert again.inclusion_probability_ == known
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_units_of_the_flow_do_not_matter(surge: Callable[..., Any], noise: float) -> None:
+    record = surge("reverse", noise, 5)
+    one = SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
+    # A thousandfold unit for φ, another scale and origin for ψ'.
+    other = SparseLagRegressor(n_bootstrap=0).fit(1000 * record.phi[:, None], 50 * record.psi_p + 7)
+    assert other.terms_ == one.terms_
+    assert other.time_constant_s_ == pytest.approx(one.time_constant_s_, rel=1e-4)
+    factor = {"1": 1.0, "phi": 1e3, "phi^2": 1e6, "phi^2[phi<0]": 1e6}
+    found = other.coef_ * [factor[term] for term in other.terms_] / 50
+    found[other.terms_.index("1")] -= 7 / 50
+    np.testing.assert_allclose(found, one.coef_, rtol=2e-3)

@@ -1,0 +1,125 @@
+"""A channel that is late: found, fitted, in the interval of τ, and not seen where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sindy_surge import InputError, SparseLagRegressor
+
+from .conftest import CURVES, PERIOD_S, TAU_S, TERMS, lag, relaxation_wave
+
+N = 4000
+
+
+def _late(curve: str, noise: float, seed: int, samples: float) -> tuple[np.ndarray, np.ndarray]:
+    """ψ' late by so many samples (φ, if negative); the fine grid has eight steps a sample."""
+    rng = np.random.default_rng(seed)
+    fine = relaxation_wave(8 * (N + 16), PERIOD_S / 8, rng)
+    psi_p = lag(CURVES[curve](fine), PERIOD_S / 8)
+    move = round(8 * samples)
+    phi, psi_p = fine[64 : 64 + 8 * N : 8], psi_p[64 - move : 64 - move + 8 * N : 8]
+    white = rng.standard_normal((2, N))
+    return phi + noise * phi.std() * white[0], psi_p + noise * psi_p.std() * white[1]
+
+
+@pytest.mark.parametrize(
+    ("curve", "noise", "samples"),
+    [
+        ("quadratic", 0.01, 1.0),
+        ("quadratic", 0.05, 1.0),
+        ("hinge", 0.02, 2.0),
+        ("reverse", 0.02, -1.0),
+        ("cubic", 0.02, 0.5),
+        ("quadratic", 0.02, 7.0),
+    ],
+)
+def test_late_channel_is_found_with_its_structure(curve: str, noise: float, samples: float) -> None:
+    for seed in (1, 2):
+        phi, psi_p = _late(curve, noise, seed, samples)
+        model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
+        assert set(model.terms_) == set(TERMS[curve])
+        true = samples * PERIOD_S
+        assert abs(model.dead_time_s_ - true) < 4 * model.dead_time_stderr_s_
+        assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
+        assert any("later than" in caution for caution in model.cautions_)
+
+
+def test_delay_has_its_share_in_the_error_of_tau() -> None:
+    phi, psi_p = _late("quadratic", 0.02, 3, 1.0)
+    fitted = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
+    given = SparseLagRegressor(dead_time_s=PERIOD_S, n_bootstrap=0).fit(phi[:, None], psi_p)
+    assert given.dead_time_s_ == PERIOD_S
+    assert given.dead_time_stderr_s_ == 0.0
+    assert set(given.terms_) == set(fitted.terms_)
+    assert fitted.time_constant_stderr_s_ > 1.2 * given.time_constant_stderr_s_
+    assert abs(given.time_constant_s_ - TAU_S) < 4 * given.time_constant_stderr_s_
+
+
+def test_a_delay_declared_wrong_moves_tau() -> None:
+    # The research page: one sample of misalignment is 10 % of τ, more with noise whitened.
+    phi, psi_p = _late("quadratic", 0.01, 3, 0.0)
+    model = SparseLagRegressor(dead_time_s=-PERIOD_S, psi_terms=False, n_bootstrap=0).fit(
+        phi[:, None], psi_p
+    )
+    assert model.time_constant_s_ / TAU_S - 1 > 0.05
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("curve", list(CURVES))
+def test_no_delay_is_seen_where_there_is_none(
+    surge: Callable[..., Any], curve: str, noise: float
+) -> None:
+    for seed in (4, 5):
+        record = surge(curve, noise, seed)
+        model = SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
+        assert model.dead_time_s_ == 0.0
+        assert set(model.terms_) == set(TERMS[curve])
+
+
+def test_fit_asked_for_is_honest_about_zero(surge: Callable[..., Any]) -> None:
+    z = []
+    for seed in range(4):
+        record = surge("quadratic", 0.02, seed)
+        model = SparseLagRegressor(dead_time_s="fit", n_bootstrap=0).fit(
+            record.phi[:, None], record.psi_p
+        )
+        z.append(model.dead_time_s_ / model.dead_time_stderr_s_)
+    assert 0 < np.max(np.abs(z)) < 4
+
+
+def test_the_wrong_hold_is_half_a_sample(surge: Callable[..., Any]) -> None:
+    phi = surge("quadratic", 0.0, 7).clean_phi
+    rng = np.random.default_rng(0)
+    clean = lag(CURVES["quadratic"](phi), PERIOD_S, "zero")
+    noisy = clean + 0.01 * clean.std() * rng.standard_normal(clean.size)
+    model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], noisy)
+    assert model.dead_time_s_ == pytest.approx(PERIOD_S / 2, abs=4 * model.dead_time_stderr_s_)
+
+
+def test_prediction_is_late_too() -> None:
+    phi, psi_p = _late("quadratic", 0.0, 6, 3.0)
+    model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
+    rest = (model.predict(phi[:, None]) - psi_p)[200:]
+    assert np.std(rest) < 1e-3 * np.std(psi_p)
+    early = np.roll(psi_p, -3)[200:-3]
+    assert np.std(model.predict(phi[:, None])[200:-3] - early) > 0.05 * np.std(psi_p)
+
+
+def test_short_segments_lose_rows_not_the_delay() -> None:
+    phi, psi_p = _late("quadratic", 0.01, 8, 1.0)
+    labels = np.arange(N) // 97
+    model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p, segments=labels)
+    assert set(model.terms_) == set(TERMS["quadratic"])
+    assert abs(model.dead_time_s_ - PERIOD_S) < 4 * model.dead_time_stderr_s_
+    assert model.initial_states_.size == np.unique(labels).size
+
+
+@pytest.mark.parametrize("value", ["late", np.nan, None, True])
+def test_bad_dead_times_are_named(value: Any) -> None:
+    phi = np.linspace(0, 1, 100)[:, None]
+    with pytest.raises(InputError, match="dead_time_s"):
+        SparseLagRegressor(dead_time_s=value).fit(phi, phi[:, 0])
