@@ -133,8 +133,7 @@ class CandidateTerms:
         parts = []
         inputs_alone = [i for i in wanted if i < own]
         if inputs_alone:
-            every = len(inputs_alone) == own
-            parts.append(evaluated(self._library, X, None if every else inputs_alone))
+            parts.append(evaluated(self._library, X, inputs_alone))
         extra = [self._extra[i - own] for i in wanted if own <= i < edge]
         parts += [np.maximum(X[:, j] - knot, 0.0)[:, None] for j, knot in extra]
         with_state = [i - edge for i in wanted if i >= edge]

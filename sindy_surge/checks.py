@@ -52,6 +52,11 @@ def check_parameters(estimator: Any) -> None:
             raise InputError(
                 name, expected=f"a whole number of at least {least}", found=repr(value)
             )
+    name = estimator.output_name
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(
+            "output_name", expected='a name such as "psi_p" or "psi"', found=repr(name)
+        )
     dead = estimator.dead_time_s
     if dead not in ("auto", "fit") and not _is_number(dead):
         raise InputError(

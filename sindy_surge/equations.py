@@ -319,14 +319,15 @@ def write_equation(parts: EquationParts, style: Literal["text", "latex"] = "text
     if style != "text":
         raise InputError("style", expected='"text" or "latex"', found=repr(style))
     tau = format_uncertain(parts.time_constant_s, parts.time_constant_stderr_s)
-    left = "ψ'" if parts.is_static else f"{tau} s · dψ'/dt + ψ'"
+    output = pretty_term(parts.output_name)
+    left = output if parts.is_static else f"{tau} s · d{output}/dt + {output}"
     delayed = ""
     if parts.has_dead_time:
         size = format_uncertain(abs(parts.dead_time_s), parts.dead_time_stderr_s)
         inputs = ", ".join(map(pretty_term, parts.input_names))
         delayed = f", with {inputs} at t {'−' if parts.dead_time_s >= 0 else '+'} {size} s"
     has_time = parts.has_dead_time or not parts.is_static
-    units = "ψ' dimensionless" + (", t in s" if has_time else "")
+    units = f"{output} dimensionless" + (", t in s" if has_time else "")
     if any(re.search(r"\bphi\b", term) for term in parts.terms):
         units = "φ, " + units
     return f"{left} = {_sum(parts, style)}{delayed}   [{units}]"
@@ -334,9 +335,11 @@ def write_equation(parts: EquationParts, style: Literal["text", "latex"] = "text
 
 def _latex(parts: EquationParts) -> str:
     tau = _latex_number(format_uncertain(parts.time_constant_s, parts.time_constant_stderr_s))
-    left = r"\psi'"
+    output = {"psi_p": r"\psi'"}.get(parts.output_name, _latex_name(parts.output_name))
+    left = output
     if not parts.is_static:
-        left = rf"{tau}\,\mathrm{{s}}\,\frac{{\mathrm{{d}}\psi'}}{{\mathrm{{d}}t}} + \psi'"
+        slope = rf"\frac{{\mathrm{{d}}{output}}}{{\mathrm{{d}}t}}"
+        left = rf"{tau}\,\mathrm{{s}}\,{slope} + {output}"
     text = f"{left} = {_sum(parts, 'latex')}"
     if parts.has_dead_time:
         dead = _latex_number(format_uncertain(parts.dead_time_s, parts.dead_time_stderr_s))

@@ -18,14 +18,14 @@ from sindy_surge.held_out import model_error_dominates, select_by_held_out, with
 from sindy_surge.held_out_run import held_out_rms
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
-from sindy_surge.lag_fit import StructureFit, white_equations
+from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.state_powers import choose_power
 from sindy_surge.states import FitState
 from sindy_surge.weak_form import WeakLag
-from sindy_surge.whitening import NoiseLevels
+from sindy_surge.whitening import NoiseLevels, autoregression
 
 __all__ = ["Choices", "Identified", "identify", "silent_problem"]
 
@@ -243,7 +243,7 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
 
 def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     prepared, found, names = search.prepared, search.found, search.names
-    power = choose_power(prepared.problem, found.fit)
+    power = choose_power(*_colour_again(prepared.problem, found.fit))
     problem, fit = power.problem, power.fit
     rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
     blocks = cycle_blocks(
@@ -292,6 +292,22 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         weak_estimates(problem, fit.support) or prepared.weak,
         search.knots,
     )
+
+
+def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, StructureFit]:
+    """Look for colour about the structure found, if it holds ψ'.
+
+    The colour was that of the fit without such terms, which leaves some of them as colour.
+    """
+    if not (problem.holds_state(fit.support) and problem.noise.colour.size):
+        return problem, fit
+    white = replace(problem, noise=replace(problem.noise, colour=np.empty(0)))
+    plain = fit_structure(white, fit.support, fit.time_constant_s, fit.coefficients, near=fit)
+    colour = autoregression(plain.residual, plain.groups)
+    if not colour.size:
+        return white, plain
+    again = replace(problem, noise=replace(problem.noise, colour=colour))
+    return again, fit_structure(again, fit.support, fit.time_constant_s, fit.coefficients, near=fit)
 
 
 def _with_knot_columns(

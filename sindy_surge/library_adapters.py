@@ -82,7 +82,8 @@ def evaluated(library: Evaluator, X: FloatArray, wanted: Sequence[int] | None = 
             if hasattr(values, "toarray"):
                 values = values.toarray()
             values = np.array(values, dtype=np.float64, order="F", subok=False)
-            values = values if wanted is None else values[:, list(wanted)]
+            if wanted is not None and len(wanted) != values.shape[1]:
+                values = values[:, list(wanted)]
     finite = np.isfinite(values)
     if not finite.all():
         column = int(np.flatnonzero(~finite.all(axis=0))[0])

@@ -72,6 +72,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Resamples of the cycles for `inclusion_probability_`; 0 for none.
     random_state : int, numpy Generator or None
         Seed of the resamples.
+    output_name : str
+        What the equation calls ψ': "psi" when y is the work coefficient ψ.
 
     Attributes
     ----------
@@ -141,6 +143,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         dead_time_s: DeadTimeChoice = "auto",
         n_bootstrap: int = 100,
         random_state: Any = 0,
+        output_name: str = "psi_p",
     ) -> None:
         self.sample_period_s = sample_period_s
         self.hold = hold
@@ -154,6 +157,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.dead_time_s = dead_time_s
         self.n_bootstrap = n_bootstrap
         self.random_state = random_state
+        self.output_name = output_name
 
     def fit(
         self, X: ArrayLike, y: ArrayLike, segments: ArrayLike | None = None
@@ -200,6 +204,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             knots=self.knots,
             psi_terms=self.psi_terms,
             psi_p=y_checked,
+            output_name=self.output_name,
         )
         self.candidate_terms_ = self._candidates.names
         self.feature_range_ = np.stack((X_checked.min(axis=0), X_checked.max(axis=0)))
@@ -499,6 +504,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             dead_time_s=self.dead_time_s_,
             dead_time_stderr_s=self.dead_time_stderr_s_ or float("nan"),
             input_names=tuple(self._input_names),
+            output_name=self.output_name,
         )
 
     def _term_values(self) -> SelectedTerms:
@@ -521,6 +527,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             weak=self.weak_form_,
             path=self.path_,
             input_ranges=self.feature_range_,
+            cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
         )
 
     def __sklearn_tags__(self) -> Any:

@@ -62,6 +62,8 @@ class ModelSummary:
         Least and greatest value of each input.
     quantile : float
         Two-sided 95 % quantile of an error: normal, or Student's t where few cycles gave it.
+    cautions : sequence of str
+        What to know before the numbers are used.
     """
 
     parts: EquationParts
@@ -76,6 +78,7 @@ class ModelSummary:
     path: Sequence[PathRow] = ()
     input_ranges: ArrayLike | None = None
     quantile: float = _NORMAL_95
+    cautions: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -229,6 +232,7 @@ def summary_fields(summary: ModelSummary) -> tuple[Field, ...]:
         *_input_fields(summary),
         Field("rivals", _ledger(summary.rivals, _structure, "the data cannot tell from it:")),
         Field("aliases", _ledger(summary.aliases, _equals, "the same on this data:")),
+        *([Field("cautions", tuple(summary.cautions))] if summary.cautions else []),
     )
 
 
@@ -252,6 +256,9 @@ def _time_fields(summary: ModelSummary) -> list[Field]:
         gap = f"{100 * summary.weak.gap:.2g} %" if math.isfinite(summary.weak.gap) else _NOT_KNOWN
         fields.append(Field("weak τ, forward", (_number(forward, 4),), "s"))
         fields.append(Field("weak τ, reverse", (_number(reverse, 4),), "s"))
+        if math.isfinite(summary.weak.compensated_s):
+            value = _number(summary.weak.compensated_s, 4)
+            fields.append(Field("weak τ, noise taken off", (value,), "s"))
         fields.append(Field("weak gap (noise)", (gap,)))
     return fields
 
@@ -261,7 +268,9 @@ def _input_fields(summary: ModelSummary) -> list[Field]:
     fields = []
     if summary.noise is not None:
         output, inputs = summary.noise
-        fields.append(Field("noise of ψ' (std)", (_number(output),), "1"))
+        fields.append(
+            Field(f"noise of {pretty_term(parts.output_name)} (std)", (_number(output),), "1")
+        )
         fields += [
             Field(f"noise of {pretty_term(name)} (std)", (_number(level),), _input_unit(name))
             for name, level in zip(parts.input_names, inputs, strict=True)
@@ -310,7 +319,7 @@ def _terms_table(summary: ModelSummary) -> Table:
     of = "" if summary.n_candidates is None else f" of {summary.n_candidates} candidates"
     header = ("term", "coefficient", "std error", "95 % interval", "unit")
     return Table(
-        f"Terms of ψ'_QS: {len(rows)}{of}",
+        f"Terms of {pretty_term(summary.parts.output_name)}_QS: {len(rows)}{of}",
         header if inclusion is None else (*header, "inclusion probability"),
         tuple(rows),
         frozenset({0, 4}),
