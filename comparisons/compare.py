@@ -1,7 +1,7 @@
 """Several estimators side by side: fits, reconstructions, held-out scores, and the table.
 
 All are scored on the same rows, those of the series' segments. They are fitted to these too, but
-for one that takes whole unfiltered records where the series carry them.
+for those that take whole unfiltered records where the series carry them.
 """
 
 from __future__ import annotations

@@ -67,8 +67,9 @@ def default_estimators(
 ) -> tuple[EstimatorSpec, ...]:
     """Return maximum likelihood, the paper's way, two other noise models, and sparse regression.
 
-    ``classic_ml`` is one free run through each whole record, from unfiltered signals, where the
-    reduction left them in the series; else it is armax on the rows, as ``paper`` always is.
+    ``classic_ml`` and ``sindy`` are one free run through each whole record, from unfiltered
+    signals, where the reduction left them in the series; else they are armax and the sparse
+    regression on the rows. ``paper`` is armax on the rows always.
 
     Parameters
     ----------
@@ -115,6 +116,11 @@ def default_estimators(
             records, degree=degree, hold=hold, time_constant_s=time_constant_s, until_s=until_s
         )
 
+    def sparse_whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
+        from comparisons.sparse_whole_run import fit_sparse_whole_runs
+
+        return fit_sparse_whole_runs(records, hold=hold, until_s=until_s)
+
     # The paper has no way of its own to the work coefficient beside that of classic_ml.
     paper = EstimatorSpec("paper", "the paper's way (armax)", classical("armax"))
     return (
@@ -124,7 +130,7 @@ def default_estimators(
         EstimatorSpec(
             "classic_ml_output_error", "free run (output error)", classical("output-error")
         ),
-        EstimatorSpec("sindy", "sparse regression (SINDy)", sparse),
+        EstimatorSpec("sindy", "sparse regression (SINDy)", sparse, sparse_whole),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,19 @@ from numpy.typing import NDArray
 
 from sindy_surge.covariance import jackknife_covariance, leave_out_moves
 from sindy_surge.free_run import simulate
-from sindy_surge.lag_fit import LinearProblem
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import Prepared
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import Support, proposals, support_chi2
+from sindy_surge.sparse_paths import Support, proposals
+from sindy_surge.trials import (
+    FEWEST_BLOCKS,
+    Block,
+    Trials,
+    best_of_each_size,
+    climb,
+    polynomial_ladder,
+    special_structures,
+)
 from sindy_surge.weak_equations import WeakEquations, blocks_for
 from sindy_surge.weak_form import MIN_HALF_WIDTH
 
@@ -29,17 +37,12 @@ IntArray = NDArray[np.intp]
 # that lasts 50 samples. What exceeds this is smoother than a sensor's noise: on reduced records
 # of the simulated rig it was 2e4 to 1e5, for noise alone behind their 48 Hz filter 200 to 400.
 _MOST_EXCESS = 100.0
-# A characteristic in stall falls, turns and rises: a cubic (Moore & Greitzer 1986) is the
-# most that is asked of a polynomial when the data cannot tell a term from an error.
-_HIGHEST_DEGREE = 3
 # About an error that comes again in every cycle, one cycle is all the data there is. A surge
 # cycle of 130 ms holds four test functions of 2 τ = 32 ms (equivalent width 1.1 half widths).
 _EQUATIONS_IN_CYCLE = 4.0
 # With so few the extended BIC takes a term picked out of p = 20 when the mean square error
 # falls to exp(-(ln 4 + 3 ln p)/4) = 0.07: about a tenth.
 _SHARE_LEFT = 0.1
-_MOST_SPECIAL = 24
-_FEWEST_BLOCKS = 3
 
 
 def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
@@ -91,38 +94,6 @@ class HeldOutFit:
     tried: dict[Support, tuple[float, float]]
 
 
-@dataclass
-class _Trials:
-    """Held-out errors of the structures tried."""
-
-    weak: WeakEquations
-    blocks: list[tuple[slice, IntArray]]
-    errors: dict[Support, FloatArray] = field(default_factory=dict)
-    lags: dict[Support, float] = field(default_factory=dict)
-
-    def error(self, support: Support) -> FloatArray:
-        """Return the mean square error of each block's equations, fitted without that block."""
-        if support not in self.errors:
-            parameters, design, residual = self.weak.fit(support)
-            touched = [self._reaching_into(block) for block, _ in self.blocks]
-            moves = leave_out_moves(design, residual, touched)
-            self.lags[support] = float(parameters[-1])
-            self.errors[support] = np.array(
-                [
-                    float(np.mean((residual[rows] - design[rows] @ move) ** 2))
-                    for move, (_, rows) in zip(moves, self.blocks, strict=True)
-                ]
-            )
-        return self.errors[support]
-
-    def mean(self, support: Support) -> float:
-        return float(np.mean(self.error(support)))
-
-    def _reaching_into(self, block: slice) -> IntArray:
-        centres, reach = self.weak.centres, self.weak.half_width
-        return np.flatnonzero((centres > block.start - reach) & (centres < block.stop - 1 + reach))
-
-
 def select_by_held_out(
     problem: LagProblem, optimizer: Any, max_terms: int, degrees: Sequence[int | None]
 ) -> HeldOutFit | None:
@@ -160,63 +131,30 @@ def select_by_held_out(
     weak = WeakEquations.of(problem)
     if weak is None:
         return None
-    trials = _Trials(weak, blocks_for(problem, weak))
-    if len(trials.blocks) < _FEWEST_BLOCKS or weak.signal.size < 2 * max_terms + 2:
+    trials = Trials(weak, _blocks(problem, weak))
+    if len(trials.blocks) < FEWEST_BLOCKS or weak.signal.size < 2 * max_terms + 2:
         return None
     linear = weak.linear()
     proposed = proposals(linear, optimizer, max_terms)
-    ladder = _ladder(degrees, max_terms) or _best_of_each_size(linear, proposed)
-    chosen = _climb(trials, ladder)
-    chosen = _special(trials, linear, proposed, chosen, ladder)
+    ladder = polynomial_ladder(degrees, max_terms) or best_of_each_size(linear, proposed)
+    chosen = climb(trials, ladder)
+    special = special_structures(trials, linear, proposed, chosen, ladder, _SHARE_LEFT)
+    # The smallest: an error that every cycle repeats rewards each further term.
+    chosen = min(special, key=lambda s: (len(s), special[s]), default=chosen)
     if not problem.shortest_lag_s < trials.lags[chosen] < problem.longest_lag_s:
         return None
-    return _finished(problem, trials, chosen)
+    return _finished(problem, weak, trials, chosen)
 
 
-def _ladder(degrees: Sequence[int | None], max_terms: int) -> list[Support]:
-    """Return the complete polynomials from degree 1 upwards."""
-    known = [degree for degree in degrees if degree is not None]
-    if not {0, 1} <= set(known):
-        return []
-    rungs = [
-        tuple(i for i, degree in enumerate(degrees) if degree is not None and degree <= top)
-        for top in range(1, min(max(known), _HIGHEST_DEGREE) + 1)
+def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
+    centres, reach = weak.centres, weak.half_width
+    return [
+        Block(
+            np.flatnonzero((centres > rows.start - reach) & (centres < rows.stop - 1 + reach)),
+            inside,
+        )
+        for rows, inside in blocks_for(problem, weak)
     ]
-    return [rung for rung in dict.fromkeys(rungs) if len(rung) <= max_terms]
-
-
-def _best_of_each_size(linear: LinearProblem, proposed: list[Support]) -> list[Support]:
-    best: dict[int, Support] = {}
-    for support in sorted(proposed, key=lambda s: support_chi2(linear, s)):
-        best.setdefault(len(support), support)
-    return [best[size] for size in sorted(best)]
-
-
-def _climb(trials: _Trials, ladder: list[Support]) -> Support:
-    chosen = ladder[0]
-    for rung in ladder[1:]:
-        gain = trials.error(chosen) - trials.error(rung)
-        if gain.mean() <= gain.std(ddof=1) / np.sqrt(gain.size):
-            break
-        chosen = rung
-    trials.error(chosen)
-    return chosen
-
-
-def _special(
-    trials: _Trials,
-    linear: LinearProblem,
-    proposed: list[Support],
-    chosen: Support,
-    ladder: list[Support],
-) -> Support:
-    """Take a structure off the ladder, and no larger, if it leaves a tenth of the error."""
-    largest = max(len(rung) for rung in ladder)
-    others = [s for s in proposed if s not in ladder and len(s) <= largest]
-    others = sorted(others, key=lambda s: support_chi2(linear, s))[:_MOST_SPECIAL]
-    limit = _SHARE_LEFT * trials.mean(chosen)
-    good = [s for s in others if trials.mean(s) < limit]
-    return min(good, key=lambda s: (len(s), trials.mean(s))) if good else chosen
 
 
 def with_held_out(
@@ -256,22 +194,23 @@ def with_held_out(
     return tuple(sorted(rows.values(), key=order))
 
 
-def _finished(problem: LagProblem, trials: _Trials, support: Support) -> HeldOutFit:
-    weak = trials.weak
+def _finished(
+    problem: LagProblem, weak: WeakEquations, trials: Trials, support: Support
+) -> HeldOutFit:
     parameters, design, residual = weak.fit(support)
-    homes = [rows for _, rows in trials.blocks]
+    homes = [block.own for block in trials.blocks]
     covariance = jackknife_covariance(leave_out_moves(design, residual, homes))
     covariance += _repeated(design, residual) + _spread(problem, weak, support)
     tau = float(parameters[-1])
     lag = problem.hold_at(tau)
-    values = problem.terms(problem.inputs)[:, problem.columns[list(support)]]
+    wanted = problem.columns[list(support)].tolist()
+    values = problem.late(problem.terms(problem.inputs, wanted=wanted))
     forcing = values @ parameters[:-1]
     rest = problem.output - simulate(forcing, problem.segments, lag)
     decay = lag.pole ** problem.segments.offsets().astype(float)
     starts = problem.segments.starts
     initial = np.add.reduceat(decay * rest, starts) / np.add.reduceat(decay**2, starts)
-    tried = {s: (trials.mean(s) ** 0.5, trials.lags[s]) for s in trials.errors}
-    return HeldOutFit(support, tau, parameters[:-1], covariance, initial, tried)
+    return HeldOutFit(support, tau, parameters[:-1], covariance, initial, trials.tried())
 
 
 def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:

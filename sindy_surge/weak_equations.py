@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.covariance import block_slices
-from sindy_surge.lag_fit import LinearProblem
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 from sindy_surge.sparse_paths import Support
 from sindy_surge.weak_form import weak_centres, weak_lag, weak_rows
 
@@ -57,7 +57,9 @@ class WeakEquations:
         WeakEquations or None
             None if the segments are too short for a test function, or no lag shows.
         """
-        values = problem.terms(problem.inputs)[:, problem.columns]
+        # Terms with ψ' need a simulated ψ', of which the weak form has none.
+        without = problem.columns[: problem.n_without_state].tolist()
+        values = problem.late(problem.terms(problem.inputs, wanted=without))
         segments, period = problem.segments, problem.sample_period_s
         if half_width is None:
             # The first terms of a library are its simplest; with all of them τ drifts up.
@@ -89,13 +91,13 @@ class WeakEquations:
             What is left.
         """
         design = np.column_stack((self.columns[:, list(support)], -self.derivative))
-        parameters = _least_squares(design, self.signal)
+        parameters = least_squares(design, self.signal)
         return parameters, design, self.signal - design @ parameters
 
     def fit_forward(self, support: Support) -> FloatArray | None:
         """Return (β, τ) from regressing dψ'/dt; None if τ is not positive."""
         design = np.column_stack((self.columns[:, list(support)], -self.signal))
-        solution = _least_squares(design, self.derivative)
+        solution = least_squares(design, self.derivative)
         if not solution[-1] > 0:
             return None
         parameters: FloatArray = np.append(solution[:-1], 1.0) / solution[-1]
@@ -103,25 +105,7 @@ class WeakEquations:
 
     def linear(self) -> LinearProblem:
         """Return the regression on all terms, τ projected out, for the optimizers."""
-        stacked = np.column_stack((self.derivative, self.columns, self.signal))
-        norms = np.linalg.norm(stacked, axis=0)
-        norms[norms == 0] = 1.0
-        triangle: FloatArray = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
-        columns, goal = triangle[1:, 1:-1], triangle[1:, -1] * norms[-1]
-        left = np.linalg.norm(columns, axis=0)
-        left[left < 1e-12] = 1.0
-        rank = min(columns.shape)
-        outside = float(goal[rank:] @ goal[rank:])
-        return LinearProblem(
-            columns[:rank] / left, goal[:rank], norms[1:-1] * left, outside, self.signal.size
-        )
-
-
-def _least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(design, axis=0)
-    norms[norms == 0] = 1.0
-    solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
-    return solution
+        return without_nuisances(self.derivative[:, None], self.columns, self.signal)
 
 
 def blocks_for(problem: LagProblem, weak: WeakEquations) -> list[tuple[slice, IntArray]]:

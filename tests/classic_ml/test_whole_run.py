@@ -192,6 +192,31 @@ def test_a_record_without_unstalled_rows_goes_with_one_that_has_them() -> None:
     assert fit.coef_ == pytest.approx(BETA, rel=2e-3)
 
 
+def test_terms_of_any_kind_are_averaged_after_they_were_formed() -> None:
+    record = series(12)
+    rows = whole_run_rows(record, terms=lambda phi: np.column_stack([phi**2, np.exp(phi)]))
+    powers = whole_run_rows(record, degree=2)
+    np.testing.assert_allclose(rows.terms[:, 0], powers.terms[:, 2], atol=1e-12)
+    kept = powers.weight > 0.0
+    # exp has curvature: the average of the ripple's two sides lies above the middle.
+    assert np.all(rows.terms[kept, 1] > np.exp(powers.phi[kept]) - 1e-12)
+    np.testing.assert_array_equal(rows.nuisance, powers.nuisance)
+
+
+def test_a_cycle_runs_from_one_entry_into_stall_to_the_next() -> None:
+    record = series(13)
+    # Chatter at a switch is no cycle of its own: the state is averaged like the signals.
+    stalled = np.arange(N_ROWS) % 150 >= 40
+    stalled[150 * np.arange(5) + 2] = True
+    rows = whole_run_rows(replace(record, stalled=stalled))
+    cuts = np.flatnonzero(np.diff(rows.cycle)) + 1
+    entries = 150 * np.arange(27) + 40
+    assert cuts.size == entries.size
+    assert np.max(np.abs(cuts - entries)) <= 1
+    always = replace(record, stalled=np.ones(N_ROWS, dtype=bool))
+    assert np.all(whole_run_rows(always).cycle == 0)
+
+
 def test_records_of_unlike_rates_and_no_records_are_refused() -> None:
     record = series(0)
     slow = replace(record, time_s=2.0 * record.time_s)

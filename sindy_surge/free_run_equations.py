@@ -1,0 +1,338 @@
+"""The lag as a free run over ready-made term columns, scored on some of the rows only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sindy_surge.covariance import block_slices
+from sindy_surge.free_run import Hold, HoldCoefficients, Segments, hold_coefficients, simulate
+from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.sparse_paths import Support
+
+__all__ = ["FreeRunEquations", "FreeRunFit"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_SHORTEST_SAMPLES = 0.1
+# A lag three times the longest run cannot be told from an integrator.
+_LONGEST_RUNS = 3.0
+_SCAN_POINTS = 32
+_MOST_STEPS = 10
+# Two digits bring Gauss-Newton into its basin; its end is then far below any standard error.
+_BRACKETED, _CONVERGED = 1e-2, 1e-9
+_DIFFERENCE = 1e-4
+# Share of a column that the nuisances must leave.
+_ALIAS = 1e-9
+
+
+@dataclass(frozen=True)
+class FreeRunFit:
+    """One structure fitted to the scored rows.
+
+    Parameters
+    ----------
+    parameters : ndarray of shape (n_support + 1,)
+        β, and last τ in seconds.
+    nuisance : ndarray of shape (n_nuisances,)
+        Coefficients of the columns that every structure has.
+    design : ndarray of shape (n_scored, n_support + 1)
+        Derivatives of the fitted values with respect to the parameters; nuisances and starts
+        projected out.
+    joint : ndarray of shape (n_scored, n_support + n_nuisances + 1)
+        Derivatives with respect to β, the nuisances and τ; only starts projected out.
+    residual : ndarray of shape (n_scored,)
+        What is left, times the root of the weights.
+    initial : ndarray of shape (n_runs,)
+        State at the first row of each run.
+    """
+
+    parameters: FloatArray
+    nuisance: FloatArray
+    design: FloatArray
+    joint: FloatArray
+    residual: FloatArray
+    initial: FloatArray
+
+
+@dataclass(frozen=True)
+class FreeRunEquations:
+    """The scored rows of free runs τ x' + x = Σ β_i s_i + Σ γ_j n_j, with s_i and n_j as columns.
+
+    What is not scored is simulated through. The start of each run is a parameter of its own,
+    and projected out; all that enters linearly is solved for at each τ (variable projection,
+    Golub & Pereyra 1973).
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n_rows, n_columns)
+        The candidate terms s_i.
+    nuisance : ndarray of shape (n_rows, n_nuisances)
+        Columns that are in every structure; may have none.
+    output : ndarray of shape (n_rows,)
+        ψ'.
+    weight : ndarray of shape (n_rows,)
+        Weight of each squared error; rows of weight 0 are simulated through.
+    runs : Segments
+        The runs of rows.
+    sample_period_s : float
+        Sample period in seconds.
+    hold : {"first", "zero"}
+        How the columns run between two samples.
+    """
+
+    columns: FloatArray
+    nuisance: FloatArray
+    output: FloatArray
+    weight: FloatArray
+    runs: Segments
+    sample_period_s: float
+    hold: Hold
+
+    @property
+    def shortest_lag_s(self) -> float:
+        """The shortest τ tried, in seconds."""
+        return _SHORTEST_SAMPLES * self.sample_period_s
+
+    @property
+    def longest_lag_s(self) -> float:
+        """The longest τ tried, in seconds."""
+        return _LONGEST_RUNS * float(self.runs.lengths.max()) * self.sample_period_s
+
+    @cached_property
+    def scored(self) -> IntArray:
+        """Rows that are scored."""
+        return np.flatnonzero(self.weight > 0)
+
+    @cached_property
+    def run(self) -> IntArray:
+        """Number of the run of each scored row."""
+        return np.repeat(np.arange(self.runs.starts.size), self.runs.lengths)[self.scored]
+
+    def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fit some terms and τ.
+
+        Parameters
+        ----------
+        support : tuple of int
+            Positions of the terms.
+
+        Returns
+        -------
+        parameters : ndarray of shape (n_support + 1,)
+            β, and last τ in seconds.
+        design : ndarray of shape (n_scored, n_support + 1)
+            Derivatives of the fitted values, nuisances and starts projected out.
+        residual : ndarray of shape (n_scored,)
+            What is left.
+        """
+        found = self.solve(support)
+        return found.parameters, found.design, found.residual
+
+    def solve(self, support: Support) -> FreeRunFit:
+        """Fit some terms and τ, and keep all that goes with it.
+
+        Parameters
+        ----------
+        support : tuple of int
+            Positions of the terms.
+
+        Returns
+        -------
+        FreeRunFit
+            The fit.
+        """
+        values = self._values(support)
+        tau = self._end(values, self._scanned(support))
+        solution, joint, residual, initial = self._at(values, tau)
+        n = len(support)
+        others = joint[:, n : values.shape[1]]
+        return FreeRunFit(
+            np.append(solution[:n], tau),
+            solution[n:],
+            _projected(np.delete(joint, np.s_[n : values.shape[1]], axis=1), others),
+            joint,
+            residual,
+            initial,
+        )
+
+    def simulated(self, time_constant_s: float) -> FloatArray:
+        """Return what each candidate contributes to the scored rows, for one τ.
+
+        Parameters
+        ----------
+        time_constant_s : float
+            τ in seconds.
+
+        Returns
+        -------
+        ndarray of shape (n_scored, n_columns)
+            Run through the lag, nuisances and starts projected out; zero where nuisances make up
+            the whole column.
+        """
+        n = self.nuisance.shape[1]
+        stacked = self._stacked(self._hold(time_constant_s), self._all_values)
+        left = _projected(stacked[:, n:-1], stacked[:, :n])
+        own = np.linalg.norm(left, axis=0) > _ALIAS * np.linalg.norm(stacked[:, n:-1], axis=0)
+        return np.where(own, left, 0.0)
+
+    def linear(self, about: Support) -> LinearProblem:
+        """Return the regression on all terms about one fit, nuisances and τ projected out.
+
+        Parameters
+        ----------
+        about : tuple of int
+            The structure about whose fit to linearise.
+
+        Returns
+        -------
+        LinearProblem
+            For the optimizers.
+        """
+        fit = self.solve(about)
+        n = self.nuisance.shape[1]
+        stacked = self._stacked(self._hold(fit.parameters[-1]), self._all_values)
+        target = fit.residual + fit.joint[:, : len(about)] @ fit.parameters[:-1]
+        nuisances = np.column_stack((fit.joint[:, -1], stacked[:, :n]))
+        return without_nuisances(nuisances, stacked[:, n:-1], target)
+
+    def blocks(self, cycles: IntArray, time_constant_s: float) -> list[IntArray]:
+        """Return the scored rows of each cycle, counted among the scored.
+
+        Parameters
+        ----------
+        cycles : ndarray of int of shape (n_rows,)
+            Number of the cycle of each row.
+        time_constant_s : float
+            τ in seconds: no cycle is cut into parts of fewer than two of it.
+
+        Returns
+        -------
+        list of ndarray of int
+            A short cycle whole, a long stretch in parts.
+        """
+        numbers = self.run * (int(np.ptp(cycles)) + 1) + (cycles - cycles.min())[self.scored]
+        within = Segments.from_labels(numbers, self.scored.size)
+        shortest = round(2.0 * time_constant_s / self.sample_period_s)
+        return [np.arange(b.start, b.stop) for b in block_slices(within, shortest)]
+
+    @property
+    def _all_values(self) -> FloatArray:
+        return np.column_stack((self.nuisance, self.columns))
+
+    def _values(self, support: Support) -> FloatArray:
+        return np.column_stack((self.columns[:, list(support)], self.nuisance))
+
+    def _hold(self, tau: float) -> HoldCoefficients:
+        return hold_coefficients(tau, self.sample_period_s, self.hold)
+
+    def _sums(self, values: FloatArray) -> FloatArray:
+        """Sum scored rows over each run; 0 for runs without any."""
+        firsts = np.flatnonzero(np.diff(self.run, prepend=-1))
+        sums = np.zeros((self.runs.starts.size, *values.shape[1:]))
+        sums[self.run[firsts]] = np.add.reduceat(values, firsts, axis=0)
+        return sums
+
+    def _decay(self, lag: HoldCoefficients) -> tuple[FloatArray, FloatArray]:
+        """Return what a start of unit norm leaves at the scored rows, and the norm of each run."""
+        offsets = self.runs.offsets()[self.scored].astype(float)
+        decay = lag.pole**offsets * np.sqrt(self.weight[self.scored])
+        power = self._sums(decay**2)
+        norms = np.sqrt(np.where(power > 0, power, 1.0))
+        return decay / norms[self.run], norms
+
+    def _stacked(self, lag: HoldCoefficients, values: FloatArray) -> FloatArray:
+        """Return the columns behind the lag, and last ψ', at the scored rows without starts."""
+        every = np.column_stack((simulate(values, self.runs, lag), self.output))
+        return self._without_starts(every[self.scored], lag)
+
+    def _without_starts(self, rows: FloatArray, lag: HoldCoefficients) -> FloatArray:
+        decay, _ = self._decay(lag)
+        weighted = rows * np.sqrt(self.weight[self.scored])[:, None]
+        return weighted - decay[:, None] * self._sums(decay[:, None] * weighted)[self.run]
+
+    @cached_property
+    def _scan(self) -> tuple[FloatArray, list[FloatArray]]:
+        """Return a grid of τ with all columns and ψ' at each, compressed by QR."""
+        grid = np.geomspace(self.shortest_lag_s, self.longest_lag_s, _SCAN_POINTS)
+        values = self._all_values
+        stacks = [self._stacked(self._hold(float(tau)), values) for tau in grid]
+        return grid, [np.asarray(np.linalg.qr(stack, mode="r")) for stack in stacks]
+
+    def _scanned(self, support: Support) -> tuple[float, float]:
+        """Return the neighbours of the best τ of the grid."""
+        grid, triangles = self._scan
+        n = self.nuisance.shape[1]
+        wanted = [*range(n), *(n + i for i in support)]
+        costs = [_cost(triangle[:, wanted], triangle[:, -1]) for triangle in triangles]
+        best = int(np.argmin(costs))
+        return float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
+
+    def _end(self, values: FloatArray, within: tuple[float, float]) -> float:
+        """Search log τ between two values, and end with Gauss-Newton steps."""
+        from scipy.optimize import minimize_scalar
+
+        def cost(log_tau: float) -> float:
+            stacked = self._stacked(self._hold(float(np.exp(log_tau))), values)
+            return _cost(stacked[:, :-1], stacked[:, -1])
+
+        low, high = within
+        found = minimize_scalar(
+            cost,
+            bounds=(np.log(low), np.log(high)),
+            method="bounded",
+            options={"xatol": _BRACKETED},
+        )
+        tau, least = float(np.exp(found.x)), float(found.fun)
+        for _ in range(_MOST_STEPS):
+            _, joint, residual, _ = self._at(values, tau)
+            moved = float(np.clip(tau + least_squares(joint, residual)[-1], low, high))
+            new = cost(float(np.log(moved)))
+            if not new < least:
+                break
+            small = abs(moved - tau) < _CONVERGED * tau
+            tau, least = moved, new
+            if small:
+                break
+        return tau
+
+    def _at(
+        self, values: FloatArray, tau: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return coefficients, derivatives with τ last, residual and starts for one τ."""
+        lag = self._hold(tau)
+        stacked = self._stacked(lag, values)
+        solution = least_squares(stacked[:, :-1], stacked[:, -1])
+        forcing = values @ solution
+        rest = (self.output - simulate(forcing, self.runs, lag))[self.scored]
+        decay, norms = self._decay(lag)
+        initial = self._sums(decay * rest * np.sqrt(self.weight[self.scored])) / norms
+        step = _DIFFERENCE * tau
+        above, below = (
+            simulate(forcing, self.runs, self._hold(tau + sign * step), initial)
+            for sign in (1.0, -1.0)
+        )
+        slope = ((above - below) / (2 * step))[self.scored, None]
+        joint = np.column_stack((stacked[:, :-1], self._without_starts(slope, lag)))
+        return solution, joint, stacked[:, -1] - stacked[:, :-1] @ solution, initial
+
+
+def _cost(columns: FloatArray, target: FloatArray) -> float:
+    rest = target - columns @ least_squares(columns, target)
+    return float(rest @ rest)
+
+
+def _projected(columns: FloatArray, others: FloatArray) -> FloatArray:
+    """Return columns without what other columns can stand in for."""
+    norms = np.linalg.norm(others, axis=0)
+    kept = others[:, norms > 0] / norms[norms > 0]
+    if not kept.shape[1]:
+        return columns
+    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
+    basis = basis[:, values > 1e-12 * values[0]]
+    result: FloatArray = columns - basis @ (basis.T @ columns)
+    return result

@@ -1,0 +1,190 @@
+"""The sparse regression on whole runs of the rig: the truth, its twin, refusals, a comparison."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from classic_ml.errors import InputError
+from classic_ml.fit_state import FitState
+from classic_ml.readers import read_raw
+from classic_ml.reduction import reduce_record
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import fit_whole_runs
+from comparisons.compare import Comparison, compare_records
+from comparisons.estimators import default_estimators
+from comparisons.json_output import comparison_document, to_strict_json
+from comparisons.lag_value import load_models, save_models
+from comparisons.rig import simulate, write_run
+from comparisons.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
+from comparisons.tau_trial import trial_of
+from sindy_surge import SparseLagRegressor
+
+TAU_S = 0.018
+AT = np.array([0.0, 0.05, 0.1, 0.15])
+RECORDS = (("985", 0), ("985", 1), ("90", 0), ("95", 0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("rig")
+
+
+@cache
+def series(case: str, seed: int, folder: Path) -> CoefficientSeries:
+    files = folder / f"{case}_{seed}"
+    write_run(simulate(case, seed=seed), files)
+    return reduce_record(*read_raw(files / "raw.csv", files / "test.toml")).series
+
+
+@cache
+def fitted(case: str, seed: int, folder: Path) -> SparseWholeRunFit:
+    return fit_sparse_whole_runs([series(case, seed, folder)])
+
+
+@pytest.fixture(scope="module")
+def comparison(folder: Path) -> Comparison:
+    specs = [s for s in default_estimators() if s.name in ("classic_ml", "sindy")]
+    return compare_records([series("985", 0, folder)], estimators=specs)
+
+
+def test_tau_and_curve_over_seeds_and_speeds(folder: Path) -> None:
+    """2.5 ms on one record, 1.2 ms on the mean of four and 0.15 of the curve are noise's share."""
+    taus, inside = [], 0
+    for case, seed in RECORDS:
+        fit = fitted(case, seed, folder)
+        assert fit.fit_state_.advice
+        taus.append(fit.time_constant_s_)
+        inside += abs(taus[-1] - TAU_S) < 2.1 * fit.time_constant_stderr_s_
+        beta = simulate(case, seed=seed).truth_parameters["beta"]
+        error = fit.characteristic(AT)[0] - np.polynomial.polynomial.polyval(AT, beta)
+        assert np.max(np.abs(error)) < 0.15
+    assert np.max(np.abs(np.array(taus) - TAU_S)) < 0.0025
+    assert abs(np.mean(taus) - TAU_S) < 0.0012
+    assert inside >= 3
+
+
+def test_the_structure_is_chosen_and_mostly_the_true_parabola(folder: Path) -> None:
+    chosen = [fitted(case, seed, folder).terms_ for case, seed in RECORDS]
+    assert chosen.count(["1", "phi", "phi^2"]) >= 3
+    # On 95 % rows that reach over the recovery point may pay for a cubic.
+    assert all(set(terms) <= {"1", "phi", "phi^2", "phi^3"} for terms in chosen)
+    fit = fitted("985", 0, folder)
+    assert len(fit.candidate_terms_) >= 15
+    (row,) = [row for row in fit.path_ if row.chosen]
+    assert list(row.terms) == fit.terms_
+    assert any("relu" in "".join(row.terms) for row in fit.path_)
+
+
+def test_two_codes_agree_on_the_parabola(folder: Path) -> None:
+    """Both are one least-squares problem, solved by code that has nothing in common."""
+    compared = 0
+    for case, seed in RECORDS:
+        sparse = fitted(case, seed, folder)
+        if sparse.terms_ != ["1", "phi", "phi^2"]:
+            continue
+        compared += 1
+        twin = fit_whole_runs([series(case, seed, folder)])
+        assert sparse.time_constant_s_ == pytest.approx(twin.time_constant_s_, rel=1e-4)
+        np.testing.assert_allclose(sparse.coef_, twin.coef_, rtol=1e-3)
+        # The blocks differ: whole cycles here, stretches of scored rows there.
+        ratio = sparse.time_constant_stderr_s_ / twin.time_constant_stderr_s_
+        assert 0.6 < ratio < 1.6
+        assert sparse.n_scored_ == twin.n_scored_
+    assert compared >= 3
+
+
+def test_blowdowns_are_refused_with_advice(folder: Path) -> None:
+    fit = fit_sparse_whole_runs([series("blowdown", 0, folder)])
+    assert fit.fit_state_ is FitState.BLOWDOWN
+    assert "none is stated" in fit.fit_state_.advice
+    assert np.isnan(fit.time_constant_s_)
+    assert np.isnan(fit.time_constant_stderr_s_)
+    assert np.all(np.isnan(fit.characteristic(AT)[1]))
+    assert fit.checks((0.0, 0.1)) == ()
+
+
+@pytest.mark.parametrize("n_scored", [0, 12])
+def test_next_to_nothing_to_score_is_refused(n_scored: int, folder: Path) -> None:
+    record = series("985", 0, folder)
+    scored = record.time_s[record.free_run == 2]
+    end = scored[n_scored] - 0.5 * record.sample_period_s
+    fit = fit_sparse_whole_runs([record], until_s=[float(end)])
+    assert fit.n_scored_ == n_scored
+    assert fit.fit_state_ is FitState.BLOWDOWN
+    assert np.isnan(fit.time_constant_s_)
+    assert fit.terms_ == []
+    assert fit.characteristic(AT)[0].tolist() == [0.0] * 4
+    assert fit.checks((0.0, 0.1)) == ()
+
+
+def test_what_is_held_out_does_not_reach_the_fit(folder: Path) -> None:
+    record = series("985", 0, folder)
+    end = float(np.quantile(record.time_s[record.free_run == 2], 0.7))
+    later = record.time_s > end + 0.05
+    spoilt = replace(
+        record,
+        psi_p=record.psi_p + 5.0 * later,
+        psi_p_unfiltered=record.psi_p_unfiltered + 5.0 * later,
+    )
+    plain, other = (fit_sparse_whole_runs([r], until_s=[end]) for r in (record, spoilt))
+    assert plain.terms_ == other.terms_
+    assert other.time_constant_s_ == pytest.approx(plain.time_constant_s_, rel=1e-6)
+    assert plain.n_scored_ < fitted("985", 0, folder).n_scored_
+
+
+def test_several_records_are_one_fit_in_any_order(folder: Path) -> None:
+    records = [series("985", seed, folder) for seed in (0, 1)]
+    forth, back = fit_sparse_whole_runs(records), fit_sparse_whole_runs(records[::-1])
+    assert forth.terms_ == back.terms_
+    assert forth.time_constant_s_ == pytest.approx(back.time_constant_s_, rel=1e-5)
+    assert forth.n_blocks_ > fitted("985", 0, folder).n_blocks_
+    with pytest.raises(InputError, match="one sample rate"):
+        fit_sparse_whole_runs([records[0], replace(records[1], time_s=2.0 * records[1].time_s)])
+
+
+def test_in_a_comparison_it_stands_beside_the_classical_run(
+    comparison: Comparison, tmp_path: Path
+) -> None:
+    assert comparison.quotable == ("classic_ml", "sindy")
+    result = comparison.result("sindy")
+    assert result.converged
+    assert result.held_out is not None
+    assert result.held_out.r2 > 0.8
+    assert [check.check for check in result.checks] == [
+        check.check for check in comparison.result("classic_ml").checks
+    ]
+    document = json.loads(to_strict_json(comparison_document(comparison)))
+    low, high = document["estimators"]["sindy"]["time_constant_s"]["ci95"]
+    assert low < TAU_S < high
+    assert {term["name"] for term in document["estimators"]["sindy"]["terms"]} >= {"1", "phi"}
+    assert not any("put τ between" in caution for caution in document["cautions"])
+    save_models({"sindy": result.model}, tmp_path / "model.json")
+    saved = load_models(tmp_path / "model.json")["sindy"]
+    np.testing.assert_allclose(saved.quasi_steady(AT), result.model.quasi_steady(AT))
+
+
+def test_tau_by_trial_runs_over_its_rows(comparison: Comparison) -> None:
+    alone = replace(comparison, results=(comparison.result("sindy"),))
+    trial = trial_of(alone)
+    # Trials stand a tenth of a decade or so apart.
+    assert trial.best_tau_s == pytest.approx(comparison.result("sindy").model.time_constant_s, 0.05)
+
+
+def test_rows_without_unfiltered_columns_are_left_to_the_likelihood() -> None:
+    rng = np.random.default_rng(0)
+    n = 600
+    time_s = np.arange(n) * 1e-3
+    phi = 0.15 + 0.1 * np.sin(2 * np.pi * 7 * time_s) + 1e-3 * rng.standard_normal(n)
+    record = CoefficientSeries(
+        time_s, phi, 1.0 + phi + 1e-3 * rng.standard_normal(n), np.ones(n, dtype=np.int64)
+    )
+    from comparisons.fit_rows import stack_rows
+
+    (spec,) = [s for s in default_estimators() if s.name == "sindy"]
+    assert isinstance(spec.fitted(stack_rows([record]), [record], None), SparseLagRegressor)

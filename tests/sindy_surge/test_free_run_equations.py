@@ -1,0 +1,170 @@
+"""Free runs over ready-made columns: exact recovery, what is scored, derivatives, projections."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from sindy_surge.covariance import leave_out_moves
+from sindy_surge.free_run import Segments
+from sindy_surge.free_run_equations import FreeRunEquations
+from sindy_surge.sparse_paths import support_chi2
+
+from .conftest import PERIOD_S, TAU_S, lag
+
+N = 1500
+BETA = np.array([1.2, 3.0, 40.0])
+GAMMA = np.array([4.0, -2.0])
+STARTS = (0.4, 3.0)
+
+
+def equations(seed: int, noise: float, hold: str = "first") -> FreeRunEquations:
+    """Two runs of cycles; a second branch with coefficients of its own, and rows not scored."""
+    rng = np.random.default_rng(seed)
+    columns, nuisance, output = [], [], []
+    for start in STARTS:
+        angle = np.cumsum(2 * np.pi * rng.uniform(6, 8, N) * PERIOD_S) + rng.uniform(0, 6)
+        phi = 0.12 + 0.13 * np.sin(angle) + 0.03 * np.sin(2 * angle)
+        stalled = (phi < 0.2).astype(float)
+        columns.append(stalled[:, None] * phi[:, None] ** np.arange(5))
+        nuisance.append(np.column_stack((1 - stalled, (1 - stalled) * (phi - 0.25))))
+        forcing = columns[-1][:, :3] @ BETA + nuisance[-1] @ GAMMA
+        output.append(lag(forcing, PERIOD_S, hold, start))
+    stacked = np.concatenate(columns)
+    weight = ((stacked[:, 0] > 0) & (stacked[:, 1] > 0.02)).astype(float)
+    weight[rng.choice(2 * N, 50, replace=False)] = 0.0
+    measured = np.concatenate(output) + noise * rng.standard_normal(2 * N)
+    # What is not scored must not matter.
+    measured[weight == 0] += 100.0
+    runs = Segments(np.array([0, N]), np.array([N, 2 * N]))
+    return FreeRunEquations(
+        stacked, np.concatenate(nuisance), measured, weight, runs, PERIOD_S, hold
+    )
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+def test_an_exact_record_is_recovered_through_rows_that_are_not_scored(hold: str) -> None:
+    fit = equations(0, 0.0, hold).solve((0, 1, 2))
+    np.testing.assert_allclose(fit.parameters, [*BETA, TAU_S], rtol=1e-7)
+    np.testing.assert_allclose(fit.nuisance, GAMMA, rtol=1e-6)
+    np.testing.assert_allclose(fit.initial, STARTS, rtol=1e-6)
+    assert np.max(np.abs(fit.residual)) < 1e-8
+
+
+def test_it_is_the_least_squares_solution_over_everything_at_once() -> None:
+    eq = equations(1, 0.05)
+    fit = eq.solve((0, 1, 2))
+    values = np.column_stack((eq.columns[:, :3], eq.nuisance))
+
+    def errors(theta: np.ndarray) -> np.ndarray:
+        pole = np.exp(-PERIOD_S / theta[7])
+        ratio = (1 - pole) * theta[7] / PERIOD_S
+        states = []
+        for rows, start in zip(eq.runs.slices(), theta[5:7], strict=True):
+            x = [start]
+            f = values[rows] @ theta[:5]
+            for before, now in pairwise(f):
+                x.append(pole * x[-1] + (1 - ratio) * now + (ratio - pole) * before)
+            states += x
+        return (eq.output - np.array(states))[eq.scored]
+
+    own = np.concatenate((fit.parameters[:3], fit.nuisance, fit.initial, fit.parameters[3:]))
+    np.testing.assert_allclose(errors(own), fit.residual, atol=1e-9)
+    found = least_squares(
+        errors, 1.001 * own, "3-point", x_scale=np.abs(own), xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
+    assert fit.residual @ fit.residual <= 2.0 * found.cost * (1 + 1e-12)
+    np.testing.assert_allclose(own, found.x, rtol=1e-5)
+
+
+def test_the_truth_lies_within_the_errors_of_the_derivatives() -> None:
+    z = []
+    for seed in range(25):
+        fit = equations(seed, 0.05).solve((0, 1, 2))
+        covariance = 0.05**2 * np.linalg.inv(fit.design.T @ fit.design)
+        z.append((fit.parameters - [*BETA, TAU_S]) / np.sqrt(np.diag(covariance)))
+    # The rms of 25 z is itself known to 14 %.
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(z), axis=0)), 1.0, atol=0.45)
+
+
+def test_moves_without_a_block_are_those_of_a_fit_without_it() -> None:
+    eq = equations(3, 0.02)
+    fit = eq.solve((0, 1, 2))
+    block = np.arange(300, 380)
+    weight = eq.weight.copy()
+    weight[eq.scored[block]] = 0.0
+    again = replace(eq, weight=weight).solve((0, 1, 2))
+    moves = leave_out_moves(fit.joint, fit.residual, [block])[0]
+    moved = np.concatenate((again.parameters[:3], again.nuisance, again.parameters[3:]))
+    whole = np.concatenate((fit.parameters[:3], fit.nuisance, fit.parameters[3:]))
+    np.testing.assert_allclose(moves, moved - whole, rtol=0.05, atol=0.02 * np.max(np.abs(moves)))
+    assert abs(moves[-1]) > 1e-6
+
+
+def test_the_linear_problem_has_the_residual_of_the_fit_and_of_no_other_tau() -> None:
+    eq = equations(4, 0.05)
+    for support in ((0, 1), (0, 1, 2), (0, 1, 2, 4)):
+        rest = eq.solve(support).residual
+        assert support_chi2(eq.linear(support), support) == pytest.approx(rest @ rest, rel=1e-5)
+
+
+def test_weights_and_units_carry_through() -> None:
+    eq = equations(5, 0.05)
+    fit = eq.solve((0, 1, 2))
+    heavy = replace(eq, weight=4.0 * eq.weight).solve((0, 1, 2))
+    np.testing.assert_allclose(heavy.parameters, fit.parameters, rtol=1e-8)
+    np.testing.assert_allclose(heavy.residual, 2.0 * fit.residual, atol=1e-8)
+    slow = replace(eq, sample_period_s=1.0, output=1000.0 * eq.output).solve((0, 1, 2))
+    np.testing.assert_allclose(slow.parameters[:-1], 1000.0 * fit.parameters[:-1], rtol=1e-6)
+    assert slow.parameters[-1] == pytest.approx(fit.parameters[-1] / PERIOD_S, rel=1e-6)
+
+
+def test_runs_are_alike_in_any_order_and_one_without_a_scored_row_adds_nothing() -> None:
+    eq = equations(6, 0.05)
+    turn = np.r_[N : 2 * N, 0:N]
+    back = replace(
+        eq,
+        columns=eq.columns[turn],
+        nuisance=eq.nuisance[turn],
+        output=eq.output[turn],
+        weight=eq.weight[turn],
+    )
+    fit = eq.solve((0, 1, 2))
+    np.testing.assert_allclose(back.solve((0, 1, 2)).parameters, fit.parameters, rtol=1e-7)
+    silent = replace(eq, weight=np.where(np.arange(2 * N) < N, eq.weight, 0.0))
+    first = FreeRunEquations(
+        eq.columns[:N],
+        eq.nuisance[:N],
+        eq.output[:N],
+        eq.weight[:N],
+        Segments(np.array([0]), np.array([N])),
+        PERIOD_S,
+        "first",
+    )
+    np.testing.assert_allclose(
+        silent.solve((0, 1, 2)).parameters, first.solve((0, 1, 2)).parameters, rtol=1e-7
+    )
+
+
+def test_a_column_of_the_nuisances_is_no_candidate() -> None:
+    eq = equations(7, 0.05)
+    doubled = replace(eq, columns=np.column_stack((eq.columns, eq.nuisance @ [1.0, 3.0])))
+    values = doubled.simulated(TAU_S)
+    assert np.all(values[:, -1] == 0.0)
+    assert np.all(np.linalg.norm(values[:, :-1], axis=0) > 0.0)
+
+
+def test_cycles_are_left_out_whole_and_one_long_stretch_in_parts() -> None:
+    eq = equations(8, 0.05)
+    cycles = np.arange(2 * N) // 150
+    blocks = eq.blocks(cycles, TAU_S)
+    assert np.array_equal(np.concatenate(blocks), np.arange(eq.scored.size))
+    assert [set(cycles[eq.scored[b]]) for b in blocks] == [{i} for i in range(20)]
+    parts = eq.blocks(np.zeros(2 * N, dtype=np.intp), TAU_S)
+    assert 15 <= len(parts) <= 20
+    # None goes over from one run to the next.
+    assert all(len(set(eq.run[part])) == 1 for part in parts)
