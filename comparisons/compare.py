@@ -35,6 +35,7 @@ from comparisons.record_cautions import (
     spread_speeds,
     told_time_constants,
 )
+from comparisons.structure import StructureChoice, structure_of
 
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
 
@@ -74,6 +75,10 @@ class EstimatorResult:
         Time of the fit.
     whole_run : WholeRunFit or None
         The free run through whole records behind it; None where it was fitted to the rows.
+    structure : StructureChoice or None
+        How sure the choice of terms is; None where they were given.
+    remarks : tuple of str
+        What the estimator itself warns of.
     """
 
     name: str
@@ -92,6 +97,8 @@ class EstimatorResult:
     checks: tuple[CheckRow, ...]
     seconds: float
     whole_run: WholeRunFit | None = None
+    structure: StructureChoice | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -237,8 +244,11 @@ def compare_records(
         results,
         _table(results),
         valid_phi,
-        comparison_cautions(
-            records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
+        (
+            *comparison_cautions(
+                records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
+            ),
+            *(f"{result.name}: {text}" for result in results for text in result.remarks),
         ),
     )
 
@@ -289,6 +299,8 @@ def _run(
         _checks(estimator, errors, rows, valid_phi),
         seconds,
         estimator if isinstance(estimator, WholeRunFit) else None,
+        structure_of(estimator),
+        tuple(text for text in getattr(estimator, "cautions_", ()) if text != advice),
     )
 
 

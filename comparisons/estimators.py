@@ -107,7 +107,14 @@ def default_estimators(
     def sparse(rows: FitRows) -> Any:
         from sindy_surge import SparseLagRegressor
 
-        return SparseLagRegressor(sample_period_s=rows.sample_period_s, hold=hold)
+        # Terms with ψ' are not what a characteristic over φ is; `SparseLagRegressor` by itself
+        # looks for them.
+        return SparseLagRegressor(
+            sample_period_s=rows.sample_period_s,
+            hold=hold,
+            psi_terms=False,
+            output_name=rows.target,
+        )
 
     def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
         from classic_ml.whole_run import fit_whole_runs

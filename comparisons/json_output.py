@@ -101,6 +101,8 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         },
         "checks": [asdict(check) for check in result.checks],
         "seconds": result.seconds,
+        "dead_time_s": model.dead_time_s,
+        **({"structure": result.structure.to_json()} if result.structure else {}),
     }
 
 

@@ -60,6 +60,8 @@ class FittedLag:
         Range of φ in which the curve can be trusted.
     n_blocks : int
         Blocks behind the standard errors; 0 where the estimator does not say.
+    dead_time_s : float
+        How much later than φ the coefficient was measured, in seconds; negative if φ was late.
     table : tuple of tuple of float
         The characteristic as (φ, value, standard error), for plots and for terms whose function
         is not known by name.
@@ -76,6 +78,7 @@ class FittedLag:
     valid_phi: tuple[float, float]
     table: tuple[tuple[float, float, float], ...]
     n_blocks: int = 0
+    dead_time_s: float = 0.0
 
     @classmethod
     def from_estimator(
@@ -115,6 +118,7 @@ class FittedLag:
             valid_phi,
             tuple(zip(phi.tolist(), value.tolist(), stderr.tolist(), strict=True)),
             int(getattr(estimator, "n_blocks_", 0)),
+            float(np.nan_to_num(getattr(estimator, "dead_time_s_", 0.0))),
         )
 
     @property
@@ -175,8 +179,16 @@ class FittedLag:
         lag = self.lag(sample_period_s)
         out = np.empty_like(quasi_steady)
         for run in runs_of(labels, quasi_steady.size):
-            out[run] = lag.respond(quasi_steady[run], begin[run.start])
+            forcing = self._late(quasi_steady[run], sample_period_s)
+            out[run] = lag.respond(forcing, begin[run.start])
         return out
+
+    def _late(self, forcing: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the forcing of one segment as it acts, dead_time_s later, its ends prolonged."""
+        if self.dead_time_s == 0.0:
+            return forcing
+        rows = np.arange(forcing.size, dtype=np.float64)
+        return np.interp(rows - self.dead_time_s / sample_period_s, rows, forcing)
 
     def one_step(
         self,
@@ -193,7 +205,8 @@ class FittedLag:
         out = target.copy()
         for run in runs_of(labels, target.size):
             before = target[run][:-1]
-            out[run.start + 1 : run.stop] = lag.a * before + lag.drive(quasi_steady[run])
+            forcing = self._late(quasi_steady[run], sample_period_s)
+            out[run.start + 1 : run.stop] = lag.a * before + lag.drive(forcing)
         return out
 
     def equation(self) -> str:
@@ -207,7 +220,8 @@ class FittedLag:
         if not math.isfinite(self.time_constant_s):
             return f"{symbol} = {right}"
         tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
-        return f"{tau_ms} ms · d{symbol}/dt + {symbol} = {right}"
+        late = f", φ at t - {1e3 * self.dead_time_s:.3g} ms" if self.dead_time_s else ""
+        return f"{tau_ms} ms · d{symbol}/dt + {symbol} = {right}{late}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the value as plain JSON types."""
@@ -225,6 +239,7 @@ class FittedLag:
             "hold": self.hold,
             "valid_phi": list(self.valid_phi),
             "n_blocks": self.n_blocks,
+            "dead_time_s": self.dead_time_s,
             "characteristic": [[_finite(v) for v in row] for row in self.table],
         }
 
@@ -249,6 +264,7 @@ class FittedLag:
             (low, high),
             tuple((float(p), _number(v), _number(s)) for p, v, s in data["characteristic"]),
             int(data["n_blocks"]),
+            _known(data.get("dead_time_s", 0.0)),
         )
 
 

@@ -327,6 +327,9 @@ def _with_knot_columns(
 def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     prepared, found, names = search.prepared, search.found, search.names
     problem = prepared.problem
+    if choices.dead_time == "auto":
+        # Tested against noise, of which there is next to none: an error of the model passed for it.
+        problem = problem.with_dead_time(0.0, False)
     fit = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.degrees)
     if fit is None:
         return None
