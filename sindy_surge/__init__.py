@@ -1,20 +1,31 @@
-"""Sparse regression of the lag model: terms of ψ'_QS(φ) and τ from arrays of φ and ψ'."""
+"""Sparse regression of the lag model, and of the closed loop, from arrays of φ and ψ'."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sindy_surge.closed_loop import LoopState, SurgeModel, discover_surge_model
     from sindy_surge.errors import InputError
     from sindy_surge.regressor import SparseLagRegressor
     from sindy_surge.states import FitState
 
-__all__ = ["FitState", "InputError", "SparseLagRegressor"]
+__all__ = [
+    "FitState",
+    "InputError",
+    "LoopState",
+    "SparseLagRegressor",
+    "SurgeModel",
+    "discover_surge_model",
+]
 
 _HOMES = {
     "FitState": "sindy_surge.states",
     "InputError": "sindy_surge.errors",
+    "LoopState": "sindy_surge.closed_loop",
     "SparseLagRegressor": "sindy_surge.regressor",
+    "SurgeModel": "sindy_surge.closed_loop",
+    "discover_surge_model": "sindy_surge.closed_loop",
 }
 
 

@@ -30,9 +30,9 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
 
     H⁻¹ S H⁻¹ with H the information of the whitened equations and S the Newey-West sum of the
     scores up to two time constants (Bartlett weights; Newey & West 1987), each segment on its
-    own. If the residual is white it equals H⁻¹ up to scatter; the inverse information alone
-    is four times too small on coloured residuals. It holds for the terms as chosen: the
-    uncertainty of the choice itself is not in it.
+    own. If the residual is white it equals H⁻¹ up to scatter, and is then not taken below it; the
+    inverse information alone is four times too small on coloured residuals. It holds for the
+    terms as chosen: the uncertainty of the choice itself is not in it.
 
     Parameters
     ----------
@@ -70,6 +70,11 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
     middle += np.diag(fit.prior[keep] / norms[keep] ** 2)
     bread = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
     inner = bread @ middle @ bread * n / max(n - keep.size, 1)
+    # Where the residual is white the sandwich is the inverse information with some scatter; it
+    # counts where it says more.
+    plain = bread * float(residual @ residual) / max(n - keep.size, 1)
+    wider = np.sqrt(np.maximum(np.diag(inner) / np.maximum(np.diag(plain), 1e-300), 1.0))
+    inner = plain * np.outer(wider, wider)
     full = np.full((norms.size, norms.size), np.nan)
     full[np.ix_(keep, keep)] = inner / np.outer(norms[keep], norms[keep])
     bend = len(fit.support) if problem.hold == "first" else norms.size

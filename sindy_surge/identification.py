@@ -220,9 +220,8 @@ def _searched(
     _, constraints = constraints_of(choices.constraints, library, usable)
     names = [library[i] for i in usable]
     degrees = [polynomial_degree(name, input_names) for name in names]
-    plain = [degree is not None for degree in degrees]
     found = select_structure(
-        prepared, choices.optimizer, choices.max_terms, names, plain, constraints
+        prepared, choices.optimizer, choices.max_terms, names, degrees, constraints
     )
     return _Searched(problem, prepared, found, names, degrees, constraints, knots)
 

@@ -12,6 +12,8 @@ from pysindy.feature_library.base import BaseFeatureLibrary, x_sequence_or_item
 from pysindy.utils import AxesArray
 
 from sindy_surge.errors import InputError
+from sindy_surge.free_run import Segments
+from sindy_surge.whitening import difference_noise
 
 __all__ = ["Powers", "StallLibrary", "StallTerms", "default_knots", "default_library", "hinge_name"]
 
@@ -21,19 +23,24 @@ FloatArray = NDArray[np.float64]
 _MAX_POLYNOMIAL_TERMS = 70
 # Several inputs: the one-variable terms of each are added up to this number of inputs.
 _MAX_INPUTS_WITH_OWN_TERMS = 2
+_NOISE_REACH = 2.0
+_MOST_REACH = 0.05
 
 
-def default_knots(phi: FloatArray) -> tuple[float, ...]:
+def default_knots(phi: FloatArray, noise: float = 0.0) -> tuple[float, ...]:
     """Return round numbers inside the range of φ, where a hinge may sit.
 
     The step is the largest of 1, 2.5, 5 times a power of ten that is at most a sixth of the
     range: 0.05 both for a surge record in stall (-0.03 to 0.27) and for a whole surge cycle
-    (-0.04 to 0.51). A knot needs two per cent of the samples on either side.
+    (-0.04 to 0.51). A knot needs two per cent of the samples on either side, beyond the reach of
+    noise: a hinge at the very end of the range fits the errors of its ends.
 
     Parameters
     ----------
     phi : ndarray of shape (n_rows,)
         Flow coefficient.
+    noise : float
+        Standard deviation of its noise.
 
     Returns
     -------
@@ -43,7 +50,9 @@ def default_knots(phi: FloatArray) -> tuple[float, ...]:
     step = _round_step(phi)
     if step == 0.0:
         return ()
-    low, high = np.quantile(phi, [0.02, 0.98])
+    # Of a rough excitation differences take most for noise; its range is still its own.
+    reach = min(_NOISE_REACH * noise, _MOST_REACH * float(np.ptp(phi)))
+    low, high = np.quantile(phi, [0.02, 0.98]) + np.array([reach, -reach])
     first, last = int(np.ceil(low / step)), int(np.floor(high / step))
     digits = max(0, 2 - int(np.floor(np.log10(step))))
     return tuple(
@@ -257,7 +266,8 @@ def default_library(
         # Without a range there is nothing to place knots in; the usual ones then stay in the
         # list as constants, which cannot be selected beside "1".
         usual = tuple(round(0.05 * k, 2) for k in range(1, 7))
-        auto = default_knots(phi) if step else usual
+        whole = Segments.from_labels(None, phi.size)
+        auto = default_knots(phi, difference_noise(phi, whole)) if step else usual
         each_knots.append(auto if knots is None else tuple(map(float, np.ravel(knots))))
         scales = (step, 2 * step) if step else (0.05, 0.1)
         # exp overflows for a range far below zero compared with its own width.

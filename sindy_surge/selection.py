@@ -28,6 +28,9 @@ FloatArray = NDArray[np.float64]
 _GAMMA = 1.5
 # Differences in χ² below this do not decide between structures of one size.
 _TIE = 4.0
+# A complete polynomial gives way to terms of another kind only beyond three standard errors: there
+# is one of each size, and thousands of the others, among which some always fit better by luck.
+_TIE_POLYNOMIAL = 9.0
 _MOST_FITS = 24
 # Supports of each size that are compared with a structure about its fit.
 _COMPARED = 5
@@ -83,7 +86,8 @@ class Selection:
     path : tuple of PathRow
         Every structure proposed or tested.
     rivals : tuple of tuple of int
-        Structures that the data cannot tell from the chosen one (χ² within 4).
+        Structures that the data cannot tell from the chosen one: of the same size, χ² within 4,
+        or within 9 of a complete polynomial.
     consistent : bool
         False if every structure tested was refuted; the fit is then the best of them.
     fits : dict
@@ -123,6 +127,7 @@ class _Search:
     rich: StructureFit
     max_terms: int
     constraints: Constraints
+    degrees: Sequence[int | None]
     queue: list[Support]
     fits: dict[Support, StructureFit] = field(default_factory=dict)
     scores: dict[Support, float] = field(default_factory=dict)
@@ -136,6 +141,11 @@ class _Search:
                 self.problem, support, start.time_constant_s, beta, near=start
             )
         return self.fits[support]
+
+    def margin(self, support: Support) -> float:
+        """Return by how much χ² another structure of the same size must be less."""
+        known = sorted(self.degrees[i] or 0 for i in support if self.degrees[i] is not None)
+        return _TIE_POLYNOMIAL if known == list(range(len(support))) else _TIE
 
     def admits(self, fit: StructureFit) -> bool:
         """Return whether physics allows a fit: signs as asked for, and a ψ' that comes to rest."""
@@ -155,7 +165,7 @@ class _Search:
         ).items():
             if other_size < size:
                 continue
-            margin = _TIE if other_size == size else 0.0
+            margin = self.margin(support) if other_size == size else 0.0
             for chi2, other in ranked[:_COMPARED]:
                 score = chi2 / variance + penalty * other_size
                 better = score < own - margin and other != support
@@ -175,7 +185,7 @@ def select_structure(
     optimizer: Any,
     max_terms: int,
     names: Sequence[str],
-    plain: Sequence[bool],
+    degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> Selection:
     """Choose the terms.
@@ -183,9 +193,10 @@ def select_structure(
     A pysindy optimizer proposes supports of every size on the whitened, compressed regression
     about the fit with all terms. From the smallest upwards each is fitted by itself, and the
     whole library is then regressed about *that* fit: the structure stands if no larger one
-    beats its extended BIC and none of its own size does so by more than 4. What refutes a
+    beats its extended BIC and none of its own size does so by more than 4 (9 for a complete
+    polynomial). What refutes a
     structure is proposed in its place. Of the smallest size that stands, the least χ² wins;
-    within 4, the structure with fewer terms that are not polynomials.
+    within those margins, the structure with fewer terms that are not polynomials.
 
     Parameters
     ----------
@@ -197,8 +208,8 @@ def select_structure(
         Largest structure considered.
     names : sequence of str
         Names of the usable terms, for the table.
-    plain : sequence of bool
-        Which of them are polynomials of the inputs, for the tie rule.
+    degrees : sequence of int or None
+        Their degrees; None for those that are no polynomials of the inputs. For the tie rule.
     constraints : Constraints
         What is known of the terms beforehand.
 
@@ -215,9 +226,9 @@ def select_structure(
     )
     rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposed}
     seeds = _seeds(problem, proposed, rough)
-    search = _Search(problem, rich, max_terms, constraints, seeds)
+    search = _Search(problem, rich, max_terms, constraints, degrees, seeds)
     _run(search, about, rough)
-    chosen, rivals = _choose(search, plain)
+    chosen, rivals = _choose(search)
     path = _table(search, rough, about, chosen, names)
     return Selection(search.fits[chosen], path, rivals, bool(search.consistent), search.fits)
 
@@ -314,7 +325,7 @@ def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Su
     return [other for other in found if other not in search.queue]
 
 
-def _choose(search: _Search, plain: Sequence[bool]) -> tuple[Support, tuple[Support, ...]]:
+def _choose(search: _Search) -> tuple[Support, tuple[Support, ...]]:
     if not search.consistent:
         allowed = [s for s, f in search.fits.items() if search.admits(f)]
         best = min(allowed or search.fits, key=lambda s: search.scores[s])
@@ -322,8 +333,13 @@ def _choose(search: _Search, plain: Sequence[bool]) -> tuple[Support, tuple[Supp
     size = min(len(s) for s in search.consistent)
     level = [s for s in search.consistent if len(s) == size]
     least = min(search.fits[s].chi2 for s in level)
-    tied = [s for s in level if search.fits[s].chi2 < least + _TIE]
-    chosen = min(tied, key=lambda s: (sum(not plain[i] for i in s), search.fits[s].chi2))
+    tied = [s for s in level if search.fits[s].chi2 < least + search.margin(s)]
+
+    def order(support: Support) -> tuple[int, float]:
+        special = sum(search.degrees[i] is None for i in support)
+        return special, search.fits[support].chi2
+
+    chosen = min(tied, key=order)
     return chosen, tuple(s for s in tied if s != chosen)
 
 
