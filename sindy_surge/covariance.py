@@ -25,7 +25,7 @@ _BLOCKS = 20
 _FEWEST_BLOCKS = 4
 
 
-def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
+def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = None) -> FloatArray:
     """Return the covariance of the fit from the scatter of the scores, not of the residuals.
 
     H⁻¹ S H⁻¹ with H the information of the whitened equations and S the Newey-West sum of the
@@ -40,6 +40,9 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
         Supplies the sample period.
     fit : StructureFit
         The fit.
+    known : ndarray of shape (n_sensitivities, n_sensitivities) or None
+        Information H in the order of the columns of `fit.sensitivity`, e.g. from
+        `lag_fit.information`; None takes that of the whitened equations.
 
     Returns
     -------
@@ -53,7 +56,10 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
     seen = norms > 1e-10 * norms.max()
     keep = np.flatnonzero(seen)
     scaled = columns[:, keep] / norms[keep]
-    information = scaled.T @ scaled + np.diag(fit.prior[keep] / norms[keep] ** 2)
+    white = scaled.T @ scaled + np.diag(fit.prior[keep] / norms[keep] ** 2)
+    information = white
+    if known is not None:
+        information = known[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep])
     scores = scaled * residual[:, None]
     reach = int(_LAG_IN_TAU * fit.time_constant_s / problem.sample_period_s)
     reach = min(max(reach, 1), max(int(_MOST_LAGS_SHARE * n), 1))
@@ -72,7 +78,7 @@ def sandwich(problem: LagProblem, fit: StructureFit) -> FloatArray:
     inner = bread @ middle @ bread * n / max(n - keep.size, 1)
     # Where the residual is white the sandwich is the inverse information with some scatter; it
     # counts where it says more.
-    plain = bread * float(residual @ residual) / max(n - keep.size, 1)
+    plain = bread @ white @ bread * float(residual @ residual) / max(n - keep.size, 1)
     wider = np.sqrt(np.maximum(np.diag(inner) / np.maximum(np.diag(plain), 1e-300), 1.0))
     inner = plain * np.outer(wider, wider)
     full = np.full((norms.size, norms.size), np.nan)

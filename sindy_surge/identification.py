@@ -18,7 +18,12 @@ from sindy_surge.held_out import model_error_dominates, select_by_held_out, with
 from sindy_surge.held_out_run import held_out_rms
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
-from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
+from sindy_surge.lag_fit import (
+    StructureFit,
+    fit_structure,
+    information,
+    white_equations,
+)
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
@@ -178,6 +183,8 @@ def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) 
         The structure.
     """
     search = _searched(problem, choices, input_names)
+    if choices.dead_time == "auto" and search.prepared.problem.dead_time.fitted:
+        search = _simpler(search, _searched(problem, replace(choices, dead_time=0.0), input_names))
     if search.may_lack_a_knot:
         search = _with_knots(search, choices, input_names)
     if model_error_dominates(search.prepared, search.found.consistent):
@@ -226,6 +233,21 @@ def _searched(
     return _Searched(problem, prepared, found, names, degrees, constraints, knots)
 
 
+def _simpler(late: _Searched, on_time: _Searched) -> _Searched:
+    """Choose between a dead time and none: terms with ψ' can stand in for it, and it for them.
+
+    What stands comes first, then what needs fewer parameters, then what leaves less.
+    """
+
+    def rank(search: _Searched) -> tuple[bool, int, float]:
+        fit, prepared = search.found.fit, search.prepared
+        stands = search.found.consistent and not model_error_dominates(prepared, True)
+        size = len(fit.support) + prepared.problem.dead_time.fitted
+        return not stands, size, fit.chi2 / max(fit.residual.size, 1)
+
+    return min(late, on_time, key=rank)
+
+
 def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str]) -> _Searched:
     """Search again with hinges off the grid, and keep what comes out if it stands."""
     problem, fit = search.prepared.problem, search.found.fit
@@ -233,6 +255,8 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
     if not knots:
         return search
     wide, _ = with_hinges(search.whole, [(moved.column, moved.knot) for moved in knots])
+    if choices.dead_time == "auto" and not problem.dead_time.fitted:
+        choices = replace(choices, dead_time=0.0)
     again = _searched(wide, choices, input_names, knots)
     stands = again.found.consistent and not model_error_dominates(again.prepared, True)
     first = again.prepared.problem.n_without_state - len(knots)
@@ -267,7 +291,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
             required=search.constraints.required,
         )
         inclusion = dict(zip(names, shares.terms.tolist(), strict=True))
-    covariance = sandwich(problem, _with_knot_columns(problem, fit, search.knots))
+    covariance = _covariance(problem, fit, search.knots)
     dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.dead_time.fitted else 0.0
     wanted = [*range(len(fit.support)), -1]
     covariance = covariance[np.ix_(wanted, wanted)]
@@ -309,18 +333,25 @@ def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, S
     return again, fit_structure(again, fit.support, fit.time_constant_s, fit.coefficients, near=fit)
 
 
-def _with_knot_columns(
-    problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, ...]
-) -> StructureFit:
-    """Count the moved knots among the parameters, so that the errors of the others allow for it."""
+def _covariance(problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, ...]) -> FloatArray:
+    """Return the covariance of β, the moved knots and the dead time, and τ last."""
+    known = information(problem, fit)
     extra = knot_columns(problem, fit, knots)
-    # Before the dead time and τ, which come last.
-    at = [len(fit.support) + (problem.hold == "first")] * extra.shape[1]
-    return replace(
+    n_extra = extra.shape[1]
+    if not n_extra:
+        return sandwich(problem, fit, known)
+    # The knots count among the parameters, so that the errors of the others allow for them; they
+    # stand before the dead time and τ, which come last.
+    at = [len(fit.support) + (problem.hold == "first")] * n_extra
+    wide = replace(
         fit,
         sensitivity=np.insert(fit.sensitivity, at, extra, axis=1),
         prior=np.insert(fit.prior, at, 0.0),
     )
+    whole = wide.sensitivity.T @ wide.sensitivity + np.diag(wide.prior)
+    old = [i for i in range(wide.prior.size) if not at[0] <= i < at[0] + n_extra]
+    whole[np.ix_(old, old)] = known
+    return sandwich(problem, wide, whole)
 
 
 def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:

@@ -23,6 +23,7 @@ __all__ = [
     "StructureFit",
     "WhiteEquations",
     "fit_structure",
+    "information",
     "linearise",
     "moved_point",
     "output_error",
@@ -38,6 +39,9 @@ _UNDAMPED = 6
 # Changes of χ² that end a fit: 1e-3 standard errors, or 1e-2 while rows cross a kink to and fro.
 _NEGLIGIBLE = 1e-6
 _HARMLESS = 1e-4
+# Steps of the score's differences, in standard errors, and how often the noise of φ is renewed.
+_SHARE_OF_ERROR = 0.5
+_RENEWALS = 2
 # A smooth signal runs above or below its chords by 1/12 of its second difference on average;
 # straight lines do not. The size of that correction (0: lines, 1: smooth) is
 # fitted, with 1/2 ± 1/2 known beforehand.
@@ -244,6 +248,59 @@ def _with_renewed_noise(problem: LagProblem, point: Point, eq: Equations, share:
     noise_part += (1 - share) * point.input_noise
     variance = problem.noise.inputs**2 - np.mean(noise_part**2, axis=0)
     return replace(point, input_noise=noise_part, blur=np.sqrt(np.maximum(variance, 0.0)))
+
+
+def information(problem: LagProblem, fit: StructureFit) -> FloatArray:
+    """Return the information of a fit: how fast its score falls when a parameter moves.
+
+    The whitened derivatives alone hold the estimated noise of φ still. It moves with the
+    parameters, so that less is known of them: at 5 % noise the errors of a reverse-flow branch
+    came out a quarter too small.
+
+    Parameters
+    ----------
+    problem : LagProblem
+        The data.
+    fit : StructureFit
+        The fit.
+
+    Returns
+    -------
+    ndarray of shape (n_parameters, n_parameters)
+        -d(score)/d(parameters), symmetric, with the prior; in the order of `fit.sensitivity`.
+    """
+    fixed = fit.sensitivity.T @ fit.sensitivity + np.diag(fit.prior)
+    if not np.any(problem.noise.inputs > 0.0):
+        return fixed
+    steps = _SHARE_OF_ERROR / np.sqrt(np.maximum(np.diag(fixed), 1e-300))
+    columns = []
+    for number, step in enumerate(steps):
+        move = np.zeros(steps.size)
+        move[number] = step
+        rise = _score(problem, fit, move) - _score(problem, fit, -move)
+        columns.append(-rise / (2 * step))
+    found = np.column_stack(columns)
+    found = (found + found.T) / 2
+    scale = np.sqrt(np.diag(fixed))
+    lowest = float(np.linalg.eigvalsh(found / np.outer(scale, scale)).min())
+    least = float(np.linalg.eigvalsh(fixed / np.outer(scale, scale)).min())
+    # Differences across a kink can be too rough to be an information at all.
+    return found if lowest > 0.25 * least else fixed
+
+
+def _score(problem: LagProblem, fit: StructureFit, move: FloatArray) -> FloatArray:
+    """Return the derivative of -χ²/2 a step away from a fit, the noise of φ estimated there."""
+    point = moved_point(problem, fit.point, move)
+    for _ in range(_RENEWALS):
+        eq = equations_about(problem, fit.support, point)
+        point = _with_renewed_noise(problem, replace(point, state=eq.state), eq, 1.0)
+    eq = equations_about(problem, fit.support, point)
+    nuisances = [getattr(eq, name) for name in _nuisances(problem)]
+    columns = eq.whitener(np.column_stack((eq.raw_columns, *nuisances)))
+    score: FloatArray = columns.T @ eq.whitener(eq.residual)
+    size = len(fit.support)
+    score[size : size + 1] -= fit.prior[size : size + 1] * (point.bend - _BEND_PRIOR[0])
+    return score
 
 
 def _bounded(problem: LagProblem, tau: float) -> float:

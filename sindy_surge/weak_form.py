@@ -132,24 +132,41 @@ def weak_rows(
     columns : ndarray of shape (n_weak, n_terms)
         Weak terms.
     """
-    from scipy.signal import oaconvolve
-
     weight, slope = _test_function(half_width, sample_period_s)
     stride = _stride(half_width)
-    signals = np.column_stack((y, terms))
-    parts: list[tuple[FloatArray, FloatArray]] = []
+    columns = [y, *terms.T]
+    parts: list[FloatArray] = []
     for rows in segments.slices():
-        piece = signals[rows]
-        if piece.shape[0] < weight.size:
+        if rows.stop - rows.start < weight.size:
             continue
-        # A convolution flips its kernel: w is even, and dw/dt odd, which is the minus sign.
-        smooth = oaconvolve(piece, weight[:, None], mode="valid", axes=0)[::stride]
-        change = oaconvolve(piece[:, :1], slope[:, None], mode="valid", axes=0)[::stride]
-        parts.append((change[:, 0], smooth))
+        smooth = [_slid(column[rows], weight, stride) for column in columns]
+        # A convolution would flip its kernel; dw/dt is odd, which is the minus sign.
+        parts.append(np.column_stack((_slid(y[rows], -slope, stride), *smooth)))
     if not parts:
         return np.empty(0), np.empty(0), np.empty((0, terms.shape[1]))
-    smooth = np.concatenate([part[1] for part in parts])
-    return np.concatenate([part[0] for part in parts]), smooth[:, 0], smooth[:, 1:]
+    stacked = np.concatenate(parts)
+    return stacked[:, 0], stacked[:, 1], stacked[:, 2:]
+
+
+def _slid(signal: FloatArray, kernel: FloatArray, stride: int) -> FloatArray:
+    """Return the sums of kernel times signal at every stride-th place where it fits.
+
+    The signal is cut into rows of one stride, and one product with the kernel cut alike gives
+    all that the sums need: nothing is computed that the stride passes over.
+    """
+    n_places = (signal.size - kernel.size) // stride + 1
+    pieces = -(-kernel.size // stride)
+    padded = np.zeros(pieces * stride)
+    padded[: kernel.size] = kernel
+    wanted = (n_places + pieces - 1) * stride
+    if wanted > signal.size:
+        signal = np.concatenate((signal, np.zeros(wanted - signal.size)))
+    blocks = np.ascontiguousarray(signal[:wanted]).reshape(-1, stride)
+    products = blocks @ padded.reshape(pieces, stride).T
+    result: FloatArray = products[:n_places, 0].copy()
+    for number in range(1, pieces):
+        result += products[number : number + n_places, number]
+    return result
 
 
 def _test_function(half_width: int, sample_period_s: float) -> tuple[FloatArray, FloatArray]:

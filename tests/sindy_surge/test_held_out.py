@@ -160,7 +160,7 @@ def test_a_library_without_powers_serves_too(
 def test_segments_too_short_for_a_test_function_are_no_success() -> None:
     phi, psi_p = _record(0, 600.0)
     model = SparseLagRegressor().fit(phi[:, None], psi_p, segments=np.arange(2200) // 8)
-    assert model.fit_state_ is FitState.NO_CONSISTENT_STRUCTURE
+    assert model.fit_state_ in (FitState.NO_CONSISTENT_STRUCTURE, FitState.LAG_UNDETERMINED)
 
 
 def test_weak_equations_recover_an_exact_lag(surge: Callable[..., Any]) -> None:
