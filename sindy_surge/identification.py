@@ -20,6 +20,7 @@ from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
     StructureFit,
+    WhiteEquations,
     fit_structure,
     information,
     white_equations,
@@ -27,6 +28,7 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
+from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
 from sindy_surge.states import FitState
 from sindy_surge.weak_form import WeakLag
@@ -279,8 +281,8 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     }
     path = tuple(replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path)
     inclusion: dict[str, float] = {}
+    equations = white_equations(problem, fit)
     if choices.n_bootstrap:
-        equations = white_equations(problem, fit)
         shares = inclusion_probabilities(
             equations,
             blocks,
@@ -297,6 +299,8 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     covariance = covariance[np.ix_(wanted, wanted)]
     if model_error_dominates(prepared, found.consistent) or not found.consistent:
         state = FitState.NO_CONSISTENT_STRUCTURE
+    elif not _explains(equations, fit.support):
+        state = FitState.UNRELATED
     else:
         state = FitState.OK if fit.converged else FitState.NOT_CONVERGED
     return Identified(
@@ -315,6 +319,14 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         weak_estimates(problem, fit.support) or prepared.weak,
         search.knots,
     )
+
+
+def _explains(equations: WhiteEquations, support: Support) -> bool:
+    """Return whether a structure is worth its terms against none at all."""
+    linear = equations.compressed()
+    gain = support_chi2(linear, ()) - support_chi2(linear, support)
+    penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
+    return gain / linear.variance > penalty * len(support)
 
 
 def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, StructureFit]:

@@ -28,6 +28,7 @@ IntArray = NDArray[np.intp]
 # derivatives): a plain one would be mostly noise.
 _SECOND_DIFFERENCE = np.array([5.0, 0.0, -3.0, -4.0, -3.0, 0.0, 5.0]) / 42
 _MOST_NEWTON_STEPS = 25
+_CHORD_DOUBT = 2.0
 
 
 @dataclass(frozen=True)
@@ -165,8 +166,12 @@ def equations_about(
     gap = problem.output[usable.rows] - state
     residual = run.ahead * gap[later] - run.behind * gap[later - 1]
     residual -= taps.drive((slopes * point.input_noise.T).sum(axis=0), at)
+    bend_column = taps.drive(run.bent, at)
+    # Where a kink lies between two samples, the correction for chords is wrong by as much as it
+    # is large.
+    doubt = _CHORD_DOUBT * np.abs(bend_column) if problem.hold == "first" else None
     whitener = Whitener(
-        taps, slopes, problem.noise, usable.segments, usable.rows, run.ahead, run.behind
+        taps, slopes, problem.noise, usable.segments, usable.rows, run.ahead, run.behind, doubt
     )
     weighted = whitener.precision(residual)
     # Generalised least squares for the free initial state: y[0] - E[v[0] | A e].
@@ -189,7 +194,7 @@ def equations_about(
         # The simulated ψ', not the measured one: noise in the sensitivity would bias τ.
         by_tau.pole * state[later - 1] + by_tau.drive(forcing, at),
         by_dead_time.drive(forcing, at),
-        taps.drive(run.bent, at),
+        bend_column,
         taps.drive(run.values, at),
         slopes,
         initial,

@@ -33,9 +33,6 @@ FloatArray = NDArray[np.float64]
 
 # A dead time is believed beyond this many standard errors of the fit of all terms.
 _BELIEVED = 4.0
-# Noise of ψ' assumed at least, in rms corrections for chords. Matters below 0.1 % of noise: on
-# exact signals with a kink the corrected chords leave five of these.
-_CHORDS = 5.0
 # Share of χ² that terms with ψ' must leave to be counted among all terms.
 _TAKEN_OVER = 0.5
 # A fit of the dead time reaches two samples at a time.
@@ -265,13 +262,7 @@ def _noise(problem: LagProblem, tau: float) -> NoiseLevels:
     taps = problem.taps_at(tau, problem.dead_time.seconds)
     usable = problem.usable
     limited = _limited(eq.slopes)
-    noise = refine_noise(eq.residual, taps, limited, guess, usable.segments, usable.rows, scale)
-    if problem.hold == "first":
-        # Where a knot lies between two samples, the correction for chords is wrong by as much as
-        # it is large.
-        chords = _CHORDS * float(np.sqrt(np.mean(eq.bend_column**2)))
-        noise = replace(noise, output=max(noise.output, chords))
-    return noise
+    return refine_noise(eq.residual, taps, limited, guess, usable.segments, usable.rows, scale)
 
 
 def _limited(slopes: FloatArray) -> FloatArray:

@@ -48,6 +48,11 @@ class FitState(StrEnum):
         "the error of the time constant is as large as itself, or it runs to the length of the "
         "longest segment; the record does not excite the lag: use longer segments or more cycles",
     )
+    UNRELATED = (
+        "unrelated",
+        "no term explains more of ψ' than its own scatter would let it; check that φ and ψ' are of "
+        "one record and one clock, and that ψ' moves at all beside its noise",
+    )
     NOT_CONVERGED = (
         "not_converged",
         "the last iterations still moved the result; check the range of φ and the scatter of ψ'",

@@ -87,6 +87,8 @@ class Whitener:
         Row of the record of each usable row; None: they are all usable.
     ahead, behind : ndarray of shape (n_equations,) or None
         p and q; None for a linear lag.
+    doubt : ndarray of shape (n_equations,) or None
+        Standard deviation of what single equations are wrong by, beside the noise.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class Whitener:
         rows: IntArray | None = None,
         ahead: FloatArray | None = None,
         behind: FloatArray | None = None,
+        doubt: FloatArray | None = None,
     ) -> None:
         from scipy.linalg import cholesky_banded
 
@@ -120,6 +123,8 @@ class Whitener:
                 shared += taps.taps[i] * taps.taps[i + distance] * carried[at - i]
             band[distance] = np.where(both, shared, 0.0)
         band[0] += noise.output**2 * (p**2 + q**2)
+        if doubt is not None:
+            band[0] += doubt**2
         band[1, :-1] -= np.where(joined, noise.output**2 * p[:-1] * q[1:], 0.0)
         self._factor = cholesky_banded(band, lower=True)
         self._colour = noise.colour
