@@ -282,6 +282,8 @@ def information(problem: LagProblem, fit: StructureFit) -> FloatArray:
     found = np.column_stack(columns)
     found = (found + found.T) / 2
     scale = np.sqrt(np.diag(fixed))
+    if not (np.all(np.isfinite(found)) and np.all(scale > 0.0)):
+        return fixed
     lowest = float(np.linalg.eigvalsh(found / np.outer(scale, scale)).min())
     least = float(np.linalg.eigvalsh(fixed / np.outer(scale, scale)).min())
     # Differences across a kink can be too rough to be an information at all.
