@@ -1,4 +1,4 @@
-"""τ and curve from raw counts on the rig, by the default of `compare`, over many records.
+"""τ and curve from raw counts on the rig, as `compare` reads them, over many records.
 
 Each record is simulated (98.5, 95 and 90 %, volumes and ducts changed by 3 %), written as counts,
 read back, reduced with the default settings and fitted as `compare` fits it. The truth is known.
@@ -26,6 +26,7 @@ from comparisons.rig import CASES, SensorSettings, simulate, write_run
 
 AT = np.array([0.0, 0.05, 0.1, 0.15])
 TAU_MS = 18.0
+ESTIMATORS = ("classic_ml", "sindy", "paper")
 CHANGES: dict[str, dict[str, float]] = {
     "as is": {},
     "discharge volume +3 %": {"discharge_volume_m3": 1.03},
@@ -57,13 +58,15 @@ def one_record(job: tuple[str, str, int], noise: float) -> dict[str, object]:
 def _row(job: tuple[str, str, int], folder: Path, beta: tuple[float, ...]) -> dict[str, object]:
     series = reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
     row: dict[str, object] = {"case": job[0], "change": job[1], "seed": job[2]}
-    comparison = compare_records([series], estimators=default_estimators()[:2])
-    for key in ("classic_ml", "paper"):
+    wanted = [spec for spec in default_estimators() if spec.name in ESTIMATORS]
+    comparison = compare_records([series], estimators=wanted)
+    for key in ESTIMATORS:
         result = comparison.result(key)
         model = result.model
         stderr = np.interp(AT, *np.asarray(model.table).T[[0, 2]])
         row[key] = {
             "state": result.state,
+            "terms": list(model.terms),
             "tau_ms": 1e3 * model.time_constant_s,
             "stderr_ms": 1e3 * model.time_constant_stderr_s,
             "ci95_ms": [1e3 * edge for edge in model.ci95_s],
@@ -118,7 +121,7 @@ def main() -> None:
     with ProcessPoolExecutor() as pool:
         rows = list(pool.map(partial(one_record, noise=options.noise), jobs))
     result = {}
-    for key in ("classic_ml", "paper"):
+    for key in ESTIMATORS:
         groups = {case: [row for row in rows if row["case"] == case] for case, *_ in jobs}
         result[key] = {case: summary(group, key) for case, group in groups.items()}
         result[key]["all"] = summary(rows, key)

@@ -111,8 +111,8 @@ def comparison_cautions(
         if any(result.name == "classic_ml" for result in results) and without:
             cautions.insert(
                 0,
-                f"classic_ml was fitted to the rows (armax): {', '.join(without)} without the "
-                "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
+                "classic_ml (armax) and sindy were fitted to the rows: "
+                f"{', '.join(without)} without the unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
             )
     cautions += _fit_cautions(records, rows, results, degree=degree, hold=hold, held=held)
     return tuple(dict.fromkeys(cautions))
