@@ -112,7 +112,8 @@ def comparison_cautions(
             cautions.insert(
                 0,
                 "classic_ml (armax) and sindy were fitted to the rows: "
-                f"{', '.join(without)} without the unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
+                f"{', '.join(without)} without the unfiltered columns, scored rows and ledger that "
+                "`sindy-surge reduce` writes",
             )
     cautions += _fit_cautions(records, rows, results, degree=degree, hold=hold, held=held)
     return tuple(dict.fromkeys(cautions))
