@@ -106,14 +106,20 @@ def default_estimators(
 
     def sparse(rows: FitRows) -> Any:
         from sindy_surge import SparseLagRegressor
+        from sindy_surge.library import piecewise_linear_library
 
         # Terms with ψ' are not what a characteristic over φ is; `SparseLagRegressor` by itself
         # looks for them.
+        plain: dict[str, Any] = {"hold": hold, "psi_terms": False, "output_name": rows.target}
+        if rows.target == "psi_p":
+            return SparseLagRegressor(rows.sample_period_s, **plain)
+        # A line and two breakpoints, as in Fig 22; here the data choose where.
         return SparseLagRegressor(
-            sample_period_s=rows.sample_period_s,
-            hold=hold,
-            psi_terms=False,
-            output_name=rows.target,
+            rows.sample_period_s,
+            library=piecewise_linear_library(rows.X),
+            max_terms=4,
+            constraints={"1": "required"},
+            **plain,
         )
 
     def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:

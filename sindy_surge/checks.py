@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sindy_surge.errors import InputError
 from sindy_surge.simulation import FreeModel
+from sindy_surge.states import FitState
 
 if TYPE_CHECKING:
     from sindy_surge.identification import Identified
@@ -157,7 +158,7 @@ def cautions_of(found: Identified) -> tuple[str, ...]:
             f"point of the record the lag is {found.time_constant_s / (1 - gain) * 1e3:.3g} ms, "
             "which other powers of ψ' share"
         )
-    if problem.noise.colour.size:
+    if problem.noise.colour.size and found.state != FitState.MODEL_ERROR_DOMINATES:
         sentences.append(
             f"the noise is coloured (autoregression of order {problem.noise.colour.size}) and was "
             "whitened for it; a missing effect can look the same"

@@ -43,6 +43,8 @@ _EQUATIONS_IN_CYCLE = 4.0
 # With so few the extended BIC takes a term picked out of p = 20 when the mean square error
 # falls to exp(-(ln 4 + 3 ln p)/4) = 0.07: about a tenth.
 _SHARE_LEFT = 0.1
+# A straight line alone is no ladder: such a library means to be piecewise linear.
+_FEWEST_RUNGS = 2
 
 
 def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
@@ -95,7 +97,11 @@ class HeldOutFit:
 
 
 def select_by_held_out(
-    problem: LagProblem, optimizer: Any, max_terms: int, degrees: Sequence[int | None]
+    problem: LagProblem,
+    optimizer: Any,
+    max_terms: int,
+    degrees: Sequence[int | None],
+    required: Support = (),
 ) -> HeldOutFit | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
 
@@ -122,6 +128,8 @@ def select_by_held_out(
         Largest structure considered.
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
+    required : tuple of int
+        Terms that every structure holds.
 
     Returns
     -------
@@ -135,8 +143,10 @@ def select_by_held_out(
     if len(trials.blocks) < FEWEST_BLOCKS or weak.signal.size < 2 * max_terms + 2:
         return None
     linear = weak.linear()
-    proposed = proposals(linear, optimizer, max_terms)
-    ladder = polynomial_ladder(degrees, max_terms) or best_of_each_size(linear, proposed)
+    proposed = proposals(linear, optimizer, max_terms, required)
+    ladder = [s for s in polynomial_ladder(degrees, max_terms) if set(required) <= set(s)]
+    if len(ladder) < _FEWEST_RUNGS:
+        ladder = best_of_each_size(linear, proposed)
     chosen = climb(trials, ladder)
     special = special_structures(trials, linear, proposed, chosen, ladder, _SHARE_LEFT)
     # The smallest: an error that every cycle repeats rewards each further term.

@@ -372,7 +372,11 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     if choices.dead_time == "auto":
         # Tested against noise, of which there is next to none: an error of the model passed for it.
         problem = problem.with_dead_time(0.0, False)
-    fit = select_by_held_out(problem, choices.optimizer, choices.max_terms, search.degrees)
+    # Terms with ψ' have no part in the weak form.
+    required = tuple(i for i in search.constraints.required if i < problem.n_without_state)
+    fit = select_by_held_out(
+        problem, choices.optimizer, choices.max_terms, search.degrees, required
+    )
     if fit is None:
         return None
     return Identified(

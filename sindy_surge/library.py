@@ -15,7 +15,15 @@ from sindy_surge.errors import InputError
 from sindy_surge.free_run import Segments
 from sindy_surge.whitening import difference_noise
 
-__all__ = ["Powers", "StallLibrary", "StallTerms", "default_knots", "default_library", "hinge_name"]
+__all__ = [
+    "Powers",
+    "StallLibrary",
+    "StallTerms",
+    "default_knots",
+    "default_library",
+    "hinge_name",
+    "piecewise_linear_library",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -276,6 +284,23 @@ def default_library(
         if missing > 0 and knots is None:
             each_knots[-1] = _finer(each_knots[-1], phi, missing)
     return StallLibrary([polynomials, StallTerms(each_knots, each_scales)])
+
+
+def piecewise_linear_library(X: FloatArray) -> BaseFeatureLibrary:
+    """Build the library of piecewise-linear characteristics, as in Fig 22 of the paper.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_rows, n_inputs)
+        The inputs; only their ranges are used.
+
+    Returns
+    -------
+    pysindy.feature_library.base.BaseFeatureLibrary
+        1, the inputs, their hinges and the reverse-flow branch.
+    """
+    knots = [default_knots(phi) for phi in X.T]
+    return StallLibrary([Powers(degree=1), StallTerms(knots, [() for _ in knots])])
 
 
 def _finer(knots: tuple[float, ...], phi: FloatArray, missing: int) -> tuple[float, ...]:
