@@ -186,7 +186,7 @@ def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) 
     """
     search = _searched(problem, choices, input_names)
     if choices.dead_time == "auto" and search.prepared.problem.dead_time.fitted:
-        search = _simpler(search, _searched(problem, replace(choices, dead_time=0.0), input_names))
+        search = _simpler(search, _searched(problem, _on_time(choices, search), input_names))
     if search.may_lack_a_knot:
         search = _with_knots(search, choices, input_names)
     if model_error_dominates(search.prepared, search.found.consistent):
@@ -233,6 +233,18 @@ def _searched(
         prepared, choices.optimizer, choices.max_terms, names, degrees, constraints
     )
     return _Searched(problem, prepared, found, names, degrees, constraints, knots)
+
+
+def _on_time(choices: Choices, late: _Searched) -> Choices:
+    """Ask for structures without a dead time that could be simpler than one with it."""
+    most = len(late.found.fit.support) + 1 if late.found.consistent else choices.max_terms
+    return replace(
+        choices,
+        dead_time=0.0,
+        max_terms=min(max(most, len(late.constraints.required)), choices.max_terms),
+        # The best subsets hold whatever an optimizer would propose of so few terms.
+        optimizer="best-subset" if isinstance(choices.optimizer, str) else choices.optimizer,
+    )
 
 
 def _simpler(late: _Searched, on_time: _Searched) -> _Searched:

@@ -33,8 +33,8 @@ class FitState(StrEnum):
     )
     MODEL_ERROR_DOMINATES = (
         "model_error_dominates",
-        "what the terms leave is far above the noise and comes again in every cycle: the structure, "
-        "kept small, was chosen by cycles left out and fitted in the weak form; the "
+        "what the terms leave is far above the noise and comes again in every cycle: the "
+        "structure, kept small, was chosen by cycles left out and fitted in the weak form; the "
         "band covers the choice of the test function, not an error of φ itself: look for a "
         "missing effect, or for what filtering and segmentation did to the signals",
     )
