@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from comparisons.orders_command import add_orders_parser
+from comparisons.structure_command import add_structure_parser
 from comparisons.total_system_command import add_total_system_parser
 
 __all__ = ["build_parser", "main"]
@@ -79,6 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_reproduce(commands)
     _add_work(commands)
     add_orders_parser(commands)
+    add_structure_parser(commands)
     add_total_system_parser(commands)
     return parser
 

@@ -54,7 +54,7 @@ class CandidateTerms:
     ) -> None:
         chosen = default_library(X, degree=degree, knots=knots) if library is None else library
         self._library = fitted_library(copy.deepcopy(chosen), X, "library")
-        n_terms = evaluated(self._library, X[:1]).shape[1]
+        n_terms = evaluated(self._library, X[:1], strict=False).shape[1]
         self._input_names = tuple(input_names)
         self._own_names = term_names(self._library, input_names, n_terms)
         self._extra: tuple[tuple[int, float], ...] = ()
@@ -69,6 +69,11 @@ class CandidateTerms:
         """Names of all terms; those that hold ψ' come last."""
         extra = tuple(hinge_name(self._input_names[j], knot) for j, knot in self._extra)
         return self._own_names + extra + (() if self.states is None else tuple(self.states.names))
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return self._input_names
 
     @property
     def n_without_state(self) -> int:
@@ -105,6 +110,8 @@ class CandidateTerms:
         X: FloatArray,
         psi_p: FloatArray | None = None,
         wanted: Sequence[int] | None = None,
+        *,
+        strict: bool = True,
     ) -> FloatArray:
         """Evaluate terms.
 
@@ -116,6 +123,8 @@ class CandidateTerms:
             ψ' at the same rows; needed for the terms that hold it.
         wanted : sequence of int or None
             Positions of the terms, rising; None takes all, without ψ' all that do not hold it.
+        strict : bool
+            Refuse values that are not finite.
 
         Returns
         -------
@@ -133,7 +142,7 @@ class CandidateTerms:
         parts = []
         inputs_alone = [i for i in wanted if i < own]
         if inputs_alone:
-            parts.append(evaluated(self._library, X, inputs_alone))
+            parts.append(evaluated(self._library, X, inputs_alone, self._own_names, strict=strict))
         extra = [self._extra[i - own] for i in wanted if own <= i < edge]
         parts += [np.maximum(X[:, j] - knot, 0.0)[:, None] for j, knot in extra]
         with_state = [i - edge for i in wanted if i >= edge]

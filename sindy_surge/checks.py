@@ -118,13 +118,15 @@ def is_constant(values: FloatArray) -> bool:
     return bool(np.all(spread <= 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300)))
 
 
-def cautions_of(found: Identified) -> tuple[str, ...]:
+def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
     """Say what a user should know before the numbers are used.
 
     Parameters
     ----------
     found : Identified
         The result of a search.
+    state : FitState
+        What became of the fit.
 
     Returns
     -------
@@ -132,7 +134,7 @@ def cautions_of(found: Identified) -> tuple[str, ...]:
         Sentences.
     """
     problem = found.problem
-    sentences = [] if found.state == "ok" else [found.state.advice]
+    sentences = [] if state is FitState.OK else [state.advice]
     lost = problem.segments.starts.size - int(np.count_nonzero(problem.usable.segments.lengths > 1))
     if lost:
         sentences.append(
@@ -158,7 +160,7 @@ def cautions_of(found: Identified) -> tuple[str, ...]:
             f"point of the record the lag is {found.time_constant_s / (1 - gain) * 1e3:.3g} ms, "
             "which other powers of ψ' share"
         )
-    if problem.noise.colour.size and found.state != FitState.MODEL_ERROR_DOMINATES:
+    if problem.noise.colour.size and state is not FitState.MODEL_ERROR_DOMINATES:
         sentences.append(
             f"the noise is coloured (autoregression of order {problem.noise.colour.size}) and was "
             "whitened for it; a missing effect can look the same"

@@ -82,22 +82,34 @@ def features(
     places = np.concatenate([inputs + move for move in moves])
     wanted = problem.columns[list(support)].tolist()
     if state is None:
-        stacked = problem.terms(places, wanted=wanted)
+        stacked = problem.terms(places, wanted=wanted, strict=False)
         state_slopes = np.zeros((n_rows, 0))
     else:
-        stacked = problem.terms(places, np.tile(state, len(moves)), wanted)
+        stacked = problem.terms(places, np.tile(state, len(moves)), wanted, strict=False)
         state_slopes = _state_slopes(problem, inputs, state, wanted)
     at = iter(stacked.reshape(len(moves), n_rows, stacked.shape[1]))
     base = next(at)
     values, slopes = base.copy(), []
     for j in range(n_inputs):
-        above, below = next(at), next(at)
+        above, below = _where_defined(base, next(at), next(at))
         slopes.append((above - below) / (2 * steps[j]))
         if blurred[j]:
+            further, back = _where_defined(base, next(at), next(at))
             once = 2 / 3 * base + (above + below) / 6
-            twice = base / 2 + 2 / 9 * (above + below) + (next(at) + next(at)) / 36
+            twice = base / 2 + 2 / 9 * (above + below) + (further + back) / 36
             values += 2 * base - 3 * once + twice
     return Features(values, np.stack(slopes), state_slopes)
+
+
+def _where_defined(
+    base: FloatArray, above: FloatArray, below: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Prolong a term as a straight line where it is not defined on one side (√φ at zero)."""
+    if np.isfinite(above).all() and np.isfinite(below).all():
+        return above, below
+    high = np.where(np.isfinite(above), above, 2 * base - below)
+    low = np.where(np.isfinite(below), below, 2 * base - above)
+    return np.where(np.isfinite(high), high, base), np.where(np.isfinite(low), low, base)
 
 
 def _state_slopes(

@@ -99,7 +99,7 @@ class Segments:
     @property
     def n_rows(self) -> int:
         """Number of rows in all segments together."""
-        return int(self.stops[-1])
+        return int(self.stops[-1]) if self.stops.size else 0
 
     @property
     def later(self) -> IntArray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sindy_surge.constraints import Constraints
 from sindy_surge.covariance import jackknife_covariance, leave_out_moves
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
@@ -101,7 +102,7 @@ def select_by_held_out(
     optimizer: Any,
     max_terms: int,
     degrees: Sequence[int | None],
-    required: Support = (),
+    constraints: Constraints | None = None,
 ) -> HeldOutFit | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
 
@@ -128,8 +129,8 @@ def select_by_held_out(
         Largest structure considered.
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
-    required : tuple of int
-        Terms that every structure holds.
+    constraints : Constraints or None
+        What is known of the terms beforehand.
 
     Returns
     -------
@@ -143,10 +144,20 @@ def select_by_held_out(
     if len(trials.blocks) < FEWEST_BLOCKS or weak.signal.size < 2 * max_terms + 2:
         return None
     linear = weak.linear()
-    proposed = proposals(linear, optimizer, max_terms, required)
-    ladder = [s for s in polynomial_ladder(degrees, max_terms) if set(required) <= set(s)]
+    # Terms with ψ' have no part in the weak form.
+    n_terms = linear.columns.shape[1]
+    required = tuple(i for i in constraints.required if i < n_terms) if constraints else ()
+
+    def admitted(support: Support) -> bool:
+        held = set(required) <= set(support)
+        return held and (not constraints or constraints.allow(support, weak.fit(support)[0][:-1]))
+
+    proposed = [s for s in proposals(linear, optimizer, max_terms, required) if admitted(s)]
+    ladder = [s for s in polynomial_ladder(degrees, max_terms) if admitted(s)]
     if len(ladder) < _FEWEST_RUNGS:
         ladder = best_of_each_size(linear, proposed)
+    if not ladder:
+        return None
     chosen = climb(trials, ladder)
     special = special_structures(trials, linear, proposed, chosen, ladder, _SHARE_LEFT)
     # The smallest: an error that every cycle repeats rewards each further term.

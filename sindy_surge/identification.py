@@ -250,14 +250,21 @@ def _on_time(choices: Choices, late: _Searched) -> Choices:
 def _simpler(late: _Searched, on_time: _Searched) -> _Searched:
     """Choose between a dead time and none: terms with ψ' can stand in for it, and it for them.
 
-    What stands comes first, then what needs fewer parameters, then what leaves less.
+    What stands comes first, then the least Bayesian information criterion, in which the dead time
+    and the colour of the noise count like terms: a delay leaves colour behind that would else
+    cost nothing.
     """
+    n = min(s.found.fit.residual.size for s in (late, on_time))
+    penalty = information_penalty(n, len(late.names))
 
-    def rank(search: _Searched) -> tuple[bool, int, float]:
+    def rank(search: _Searched) -> tuple[bool, float]:
         fit, prepared = search.found.fit, search.prepared
         stands = search.found.consistent and not model_error_dominates(prepared, True)
-        size = len(fit.support) + prepared.problem.dead_time.fitted
-        return not stands, size, fit.chi2 / max(fit.residual.size, 1)
+        noise = prepared.problem.noise
+        size = len(fit.support) + prepared.problem.dead_time.fitted + noise.colour.size
+        # χ² is in units of each search's own noise of ψ'.
+        spread = float(np.log(fit.chi2 / fit.residual.size * noise.output**2))
+        return not stands, n * spread + penalty * size
 
     return min(late, on_time, key=rank)
 
@@ -384,10 +391,8 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     if choices.dead_time == "auto":
         # Tested against noise, of which there is next to none: an error of the model passed for it.
         problem = problem.with_dead_time(0.0, False)
-    # Terms with ψ' have no part in the weak form.
-    required = tuple(i for i in search.constraints.required if i < problem.n_without_state)
     fit = select_by_held_out(
-        problem, choices.optimizer, choices.max_terms, search.degrees, required
+        problem, choices.optimizer, choices.max_terms, search.degrees, search.constraints
     )
     if fit is None:
         return None

@@ -193,7 +193,7 @@ def equations_about(
         residual,
         # The simulated ψ', not the measured one: noise in the sensitivity would bias τ.
         by_tau.pole * state[later - 1] + by_tau.drive(forcing, at),
-        by_dead_time.drive(forcing, at),
+        by_dead_time.drive(forcing, at) + _late_state(problem, run, point, taps),
         bend_column,
         taps.drive(run.values, at),
         slopes,
@@ -236,7 +236,24 @@ class _Run:
     state: FloatArray
     ahead: FloatArray
     behind: FloatArray
-    greatest_gain: float = 0.0
+    gain: FloatArray | None = None
+
+    @property
+    def greatest_gain(self) -> float:
+        """Greatest ∂ψ'_QS/∂ψ' along the record."""
+        return 0.0 if self.gain is None else float(self.gain.max())
+
+
+def _late_state(problem: LagProblem, run: _Run, point: Point, taps: LagTaps) -> FloatArray | float:
+    """Return what a later dead time changes through ψ' in the terms, which act on time."""
+    if run.gain is None or not problem.dead_time.fitted:
+        return 0.0
+    step = 1e-3 * problem.sample_period_s
+    above = _when_inputs_act(problem, run.state, point.dead_time_s + step)
+    below = _when_inputs_act(problem, run.state, point.dead_time_s - step)
+    usable = problem.usable
+    moved = run.gain * (above - below) / (2 * step)
+    return taps.drive(moved, usable.rows[usable.later])
 
 
 def _free_run(
@@ -309,7 +326,7 @@ def _state_run(
     ahead, behind = _recursion(problem, taps, gain, point.dead_time_s)
     forcing = forcing + point.bend * bent
     slopes = found.slopes @ beta
-    return _Run(found.values, slopes, forcing, bent, state, ahead, behind, float(gain.max()))
+    return _Run(found.values, slopes, forcing, bent, state, ahead, behind, gain)
 
 
 def _recursion(

@@ -51,7 +51,14 @@ def fitted_library(library: Any, X: FloatArray, where: str) -> Evaluator:
     return fitted
 
 
-def evaluated(library: Evaluator, X: FloatArray, wanted: Sequence[int] | None = None) -> FloatArray:
+def evaluated(
+    library: Evaluator,
+    X: FloatArray,
+    wanted: Sequence[int] | None = None,
+    names: Sequence[str] = (),
+    *,
+    strict: bool = True,
+) -> FloatArray:
     """Evaluate a fitted library as a plain array, and refuse what is not finite.
 
     Parameters
@@ -62,6 +69,10 @@ def evaluated(library: Evaluator, X: FloatArray, wanted: Sequence[int] | None = 
         Its inputs.
     wanted : sequence of int or None
         Positions of the terms; None for all of them.
+    names : sequence of str
+        Names of all terms, for the error.
+    strict : bool
+        Refuse values that are not finite.
 
     Returns
     -------
@@ -85,12 +96,15 @@ def evaluated(library: Evaluator, X: FloatArray, wanted: Sequence[int] | None = 
             if wanted is not None and len(wanted) != values.shape[1]:
                 values = values[:, list(wanted)]
     finite = np.isfinite(values)
-    if not finite.all():
+    if strict and not finite.all():
         column = int(np.flatnonzero(~finite.all(axis=0))[0])
+        column = column if wanted is None else wanted[column]
+        row = int(np.flatnonzero(~finite.all(axis=1))[0])
         raise InputError(
             "library",
             expected="finite terms over the whole range of the data",
-            found=f"infinite or NaN values in column {column}",
+            found=f"an infinite or NaN value of {names[column] if names else f'term {column}'!r}, "
+            f"first at inputs {np.round(X[row], 6).tolist()}",
             remedy="leave that term out, or restrict the range",
         )
     result: FloatArray = values

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sindy_surge.covariance import sandwich
 from sindy_surge.cycles import surge_period_s
+from sindy_surge.errors import InputError
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -37,6 +38,9 @@ _BELIEVED = 4.0
 _TAKEN_OVER = 0.5
 # A fit of the dead time reaches two samples at a time.
 _MOST_MOVES = 15
+_FEWEST_EQUATIONS = 11
+_FAR_EXCESS = 2.0
+_FAR_SAMPLES = (-40, -30, -20, -14, -10, -6, -3, 3, 6, 10, 14, 20, 30, 40)
 
 DeadTimeChoice = float | Literal["auto", "fit"]
 
@@ -88,6 +92,13 @@ def prepare(
     """
     given = 0.0 if isinstance(dead_time, str) else float(dead_time)
     problem = problem.with_dead_time(given, False)
+    if problem.usable.later.size < _FEWEST_EQUATIONS:
+        raise InputError(
+            "dead_time_s",
+            expected="a dead time well within the length of a segment",
+            found=f"{given:g} s, which leaves {problem.usable.later.size} equations",
+            remedy="check its unit (seconds), or use longer segments",
+        )
     tau = scan_lag(problem, _brackets(_weak(problem)))
     problem = _screened(problem, tau, required)
     problem = replace(problem, noise=_noise(problem, tau))
@@ -162,8 +173,9 @@ def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
         problem.sample_period_s,
         surge_period_s=_surge_period_s(problem),
     )
-    if weak is None:
-        return None
+    if weak is None or problem.noise.colour.size or problem.holds_state(support):
+        # What would be taken off is the noise of white signals, of a model without ψ' in its terms.
+        return weak
     compensated = compensated_lag(
         problem.output,
         values,
@@ -191,22 +203,57 @@ def _with_dead_time(
     problem: LagProblem, rich: StructureFit, *, always: bool
 ) -> tuple[LagProblem, StructureFit]:
     """Fit the dead time with all terms, two samples at a time, and keep it where it shows."""
-    found, fit = problem, rich
-    for _ in range(_MOST_MOVES):
-        trial = found.with_dead_time(fit.dead_time_s, True)
-        if trial.usable.later.size < 2 * len(rich.support) + 8:
-            return problem, rich
-        found = trial
-        fit = fit_structure(found, rich.support, fit.time_constant_s, fit.coefficients, max_steps=6)
-        low, high = found.dead_time_range_s
-        if low < fit.dead_time_s < high:
-            break
+    found, fit = _walked(problem, rich)
+    if fit.chi2 > _FAR_EXCESS * fit.residual.size:
+        # Nowhere near the noise: a valley of its own may lie further off.
+        further, other = _walked(problem, _far_off(problem, fit))
+        if other.chi2 / other.residual.size < fit.chi2 / fit.residual.size:
+            found, fit = further, other
+    if not found.dead_time.fitted:
+        return problem, rich
     if not (always or _late(found, fit)):
         return problem, rich
     found = found.with_dead_time(fit.dead_time_s, True)
     return found, fit_structure(
         found, rich.support, fit.time_constant_s, fit.coefficients, max_steps=6
     )
+
+
+def _walked(problem: LagProblem, start: StructureFit) -> tuple[LagProblem, StructureFit]:
+    """Fit the dead time with all terms, moving the rows along with it."""
+    found, fit = problem, start
+    for _ in range(_MOST_MOVES):
+        trial = found.with_dead_time(fit.dead_time_s, True)
+        if trial.usable.later.size < 2 * len(start.support) + 8:
+            return found, fit
+        found = trial
+        fit = fit_structure(
+            found, start.support, fit.time_constant_s, fit.coefficients, max_steps=6
+        )
+        low, high = found.dead_time_range_s
+        if low < fit.dead_time_s < high:
+            break
+    return found, fit
+
+
+def _far_off(problem: LagProblem, fit: StructureFit) -> StructureFit:
+    """Move a fit to the dead time, up to forty samples, of the best plain free run."""
+    best, start = np.inf, fit
+    for samples in _FAR_SAMPLES:
+        trial = problem.with_dead_time(samples * problem.sample_period_s, False)
+        rows = trial.usable.later.size
+        if rows < problem.usable.later.size // 2:
+            continue
+        tau = scan_lag(trial)
+        few = trial.columns[: min(6, trial.n_without_state)].tolist()
+        values = trial.terms(trial.inputs, wanted=few)
+        cost = output_error(trial, values, tau)[0] / rows
+        if cost < best:
+            point = replace(
+                fit.point, dead_time_s=trial.dead_time.seconds, time_constant_s=tau, state=None
+            )
+            best, start = cost, replace(fit, point=point)
+    return start
 
 
 def _late(problem: LagProblem, fit: StructureFit) -> bool:

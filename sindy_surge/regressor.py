@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,9 @@ from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.simulation import FreeModel
 from sindy_surge.states import FitState
 from sindy_surge.summary import ModelSummary
+
+if TYPE_CHECKING:
+    from sindy_surge.identification import Identified
 
 __all__ = ["SparseLagRegressor"]
 
@@ -278,11 +281,13 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.joint_covariance_ = form.covariance
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
-        self.fit_state_ = self._state(found.state, problem.longest_lag_s)
-        self.cautions_ = cautions_of(found)
+        # About the middle of ψ': with terms in ψ' the τ of the equation as written may be anything.
+        stderr = float(np.sqrt(found.covariance[-1, -1]))
+        self.fit_state_ = self._state(found, stderr)
+        self.cautions_ = cautions_of(found, self.fit_state_)
 
-    def _state(self, otherwise: FitState, longest_s: float) -> FitState:
-        tau, error = self.time_constant_s_, self.time_constant_stderr_s_
+    def _state(self, found: Identified, error: float) -> FitState:
+        tau, otherwise = found.time_constant_s, found.state
         # A held input shows the lag only through the pole e^(-h/τ), which is soon next to nothing.
         pole_error = np.exp(-self.sample_period_s / tau) * self.sample_period_s / tau**2 * error
         hidden = self.hold == "zero" and np.exp(-self.sample_period_s / tau) < 3 * pole_error
@@ -291,7 +296,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         # The error of τ then includes that of the model, and longer segments are no remedy.
         if otherwise is FitState.MODEL_ERROR_DOMINATES:
             return otherwise
-        if not error < tau or tau > 0.99 * longest_s:
+        if not error < tau or tau > 0.99 * found.problem.longest_lag_s:
             return FitState.LAG_UNDETERMINED
         return otherwise
 
@@ -407,7 +412,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         runs = Segments.from_labels(segments, checked.shape[0])
         if np.isnan(self.time_constant_s_):
             return self._model.at_rest(checked)
-        start = np.nan_to_num(self._model.at_rest(checked[runs.starts]))
+        start = self._model.at_rest(checked[runs.starts])
+        # Where terms with ψ' leave no state of rest, the middle of what was seen.
+        start = np.where(np.isfinite(start), start, float(np.mean(self._model.seen)))
         return self._model.run(checked, runs, start)
 
     def score(

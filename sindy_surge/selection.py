@@ -19,6 +19,7 @@ from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.preparation import Prepared
 from sindy_surge.sparse_paths import Support, beam_search, proposals, support_chi2
+from sindy_surge.state_terms import physical_form
 
 __all__ = ["PathRow", "Selection", "information_penalty", "select_structure"]
 
@@ -32,6 +33,8 @@ _TIE = 4.0
 # is one of each size, and thousands of the others, among which some always fit better by luck.
 _TIE_POLYNOMIAL = 9.0
 _MOST_FITS = 24
+# A smaller structure is fitted by itself if it is no worse than this about a larger one's fit.
+_MISJUDGED = 12.0
 # Supports of each size that are compared with a structure about its fit.
 _COMPARED = 5
 
@@ -131,6 +134,7 @@ class _Search:
     queue: list[Support]
     fits: dict[Support, StructureFit] = field(default_factory=dict)
     scores: dict[Support, float] = field(default_factory=dict)
+    variances: dict[Support, float] = field(default_factory=dict)
     consistent: list[Support] = field(default_factory=list)
 
     def fit(self, support: Support, about: LinearProblem) -> StructureFit:
@@ -147,9 +151,13 @@ class _Search:
         known = sorted(self.degrees[i] or 0 for i in support if self.degrees[i] is not None)
         return _TIE_POLYNOMIAL if known == list(range(len(support))) else _TIE
 
+    def signs_allowed(self, support: Support, coefficients: FloatArray) -> bool:
+        """Return whether no sign is against what is asked for."""
+        return _signs_allowed(self.problem, self.constraints, support, coefficients)
+
     def admits(self, fit: StructureFit) -> bool:
         """Return whether physics allows a fit: signs as asked for, and a ψ' that comes to rest."""
-        return fit.settles and self.constraints.allow(fit.support, fit.coefficients)
+        return fit.settles and self.signs_allowed(fit.support, fit.coefficients)
 
     def test(self, support: Support, fit: StructureFit) -> list[Support]:
         """Return the structures that beat this one about its own fit, the best first."""
@@ -157,7 +165,7 @@ class _Search:
         penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
         variance, size = linear.variance, len(support)
         own = support_chi2(linear, support) / variance + penalty * size
-        self.scores[support] = own
+        self.scores[support], self.variances[support] = own, variance
         beaten: list[tuple[float, Support]] = []
         required = self.constraints.required
         for other_size, ranked in beam_search(
@@ -169,9 +177,25 @@ class _Search:
             for chi2, other in ranked[:_COMPARED]:
                 score = chi2 / variance + penalty * other_size
                 better = score < own - margin and other != support
-                if better and self.constraints.allow(other, _coefficients(linear, other)):
+                if better and self.signs_allowed(other, _coefficients(linear, other)):
                     beaten.append((score, other))
         return [other for _, other in sorted(beaten)]
+
+
+def _signs_allowed(
+    problem: LagProblem, constraints: Constraints, support: Support, coefficients: FloatArray
+) -> bool:
+    """Test signs on the coefficients that the user will read: those of the physical form."""
+    if not np.any(constraints.signs):
+        return True
+    if problem.holds_state(support):
+        names = [problem.terms.names[i] for i in problem.columns[list(support)]]
+        none = np.zeros((len(names) + 1, len(names) + 1))
+        inputs = problem.terms.input_names
+        form = physical_form(names, coefficients, 1.0, none, problem.terms.states, inputs)
+        known = dict(zip(form.names, form.coefficients.tolist(), strict=True))
+        coefficients = np.array([known.get(name, 0.0) for name in names])
+    return constraints.allow(support, coefficients)
 
 
 def _coefficients(linear: LinearProblem, support: Support) -> FloatArray:
@@ -222,7 +246,11 @@ def select_structure(
     about = linearise(problem, rich)
     penalty = information_penalty(about.n_equations, about.columns.shape[1])
     proposed = _allowed(
-        about, proposals(about, optimizer, max_terms, constraints.required), max_terms, constraints
+        problem,
+        about,
+        proposals(about, optimizer, max_terms, constraints.required),
+        max_terms,
+        constraints,
     )
     rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposed}
     seeds = _seeds(problem, proposed, rough)
@@ -234,14 +262,18 @@ def select_structure(
 
 
 def _allowed(
-    about: LinearProblem, proposed: list[Support], max_terms: int, constraints: Constraints
+    problem: LagProblem,
+    about: LinearProblem,
+    proposed: list[Support],
+    max_terms: int,
+    constraints: Constraints,
 ) -> list[Support]:
     """Keep the proposals whose signs are as asked for, and look further down where they are not."""
     if not np.any(constraints.signs):
         return proposed
 
     def good(support: Support) -> bool:
-        return constraints.allow(support, _coefficients(about, support))
+        return _signs_allowed(problem, constraints, support, _coefficients(about, support))
 
     found = {s for s in proposed if good(s)}
     for ranked in beam_search(about, max_terms, required=constraints.required).values():
@@ -303,8 +335,8 @@ def _next(search: _Search, beating: list[Support]) -> list[Support]:
 def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Support]:
     """Return what should be tested beside a structure that stands.
 
-    Those are the smaller structures that score better about this fit (about the fit with all
-    terms they may have been misjudged), and the nearest rivals of its own size.
+    Those are the smaller structures that score better about this fit, or little worse (about the
+    fit of another they may be misjudged), and the nearest rivals of its own size.
     """
     linear = linearise(search.problem, fit)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
@@ -314,10 +346,10 @@ def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Su
     required = search.constraints.required
     for size, ranked in beam_search(linear, len(support), required=required).items():
         for chi2, other in ranked[:_COMPARED]:
-            if not search.constraints.allow(other, _coefficients(linear, other)):
+            if not search.signs_allowed(other, _coefficients(linear, other)):
                 continue
             score = chi2 / linear.variance + penalty * size
-            if size < len(support) and score < own:
+            if size < len(support) and score < own + _MISJUDGED:
                 smaller.append((score, other))
             elif size == len(support) and other != support and score < own + 2.5 * _TIE:
                 equal.append((score, other))
@@ -332,8 +364,10 @@ def _choose(search: _Search) -> tuple[Support, tuple[Support, ...]]:
         return best, ()
     size = min(len(s) for s in search.consistent)
     level = [s for s in search.consistent if len(s) == size]
-    least = min(search.fits[s].chi2 for s in level)
-    tied = [s for s in level if search.fits[s].chi2 < least + search.margin(s)]
+    # In units of the variance that all terms leave, which colour raises above one.
+    chi2 = {s: search.fits[s].chi2 / search.variances[s] for s in level}
+    least = min(chi2.values())
+    tied = [s for s in level if chi2[s] < least + search.margin(s)]
 
     def order(support: Support) -> tuple[int, float]:
         special = sum(search.degrees[i] is None for i in support)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.free_run import Hold, Segments, lag_taps, run_lag
+from sindy_surge.free_run import Hold, Segments, hold_coefficients, lag_taps, run_lag
 
 __all__ = ["FreeModel"]
 
@@ -155,15 +155,34 @@ class FreeModel:
         whole = self.dead_time_s / self.sample_period_s
         ahead = int(np.floor(whole))
         part = whole - ahead
-        for _ in range(_MOST_STEPS if self.holds_state else 1):
+        if not self.holds_state:
+            return run_lag(driven(self.forcing(inputs, state)), segments, taps.pole, initial)
+        _, now, before = hold_coefficients(self.time_constant_s, self.sample_period_s, self.hold)
+        for _ in range(_MOST_STEPS):
             # ψ' at the times when the inputs of each row act.
             near = state[np.clip(rows + ahead, low, high)]
             far = state[np.clip(rows + ahead + 1, low, high)]
-            forcing = self.forcing(inputs, (1 - part) * near + part * far)
-            following = run_lag(driven(forcing), segments, taps.pole, initial)
-            following = self._bounded(following) if self.holds_state else following
-            moved = float(np.max(np.abs(following - state)))
-            state = following
-            if moved < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
+            acting = (1 - part) * near + part * far
+            gain = np.clip(self.gain(inputs, acting), -np.inf, 1.0)
+            target = driven(self.forcing(inputs, acting)) - state
+            target[1:] += taps.pole * state[:-1]
+            target[segments.starts] = initial - state[segments.starts]
+            change = _bidiagonal(1.0 - now * gain, taps.pole + before * gain, target, segments)
+            state = self._bounded(state + change)
+            if float(np.max(np.abs(change))) < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
                 break
         return state
+
+
+def _bidiagonal(
+    ahead: FloatArray, behind: FloatArray, target: FloatArray, segments: Segments
+) -> FloatArray:
+    """Solve ahead[k] x[k] - behind[k-1] x[k-1] = target[k], each segment's first x given."""
+    from scipy.linalg import solve_banded
+
+    band = np.zeros((2, target.size))
+    band[0], band[1] = ahead, -behind
+    band[0, segments.starts] = 1.0
+    # No equation reaches across the start of a segment.
+    band[1, segments.starts[1:] - 1] = 0.0
+    return np.asarray(solve_banded((1, 0), band, target))

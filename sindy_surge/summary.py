@@ -253,7 +253,7 @@ def _time_fields(summary: ModelSummary) -> list[Field]:
         fields.append(Field("d, 95 % interval", (_interval(bounds, error),), "s"))
     if summary.weak is not None:
         forward, reverse = summary.weak.forward_s, summary.weak.reverse_s
-        gap = f"{100 * summary.weak.gap:.2g} %" if math.isfinite(summary.weak.gap) else _NOT_KNOWN
+        gap = f"{100 * summary.weak.gap:.3g} %" if math.isfinite(summary.weak.gap) else _NOT_KNOWN
         fields.append(Field("weak τ, forward", (_number(forward, 4),), "s"))
         fields.append(Field("weak τ, reverse", (_number(reverse, 4),), "s"))
         if math.isfinite(summary.weak.compensated_s):

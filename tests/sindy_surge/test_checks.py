@@ -122,3 +122,14 @@ def test_units_of_the_flow_do_not_matter(surge: Callable[..., Any], noise: float
     found = other.coef_ * [factor[term] for term in other.terms_] / 50
     found[other.terms_.index("1")] -= 7 / 50
     np.testing.assert_allclose(found, one.coef_, rtol=2e-3)
+
+
+def test_a_library_defined_on_the_record_alone_will_do(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 3)
+    phi = record.phi - record.phi.min() + 1e-6
+    roots = CustomLibrary([lambda x: np.sqrt(x)], [lambda n: f"sqrt({n})"])
+    model = SparseLagRegressor(library=PolynomialLibrary(3) + roots, n_bootstrap=0)
+    model.fit(phi[:, None], record.psi_p)
+    assert set(model.terms_) == {"1", "phi", "phi^2"}
+    with pytest.raises(InputError, match=r"sqrt\(phi\)"):
+        model.characteristic([-1.0])

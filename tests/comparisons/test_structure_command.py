@@ -1,0 +1,279 @@
+"""The command `structure`: the terms of known truths, what is written, and every bad option."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from comparisons.cli import main
+from comparisons.structure_command import _dead_time
+
+PERIOD_S = 1e-3
+TAU_S = 0.018
+BETA = {"1": 0.3, "phi": 2.0, "phi^2": -6.0}
+SUB = 20
+
+
+def series_table(late: int = 0, n: int = 3000, noise: float = 0.02, seed: int = 0) -> pd.DataFrame:
+    """ψ' of a parabola behind a lag, by the trapezoid rule at a twentieth of the sample period."""
+    rng = np.random.default_rng(seed)
+    t = np.arange((n - 1) * SUB + 1) * PERIOD_S / SUB
+    phi = 0.10 + 0.13 * np.sin(2 * np.pi * 3.1 * t) + 0.05 * np.sin(2 * np.pi * 7.3 * t + 1.0)
+    rest = BETA["1"] + BETA["phi"] * phi + BETA["phi^2"] * phi**2
+    psi_p = np.empty_like(rest)
+    psi_p[0] = rest[0]
+    half = PERIOD_S / SUB / TAU_S / 2
+    for k in range(1, rest.size):
+        drive = half * (rest[k] + rest[k - 1])
+        psi_p[k] = (psi_p[k - 1] * (1 - half) + drive) / (1 + half)
+    x, y = phi[::SUB], psi_p[::SUB]
+    y = np.concatenate([np.full(late, y[0]), y[: n - late]])
+    return pd.DataFrame(
+        {
+            "time_s": np.arange(n) * PERIOD_S,
+            "phi": x + noise * x.std() * rng.standard_normal(n),
+            "psi_p": y + noise * y.std() * rng.standard_normal(n),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("clean") / "s.csv"
+    series_table().to_csv(file, index=False)
+    return file
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A series reduced from a simulated record: it carries a whole unfiltered run."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert run("simulate", "--duration", 3, "-o", folder) == 0
+    out = folder / "s.csv"
+    assert run("reduce", folder / "raw.csv", "--test", folder / "test.toml", "-o", out) == 0
+    return out
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def numbers(folder: Path, *arguments: object) -> dict[str, Any]:
+    out = folder / "numbers.json"
+    assert run("structure", *arguments, "--json", out) == 0
+    document: dict[str, Any] = json.loads(out.read_text("utf-8"))
+    return document
+
+
+@pytest.fixture(scope="module")
+def written(clean: Path) -> Path:
+    """The folder with all that the command can write of the clean series."""
+    folder = clean.parent
+    files = (
+        "--json",
+        folder / "n.json",
+        "--report",
+        folder / "r.html",
+        "--python",
+        folder / "e.py",
+    )
+    assert run("structure", clean, *files) == 0
+    return folder
+
+
+def test_terms_lag_and_errors_of_a_parabola_are_found(written: Path) -> None:
+    found = json.loads((written / "n.json").read_text("utf-8"))
+    assert found["schema"] == "sindy-surge/structure/1"
+    assert found["fitted_to"] == "rows"
+    assert found["state"]["code"] == "ok"
+    assert [term["name"] for term in found["terms"]] == list(BETA)
+    for term in found["terms"]:
+        assert abs(term["coefficient"] - BETA[term["name"]]) < 4 * term["stderr"]
+        assert term["stderr"] < 0.02 * abs(BETA[term["name"]])
+        assert term["inclusion_probability"] > 0.8
+    tau = found["time_constant_s"]
+    assert abs(tau["value"] - TAU_S) < 4 * tau["stderr"] < 0.05 * TAU_S
+    assert tau["ci95"][0] < tau["value"] < tau["ci95"][1]
+    assert found["dead_time_s"]["value"] == 0.0
+    signals = series_table(noise=0.0)
+    for name in ("phi", "psi_p"):
+        assert found["noise"][name] == pytest.approx(0.02 * signals[name].std(), rel=0.2)
+
+
+def test_the_path_and_the_candidates_hold_the_choice(written: Path) -> None:
+    found = json.loads((written / "n.json").read_text("utf-8"))
+    chosen = [row for row in found["path"] if row["chosen"]]
+    assert [row["terms"] for row in chosen] == [list(BETA)]
+    assert all(row["size"] == len(row["terms"]) for row in found["path"])
+    assert {term for row in found["path"] for term in row["terms"]} <= set(found["candidates"])
+    assert set(found["inclusion_probability"]) <= set(found["candidates"])
+    weak = found["weak_form"]
+    assert weak["reverse_s"] < weak["forward_s"]
+    assert weak["gap"] == pytest.approx(weak["forward_s"] / weak["reverse_s"] - 1)
+
+
+def test_two_late_samples_are_a_dead_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "late.csv"
+    series_table(late=2).to_csv(file, index=False)
+    found = numbers(tmp_path, file, "--bootstrap", 0)
+    dead, tau = found["dead_time_s"], found["time_constant_s"]
+    assert abs(dead["value"] - 2 * PERIOD_S) < 4 * dead["stderr"] < PERIOD_S
+    assert abs(tau["value"] - TAU_S) < 4 * tau["stderr"]
+    assert found["inclusion_probability"] == {}
+    assert found["terms"][0]["inclusion_probability"] is None
+    assert "later than φ" in capsys.readouterr().out
+    held = numbers(tmp_path, file, "--bootstrap", 0, "--dead-time", "2ms")
+    assert held["dead_time_s"] == {"value": 2 * PERIOD_S, "stderr": 0.0}
+
+
+def test_the_python_file_gives_the_same_curve(written: Path) -> None:
+    spec = importlib.util.spec_from_file_location("equation", written / "e.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found = json.loads((written / "n.json").read_text("utf-8"))
+    b = [term["coefficient"] for term in found["terms"]]
+    phi = np.linspace(-0.05, 0.25, 7)
+    np.testing.assert_allclose(module.characteristic(phi), b[0] + b[1] * phi + b[2] * phi**2)
+    assert pytest.approx(found["time_constant_s"]["value"]) == module.TIME_CONSTANT_S
+
+
+def test_the_report_holds_the_summary_and_pictures_that_say_what_they_show(written: Path) -> None:
+    page = (written / "r.html").read_text("utf-8")
+    assert page.count('<div class="sindy-surge">') == 1
+    assert "summary-of-the-structure" not in page
+    assert not re.search(r"<script|(?:src|href)=\"(?:https?:)?//", page)
+    pictures = re.findall(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]*)"', page)
+    assert page.count("<img") == len(pictures) == 3
+    for data, alt in pictures:
+        assert len(alt) > 30
+        shade = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("L"))
+        assert 0.005 < float(np.mean(shade < 250)) < 0.6
+    curve, inclusion, path = (alt for _, alt in pictures)
+    # The parabola's top is 0.3 + 2²/24.
+    assert f"{0.3 + 4 / 24:.3g}" in curve
+    assert "φ² 1.00" in inclusion
+    assert "Chosen: 1, φ, φ²" in path
+
+
+def test_text_fits_into_a_hundred_columns(clean: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("structure", clean, "--bootstrap", 0, "--max-terms", 8, "--latex") == 0
+    text, latex = capsys.readouterr().out.split("\nLaTeX:\n")
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert r"\varphi^{2}" in latex
+    assert r"\frac{\mathrm{d}\psi'}{\mathrm{d}t}" in latex
+    assert any(re.match(r" \* +3 .* 1, φ, φ²$", line) for line in lines)
+
+
+def test_constraints_and_the_library_are_obeyed(clean: Path, tmp_path: Path) -> None:
+    options = ("--bootstrap", 0, "--no-psi-terms", "--degree", 3, "--knots", "0.07,0.13")
+    wish = ("--constraint", "phi^3=required", "--constraint", "phi=forbidden")
+    found = numbers(tmp_path, clean, *options, *wish)
+    terms = [term["name"] for term in found["terms"]]
+    assert "phi^3" in terms
+    assert "phi" not in terms
+    candidates = found["candidates"]
+    assert "phi^4" not in candidates
+    assert not any("psi_p" in name for name in candidates)
+    assert {"relu(phi-0.07)", "relu(phi-0.13)"} <= set(candidates)
+
+
+def test_whole_runs_are_fitted_unless_rows_are_asked_for(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report, source = tmp_path / "r.html", tmp_path / "e.py"
+    run_through = numbers(tmp_path, whole, "--report", report, "--python", source)
+    assert run_through["fitted_to"] == "whole runs"
+    assert "one free run" in capsys.readouterr().out.splitlines()[0]
+    tau = run_through["time_constant_s"]
+    # The rig's truth is 18 ms; its rms error over records is a millisecond.
+    assert abs(tau["value"] - 0.018) < 0.003
+    assert run_through["dead_time_s"] == {"value": None, "stderr": None}
+    assert report.read_text("utf-8").count("<img") == 2
+    assert "def characteristic" in source.read_text("utf-8")
+    rows = numbers(tmp_path, whole, "--dead-time", 0, "--bootstrap", 0)
+    assert rows["fitted_to"] == "rows"
+    assert "because of --dead-time and --bootstrap" in capsys.readouterr().out.splitlines()[0]
+    assert any("low-passed" in caution for caution in rows["cautions"])
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("5ms", 5e-3), ("-2ms", -2e-3), ("0.004", 4e-3), ("0", 0.0), ("0 ms", 0.0), ("300us", 3e-4)],
+)
+def test_a_dead_time_is_read_with_its_unit(text: str, seconds: float) -> None:
+    assert _dead_time(text) == pytest.approx(seconds, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--constraint", "phi^9=negative"), "relu(phi-0.05)"),
+        (("--constraint", "phi^2=odd"), "forbidden"),
+        (("--constraint", "phi^2"), "phi^2=negative"),
+        (("--constraint", "phi=positive", "--constraint", "phi=negative"), "--constraint"),
+        (("--optimizer", "lasso"), "best-subset"),
+        (("--dead-time", "18"), "18ms"),
+        (("--dead-time", "5 min"), "auto, fit"),
+        (("--dead-time", "9s"), "longest segment"),
+        (("--knots", "0.05,x"), "0.05,x"),
+        (("--degree", "0"), "from 1"),
+        (("--bootstrap", "-1"), "from 0"),
+        (("--target", "psi"), "psi"),
+        (("--report", "r.txt"), ".html"),
+        (("--python", "no/such/folder/e.py"), "no/such/folder"),
+    ],
+)
+def test_bad_options_are_named_and_nothing_is_written(
+    options: tuple[str, ...],
+    named: str,
+    clean: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "n.json"
+    try:
+        code = run("structure", clean, *options, "--json", out)
+    except SystemExit as stopped:
+        # argparse ends the process itself.
+        code = int(str(stopped.code))
+    assert code == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert named in last
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_input_is_never_replaced(clean: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = clean.read_bytes()
+    assert run("structure", clean, "--json", clean) == 2
+    assert "an input of this command" in capsys.readouterr().err
+    assert clean.read_bytes() == before
+
+
+def test_a_blowdown_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("simulate", "--case", "blowdown", "--duration", 3, "-o", tmp_path) == 0
+    file = tmp_path / "s.csv"
+    assert run("reduce", tmp_path / "raw.csv", "--test", tmp_path / "test.toml", "-o", file) == 0
+    capsys.readouterr()
+    found = numbers(tmp_path, file, "--report", tmp_path / "r.html")
+    assert found["state"]["code"] == "blowdown"
+    assert found["equation"] is None
+    assert found["terms"] == []
+    assert "no structure (blowdown)" in capsys.readouterr().out
+    assert "<img" not in (tmp_path / "r.html").read_text("utf-8")
+    assert run("structure", file, "--python", tmp_path / "e.py") == 2
+    assert not (tmp_path / "e.py").exists()
