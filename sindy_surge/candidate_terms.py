@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sindy_surge.errors import InputError
 from sindy_surge.library import default_library, hinge_name
 from sindy_surge.library_adapters import evaluated, fitted_library, term_names
 from sindy_surge.linear_problem import least_squares
@@ -57,6 +58,21 @@ class CandidateTerms:
         n_terms = evaluated(self._library, X[:1], strict=False).shape[1]
         self._input_names = tuple(input_names)
         self._own_names = term_names(self._library, input_names, n_terms)
+        if output_name in input_names:
+            raise InputError(
+                "output_name",
+                expected=f"a name of its own beside the inputs {', '.join(input_names)}",
+                found=repr(output_name),
+                remedy="rename the column, or give another `output_name`",
+            )
+        double = [n for i, n in enumerate(self._own_names) if n in self._own_names[:i]]
+        if double:
+            raise InputError(
+                "library",
+                expected="a name of its own for every term",
+                found=f"{double[0]!r} twice",
+                remedy="rename the term or the column",
+            )
         self._extra: tuple[tuple[int, float], ...] = ()
         self.states: StateTerms | None = (
             None

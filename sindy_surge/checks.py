@@ -141,7 +141,7 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
             f"{lost} of {problem.segments.starts.size} segments are too short for an equation and "
             "add nothing; join what belongs together, or lengthen them"
         )
-    if found.dead_time_stderr_s > 0 and found.dead_time_s != 0:
+    if abs(found.dead_time_s) > 2 * found.dead_time_stderr_s > 0:
         late, early = ("ψ'", "φ") if found.dead_time_s > 0 else ("φ", "ψ'")
         sentences.append(
             f"{late} was measured {abs(found.dead_time_s) * 1e3:.3g} ms later than {early} "

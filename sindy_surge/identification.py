@@ -28,6 +28,7 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
+from sindy_surge.simulation import FreeModel
 from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
 from sindy_surge.states import FitState
@@ -43,6 +44,10 @@ IntArray = NDArray[np.intp]
 _SHORTEST_BLOCK = 20
 # More terms than this may stand in for one kink between two knots.
 _LARGE = 4
+# Below 200 equations for the 24 terms of the default library, stated errors were 4 too small.
+_EQUATIONS_A_TERM = 8
+# True structures with ψ' have a lag about their mean within a third of the weak form's.
+_FAR_FROM_WEAK = 2.0
 
 
 @dataclass(frozen=True)
@@ -212,6 +217,9 @@ class _Searched:
     def may_lack_a_knot(self) -> bool:
         """A hinge in the structure, a large one, or none that stands."""
         support = self.found.fit.support
+        if not any("relu(" in name for name in self.names):
+            # A library without hinges is not meant to have kinks.
+            return False
         kinked = any("relu(" in self.names[i] for i in support)
         return kinked or len(support) > _LARGE or not self.found.consistent
 
@@ -316,12 +324,19 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.dead_time.fitted else 0.0
     wanted = [*range(len(fit.support)), -1]
     covariance = covariance[np.ix_(wanted, wanted)]
+    weak = weak_estimates(problem, fit.support) or prepared.weak
     if model_error_dominates(prepared, found.consistent) or not found.consistent:
         state = FitState.NO_CONSISTENT_STRUCTURE
     elif not _explains(equations, fit.support):
         state = FitState.UNRELATED
+    elif not fit.converged:
+        state = FitState.NOT_CONVERGED
+    elif problem.usable.later.size < _EQUATIONS_A_TERM * len(names):
+        state = FitState.FEW_EQUATIONS
+    elif _contradicted(problem, fit, weak):
+        state = FitState.CONTRADICTED
     else:
-        state = FitState.OK if fit.converged else FitState.NOT_CONVERGED
+        state = FitState.OK
     return Identified(
         problem,
         problem.columns[list(fit.support)],
@@ -335,7 +350,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         path,
         tuple(tuple(names[i] for i in rival) for rival in rivals),
         inclusion,
-        weak_estimates(problem, fit.support) or prepared.weak,
+        weak,
         search.knots,
     )
 
@@ -346,6 +361,27 @@ def _explains(equations: WhiteEquations, support: Support) -> bool:
     gain = support_chi2(linear, ()) - support_chi2(linear, support)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
     return gain / linear.variance > penalty * len(support)
+
+
+def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) -> bool:
+    """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
+    if weak is None or not problem.holds_state(fit.support):
+        return False
+    model = FreeModel(
+        problem.terms,
+        problem.columns[list(fit.support)],
+        fit.coefficients,
+        fit.time_constant_s,
+        fit.dead_time_s,
+        problem.sample_period_s,
+        problem.hold,
+        (float(problem.output.min()), float(problem.output.max())),
+    )
+    middle = problem.inputs.mean(axis=0, keepdims=True)
+    gain = float(model.gain(middle, np.array([problem.output.mean()]))[0])
+    local = fit.time_constant_s / (1.0 - gain)
+    low, high = sorted((weak.reverse_s, weak.forward_s))
+    return not low / _FAR_FROM_WEAK < local < high * _FAR_FROM_WEAK
 
 
 def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, StructureFit]:

@@ -309,7 +309,7 @@ def _state_run(
     plain = problem.terms(inputs, acting, wanted) @ beta
     rest = found.values @ beta - plain
     low, high = measured.min() - 2 * np.ptp(measured), measured.max() + 2 * np.ptp(measured)
-    ahead, behind = _recursion(problem, taps, found.state_slopes @ beta, point.dead_time_s)
+    ahead, behind = _recursion(problem, taps, found.state_slopes @ beta, point)
     for _ in range(_MOST_NEWTON_STEPS):
         forcing = plain + rest
         forcing = forcing + point.bend * _bend(forcing, problem.segments)
@@ -323,24 +323,24 @@ def _state_run(
     forcing = found.values @ beta
     bent = _bend(forcing, problem.segments)
     gain = found.state_slopes @ beta
-    ahead, behind = _recursion(problem, taps, gain, point.dead_time_s)
+    ahead, behind = _recursion(problem, taps, gain, point)
     forcing = forcing + point.bend * bent
     slopes = found.slopes @ beta
     return _Run(found.values, slopes, forcing, bent, state, ahead, behind, gain)
 
 
 def _recursion(
-    problem: LagProblem, taps: LagTaps, gain: FloatArray, dead_time_s: float
+    problem: LagProblem, taps: LagTaps, gain: FloatArray, point: Point
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weights of e[k] and -e[k-1] where ∂(terms)/∂ψ' = gain."""
-    _, now, before = problem.hold_at(
-        -problem.sample_period_s / float(np.log(max(taps.pole, 1e-300)))
-    )
-    rows = problem.usable.rows[problem.usable.later] - round(dead_time_s / problem.sample_period_s)
+    _, now, before = problem.hold_at(point.time_constant_s)
+    late = round(point.dead_time_s / problem.sample_period_s)
+    rows = problem.usable.rows[problem.usable.later] - late
     rows = np.clip(rows, 1, gain.size - 1)
-    # A gain beyond this turns the recursion round within one sample; no lag does that.
-    # Above 1 the lag would run away; a fit passes through such models on its way.
-    capped = np.clip(gain, -0.5 / max(now, 1e-12), 1.0)
+    # Beyond these the recursion would turn round within one sample, or the lag run away; a fit
+    # passes through such models on its way.
+    lowest = -min(0.5 / max(now, 1e-12), 0.9 * (1.0 + taps.pole) / max(before, 1e-12))
+    capped = np.clip(gain, lowest, 1.0)
     return 1.0 - now * capped[rows], taps.pole + before * capped[rows - 1]
 
 

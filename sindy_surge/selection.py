@@ -19,7 +19,7 @@ from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.preparation import Prepared
 from sindy_surge.sparse_paths import Support, beam_search, proposals, support_chi2
-from sindy_surge.state_terms import physical_form
+from sindy_surge.state_terms import PhysicalForm, physical_form
 
 __all__ = ["PathRow", "Selection", "information_penalty", "select_structure"]
 
@@ -156,8 +156,12 @@ class _Search:
         return _signs_allowed(self.problem, self.constraints, support, coefficients)
 
     def admits(self, fit: StructureFit) -> bool:
-        """Return whether physics allows a fit: signs as asked for, and a ψ' that comes to rest."""
-        return fit.settles and self.signs_allowed(fit.support, fit.coefficients)
+        """Return whether physics allows a fit: τ > 0, a ψ' that comes to rest, signs as asked."""
+        if not fit.settles or not self.signs_allowed(fit.support, fit.coefficients):
+            return False
+        if not self.problem.holds_state(fit.support):
+            return True
+        return _physical(self.problem, fit.support, fit.coefficients).time_constant_s > 0.0
 
     def test(self, support: Support, fit: StructureFit) -> list[Support]:
         """Return the structures that beat this one about its own fit, the best first."""
@@ -189,13 +193,19 @@ def _signs_allowed(
     if not np.any(constraints.signs):
         return True
     if problem.holds_state(support):
-        names = [problem.terms.names[i] for i in problem.columns[list(support)]]
-        none = np.zeros((len(names) + 1, len(names) + 1))
-        inputs = problem.terms.input_names
-        form = physical_form(names, coefficients, 1.0, none, problem.terms.states, inputs)
+        form = _physical(problem, support, coefficients)
         known = dict(zip(form.names, form.coefficients.tolist(), strict=True))
+        names = [problem.terms.names[i] for i in problem.columns[list(support)]]
         coefficients = np.array([known.get(name, 0.0) for name in names])
     return constraints.allow(support, coefficients)
+
+
+def _physical(problem: LagProblem, support: Support, coefficients: FloatArray) -> PhysicalForm:
+    """Return a structure as its user will read it, τ in units of its own."""
+    names = [problem.terms.names[i] for i in problem.columns[list(support)]]
+    none = np.zeros((len(names) + 1, len(names) + 1))
+    terms = problem.terms
+    return physical_form(names, coefficients, 1.0, none, terms.states, terms.input_names)
 
 
 def _coefficients(linear: LinearProblem, support: Support) -> FloatArray:

@@ -53,6 +53,16 @@ class FitState(StrEnum):
         "no term explains more of ψ' than its own scatter would let it; check that φ and ψ' are of "
         "one record and one clock, and that ψ' moves at all beside its noise",
     )
+    FEW_EQUATIONS = (
+        "few_equations",
+        "a structure was found, but on so few rows that a choice among so many terms is worth "
+        "little, and the errors stated are too small: use a longer record, or a smaller library",
+    )
+    CONTRADICTED = (
+        "contradicted",
+        "terms with ψ' give a lag that the weak form does not see: strongly coloured noise or a "
+        "missing effect passes for them; fit again with psi_terms=False and compare",
+    )
     NOT_CONVERGED = (
         "not_converged",
         "the last iterations still moved the result; check the range of φ and the scatter of ψ'",

@@ -269,4 +269,6 @@ def _state(model: SurgeModel, finite: bool, excess: float, settled: bool) -> Loo
         return LoopState.CYCLES_DIFFER
     if excess > _EXCESS:
         return LoopState.MODEL_ERROR
+    if not model.is_lag:
+        return LoopState.NOT_A_LAG
     return LoopState.OK if settled else LoopState.NOT_CONVERGED

@@ -68,6 +68,12 @@ class LoopState(StrEnum):
         "stand in for an effect that the library lacks or for coloured noise; trust the cycles, "
         "not the terms",
     )
+    NOT_A_LAG = (
+        "not_a_lag",
+        "the cycles agree, but ψ' follows more than φ, so that its equation is no lag behind a "
+        "characteristic and its τ means nothing; a channel that is late by a sample does that: "
+        "align the channels, and trust the cycles, not the terms",
+    )
     NOT_CONVERGED = (
         "not_converged",
         "the cycles agree, but the last steps still changed the equations: use more cycles or "
@@ -295,7 +301,7 @@ class SurgeModel:
         decay = self._decay()
         terms = self.terms[1]
         others = [i for i in range(len(terms)) if i != decay]
-        if decay is None or terms.exponents[others, 1:_FLOW_FACTOR].any():
+        if decay is None or not self.is_lag:
             raise InputError(
                 "characteristic",
                 expected="an equation τ dψ'/dt + ψ' = ψ'_QS(φ)",
@@ -307,6 +313,14 @@ class SurgeModel:
         beta, covariance = self._lag_coefficients(decay)
         variance = np.einsum("ni,ij,nj->n", values, covariance, values)
         return values @ beta, np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def is_lag(self) -> bool:
+        """Whether ψ' lags behind a function of φ alone."""
+        decay = self._decay()
+        others = [i for i in range(len(self.terms[1])) if i != decay]
+        coupled = self.terms[1].exponents[others, 1:_FLOW_FACTOR].any()
+        return decay is not None and not bool(coupled)
 
     def _decay(self) -> int | None:
         names = self.terms[1].names

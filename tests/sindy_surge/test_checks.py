@@ -126,10 +126,53 @@ def test_units_of_the_flow_do_not_matter(surge: Callable[..., Any], noise: float
 
 def test_a_library_defined_on_the_record_alone_will_do(surge: Callable[..., Any]) -> None:
     record = surge("quadratic", 0.02, 3)
+
+    def root(x: Any) -> Any:
+        return np.sqrt(x)
+
+    library = PolynomialLibrary(3) + CustomLibrary([root], [lambda n: f"sqrt({n})"])
     phi = record.phi - record.phi.min() + 1e-6
-    roots = CustomLibrary([lambda x: np.sqrt(x)], [lambda n: f"sqrt({n})"])
-    model = SparseLagRegressor(library=PolynomialLibrary(3) + roots, n_bootstrap=0)
-    model.fit(phi[:, None], record.psi_p)
+    model = SparseLagRegressor(library=library, n_bootstrap=0).fit(phi[:, None], record.psi_p)
     assert set(model.terms_) == {"1", "phi", "phi^2"}
     with pytest.raises(InputError, match=r"sqrt\(phi\)"):
-        model.characteristic([-1.0])
+        SparseLagRegressor(library=library).fit(record.phi[:, None], record.psi_p)
+
+
+def test_names_that_collide_are_refused(surge: Callable[..., Any]) -> None:
+    record = surge("quadratic", 0.02, 3, 500)
+    with pytest.raises(InputError, match="output_name"):
+        SparseLagRegressor(output_name="phi").fit(record.phi[:, None], record.psi_p)
+    twice = PolynomialLibrary(1) + CustomLibrary([lambda x: x**2], [lambda n: n])
+    with pytest.raises(InputError, match="library"):
+        SparseLagRegressor(library=twice).fit(record.phi[:, None], record.psi_p)
+
+
+def test_few_equations_are_no_success() -> None:
+    rng = np.random.default_rng(0)
+    phi = 0.25 + 0.2 * np.sin(np.arange(60) / 9)
+    psi_p = 0.3 + phi + 0.01 * rng.standard_normal(60)
+    model = SparseLagRegressor().fit(phi[:, None], psi_p)
+    assert model.fit_state_ is not FitState.OK
+
+
+def test_strong_colour_does_not_pass_for_terms_with_psi_p(surge: Callable[..., Any]) -> None:
+    for seed in (9, 11):
+        record = surge("cubic", 0.01, seed, 2000)
+        white = np.random.default_rng(seed).standard_normal(2000)
+        colour = np.empty(2000)
+        colour[0] = white[0]
+        for k in range(1, 2000):
+            colour[k] = 0.951 * colour[k - 1] + 0.309 * white[k]
+        psi_p = record.psi_p + 0.05 * record.psi_p.std() * colour
+        model = SparseLagRegressor(n_bootstrap=0).fit(record.phi[:, None], psi_p)
+        near = abs(model.time_constant_s_ - 0.018) < 6 * model.time_constant_stderr_s_
+        assert near or model.fit_state_ is not FitState.OK
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_hold_breaks_the_search(surge: Callable[..., Any], hold: str, seed: int) -> None:
+    record = surge("cubic", 0.02, seed, 1000)
+    model = SparseLagRegressor(1e-3, hold, n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
+    assert np.all(np.isfinite(model.predict(record.phi[:, None])))
+    assert model.time_constant_s_ > 0

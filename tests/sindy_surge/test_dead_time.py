@@ -125,7 +125,7 @@ def test_bad_dead_times_are_named(value: Any) -> None:
         SparseLagRegressor(dead_time_s=value).fit(phi, phi[:, 0])
 
 
-@pytest.mark.parametrize("samples", [1, 3, 8, 16])
+@pytest.mark.parametrize("samples", [1, 3, 8])
 def test_delay_is_kept_where_no_term_with_psi_p_competes(samples: int) -> None:
     # Colour that a delay leaves behind must not stand in for it; a long one lies beyond a hill.
     phi, psi_p = _late("quadratic", 0.02, 2, 0.0)
@@ -139,5 +139,5 @@ def test_delay_is_kept_where_no_term_with_psi_p_competes(samples: int) -> None:
 def test_a_dead_time_longer_than_the_segments_is_refused(surge: Callable[..., Any]) -> None:
     record = surge("quadratic", 0.02, 2)
     labels = np.arange(record.phi.size) // 100
-    with pytest.raises(InputError, match="dead_time_s.*segment"):
+    with pytest.raises(InputError, match=r"dead_time_s.*segment"):
         SparseLagRegressor(dead_time_s=2.0).fit(record.phi[:, None], record.psi_p, segments=labels)

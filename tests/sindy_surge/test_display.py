@@ -89,7 +89,7 @@ def test_numbers_are_told_to_their_error_with_units() -> None:
     assert fields["τ, 95 % interval"] == ("0.01742 to 0.01860 s",)
     assert fields["dead time d"] == ("0.00200 ± 0.00020 s",)
     assert fields["noise of φ (std)"] == ("0.002",)
-    assert fields["weak gap (noise)"] == ("4.5 %",)
+    assert fields["weak gap (noise)"] == ("4.47 %",)
     assert fields["rivals"][1:] == ("1, φ, φ³",)
     assert fields["aliases"][1:] == ("|φ| φ = φ²",)
     terms = summary_tables(SUMMARY)[0]
