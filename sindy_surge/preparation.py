@@ -204,8 +204,9 @@ def _with_dead_time(
 ) -> tuple[LagProblem, StructureFit]:
     """Fit the dead time with all terms, two samples at a time, and keep it where it shows."""
     found, fit = _walked(problem, rich)
-    if fit.chi2 > _FAR_EXCESS * fit.residual.size:
-        # Nowhere near the noise: a valley of its own may lie further off.
+    moved = abs(fit.dead_time_s) > problem.sample_period_s
+    if moved and fit.chi2 > _FAR_EXCESS * fit.residual.size:
+        # On its way, and nowhere near the noise: the valley may lie further off.
         further, other = _walked(problem, _far_off(problem, fit))
         if other.chi2 / other.residual.size < fit.chi2 / fit.residual.size:
             found, fit = further, other
