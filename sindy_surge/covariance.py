@@ -28,11 +28,12 @@ _FEWEST_BLOCKS = 4
 def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = None) -> FloatArray:
     """Return the covariance of the fit from the scatter of the scores, not of the residuals.
 
-    H⁻¹ S H⁻¹ with H the information of the whitened equations and S the Newey-West sum of the
-    scores up to two time constants (Bartlett weights; Newey & West 1987), each segment on its
-    own. If the residual is white it equals H⁻¹ up to scatter, and is then not taken below it; the
-    inverse information alone is four times too small on coloured residuals. It holds for the
-    terms as chosen: the uncertainty of the choice itself is not in it.
+    H⁻¹ S H⁻¹ with H the information, `known` or that of the whitened equations, and S the
+    Newey-West sum of the scores up to two time constants (Bartlett weights; Newey & West 1987),
+    each segment on its own. Where the residual is white S is that of the whitened equations up
+    to scatter, and is then not taken below it; the inverse information alone is four times too
+    small on coloured residuals. It holds for the terms as chosen: the uncertainty of the choice
+    itself is not in it.
 
     Parameters
     ----------
@@ -47,8 +48,9 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
     Returns
     -------
     ndarray of shape (n_parameters, n_parameters)
-        Covariance of the coefficients, of the dead time where it is fitted, and of τ in the last
-        row and column.
+        Covariance of the coefficients, of what stands between them and τ in `fit.sensitivity` but
+        the bend (moved knots, the dead time), and of τ in the last row and column; nan for
+        parameters on which no equation depends.
     """
     columns, residual = fit.sensitivity, fit.residual
     n = residual.size

@@ -307,6 +307,8 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         if one.converged
     }
     path = tuple(replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path)
+    if power.problem is not prepared.problem and fit.support != found.fit.support:
+        path = _chosen_instead(path, fit, names)
     inclusion: dict[str, float] = {}
     equations = white_equations(problem, fit)
     if choices.n_bootstrap:
@@ -361,6 +363,26 @@ def _explains(equations: WhiteEquations, support: Support) -> bool:
     gain = support_chi2(linear, ()) - support_chi2(linear, support)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
     return gain / linear.variance > penalty * len(support)
+
+
+def _chosen_instead(
+    path: tuple[PathRow, ...], fit: StructureFit, names: list[str]
+) -> tuple[PathRow, ...]:
+    """Mark the structure that took the place of the search's own in the table."""
+    terms = tuple(names[i] for i in fit.support)
+    old = next(row for row in path if row.chosen)
+    # Its score belongs to another linearisation than the table's.
+    own = replace(
+        old,
+        size=len(terms),
+        terms=terms,
+        score=float("nan"),
+        chi2=fit.chi2,
+        time_constant_s=fit.time_constant_s,
+        held_out_rms=float("nan"),
+    )
+    rest = tuple(replace(row, chosen=False) for row in path if row.terms != terms)
+    return tuple(sorted((*rest, own), key=lambda row: row.size))
 
 
 def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) -> bool:

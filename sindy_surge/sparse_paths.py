@@ -32,7 +32,8 @@ OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
 # 20 terms, several seconds with 60.
 _MOST_TERMS_FOR_RESIDUAL_CRITERION = 30
 _STLSQ_THRESHOLDS = 40
-_ENSEMBLE_MODELS = 60
+_ENSEMBLE_THRESHOLDS = 8
+_ENSEMBLE_MODELS = 20
 
 
 def support_chi2(linear: LinearProblem, support: Support) -> float:
@@ -179,7 +180,7 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
     if optimizer == "best-subset":
         return []
     if optimizer == "ensemble":
-        return [_ensemble(linear)]
+        return _ensembles(linear)
     if optimizer == "SSR":
         few = n_terms <= _MOST_TERMS_FOR_RESIDUAL_CRITERION
         criteria = "model_residual" if few else "coefficient_value"
@@ -198,8 +199,8 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
     )
 
 
-def _ensemble(linear: LinearProblem) -> Any:
-    """Return STLSQ over libraries from which terms are left out by lot.
+def _ensembles(linear: LinearProblem) -> list[Any]:
+    """Return STLSQ over libraries from which terms are left out by lot, at several thresholds.
 
     Rows of a compressed problem cannot be drawn by lot: each stands for the whole record.
     """
@@ -207,12 +208,16 @@ def _ensemble(linear: LinearProblem) -> Any:
 
     size = float(np.linalg.norm(linear.target)) or 1.0
     n_terms = linear.columns.shape[1]
-    return EnsembleOptimizer(
-        STLSQ(threshold=0.02 * size, alpha=0.0, max_iter=2 * n_terms, ridge_kw={"solver": "svd"}),
-        library_ensemble=True,
-        n_models=_ENSEMBLE_MODELS,
-        n_candidates_to_drop=max(1, n_terms // 4),
-    )
+    exact = {"solver": "svd"}
+    return [
+        EnsembleOptimizer(
+            STLSQ(threshold=level, alpha=0.0, max_iter=2 * n_terms, ridge_kw=exact),
+            library_ensemble=True,
+            n_models=_ENSEMBLE_MODELS,
+            n_candidates_to_drop=max(1, n_terms // 4),
+        )
+        for level in size * np.geomspace(3e-3, 0.3, _ENSEMBLE_THRESHOLDS)
+    ]
 
 
 @contextmanager

@@ -88,7 +88,8 @@ def test_fit_asked_for_is_honest_about_zero(surge: Callable[..., Any]) -> None:
             record.phi[:, None], record.psi_p
         )
         z.append(model.dead_time_s_ / model.dead_time_stderr_s_)
-    assert 0 < np.max(np.abs(z)) < 4
+    assert np.max(np.abs(z)) < 4
+    assert 0.2 < np.sqrt(np.mean(np.square(z))) < 2
 
 
 def test_the_wrong_hold_is_half_a_sample(surge: Callable[..., Any]) -> None:

@@ -200,7 +200,7 @@ def test_rough_excitation_is_not_taken_for_noise() -> None:
     assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
 
 
-@pytest.mark.parametrize("optimizer", ["STLSQ", "FROLS"])
+@pytest.mark.parametrize("optimizer", ["STLSQ", "FROLS", "ensemble", "best-subset"])
 def test_other_optimizers_reach_the_same_structure(
     surge: Callable[..., Any], optimizer: str
 ) -> None:

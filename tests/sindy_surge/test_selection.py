@@ -39,7 +39,14 @@ def test_chi2_is_that_of_least_squares() -> None:
 
 @pytest.mark.parametrize(
     "optimizer",
-    ["SSR", "STLSQ", "FROLS", SSR(alpha=0.0, max_iter=9), STLSQ(threshold=0.7, alpha=0.0)],
+    [
+        "SSR",
+        "STLSQ",
+        "FROLS",
+        "ensemble",
+        SSR(alpha=0.0, max_iter=9),
+        STLSQ(threshold=0.7, alpha=0.0),
+    ],
 )
 def test_every_optimizer_meets_the_truth(optimizer: object) -> None:
     assert (1, 4, 7) in proposed_supports(_problem(), optimizer, 6)
@@ -64,3 +71,12 @@ def test_dependent_columns_do_not_break_the_search() -> None:
     ranked = beam_search(doubled, 4)
     assert all(not {1, 9} <= set(support) for size in ranked for _, support in ranked[size])
     assert ranked[3][0][0] == pytest.approx(support_chi2(problem, (1, 4, 7)))
+
+
+def test_ensemble_repeats_itself_and_leaves_the_global_generator_alone() -> None:
+    np.random.seed(5)  # noqa: NPY002
+    expected = np.random.random(3)  # noqa: NPY002
+    np.random.seed(5)  # noqa: NPY002
+    first = proposed_supports(_problem(), "ensemble", 6)
+    np.testing.assert_array_equal(np.random.random(3), expected)  # noqa: NPY002
+    assert proposed_supports(_problem(), "ensemble", 6) == first

@@ -155,3 +155,13 @@ def test_errors_of_the_physical_form_follow_by_differences() -> None:
     np.testing.assert_allclose(
         found.covariance, jacobian @ covariance @ jacobian.T, rtol=1e-5, atol=1e-14
     )
+
+
+def test_table_marks_the_structure_that_is_stated() -> None:
+    for name in TRUTHS:
+        phi, psi_p = _record(name, 0.0, 4)
+        model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
+        chosen = [row for row in model.path_ if row.chosen]
+        assert len(chosen) == 1
+        # Written in ψ' itself a structure may gain terms, but loses none.
+        assert set(chosen[0].terms) <= set(model.terms_)
