@@ -126,6 +126,18 @@ def _add_simulate(commands: _Commands) -> None:
     parser.add_argument(
         "--duration", type=float, default=4.0, metavar="SECONDS", help="length (default: 4)"
     )
+    parser.add_argument(
+        "--hide",
+        metavar="EFFECT",
+        help="hide an effect in the record, such as flow_inertia, which only DIR/truth names; an "
+        "unknown name lists them",
+    )
+    parser.add_argument(
+        "--hide-size",
+        type=float,
+        metavar="NUMBER",
+        help="its size, in the unit that DIR/truth/truth.toml states (default: one per effect)",
+    )
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder")
     parser.set_defaults(run=_command("simulate"))
 

@@ -38,7 +38,20 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     """Run the simulated rig and write its record and its truth."""
     from comparisons.rig import simulate, write_run
 
-    run = simulate(arguments.case, seed=arguments.seed, duration_s=arguments.duration)
+    if arguments.hide is None and arguments.hide_size is not None:
+        raise InputError(
+            "--hide-size",
+            expected="a size only with --hide EFFECT",
+            found=f"{arguments.hide_size:g} alone",
+            remedy="name the effect",
+        )
+    run = simulate(
+        arguments.case,
+        seed=arguments.seed,
+        duration_s=arguments.duration,
+        hide=arguments.hide,
+        hide_size=arguments.hide_size,
+    )
     write_run(run, arguments.out)
     print(f"raw record: {arguments.out / 'raw.csv'} with {arguments.out / 'test.toml'}")
     print(f"truth:      {arguments.out / 'truth'}")

@@ -7,8 +7,18 @@ reduces them: of `classic_ml` it imports the record container and the errors alo
 from __future__ import annotations
 
 from comparisons.rig.cases import CASES, RigCase
+from comparisons.rig.hidden import HIDEABLE, HiddenEffect
 from comparisons.rig.raw_format import write_run
 from comparisons.rig.sensors import SensorSettings
 from comparisons.rig.simulation import RigRun, simulate
 
-__all__ = ["CASES", "RigCase", "RigRun", "SensorSettings", "simulate", "write_run"]
+__all__ = [
+    "CASES",
+    "HIDEABLE",
+    "HiddenEffect",
+    "RigCase",
+    "RigRun",
+    "SensorSettings",
+    "simulate",
+    "write_run",
+]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import P_REF_PA, T_REF_K
+from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC, UNTOUCHED, Alteration
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
 from comparisons.rig.sensors import SensorSettings
 
@@ -58,6 +59,7 @@ def local_flow(
     plane: int,
     rake: str,
     immersion: str,
+    altered: Alteration = UNTOUCHED,
 ) -> LocalFlow:
     """Return flow and total pressure at one probe pair.
 
@@ -73,6 +75,8 @@ def local_flow(
         25 or 31.
     rake, immersion : str
         ``"A"`` or ``"B"``; ``"tip"`` or ``"hub"``.
+    altered : Alteration
+        What is hidden; a second cell pattern, slower than the first, shows here.
 
     Returns
     -------
@@ -87,6 +91,12 @@ def local_flow(
     shift = share * settings.hub_tip * case.hub_tip_flow_kg_s * run["blend"] * _SIDE[immersion]
     flow = mean + reach * case.cell_flow_kg_s * _wave(case, angle) + shift
     ripple = reach * case.cell_pressure_frac * _wave(case, angle + _PRESSURE_LEAD)
+    if altered.second_cells:
+        turn = SECOND_CELL_ROTOR_FRAC * 2.0 * pi * case.rotor_speed_rpm / 60.0
+        angle = turn * time_s + _RAKE_ANGLE[rake]
+        reach = share * altered.second_cells * run["cells"] * _REACH[immersion]
+        flow = flow + reach * case.cell_flow_kg_s * np.sin(angle)
+        ripple = ripple + reach * case.cell_pressure_frac * np.sin(angle + _PRESSURE_LEAD)
     return LocalFlow(flow, run[f"P{plane}"] * (1.0 + ripple))
 
 

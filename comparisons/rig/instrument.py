@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from comparisons.rig.cases import RigCase
 from comparisons.rig.cells import IMMERSIONS, RAKES, local_flow
 from comparisons.rig.gas import probe_pressures_pa
+from comparisons.rig.hidden import UNTOUCHED, WAKE_TIME_S, Alteration
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
 from comparisons.rig.readings import (
     CALIBRATE_PA,
@@ -29,6 +30,7 @@ from comparisons.rig.sensors import (
     anti_alias,
     counts_from_volts,
     lag,
+    late,
     rake_temperature_k,
     tube,
 )
@@ -81,10 +83,17 @@ class _Bench:
     rng: np.random.Generator
     references: Mapping[int, ZocReference]
     rake_k: Mapping[int, FloatArray]
+    altered: Alteration
+    # A stream of its own: what is drawn for the wakes leaves every other number as it was.
+    wakes: np.random.Generator
 
 
 def instrument(
-    case: RigCase, run: PlantRun, settings: SensorSettings, rng: np.random.Generator
+    case: RigCase,
+    run: PlantRun,
+    settings: SensorSettings,
+    rng: np.random.Generator,
+    altered: Alteration = UNTOUCHED,
 ) -> Instrumented:
     """Pass a plant run through every sensor.
 
@@ -99,6 +108,8 @@ def instrument(
         The imperfections.
     rng : numpy.random.Generator
         Source of all randomness.
+    altered : Alteration
+        What is hidden in the sensors; by default nothing.
 
     Returns
     -------
@@ -115,6 +126,8 @@ def instrument(
             plane: rake_temperature_k(plane, run[f"T{plane}"], settings, rate_hz=PLANT_RATE_HZ)
             for plane in PLANES
         },
+        altered,
+        rng.spawn(1)[0],
     )
     values: dict[str, FloatArray] = {}
     channels: dict[str, Mapping[str, Any]] = {}
@@ -151,7 +164,15 @@ def _add_pair(
     case, settings = bench.case, bench.settings
     slope, offset = PROBES[plane, immersion]
     offset *= settings.probe_offset
-    spot = local_flow(case, bench.run, settings, plane=plane, rake=rake, immersion=immersion)
+    spot = local_flow(
+        case,
+        bench.run,
+        settings,
+        plane=plane,
+        rake=rake,
+        immersion=immersion,
+        altered=bench.altered,
+    )
     pressures = probe_pressures_pa(
         spot.corrected_kg_s,
         spot.total_pressure_pa,
@@ -159,6 +180,8 @@ def _add_pair(
         slope=slope,
         offset=offset,
     )
+    if plane == 25 and bench.altered.wake_noise:
+        pressures = _with_wake_noise(bench, *pressures)
     reference = bench.references[plane]
     for facing, pressure in zip(_FACINGS, pressures, strict=True):
         transducer = draw_transducer(plane, settings, bench.rng)
@@ -184,6 +207,20 @@ def _add_pair(
         truth[name] = _transducer_truth(transducer, reading)
 
 
+def _with_wake_noise(
+    bench: _Bench, forward_pa: FloatArray, aft_pa: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Shake the hole of a pair that lies downstream, in the wake of the probe's own support."""
+    white = bench.wakes.standard_normal(forward_pa.size)
+    eddies = lag(white, time_constant_s=WAKE_TIME_S, rate_hz=PLANT_RATE_HZ)
+    shake = bench.altered.wake_noise * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
+    forward_flow = forward_pa >= aft_pa
+    return (
+        np.where(forward_flow, forward_pa, forward_pa + shake),
+        np.where(forward_flow, aft_pa + shake, aft_pa),
+    )
+
+
 def _transducer_truth(transducer: Transducer, reading: TransducerReading) -> Mapping[str, float]:
     return {
         "sensitivity_V_Pa": transducer.sensitivity_v_pa,
@@ -196,7 +233,10 @@ def _pressure_counts(
     bench: _Bench, plane: int, pressure_pa: FloatArray, transducer: Transducer
 ) -> FloatArray:
     """Return the converter's counts: tube, transducer, tape, anti-alias filter, converter."""
-    settings = bench.settings
+    settings, altered = bench.settings, bench.altered
+    if plane == 31:
+        pressure_pa = lag(pressure_pa, time_constant_s=altered.exit_cavity_s, rate_hz=PLANT_RATE_HZ)
+        pressure_pa = late(pressure_pa, delay_s=altered.exit_late_s, rate_hz=PLANT_RATE_HZ)
     felt = tube(
         pressure_pa,
         frequency_hz=settings.tube_frequency_hz,
@@ -205,9 +245,14 @@ def _pressure_counts(
     )
     warmth = bench.rake_k[plane] - bench.rake_k[plane][0]
     sensitivity = transducer.sensitivity_v_pa * (1.0 + settings.sensitivity_per_k * warmth)
+    bias_v: float | FloatArray = transducer.bias_v
+    if plane == 31:
+        time_s = np.arange(felt.size) / PLANT_RATE_HZ
+        sensitivity = sensitivity * (1.0 + altered.exit_gain_per_s * time_s)
+        bias_v = bias_v + altered.exit_zero_v_s * time_s
     noise = settings.noise_percent / 100.0 * 0.5 * (ADC_HIGH_V - ADC_LOW_V)
     tape = (
-        transducer.bias_v
+        bias_v
         + sensitivity * (felt - bench.references[plane].true_pa)
         + noise * bench.rng.standard_normal(felt.size)
     )
@@ -218,9 +263,10 @@ def _pressure_counts(
 def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
     """Return one thermocouple's reading in K: recovery, lag, noise, and the range's limit."""
     settings = bench.settings
+    unstated_s = bench.altered.thermocouple_lag_s if plane == 25 else 0.0
     junction = lag(
         settings.recovery_factor * bench.run[f"T{plane}"],
-        time_constant_s=settings.thermocouple_lag_s,
+        time_constant_s=settings.thermocouple_lag_s + unstated_s,
         rate_hz=PLANT_RATE_HZ,
     )[::_STEP]
     reading = junction + settings.thermocouple_noise_k * bench.rng.standard_normal(junction.size)

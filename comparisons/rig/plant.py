@@ -9,7 +9,8 @@ test cell adds to it (``paper/equations-claims-rig.md`` section 5):
     P25 = P_in − loss − I_in dW/dt                     the spike at each flow reversal
 
 with a discharge and an exhaust volume behind two orifices, an inlet volume fed by the
-refrigeration plant, and a face volume that reversed gas and in-stall recirculation heat.
+refrigeration plant, and a face volume that reversed gas and in-stall recirculation heat. What
+`comparisons.rig.hidden` can hide in τ, ψ'_stall and k_rev acts here too.
 """
 
 from __future__ import annotations
@@ -30,6 +31,16 @@ from comparisons.rig.gas import (
     P_REF_PA,
     corrected_flow_kg_s,
     physical_flow_kg_s,
+)
+from comparisons.rig.hidden import (
+    BRANCH_PHIS,
+    BUMP_PHI,
+    BUMP_WIDTH_PHI,
+    HEAT_SOAK_S,
+    LOW_FLOW_PHI,
+    SETTLED_SPEED_FRAC,
+    UNTOUCHED,
+    Alteration,
 )
 
 __all__ = ["PLANT_RATE_HZ", "PlantRun", "run_plant"]
@@ -60,7 +71,9 @@ class PlantRun:
         return self.signals[name]
 
 
-def run_plant(case: RigCase, *, n_rows: int, substeps: int = 2) -> PlantRun:
+def run_plant(
+    case: RigCase, *, n_rows: int, substeps: int = 2, altered: Alteration = UNTOUCHED
+) -> PlantRun:
     """Integrate the plant of a case from its near-stall equilibrium.
 
     Parameters
@@ -71,6 +84,8 @@ def run_plant(case: RigCase, *, n_rows: int, substeps: int = 2) -> PlantRun:
         Number of output rows at `PLANT_RATE_HZ`.
     substeps : int
         Runge-Kutta steps in each row.
+    altered : Alteration
+        What is hidden in the plant; by default nothing.
 
     Returns
     -------
@@ -84,7 +99,7 @@ def run_plant(case: RigCase, *, n_rows: int, substeps: int = 2) -> PlantRun:
     """
     from comparisons.rig import plant_kernel
 
-    constants, start = _equilibrium(case)
+    constants, start = _equilibrium(case, altered)
     rows = plant_kernel.integrate(constants, start, n_rows, 1.0 / PLANT_RATE_HZ, substeps)
     bad = ~np.all(np.isfinite(rows), axis=1)
     if np.any(bad):
@@ -123,8 +138,11 @@ def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> Flo
     return np.where(flow > 0.0, signals["T_exit"] + correction, signals["T_exit"])
 
 
-def _equilibrium(case: RigCase) -> tuple[tuple[float, ...], FloatArray]:
-    """Size flow, orifices and supply so that the case starts at rest, just above stall."""
+def _equilibrium(case: RigCase, altered: Alteration) -> tuple[tuple[float, ...], FloatArray]:
+    """Size flow, orifices and supply so that the case starts at rest, just above stall.
+
+    Nothing that can be hidden moves this point: it is cold, at full speed and unstalled.
+    """
     from comparisons.rig import plant_kernel as kernel
 
     u = case.rotor_velocity_m_s
@@ -151,7 +169,7 @@ def _equilibrium(case: RigCase) -> tuple[tuple[float, ...], FloatArray]:
     )
     loss = case.inlet_loss_frac * case.face_pressure_pa / flow**2
     t25 = case.supply_temperature_k
-    c = _constants(case, flow=flow, loss=loss, throttle=1.0, exhaust=1.0)
+    c = _constants(case, altered, flow=flow, loss=loss, throttle=1.0, exhaust=1.0)
     psi_p = float(kernel.unstalled_psi_p(c, phi, t25))
     if psi_p <= 0.0:
         raise InputError(
@@ -183,11 +201,18 @@ def _equilibrium(case: RigCase) -> tuple[tuple[float, ...], FloatArray]:
         "throttle": 1.0,
     }
     state = np.array([start[name] for name in kernel.STATES])
-    return _constants(case, flow=flow, loss=loss, throttle=throttle, exhaust=exhaust), state
+    c = _constants(case, altered, flow=flow, loss=loss, throttle=throttle, exhaust=exhaust)
+    return c, state
 
 
 def _constants(
-    case: RigCase, *, flow: float, loss: float, throttle: float, exhaust: float
+    case: RigCase,
+    altered: Alteration,
+    *,
+    flow: float,
+    loss: float,
+    throttle: float,
+    exhaust: float,
 ) -> tuple[float, ...]:
     """Gather the numbers of the compiled loop."""
     from comparisons.rig.plant_kernel import Constants
@@ -204,7 +229,7 @@ def _constants(
         work3=case.work_slopes[2],
         break1=case.work_breaks[0],
         break2=case.work_breaks[1],
-        reverse_loss=case.reverse_loss,
+        reverse_loss=case.reverse_loss * altered.reverse_loss,
         recovery_phi=case.recovery_phi,
         rearm_phi=case.rearm_phi,
         speed_low=case.stall_speeds[0],
@@ -249,4 +274,17 @@ def _constants(
         corrected_speed=case.corrected_speed_frac,
         rotor_velocity=u,
         area=case.inlet_area_m2,
+        heat_loss=altered.heat_loss,
+        heat_soak=HEAT_SOAK_S,
+        speed_power=altered.speed_power,
+        settled_speed=SETTLED_SPEED_FRAC,
+        branch_step=altered.branch_step,
+        branch_low=BRANCH_PHIS[0],
+        branch_high=BRANCH_PHIS[1],
+        bump=altered.bump,
+        bump_phi=BUMP_PHI,
+        bump_width=BUMP_WIDTH_PHI,
+        tau_rising=altered.tau_rising,
+        tau_low=altered.tau_low,
+        low_flow_phi=LOW_FLOW_PHI,
     )

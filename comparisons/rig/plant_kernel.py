@@ -7,7 +7,7 @@ the model and its equations.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import sin, sqrt
+from math import exp, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,6 +102,19 @@ class Constants(NamedTuple):
     corrected_speed: float
     rotor_velocity: float
     area: float
+    heat_loss: float
+    heat_soak: float
+    speed_power: float
+    settled_speed: float
+    branch_step: float
+    branch_low: float
+    branch_high: float
+    bump: float
+    bump_phi: float
+    bump_width: float
+    tau_rising: float
+    tau_low: float
+    low_flow_phi: float
 
 
 # Positions in the state vector.
@@ -110,6 +123,8 @@ STATES = ("W", "psi_p", "psi", "P31", "T31", "P_in", "T_in", "T_face", "P_ex", "
 (W, PSI_P, PSI, P31, T31, P_IN, T_IN, T_FACE, P_EX, T_EX, BLEND, CELLS, T_COIL, THROTTLE) = range(
     14
 )
+# Positions in the latch: what the plant remembers beside its states.
+(STALLED, ARMED, EVER, DEEP, WAY, LAST_PHI) = range(6)
 # Positions in the output row.
 OUTPUTS = ("phi", "psi_p_total", "psi_p_lagged", "psi_p_qs", "psi", "psi_qs", "W25", "dW25",
            "W31", "P25", "P31", "T25", "T_exit", "blend", "cells", "in_stall", "P_in", "T_in",
@@ -177,17 +192,25 @@ def unstalled_psi_p(c: Constants, phi: float, face_temperature: float) -> float:
 
 
 @_compile
-def _targets(c: Constants, phi: float, face_temperature: float, q: float) -> tuple[float, float]:
-    """Return ψ'_QS and ψ_QS, both branches blended by q; stalled never above unstalled."""
+def _targets(
+    c: Constants, time: float, phi: float, face_temperature: float, q: float, deep: float
+) -> tuple[float, float]:
+    """Return ψ'_QS and ψ_QS, both branches blended by q; stalled never above unstalled.
+
+    What may be hidden in ψ'_QS leaves every bit of it as it is where its size is zero.
+    """
     free = unstalled_psi_p(c, phi, face_temperature)
-    p = min(c.beta1 + c.beta2 * phi + c.beta3 * phi * phi, free)
+    scale = (sqrt(c.supply_temperature / face_temperature) / c.settled_speed) ** c.speed_power
+    extra = c.bump * exp(-(((phi - c.bump_phi) / c.bump_width) ** 2)) - c.branch_step * deep
+    p = min((c.beta1 + c.beta2 * phi + c.beta3 * phi * phi + extra) * scale, free)
     w = (
         c.work0
         + c.work1 * min(phi, c.break1)
         + c.work2 * min(max(phi - c.break1, 0.0), c.break2 - c.break1)
         + c.work3 * max(phi - c.break2, 0.0)
     )
-    return q * p + (1.0 - q) * free, q * w + (1.0 - q) * free / c.efficiency
+    kept = 1.0 - c.heat_loss * (1.0 - exp(-time / c.heat_soak))
+    return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.efficiency
 
 
 @_compile
@@ -269,16 +292,19 @@ def _discharge(c: Constants, s: FloatArray, t2: float, d: FloatArray) -> tuple[f
 
 @_compile
 def _rates(
-    c: Constants, time: float, s: FloatArray, stalled: float, ever: float, d: FloatArray,
-    out: FloatArray,
+    c: Constants, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
     """Fill in the state's rates and the output row."""
     rate, p25, psi_p = _duct(c, s)
     phi = _phi_of(s[W], p25, s[T_FACE], c.area, c.rotor_velocity)
-    qs_p, qs_w = _targets(c, phi, s[T_FACE], s[BLEND])
+    stalled, ever = latch[STALLED], latch[EVER]
+    qs_p, qs_w = _targets(c, time, phi, s[T_FACE], s[BLEND], latch[DEEP])
+    slower = 1.0 + c.tau_rising * latch[WAY]
+    if phi < c.low_flow_phi:
+        slower *= 1.0 + c.tau_low
     d[W] = rate
-    d[PSI_P] = (qs_p - s[PSI_P]) / c.tau
-    d[PSI] = (qs_w - s[PSI]) / c.tau
+    d[PSI_P] = (qs_p - s[PSI_P]) / (c.tau * slower)
+    d[PSI] = (qs_w - s[PSI]) / (c.tau * slower)
     d[BLEND] = (stalled - s[BLEND]) / c.blend
     d[CELLS] = (max(stalled, c.always_cells * ever) - s[CELLS]) / c.cell_rise
     if ever > 0.0:
@@ -316,22 +342,28 @@ def _rates(
 
 @_compile
 def _switch(c: Constants, phi: float, t_face: float, latch: FloatArray) -> None:
-    """Move the stall latch: (stalled, armed, ever stalled).
+    """Move the latch: stalled, armed, ever stalled; deep stall; the way of φ since the last step.
 
     Into stall below φ_s, armed only once φ has been above φ_s; out of stall above φ_rec, armed
     only once φ has been below φ_rec − 0.05. A flow that never reaches φ_s again and falls through
     φ_rec − 0.05 stalls too, or the compressor would reverse on its unstalled branch.
     """
     phi_s, _ = _stall_point(c, t_face)
-    if latch[0] > 0.0:
+    if latch[STALLED] > 0.0:
         if phi < c.recovery_phi - c.rearm_phi:
-            latch[1] = 1.0
-        elif latch[1] > 0.0 and phi > c.recovery_phi:
-            latch[0], latch[1] = 0.0, 0.0
+            latch[ARMED] = 1.0
+        elif latch[ARMED] > 0.0 and phi > c.recovery_phi:
+            latch[STALLED], latch[ARMED] = 0.0, 0.0
     elif phi > phi_s:
-        latch[1] = 1.0
-    elif latch[1] > 0.0 or phi < c.recovery_phi - c.rearm_phi:
-        latch[0], latch[1], latch[2] = 1.0, 0.0, 1.0
+        latch[ARMED] = 1.0
+    elif latch[ARMED] > 0.0 or phi < c.recovery_phi - c.rearm_phi:
+        latch[STALLED], latch[ARMED], latch[EVER] = 1.0, 0.0, 1.0
+    if phi < c.branch_low:
+        latch[DEEP] = 1.0
+    elif phi > c.branch_high:
+        latch[DEEP] = 0.0
+    latch[WAY] = np.sign(phi - latch[LAST_PHI])
+    latch[LAST_PHI] = phi
 
 
 @_compile
@@ -343,19 +375,20 @@ def integrate(
     s, trial = start.copy(), np.empty(14)
     k1, k2, k3, k4 = np.empty(14), np.empty(14), np.empty(14), np.empty(14)
     scratch = np.empty(21)
-    latch = np.zeros(3)
-    latch[1] = 1.0
+    latch = np.zeros(6)
+    latch[ARMED] = 1.0
+    latch[LAST_PHI] = np.inf
     h = row_s / substeps
     for i in range(n_rows):
         for j in range(substeps):
             time = i * row_s + j * h
-            _rates(c, time, s, latch[0], latch[2], k1, rows[i] if j == 0 else scratch)
+            _rates(c, time, s, latch, k1, rows[i] if j == 0 else scratch)
             _switch(c, rows[i, 0] if j == 0 else scratch[0], s[T_FACE], latch)
             trial[:] = s + 0.5 * h * k1
-            _rates(c, time + 0.5 * h, trial, latch[0], latch[2], k2, scratch)
+            _rates(c, time + 0.5 * h, trial, latch, k2, scratch)
             trial[:] = s + 0.5 * h * k2
-            _rates(c, time + 0.5 * h, trial, latch[0], latch[2], k3, scratch)
+            _rates(c, time + 0.5 * h, trial, latch, k3, scratch)
             trial[:] = s + h * k3
-            _rates(c, time + h, trial, latch[0], latch[2], k4, scratch)
+            _rates(c, time + h, trial, latch, k4, scratch)
             s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return rows

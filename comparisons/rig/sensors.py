@@ -18,6 +18,7 @@ __all__ = [
     "anti_alias",
     "counts_from_volts",
     "lag",
+    "late",
     "rake_temperature_k",
     "tube",
 ]
@@ -226,6 +227,29 @@ def lag(signal: FloatArray, *, time_constant_s: float, rate_hz: float) -> FloatA
     start = np.array([late * signal[0] + a * signal[0]])
     out, _ = lfilter([soon, late], [1.0, -a], signal, zi=start)
     return np.asarray(out, dtype=np.float64)
+
+
+def late(signal: FloatArray, *, delay_s: float, rate_hz: float) -> FloatArray:
+    """Return a signal that arrives late, at rest until it does.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (n,)
+        The signal, taken as straight lines between samples.
+    delay_s : float
+        How late; 0 returns the signal.
+    rate_hz : float
+        Sample rate.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        The signal of that much earlier.
+    """
+    if delay_s == 0.0:
+        return signal
+    rows = np.arange(signal.size, dtype=np.float64)
+    return np.asarray(np.interp(rows - delay_s * rate_hz, rows, signal), dtype=np.float64)
 
 
 def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -> FloatArray:

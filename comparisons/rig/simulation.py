@@ -15,6 +15,7 @@ from classic_ml.records import LedgerEntry, Record
 from comparisons.rig.cases import RigCase, find_case
 from comparisons.rig.cells import corrected_plane_flow_kg_s
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
+from comparisons.rig.hidden import UNTOUCHED, Alteration, HiddenEffect, as_hidden
 from comparisons.rig.instrument import RAW_RATE_HZ, Instrumented, instrument
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
 from comparisons.rig.readings import NEAR_STALL_S, NearStall, read_near_stall
@@ -41,7 +42,8 @@ class RigRun:
     truth : Record
         The plant at 1 kHz, before any sensor.
     truth_parameters : mapping
-        The parameters behind it: τ, characteristic, plant, and each transducer's own values.
+        The parameters behind it: τ, characteristic, plant, each transducer's own values and, under
+        ``hidden``, the effect that was hidden.
     """
 
     raw: Record
@@ -60,6 +62,8 @@ def simulate(
     seed: int = 0,
     duration_s: float = 4.0,
     sensors: SensorSettings | None = None,
+    hide: str | HiddenEffect | None = None,
+    hide_size: float | None = None,
 ) -> RigRun:
     """Simulate one surge test; the same arguments always give the same run.
 
@@ -73,6 +77,11 @@ def simulate(
         Length of the record in seconds, 0.2 to 120.
     sensors : SensorSettings, optional
         The imperfections; by default those of the paper's instrumentation.
+    hide : str or HiddenEffect, optional
+        An effect out of `comparisons.rig.HIDEABLE` to hide where it happens. Record and test
+        description do not name it; the truth parameters do.
+    hide_size : float, optional
+        Its size, where `hide` is a name; by default the one that `HIDEABLE` states.
 
     Returns
     -------
@@ -82,8 +91,8 @@ def simulate(
     Raises
     ------
     InputError
-        When the case is unknown, the duration or seed is unusable, or the altered plant does not
-        stay finite.
+        When the case or the effect is unknown, the duration, seed or size is unusable, or the
+        altered plant does not stay finite.
     """
     plant = find_case(case)
     settings = SensorSettings() if sensors is None else sensors
@@ -99,11 +108,14 @@ def simulate(
         )
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError("seed", expected="a whole number that is not negative", found=f"{seed!r}")
+    hidden = as_hidden(hide, hide_size)
+    altered = UNTOUCHED if hidden is None else hidden.alteration(float(duration_s))
     n_samples = round(duration_s * RAW_RATE_HZ) + 1
-    run = run_plant(plant, n_rows=(n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1)
+    n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
+    run = run_plant(plant, n_rows=n_rows, altered=altered)
     rng = np.random.default_rng(seed)
     near_stall = read_near_stall(run, settings, rng)
-    chain = instrument(plant, run, settings, rng)
+    chain = instrument(plant, run, settings, rng, altered)
     source = f"simulated rig, case {plant.name}, seed {seed}"
     did = LedgerEntry(
         "simulate",
@@ -116,11 +128,14 @@ def simulate(
         source=source,
     ).after(did)
     truth = _truth(plant, run, source + ", truth").after(did)
+    parameters = _truth_table(plant, settings, int(seed), chain, truth)
+    if hidden is not None:
+        parameters["hidden"] = hidden.truth()
     return RigRun(
         raw=raw,
-        test=MappingProxyType(_test_table(plant, settings, near_stall, chain)),
+        test=MappingProxyType(_test_table(plant, settings, near_stall, chain, altered)),
         truth=truth,
-        truth_parameters=MappingProxyType(_truth_table(plant, settings, int(seed), chain, truth)),
+        truth_parameters=MappingProxyType(parameters),
     )
 
 
@@ -161,7 +176,11 @@ def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
 
 
 def _test_table(
-    case: RigCase, settings: SensorSettings, near_stall: NearStall, chain: Instrumented
+    case: RigCase,
+    settings: SensorSettings,
+    near_stall: NearStall,
+    chain: Instrumented,
+    altered: Alteration,
 ) -> dict[str, Any]:
     """Return what ``test.toml`` holds, in the order of the file."""
     table: dict[str, Any] = {
@@ -173,7 +192,7 @@ def _test_table(
         },
         "compressor": {
             "mean_radius_m": case.mean_radius_m,
-            "inertia_per_m": case.inertia_per_m,
+            "inertia_per_m": _stated_inertia_per_m(case, altered),
             "internal_volume_m3": case.internal_volume_m3,
             "gamma": GAMMA,
             "gas_constant_J_kg_K": GAS_CONSTANT_J_KG_K,
@@ -205,6 +224,14 @@ def _test_table(
         table["limits"] = {f"T31_{rake}": list(case.t31_limit_k) for rake in ("A", "B")}
     table["channels"] = {name: dict(entry) for name, entry in chain.channels.items()}
     return table
+
+
+def _stated_inertia_per_m(case: RigCase, altered: Alteration) -> float:
+    """Return ∫dx/A as ``test.toml`` states it: to five digits where it is not that of the case."""
+    if altered.stated_inertia == 1.0:
+        return case.inertia_per_m
+    # All digits of the product would give the factor away.
+    return float(f"{case.inertia_per_m * altered.stated_inertia:.5g}")
 
 
 def _truth_table(

@@ -1,0 +1,545 @@
+"""What the rig hides: nothing at the neutral size, no name in what is written, the right form."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from classic_ml.errors import InputError
+from classic_ml.filtering import period_average
+from classic_ml.readers import read_raw
+from classic_ml.reduction import reduce_record
+from classic_ml.series import CoefficientSeries
+from comparisons.cli import main
+from comparisons.rig import (
+    CASES,
+    HIDEABLE,
+    HiddenEffect,
+    RigRun,
+    SensorSettings,
+    simulate,
+    write_run,
+)
+from comparisons.rig.hidden import (
+    BRANCH_PHIS,
+    BUMP_PHI,
+    BUMP_WIDTH_PHI,
+    HEAT_SOAK_S,
+    LOW_FLOW_PHI,
+    SECOND_CELL_ROTOR_FRAC,
+    SETTLED_SPEED_FRAC,
+)
+from comparisons.rig.sensors import lag, late
+
+Runs = Callable[[str], RigRun]
+Array = np.ndarray
+
+IN_THE_PLANT = (
+    "facility_heating",
+    "speed_droop",
+    "hysteresis",
+    "reverse_flow_branch",
+    "characteristic_shape",
+    "asymmetric_lag",
+    "flow_dependent_lag",
+)
+IN_THE_SENSORS = tuple(name for name in HIDEABLE if name not in IN_THE_PLANT)
+CELL_S = 1.0 / CASES["985"].cell_frequency_hz
+
+
+@cache
+def short_run() -> RigRun:
+    """Stall, reversal and the first cycles, with nothing hidden."""
+    return simulate("985", duration_s=1.0)
+
+
+@cache
+def hidden_run(name: str, case: str = "985") -> RigRun:
+    return simulate(case, hide=name)
+
+
+@cache
+def ideal_hidden(name: str, size: float | None = None) -> RigRun:
+    return simulate("985", sensors=SensorSettings.ideal(), hide=name, hide_size=size)
+
+
+@cache
+def reduced(name: str | None, case: str = "985") -> CoefficientSeries:
+    run = simulate(case) if name is None else hidden_run(name, case)
+    with TemporaryDirectory() as folder:
+        write_run(run, Path(folder) / "run")
+        files = Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml"
+        return reduce_record(*read_raw(*files)).series
+
+
+def averaged(values: Array) -> Array:
+    return period_average(values, CELL_S, 1_000.0)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def correlation(one: Array, other: Array) -> float:
+    return float(np.corrcoef(one, other)[0, 1])
+
+
+def left_over(change: Array, *columns: Array) -> float:
+    """Return which share of a change is not a combination of the columns."""
+    table = np.column_stack(columns)
+    weights = np.linalg.lstsq(table, change, rcond=None)[0]
+    return rms(change - table @ weights) / rms(change)
+
+
+def nominal_psi_p_qs(run: RigRun, case: str = "985") -> tuple[Array, Array]:
+    """Return ψ'_QS as the case states it, in stall and blended, at the flows of a run."""
+    plant, truth = CASES[case], run.truth
+    share = (truth["Nc_frac"] - plant.stall_speeds[0]) / np.ptp(plant.stall_speeds)
+    phi_s = plant.stall_phis[0] + share * np.ptp(plant.stall_phis)
+    psi_s = plant.stall_psi_ps[0] + share * np.ptp(plant.stall_psi_ps)
+    free = psi_s - plant.unstalled_droop * np.maximum(truth["phi"] - phi_s, 0.0) ** 2
+    stalled = np.minimum(np.polynomial.polynomial.polyval(truth["phi"], plant.pressure_terms), free)
+    blend = truth["stall_blend"]
+    return stalled, blend * stalled + (1.0 - blend) * free
+
+
+def share_of_effect(run: RigRun, case: str = "985") -> Array:
+    """Return how far ψ' of a run is from what the case's own lag model makes of its flow."""
+    plant, truth = CASES[case], run.truth
+    nominal = lag(nominal_psi_p_qs(run, case)[1], time_constant_s=plant.tau_s, rate_hz=1_000.0)
+    loss = np.where(truth["W25_kg_s"] < 0.0, plant.reverse_loss * truth["phi"] ** 2, 0.0)
+    return np.asarray(truth["psi_p"] - nominal - loss)
+
+
+def in_stall(run: RigRun) -> Array:
+    """Rows well in stall, where the blend of the branches is over."""
+    return np.asarray((run.truth["stall_blend"] > 0.999_9) & (run.truth.time_s > 0.5))
+
+
+@pytest.mark.parametrize("name", HIDEABLE)
+def test_the_neutral_size_leaves_every_bit(name: str) -> None:
+    plain = short_run()
+    run = simulate("985", duration_s=1.0, hide=name, hide_size=HIDEABLE[name].neutral)
+    for channel in plain.raw.channels:
+        assert np.array_equal(run.raw[channel], plain.raw[channel]), channel
+    for channel in plain.truth.channels:
+        assert np.array_equal(run.truth[channel], plain.truth[channel]), channel
+    assert run.test == plain.test
+    assert run.raw.history == plain.raw.history
+    known = dict(run.truth_parameters)
+    assert known.pop("hidden")["effect"] == name
+    assert known == dict(plain.truth_parameters)
+
+
+@pytest.mark.parametrize("name", HIDEABLE)
+def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) -> None:
+    kind, plain = HIDEABLE[name], short_run()
+    # Digits that no channel shows by chance.
+    size = kind.neutral + 0.437_291 * (kind.default - kind.neutral)
+    run = simulate("985", duration_s=1.0, hide=name, hide_size=size)
+    write_run(run, tmp_path / "run")
+    files = [path for path in (tmp_path / "run").iterdir() if path.is_file()]
+    assert sorted(path.name for path in files) == ["raw.csv", "test.toml"]
+    written = b"\n".join(path.read_bytes() for path in files).decode("utf-8").lower()
+    said = f"{run.raw.source} {run.raw.history} {dict(run.test)}".lower()
+    words = [name, name.replace("_", " "), "hid", "effect", "alter", repr(size), f"{size:.5g}"]
+    for word in words:
+        assert word not in written, word
+        assert word not in said, word
+    with (tmp_path / "run" / "truth" / "truth.toml").open("rb") as file:
+        hidden = tomllib.load(file)["hidden"]
+    assert (hidden["effect"], hidden["size"]) == (name, size)
+    # test.toml describes the rig as it always does.
+    changed = [key for key in plain.test if run.test[key] != plain.test[key]]
+    if name == "flow_inertia":
+        assert changed == ["compressor"]
+    else:
+        assert changed == (["near_stall"] if name == "facility_heating" else [])
+
+
+@pytest.mark.parametrize("case", ["985", "90"])
+@pytest.mark.parametrize("name", HIDEABLE)
+def test_the_reduction_takes_the_record_and_does_not_undo_the_effect(name: str, case: str) -> None:
+    series, plain = reduced(name, case), reduced(None, case)
+    assert np.count_nonzero(series.free_run == 2) > 400
+    change = (
+        share_of_effect(hidden_run(name, case), case)[series.free_run > 0]
+        if name in IN_THE_PLANT
+        else (series.psi_p_unfiltered - plain.psi_p_unfiltered)[plain.free_run > 0]
+    )
+    # The reduction's own error of ψ', averaged over the cells, is 0.03.
+    assert 0.02 < rms(change) < 1.0
+
+
+@pytest.mark.parametrize("name", IN_THE_SENSORS)
+def test_a_sensor_leaves_the_plant_alone(name: str, default_run: Runs) -> None:
+    for channel in ("phi", "psi_p", "P31_Pa", "T25_K"):
+        assert np.array_equal(hidden_run(name).truth[channel], default_run("985").truth[channel])
+    moved = {
+        channel
+        for channel in default_run("985").raw.channels
+        if not np.array_equal(hidden_run(name).raw[channel], default_run("985").raw[channel])
+    }
+    expected = {
+        "flow_inertia": (),
+        "thermocouple_lag": ("T25",),
+        "rotating_stall_ripple": ("P25", "P31"),
+        "flow_noise": ("P25",),
+    }.get(name, ("P31",))
+    assert {channel[:3] for channel in moved} == set(expected)
+
+
+@pytest.mark.parametrize("case", ["985", "90"])
+def test_wrong_inertia_adds_the_rate_of_the_flow(case: str) -> None:
+    plain, wrong = reduced(None, case), reduced("flow_inertia", case)
+    assert np.array_equal(plain.phi_unfiltered, wrong.phi_unfiltered)
+    rows = plain.free_run > 0
+    change = (wrong.psi_p_unfiltered - plain.psi_p_unfiltered)[rows]
+    rate = np.gradient(plain.phi_unfiltered, 1e-3)[rows]
+    assert correlation(change, rate) > 0.95
+    # l = 0.5 I A ρ U · dψ'/dP31, some 5 ms, by the linearised Eq 5.
+    slope = float(change @ rate / (rate @ rate))
+    assert 0.003 < slope < 0.008
+    assert hidden_run("flow_inertia", case).test["compressor"]["inertia_per_m"] == pytest.approx(
+        1.5 * CASES[case].inertia_per_m, rel=1e-4
+    )
+
+
+def test_slow_thermocouple_scales_psi_p_by_its_own_reading() -> None:
+    run = ideal_hidden("thermocouple_lag", 0.2)
+    # The junctions obey the lag equation with the constant that nothing states.
+    gas, reading = run.truth["T25_K"], run.raw["T25_A"] / SensorSettings().recovery_factor
+    rate = (reading[2:] - reading[:-2]) / 2e-3
+    error = reading[1:-1] + 0.2 * rate - gas[1:-1]
+    assert rms(error) < 0.05 * rms(gas - reading)
+    assert run.test["channels"]["T25_A"]["time_constant_s"] == 0.0
+    assert np.array_equal(run.raw["T31_A"], ideal_hidden("flow_inertia").raw["T31_A"])
+
+    plain, slow = reduced(None), reduced("thermocouple_lag")
+    rows = plain.free_run == 2
+    change = (slow.psi_p - plain.psi_p)[rows]
+    mended = slow.psi_p * (1.0 + 0.2 * np.gradient(slow.T25_K, 1e-3) / slow.T25_K)
+    assert rms((mended - plain.psi_p)[rows]) < 0.35 * rms(change)
+
+
+@pytest.mark.parametrize("per_s", [0.03, -0.02])
+def test_drifting_sensitivity_scales_what_the_transducer_feels(per_s: float) -> None:
+    run, plain = ideal_hidden("sensitivity_drift", per_s), ideal_hidden("flow_inertia")
+    time_s = run.raw.time_s
+    for name in ("P31_A_tip_forward", "P31_B_hub_aft"):
+        zero = run.test["channels"][name]["zero_count"]
+        ratio = (run.raw[name] - zero) / (plain.raw[name] - zero)
+        assert ratio == pytest.approx(1.0 + per_s * time_s, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["sensitivity_drift", "bias_drift"])
+@pytest.mark.parametrize("case", ["985", "90"])
+def test_drifts_grow_in_proportion_to_time(name: str, case: str) -> None:
+    plain, series = reduced(None, case), reduced(name, case)
+    rows, time_s = plain.free_run == 2, plain.time_s
+    psi_p = averaged(plain.psi_p_unfiltered)
+    change = (averaged(series.psi_p_unfiltered) - psi_p)[rows]
+    # The ZOC reference lies far above P31 in surge: a gain about it is a zero and a gain of ψ'.
+    assert left_over(change, time_s[rows], (time_s * psi_p)[rows]) < 0.1
+    assert left_over(change, np.ones(change.size), psi_p[rows]) > 0.2
+    assert left_over(change, time_s[rows]) < (0.15 if name == "sensitivity_drift" else 0.08)
+
+
+def test_drifting_zero_adds_the_same_volts_to_every_channel() -> None:
+    run, plain = ideal_hidden("bias_drift", 0.02), ideal_hidden("flow_inertia")
+    counts_per_volt = 4096.0 / 10.0
+    for name in run.raw.channels:
+        moved = run.raw[name] - plain.raw[name]
+        expected = 0.02 * counts_per_volt * run.raw.time_s if name.startswith("P31") else 0.0
+        assert moved == pytest.approx(expected, abs=1e-9), name
+
+
+@pytest.mark.parametrize(("delay_s", "samples"), [(0.005, 5), (0.012, 12)])
+def test_late_channels_are_those_of_so_many_samples_before(delay_s: float, samples: int) -> None:
+    run, plain = ideal_hidden("transport_delay", delay_s), ideal_hidden("flow_inertia")
+    for name in ("P31_A_tip_forward", "P31_B_hub_aft"):
+        assert run.raw[name][samples:] == pytest.approx(plain.raw[name][:-samples], abs=1e-6)
+        assert run.raw[name][:samples] == pytest.approx(plain.raw[name][0])
+
+
+def test_late_is_exact_between_samples_and_at_rest_before() -> None:
+    line = np.r_[np.full(50, 3.0), 3.0 + 0.25 * np.arange(200)]
+    out = late(line, delay_s=0.012_3, rate_hz=1_000.0)
+    assert out[:62] == pytest.approx(3.0)
+    assert out[70:] == pytest.approx(line[70:] - 0.25 * 12.3)
+    assert late(line, delay_s=0.0, rate_hz=1_000.0) is line
+
+
+@pytest.mark.parametrize("case", ["985", "90"])
+@pytest.mark.parametrize("name", ["transport_delay", "second_order_lag"])
+def test_late_and_slow_p31_differ_in_psi_p(name: str, case: str) -> None:
+    plain, series = reduced(None, case), reduced(name, case)
+    rows, before = plain.free_run == 2, averaged(plain.psi_p_unfiltered)
+    change = averaged(series.psi_p_unfiltered) - before
+    trials = np.arange(0.003, 0.0081, 0.000_25)
+
+    def best(model: Callable[[float], Array]) -> tuple[float, float]:
+        left = [rms((model(trial) - before - change)[rows]) for trial in trials]
+        return float(trials[np.argmin(left)]), min(left) / rms(change[rows])
+
+    delay = best(lambda t: late(before, delay_s=t, rate_hz=1_000.0))
+    pole = best(lambda t: lag(before, time_constant_s=t, rate_hz=1_000.0))
+    right, wrong = (delay, pole) if name == "transport_delay" else (pole, delay)
+    # 5 ms of P31; the part of ψ' that comes from P25 and dW25/dt is neither late nor slow.
+    assert right[0] == pytest.approx(0.006, abs=0.001)
+    assert right[1] < 0.35
+    assert right[1] < 0.9 * wrong[1]
+
+
+def test_cavity_delays_a_ramp_of_p31_by_its_time_constant() -> None:
+    run, plain = ideal_hidden("second_order_lag", 0.004), ideal_hidden("flow_inertia")
+    name = "P31_A_hub_forward"
+    felt, gas = run.raw[name], plain.raw[name]
+    rate = (felt[2:] - felt[:-2]) / 2e-3
+    assert rms(felt[1:-1] + 0.004 * rate - gas[1:-1]) < 0.05 * rms(felt - gas)
+
+
+@pytest.mark.parametrize("case", ["985", "90"])
+def test_second_cells_stand_out_at_a_frequency_that_no_average_takes_out(case: str) -> None:
+    plain, series = reduced(None, case), reduced("rotating_stall_ripple", case)
+    cells_hz = SECOND_CELL_ROTOR_FRAC * CASES[case].rotor_speed_rpm / 60.0
+    rows = plain.stalled & (plain.free_run > 0)
+    frequency = np.fft.rfftfreq(4_000, 1e-3)
+    band = (frequency > 25.0) & (frequency < 130.0)
+    near = np.abs(frequency - cells_hz) < 1.5
+
+    def spectrum(values: Array) -> Array:
+        return np.abs(np.fft.rfft(np.where(rows, values, 0.0)[:4_000]))
+
+    for name in ("psi_p_unfiltered", "phi_unfiltered"):
+        added = getattr(series, name) - getattr(plain, name)
+        left = spectrum(averaged(added))
+        assert frequency[band][np.argmax(left[band])] == pytest.approx(cells_hz, abs=1.5), name
+        # sin(πx)/(πx) with x = 0.64 periods of them in one of the first pattern: 0.45.
+        assert 0.3 < left[near].max() / spectrum(added)[near].max() < 0.6, name
+    change = series.phi_unfiltered - plain.phi_unfiltered
+    # It lives in stall, as the first pattern does.
+    free = ~plain.stalled & (plain.free_run > 0)
+    if not CASES[case].always_cells:
+        assert rms(change[free]) < 0.5 * rms(change[rows])
+
+
+def test_second_cells_have_the_amplitude_stated() -> None:
+    plain = ideal_hidden("flow_inertia")
+    swings = []
+    for size in (0.3, 0.6):
+        run = ideal_hidden("rotating_stall_ripple", size)
+        swings.append(run.raw["P25_A_tip_forward"] - plain.raw["P25_A_tip_forward"])
+    rows = in_stall(plain) & (plain.truth["W25_kg_s"] > 5.0)
+    assert rms(swings[1][rows]) == pytest.approx(2.0 * rms(swings[0][rows]), rel=0.02)
+    spectrum = np.abs(np.fft.rfft(np.hanning(2_000) * swings[1][1_000:3_000]))
+    expected_hz = SECOND_CELL_ROTOR_FRAC * CASES["985"].rotor_speed_rpm / 60.0
+    # The line has sidebands at the surge frequency, which switches the cells.
+    assert 0.5 * np.argmax(spectrum) == pytest.approx(expected_hz, abs=1.0)
+
+
+def test_wake_noise_is_on_the_flow_and_not_on_the_total_pressure() -> None:
+    run, plain = ideal_hidden("flow_noise", 0.4), ideal_hidden("flow_inertia")
+    forward_flow = plain.truth["W25_kg_s"] > 0.5
+    pairs = [f"P25_{rake}_{place}" for rake in "AB" for place in ("tip", "hub")]
+    noise = []
+    for pair in pairs:
+        total, wake = f"{pair}_forward", f"{pair}_aft"
+        assert np.array_equal(run.raw[total][forward_flow], plain.raw[total][forward_flow])
+        moved = (run.raw[wake] - plain.raw[wake])[forward_flow]
+        drop = (plain.raw[total] - plain.raw[wake])[forward_flow]
+        clear = drop > 5.0
+        noise.append(moved[clear] / drop[clear] if pair == pairs[0] else moved / drop.mean())
+    n = noise[0].size
+    # Correlated over some two samples of 1 ms.
+    assert np.std(noise[0]) == pytest.approx(0.4, rel=4.0 / np.sqrt(n))
+    assert abs(np.mean(noise[0])) < 4.0 * 0.4 * np.sqrt(2.0 / n)
+    between = [abs(correlation(noise[1], noise[i])) for i in (2, 3)]
+    assert max(between) < 6.0 * np.sqrt(2.0 / n)
+
+
+def test_wake_noise_makes_phi_noisy_and_differs_by_seed() -> None:
+    plain, noisy = reduced(None), reduced("flow_noise")
+    rows = plain.free_run == 2
+    change = averaged(noisy.phi_unfiltered - plain.phi_unfiltered)[rows]
+    assert 0.003 < np.std(change) < 0.02
+    # No trend with the flow's own motion: errors in variables, not another flow.
+    assert abs(correlation(change, np.gradient(plain.phi_unfiltered)[rows])) < 0.25
+    one, two = (
+        simulate("985", seed=seed, duration_s=0.3, hide="flow_noise").raw["P25_A_tip_aft"]
+        - simulate("985", seed=seed, duration_s=0.3).raw["P25_A_tip_aft"]
+        for seed in (1, 2)
+    )
+    assert abs(correlation(one, two)) < 0.3
+
+
+def test_heat_soak_lowers_the_whole_characteristic() -> None:
+    run = hidden_run("facility_heating")
+    kept = 1.0 - 0.1 * (1.0 - np.exp(-run.truth.time_s / HEAT_SOAK_S))
+    assert run.truth["psi_p_qs"] == pytest.approx(kept * nominal_psi_p_qs(run)[1], rel=1e-9)
+
+
+def test_speed_scales_the_stalled_characteristic() -> None:
+    run = hidden_run("speed_droop")
+    rows = in_stall(run)
+    speed = run.truth["Nc_frac"] / (SETTLED_SPEED_FRAC * CASES["985"].corrected_speed_frac)
+    ratio = (run.truth["psi_p_qs"] / nominal_psi_p_qs(run)[0])[rows]
+    # The polynomial is not cut off by the unstalled branch at these flows.
+    low = run.truth["phi"][rows] < 0.15
+    assert ratio[low] == pytest.approx((speed**-2.0)[rows][low], rel=2e-3)
+    assert np.ptp(ratio[low]) > 0.05
+
+
+def test_deep_stall_holds_until_the_flow_is_back() -> None:
+    run = hidden_run("hysteresis")
+    phi, deep, state = run.truth["phi"], [], 0.0
+    for value in phi:
+        state = 1.0 if value < BRANCH_PHIS[0] else 0.0 if value > BRANCH_PHIS[1] else state
+        deep.append(state)
+    rows = in_stall(run)
+    lost = (nominal_psi_p_qs(run)[0] - run.truth["psi_p_qs"])[rows]
+    # The rows of 1 ms at which the state changes may differ by one.
+    assert np.mean(np.abs(lost - 0.15 * np.array(deep)[rows]) < 1e-3) > 0.99
+    # One flow, two branches: both are met.
+    middle = (phi[rows] > 0.03) & (phi[rows] < 0.09)
+    assert 0.1 < np.mean(lost[middle] > 0.1) < 0.9
+
+
+@pytest.mark.parametrize("case", ["985", "90"])
+def test_the_loss_in_reverse_has_the_changed_size(case: str) -> None:
+    run = hidden_run("reverse_flow_branch", case)
+    loss = run.truth["psi_p"] - run.truth["psi_p_lagged"]
+    calm = (run.truth["W25_kg_s"] < 0.0) & (np.abs(run.truth["dW25_kg_s2"]) < 30.0)
+    expected = 2.5 * CASES[case].reverse_loss * run.truth["phi"] ** 2
+    assert np.count_nonzero(calm) > 100
+    assert loss[calm] == pytest.approx(expected[calm], rel=0.02)
+    assert run.truth_parameters["reverse_loss"] == CASES[case].reverse_loss
+    # Reversed flow meets more, and goes less deep.
+    plain = simulate(case).truth["phi"]
+    assert run.truth["phi"][1_500:].min() > 0.85 * plain[1_500:].min()
+
+
+def test_the_characteristic_has_a_bell() -> None:
+    run = hidden_run("characteristic_shape")
+    rows = in_stall(run) & (run.truth["phi"] < 0.15)
+    bell = (run.truth["psi_p_qs"] - nominal_psi_p_qs(run)[0])[rows]
+    phi = run.truth["phi"][rows]
+    assert bell == pytest.approx(
+        0.2 * np.exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2)), abs=2e-3
+    )
+
+
+def test_two_time_constants_by_the_way_of_the_flow_and_by_its_size() -> None:
+    for name, split in (("asymmetric_lag", "way"), ("flow_dependent_lag", "size")):
+        run = hidden_run(name)
+        truth = run.truth
+        state, tau_s = truth["psi_p_lagged"], CASES["985"].tau_s
+        rate = np.gradient(state, 1e-3)
+        rows = in_stall(run) & (np.abs(rate) > 2.0)
+        local = ((truth["psi_p_qs"] - state) / np.where(rate == 0.0, 1.0, rate))[rows]
+        slope, phi = np.gradient(truth["phi"], 1e-3)[rows], truth["phi"][rows]
+        if split == "way":
+            parts = {1.0 + 0.3: slope > 0.3, 1.0 - 0.3: slope < -0.3}
+        else:
+            low, high = LOW_FLOW_PHI - 0.01, LOW_FLOW_PHI + 0.01
+            parts = {1.0 + 0.5: phi < low, 1.0: phi > high}
+        for factor, part in parts.items():
+            assert np.count_nonzero(part) > 50
+            assert np.median(local[part]) == pytest.approx(factor * tau_s, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "name", ["facility_heating", "speed_droop", "hysteresis", "flow_dependent_lag"]
+)
+def test_an_effect_in_the_plant_reaches_the_reduced_coefficient(name: str) -> None:
+    run, series = hidden_run(name, "90"), reduced(name, "90")
+    rows = series.free_run == 2
+    share = share_of_effect(run, "90")
+    nominal = averaged(run.truth["psi_p"] - share)
+    seen = (averaged(series.psi_p_unfiltered) - nominal)[rows]
+    slope, _ = np.polyfit(averaged(share)[rows], seen, 1)
+    assert slope == pytest.approx(1.0, abs=0.25)
+
+
+def test_an_effect_can_be_given_as_a_value() -> None:
+    by_name = simulate("90", duration_s=0.4, hide="bias_drift", hide_size=-0.1)
+    by_value = simulate("90", duration_s=0.4, hide=HiddenEffect("bias_drift", -0.1))
+    assert np.array_equal(by_name.raw["P31_A_tip_aft"], by_value.raw["P31_A_tip_aft"])
+    assert HiddenEffect("flow_inertia") == HiddenEffect("flow_inertia", 1.5)
+    assert HiddenEffect("reverse_flow_branch", np.int64(3)).size == 3.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"hide": "inertia"}, "hide: expected one of transport_delay, facility_heating"),
+        ({"hide": 3}, "hide: expected one of"),
+        (
+            {"hide": "flow_inertia", "hide_size": 30.0},
+            "0.2 to 3 (stated over true ∫dx/A), found 30",
+        ),
+        ({"hide": "bias_drift", "hide_size": float("nan")}, "hide_size of bias_drift"),
+        ({"hide": "bias_drift", "hide_size": True}, "found True"),
+        ({"hide": "bias_drift", "hide_size": "0.1"}, "hide_size of bias_drift"),
+        ({"hide": "transport_delay", "hide_size": -0.001}, "0 to 0.02"),
+        ({"hide": "sensitivity_drift", "duration_s": 20.0}, "at most 0.0125 1/s either way"),
+        ({"hide_size": 1.5}, "hide_size: expected a size only with the name"),
+        ({"hide": HiddenEffect("hysteresis"), "hide_size": 0.1}, "hide_size: expected a size only"),
+    ],
+)
+def test_what_cannot_be_hidden_is_said_in_one_sentence(
+    arguments: dict[str, object], words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        simulate(**{"case": "985", **arguments})  # type: ignore[arg-type]
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", HIDEABLE)
+@pytest.mark.parametrize("end", [0, 1])
+def test_the_ends_of_the_range_still_make_a_record(name: str, end: int) -> None:
+    size = HIDEABLE[name].bounds[end]
+    run = simulate("985", duration_s=0.4, hide=name, hide_size=size)
+    for channel in run.raw.channels:
+        assert np.all(np.isfinite(run.raw[channel]))
+    outside = HIDEABLE[name].bounds[end] + (1.0 if end else -1.0)
+    with pytest.raises(InputError, match=f"hide_size of {name}"):
+        HiddenEffect(name, outside)
+
+
+def test_command_line_hides_and_keeps_quiet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "record"
+    arguments = ["simulate", "--duration", "0.5", "--hide", "flow_inertia", "--hide-size", "1.2"]
+    assert main([*arguments, "-o", str(out)]) == 0
+    assert "inertia" not in capsys.readouterr().out
+    with (out / "test.toml").open("rb") as file:
+        assert tomllib.load(file)["compressor"]["inertia_per_m"] == pytest.approx(12.848)
+    with (out / "truth" / "truth.toml").open("rb") as file:
+        assert tomllib.load(file)["hidden"]["size"] == 1.2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--hide", "ghosts"], "expected one of transport_delay"),
+        (["--hide", "hysteresis", "--hide-size", "9"], "hide_size of hysteresis: expected -0.3"),
+        (["--hide-size", "2"], "--hide-size: expected a size only with --hide EFFECT"),
+    ],
+)
+def test_command_line_refuses_in_one_sentence(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", *options, "-o", str(tmp_path / "x")]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "x").exists()
