@@ -1,0 +1,386 @@
+"""Physical effects that a test at the level of coefficients can hide, each at its port.
+
+The fifteen of the catalogue (`EFFECTS`) have the equations of the design's table; those of
+`OUTSIDE` are as sensible and stand in no catalogue, so that no name is the right answer to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from comparisons.rig.coefficient_plant import Plant, Points
+
+__all__ = [
+    "CHARACTERISTIC",
+    "EFFECTS",
+    "FORMS",
+    "LAG",
+    "OUTPUT",
+    "OUTSIDE",
+    "PAIRS",
+    "Form",
+    "Parameters",
+    "crossed_levels",
+    "stall_state",
+]
+
+FloatArray = NDArray[np.float64]
+Parameters = Mapping[str, float]
+
+EFFECTS = (
+    "transport_delay",
+    "facility_heating",
+    "speed_droop",
+    "hysteresis",
+    "reverse_flow_branch",
+    "characteristic_shape",
+    "second_order_lag",
+    "amplitude_dependent_lag",
+    "asymmetric_lag",
+    "flow_dependent_lag",
+    "flow_inertia",
+    "thermocouple_lag",
+    "sensitivity_drift",
+    "bias_drift",
+    "rotating_stall_ripple",
+)
+OUTSIDE = (
+    "nonlinear_relaxation",
+    "second_slow_mode",
+    "speed_dependent_lag",
+    "amplitude_memory",
+    "sensor_quadratic",
+    "sensor_saturation",
+    "sensor_backlash",
+)
+PAIRS = (
+    ("amplitude_dependent_lag", "transport_delay"),
+    ("transport_delay", "facility_heating"),
+    ("hysteresis", "rotating_stall_ripple"),
+    ("flow_inertia", "bias_drift"),
+    ("thermocouple_lag", "reverse_flow_branch"),
+)
+
+# Share of the sample rate up to which a ripple is looked for (design, section 5); below so many
+# times the surge frequency it would be no rotating stall.
+_HIGHEST_RIPPLE = 0.4
+_LOWEST_RIPPLE = 5.0
+# Largest share by which τ may vary, and by which a thermocouple's reading may be corrected.
+_LIMIT_OF_TAU = 0.9
+_DEEPEST_CORRECTION = 0.6
+
+
+def _none(_plant: Plant, _rng: np.random.Generator) -> dict[str, float]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Form:
+    """How an effect is drawn and how large it may be made.
+
+    Parameters
+    ----------
+    size : str
+        Name of the parameter that its strength is set by.
+    guess : callable
+        Plant to the size of a visible effect.
+    limit : callable
+        Plant to the largest size that still makes sense.
+    draw : callable
+        Plant and generator to its other parameters.
+    signed : bool
+        Whether the size may be negative as well.
+    """
+
+    size: str
+    guess: Callable[[Plant], float]
+    limit: Callable[[Plant], float]
+    draw: Callable[[Plant, np.random.Generator], dict[str, float]] = _none
+    signed: bool = False
+
+
+def _draw_hysteresis(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
+    low, high = rng.uniform(0.20, 0.40), rng.uniform(0.60, 0.80)
+    return {"phi_lo": plant.phi_at(low), "phi_hi": plant.phi_at(high)}
+
+
+def _draw_bump(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
+    reach = plant.phi_at(0.98) - plant.phi_at(0.02)
+    return {
+        "centre": plant.phi_at(0.02) + rng.uniform(0.15, 0.85) * reach,
+        "width": rng.uniform(0.06, 0.16) * reach,
+    }
+
+
+def _draw_ripple(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
+    rate_hz = 1.0 / plant.sample_period_s
+    lowest = _LOWEST_RIPPLE * max(flow.surge_hz for flow in plant.flows)
+    return {
+        "frequency_hz": rng.uniform(
+            min(lowest, 0.5 * _HIGHEST_RIPPLE * rate_hz), rate_hz * 0.95 * _HIGHEST_RIPPLE
+        ),
+        "phi_threshold": plant.stall_phi,
+        "phase_seed": float(rng.integers(2**31)),
+    }
+
+
+def _longest_thermocouple_lag_s(plant: Plant) -> float:
+    swings = [c.cyclic[0] * 2.0 * pi * c.flow.surge_hz for c in plant.temperatures]
+    return _DEEPEST_CORRECTION / max(swings)
+
+
+FORMS: Mapping[str, Form] = {
+    "transport_delay": Form("delay_s", lambda p: 0.03 * p.tau_s, lambda p: p.tau_s),
+    "facility_heating": Form(
+        "loss_frac",
+        lambda p: 0.01,
+        lambda p: 0.9,
+        lambda p, rng: {"heating_time_s": rng.uniform(0.5, 3.0) * p.duration_s},
+    ),
+    "speed_droop": Form(
+        "exponent",
+        lambda p: 0.5,
+        lambda p: 60.0,
+        lambda p, rng: {"reference_frac": p.mean_speed},
+    ),
+    "hysteresis": Form(
+        "step", lambda p: 0.05 * p.psi_std, lambda p: 5.0 * p.psi_std, _draw_hysteresis
+    ),
+    "reverse_flow_branch": Form(
+        "coefficient",
+        lambda p: 0.02 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
+        lambda p: 10.0 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
+        lambda p, rng: {"lagged": float(rng.random() < 0.5)},
+    ),
+    "characteristic_shape": Form(
+        "height", lambda p: 0.05 * p.psi_std, lambda p: 20.0 * p.psi_std, _draw_bump, signed=True
+    ),
+    "second_order_lag": Form("a2_s2", lambda p: 0.02 * p.tau_s**2, lambda p: p.tau_s**2),
+    "amplitude_dependent_lag": Form(
+        "slope",
+        lambda p: 0.1,
+        lambda p: 3.0,
+        lambda p, rng: {"mean_amplitude": p.mean_amplitude},
+        signed=True,
+    ),
+    "asymmetric_lag": Form("slope", lambda p: 0.03, lambda p: _LIMIT_OF_TAU, signed=True),
+    "flow_dependent_lag": Form(
+        "slope",
+        lambda p: 0.05,
+        lambda p: _LIMIT_OF_TAU,
+        lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
+        signed=True,
+    ),
+    "flow_inertia": Form("length_s", lambda p: 0.01 * p.psi_std, lambda p: 0.5, signed=True),
+    "thermocouple_lag": Form("lag_s", lambda p: 0.2, _longest_thermocouple_lag_s),
+    "sensitivity_drift": Form(
+        "rate_per_s", lambda p: 0.01 / p.duration_s, lambda p: 1.0 / p.duration_s, signed=True
+    ),
+    "bias_drift": Form(
+        "rate_per_s",
+        lambda p: 0.02 * p.psi_std / p.duration_s,
+        lambda p: 5.0 * p.psi_std / p.duration_s,
+        signed=True,
+    ),
+    "rotating_stall_ripple": Form(
+        "amplitude", lambda p: 0.02 * p.psi_std, lambda p: 5.0 * p.psi_std, _draw_ripple
+    ),
+    "nonlinear_relaxation": Form("kappa", lambda p: 0.2 / p.psi_std, lambda p: 50.0 / p.psi_std),
+    "second_slow_mode": Form(
+        "share",
+        lambda p: 0.05,
+        lambda p: 0.6,
+        lambda p, rng: {"slow_tau_s": p.tau_s * rng.uniform(8.0, 15.0)},
+    ),
+    "speed_dependent_lag": Form(
+        "exponent",
+        lambda p: 3.0,
+        lambda p: 60.0,
+        lambda p, rng: {"reference_frac": p.mean_speed},
+        signed=True,
+    ),
+    "amplitude_memory": Form(
+        "slope",
+        lambda p: 0.1,
+        lambda p: 5.0,
+        lambda p, rng: {"mean_depth": p.phi_at(0.5) - p.phi_at(0.02), "phi_mean": p.phi_at(0.5)},
+        signed=True,
+    ),
+    "sensor_quadratic": Form(
+        "curvature",
+        lambda p: 0.1 / p.psi_std,
+        lambda p: 2.0 / p.psi_std,
+        lambda p, rng: {"centre": float(np.mean(p.quasi_steady(p.all_phi)))},
+        signed=True,
+    ),
+    "sensor_saturation": Form(
+        "share",
+        lambda p: 0.2,
+        lambda p: 0.9,
+        lambda p, rng: {
+            "knee": float(np.mean(p.quasi_steady(p.all_phi))) + rng.uniform(0.3, 0.8) * p.psi_std,
+            "softness": 0.1 * p.psi_std,
+        },
+    ),
+    "sensor_backlash": Form("half_width", lambda p: 0.01 * p.psi_std, lambda p: 0.5 * p.psi_std),
+}
+
+
+def crossed_levels(name: str, parameters: Parameters) -> tuple[float, ...]:
+    """Return the values of the acting φ at which an effect begins or ends."""
+    if name == "hysteresis":
+        return (parameters["phi_lo"], parameters["phi_hi"])
+    if name == "reverse_flow_branch":
+        return (0.0,)
+    if name == "flow_dependent_lag":
+        return (parameters["phi_threshold"],)
+    if name == "amplitude_memory":
+        return (parameters["phi_mean"],)
+    return ()
+
+
+def stall_state(phi: FloatArray, phi_lo: float, phi_hi: float) -> NDArray[np.bool_]:
+    """Return the state of a Schmitt trigger: set below `phi_lo`, until above `phi_hi`."""
+    decided = np.where(phi < phi_lo, 1, np.where(phi > phi_hi, 0, -1))
+    decided[0] = max(decided[0], 0)
+    last = np.maximum.accumulate(np.where(decided >= 0, np.arange(phi.size), 0))
+    return np.asarray(decided[last] == 1)
+
+
+def _heating(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
+    # The facility is cold until the clock starts.
+    clock = np.maximum(at.time_s, 0.0)
+    return np.asarray(curve * (1.0 - p["loss_frac"] * -np.expm1(-clock / p["heating_time_s"])))
+
+
+def _droop(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
+    return np.asarray(curve * _speed_ratio(p, at) ** p["exponent"])
+
+
+def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
+    speed = at.plant.speeds[at.record].values(at.time_s)
+    return np.asarray(speed / p["reference_frac"])
+
+
+def _hysteresis(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
+    return np.asarray(curve - p["step"] * stall_state(at.branch_phi, p["phi_lo"], p["phi_hi"]))
+
+
+def _lagged_reverse(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
+    return curve + _reverse(p, at) if p["lagged"] else curve
+
+
+def _unlagged_reverse(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
+    return psi if p["lagged"] else psi + _reverse(p, at)
+
+
+def _reverse(p: Parameters, at: Points) -> FloatArray:
+    return np.asarray(p["coefficient"] * at.phi**2 * (at.branch_phi < 0.0))
+
+
+def _bump(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
+    distance = (at.phi - p["centre"]) / p["width"]
+    return np.asarray(curve + p["height"] * np.exp(-0.5 * distance**2))
+
+
+def _memory(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
+    """Gain that depends on how deep the flow fell in the cycle before."""
+    falling = at.branch_phi < p["phi_mean"]
+    # A cycle begins where φ falls through its mean.
+    cycle = np.cumsum(np.diff(falling.astype(np.int64), prepend=falling[0]) > 0)
+    deepest = np.full(cycle[-1] + 1, np.inf)
+    np.minimum.at(deepest, cycle, at.branch_phi)
+    depth = p["phi_mean"] - np.concatenate((deepest[:1], deepest[:-1]))
+    gain = 1.0 + p["slope"] * (depth / p["mean_depth"] - 1.0)
+    return np.asarray(curve * gain[cycle])
+
+
+CHARACTERISTIC: Mapping[str, Callable[[Parameters, Points, FloatArray], FloatArray]] = {
+    "facility_heating": _heating,
+    "speed_droop": _droop,
+    "hysteresis": _hysteresis,
+    "reverse_flow_branch": _lagged_reverse,
+    "characteristic_shape": _bump,
+    "amplitude_memory": _memory,
+}
+
+
+def _amplitude_lag(p: Parameters, at: Points) -> FloatArray:
+    amplitude = at.plant.amplitudes[at.record](at.time_s)
+    return np.asarray(1.0 + p["slope"] * (amplitude / p["mean_amplitude"] - 1.0))
+
+
+def _asymmetric_lag(p: Parameters, at: Points) -> FloatArray:
+    return np.broadcast_to(1.0 + p["slope"] * np.sign(at.phi_rate), at.phi.shape)
+
+
+def _flow_lag(p: Parameters, at: Points) -> FloatArray:
+    below = at.branch_phi < p["phi_threshold"]
+    return np.broadcast_to(1.0 + p["slope"] * below, at.phi.shape)
+
+
+def _speed_lag(p: Parameters, at: Points) -> FloatArray:
+    return np.asarray(_speed_ratio(p, at) ** p["exponent"])
+
+
+# What τ is multiplied by.
+LAG: Mapping[str, Callable[[Parameters, Points], FloatArray]] = {
+    "amplitude_dependent_lag": _amplitude_lag,
+    "asymmetric_lag": _asymmetric_lag,
+    "flow_dependent_lag": _flow_lag,
+    "speed_dependent_lag": _speed_lag,
+}
+
+
+def _inertia(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
+    return np.asarray(psi - p["length_s"] * at.phi_rate)
+
+
+def _thermocouple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
+    channel = at.plant.temperatures[at.record]
+    shown = channel.values(at.time_s)
+    return np.asarray(psi * shown / (shown + p["lag_s"] * channel.rates(at.time_s)))
+
+
+def _sensitivity(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
+    return np.asarray(psi * (1.0 + p["rate_per_s"] * at.time_s))
+
+
+def _bias(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
+    return np.asarray(psi + p["rate_per_s"] * at.time_s)
+
+
+def _ripple(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
+    stalled = at.phi < p["phi_threshold"]
+    episode = np.cumsum(np.diff(stalled.astype(np.int64), prepend=0) > 0)
+    rng = np.random.default_rng([int(p["phase_seed"]), at.record])
+    phases = rng.uniform(-pi, pi, int(episode[-1]) + 1)
+    wave = np.sin(2.0 * pi * p["frequency_hz"] * at.time_s + phases[episode])
+    return np.asarray(psi + p["amplitude"] * stalled * wave)
+
+
+def _quadratic_sensor(p: Parameters, _at: Points, psi: FloatArray) -> FloatArray:
+    return np.asarray(psi + p["curvature"] * (psi - p["centre"]) ** 2)
+
+
+def _saturating_sensor(p: Parameters, _at: Points, psi: FloatArray) -> FloatArray:
+    beyond = p["softness"] * np.logaddexp(0.0, (psi - p["knee"]) / p["softness"])
+    return np.asarray(psi - p["share"] * beyond)
+
+
+# What the sensors and the reduction make of ψ' at the samples.
+OUTPUT: Mapping[str, Callable[[Parameters, Points, FloatArray], FloatArray]] = {
+    "reverse_flow_branch": _unlagged_reverse,
+    "flow_inertia": _inertia,
+    "thermocouple_lag": _thermocouple,
+    "sensitivity_drift": _sensitivity,
+    "bias_drift": _bias,
+    "rotating_stall_ripple": _ripple,
+    "sensor_quadratic": _quadratic_sensor,
+    "sensor_saturation": _saturating_sensor,
+}

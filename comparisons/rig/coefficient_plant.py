@@ -1,0 +1,319 @@
+"""The compressor of a test at the level of coefficients, and the instants it is integrated over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from comparisons.rig.coefficient_signals import (
+    ChannelSignal,
+    Excitation,
+    FlowSignal,
+    draw_flows,
+    slow_amplitude,
+)
+
+__all__ = ["Plant", "Points", "draw_plant", "lay_grid", "sample_points"]
+
+FloatArray = NDArray[np.float64]
+
+# What is left at the start of a record of the state it was begun from: exp(-12).
+_LEAD_TIME_CONSTANTS = 12.0
+# Facility clock from one record's start to the next, in durations: a third of the clock is pause.
+_RECORD_SPACING = 1.5
+_QUANTILE_POINTS = 2000
+_ROOT_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Truth of one test without any effect: τ dψ'/dt + ψ' = Σ βᵢ φⁱ over several records.
+
+    Parameters
+    ----------
+    flows : tuple of FlowSignal
+        φ(t) of each record.
+    temperatures, speeds : tuple of ChannelSignal
+        T25 in kelvin and Nc as a fraction, of each record.
+    duration_s, sample_period_s : float
+        Length of each record, and time between two samples, in seconds.
+    tau_s : float
+        Time constant τ, in seconds.
+    beta : tuple of float
+        Coefficients of ψ'_QS in plain powers of φ.
+    stall_phi : float
+        φ below which the machine is in stall.
+    """
+
+    flows: tuple[FlowSignal, ...]
+    temperatures: tuple[ChannelSignal, ...]
+    speeds: tuple[ChannelSignal, ...]
+    duration_s: float
+    sample_period_s: float
+    tau_s: float
+    beta: tuple[float, ...]
+    stall_phi: float
+
+    def quasi_steady(self, phi: FloatArray) -> FloatArray:
+        """Return ψ'_QS(φ)."""
+        return np.asarray(np.polynomial.polynomial.polyval(phi, np.array(self.beta)))
+
+    @cached_property
+    def all_phi(self) -> FloatArray:
+        """φ of all records, sorted: its quantiles place thresholds."""
+        share = np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
+        return np.sort(np.concatenate([f.values(f.origin_s + share) for f in self.flows]))
+
+    def phi_at(self, share: float) -> float:
+        """Return the φ below which this share of the time is spent."""
+        return float(np.quantile(self.all_phi, share))
+
+    @cached_property
+    def psi_std(self) -> float:
+        """Standard deviation of ψ'_QS over all records: the scale of what an effect may do."""
+        return float(np.std(self.quasi_steady(self.all_phi)))
+
+    @cached_property
+    def mean_speed(self) -> float:
+        """Mean Nc over all records: the reference of the droop."""
+        share = np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
+        return float(np.mean([s.values(s.flow.origin_s + share) for s in self.speeds]))
+
+    @cached_property
+    def amplitudes(self) -> tuple[CubicSpline, ...]:
+        """A(t) of every record, from where its integration starts."""
+        first = _LEAD_TIME_CONSTANTS * self.tau_s
+        return tuple(
+            slow_amplitude(f, f.origin_s - first, f.origin_s + self.duration_s) for f in self.flows
+        )
+
+    @cached_property
+    def mean_amplitude(self) -> float:
+        """Ā, the mean of A over the records."""
+        share = np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
+        pairs = zip(self.amplitudes, self.flows, strict=True)
+        return float(np.mean([a(f.origin_s + share) for a, f in pairs]))
+
+
+@dataclass(frozen=True)
+class Points:
+    """Instants of one record, and what its flow does there.
+
+    Parameters
+    ----------
+    plant : Plant
+        The test.
+    record : int
+        Number of the record, from 0.
+    time_s : ndarray of shape (n,) or (3, m)
+        The instants: samples, or the starts, middles and ends of m steps of integration, none of
+        which holds the beginning of a branch.
+    phi : ndarray
+        φ there, in the shape of `time_s`.
+    phi_rate : ndarray of shape (n,) or (m,)
+        dφ/dt in 1/s at the samples, or at the middles of the steps (empty if no branch begins where
+        φ turns).
+    step_s : ndarray of shape (m,)
+        Lengths of the steps; empty for samples.
+    samples : ndarray of int
+        Where the samples are among the ends of the steps, the start of the first counted as 0.
+    """
+
+    plant: Plant
+    record: int
+    time_s: FloatArray
+    phi: FloatArray
+    phi_rate: FloatArray
+    step_s: FloatArray
+    samples: NDArray[np.int64]
+
+    @property
+    def branch_phi(self) -> FloatArray:
+        """φ by which a branch is chosen: one for the whole of a step."""
+        return self.phi[1] if self.phi.ndim == 2 else self.phi
+
+
+def draw_plant(
+    rng: np.random.Generator,
+    *,
+    n_records: int,
+    duration_s: float,
+    sample_period_s: float,
+    degree: int,
+    excitation: Excitation,
+    tau_s: tuple[float, float],
+) -> Plant:
+    """Draw a compressor and the records of its test.
+
+    Parameters
+    ----------
+    rng : Generator
+        Source of the draw.
+    n_records : int
+        Number of records.
+    duration_s, sample_period_s : float
+        Length of each, and time between two samples, in seconds.
+    degree : int
+        3: the cubic of Moore and Greitzer; 2: a parabola over the same flows.
+    excitation : Excitation
+        How the flow moves.
+    tau_s : tuple of float
+        Range of the time constant, in seconds.
+
+    Returns
+    -------
+    Plant
+        The truth.
+
+    Notes
+    -----
+    ψ'_QS = ψ'₀ + H (1 + 3/2 (φ/W − 1) − 1/2 (φ/W − 1)³), Moore & Greitzer (1986).
+    """
+    tau = float(np.exp(rng.uniform(*np.log(tau_s))))
+    base, height, width = rng.uniform(0.2, 0.4), rng.uniform(0.12, 0.20), rng.uniform(0.21, 0.26)
+    powers = np.polynomial.Polynomial([-1.0, 1.0 / width])
+    if degree == 3:
+        curve = base + height * (1.0 + 1.5 * powers - 0.5 * powers**3)
+    else:
+        # Its top at 1.5 W, as high as the cubic's.
+        curve = base + 2.0 * height - 0.9 * height * (powers - 0.5) ** 2
+    origins = np.asarray(_RECORD_SPACING * duration_s * np.arange(n_records), dtype=np.float64)
+    flows = draw_flows(rng, origins, excitation)
+    temperature_k, speed = rng.uniform(255.0, 300.0), rng.uniform(0.90, 1.0)
+    slow_k = (rng.uniform(0.01, 0.02), rng.uniform(0.02, 0.06), rng.uniform(-pi, pi))
+    slow_n = (rng.uniform(0.006, 0.012), rng.uniform(0.015, 0.05), rng.uniform(-pi, pi))
+    cyclic_k = (rng.uniform(0.004, 0.010), rng.uniform(-pi, pi))
+    cyclic_n = (rng.uniform(0.002, 0.005), rng.uniform(-pi, pi))
+    return Plant(
+        flows=flows,
+        temperatures=tuple(ChannelSignal(f, temperature_k, slow_k, cyclic_k) for f in flows),
+        speeds=tuple(ChannelSignal(f, speed, slow_n, cyclic_n) for f in flows),
+        duration_s=duration_s,
+        sample_period_s=sample_period_s,
+        tau_s=tau,
+        beta=tuple(float(b) for b in curve.convert().coef),
+        stall_phi=float(rng.uniform(0.75, 1.15) * width),
+    )
+
+
+def sample_points(plant: Plant, record: int, time_s: FloatArray) -> Points:
+    """Return the instants of the samples of a record.
+
+    Parameters
+    ----------
+    plant : Plant
+        The test.
+    record : int
+        Number of the record, from 0.
+    time_s : ndarray of shape (n,)
+        The samples on the facility clock, in seconds.
+
+    Returns
+    -------
+    Points
+        The instants; φ is that of the record, before any delay.
+    """
+    flow = plant.flows[record]
+    return Points(
+        plant,
+        record,
+        time_s,
+        flow.values(time_s),
+        flow.rates(time_s),
+        np.empty(0),
+        np.arange(time_s.size),
+    )
+
+
+def lay_grid(
+    plant: Plant,
+    record: int,
+    time_s: FloatArray,
+    *,
+    substeps: int,
+    delay_s: float = 0.0,
+    levels: Sequence[float] = (),
+    turns: bool = False,
+    slow_tau_s: float = 0.0,
+) -> Points:
+    """Lay the steps of integration over a record, one of them ending at every event.
+
+    Parameters
+    ----------
+    plant : Plant
+        The test.
+    record : int
+        Number of the record, from 0.
+    time_s : ndarray of shape (n,)
+        The samples on the facility clock, in seconds, uniform.
+    substeps : int
+        Steps from one sample to the next.
+    delay_s : float
+        Delay between the φ of the record and the φ that acts.
+    levels : sequence of float
+        Values of the acting φ at which a branch of the model begins.
+    turns : bool
+        Whether one begins where the acting φ turns.
+    slow_tau_s : float
+        Time constant of a mode slower than the plant's own, in seconds.
+
+    Returns
+    -------
+    Points
+        Steps from twelve time constants before the first sample to the last one; φ is that which
+        acts.
+    """
+    flow = plant.flows[record]
+    step_s = float(time_s[1] - time_s[0]) / substeps
+    n_lead = int(np.ceil(_LEAD_TIME_CONSTANTS * max(plant.tau_s, slow_tau_s) / step_s))
+    steps = np.arange(-n_lead, (time_s.size - 1) * substeps + 1)
+    nodes = time_s[0] + step_s * steps
+    phi = flow.values(nodes - delay_s)
+    events = [_crossings(flow, nodes - delay_s, phi - level, level) for level in levels]
+    if turns:
+        rate = flow.rates(nodes - delay_s)
+        events.append(_crossings(flow, nodes - delay_s, rate, None))
+    samples = np.arange(n_lead, nodes.size, substeps)
+    if events:
+        extra = np.sort(np.concatenate(events)) + delay_s
+        place = np.searchsorted(nodes, extra)
+        samples = samples + np.searchsorted(extra, nodes[samples], side="left")
+        nodes = np.insert(nodes, place, extra)
+        phi = np.insert(phi, place, flow.values(extra - delay_s))
+    middles = 0.5 * (nodes[:-1] + nodes[1:])
+    return Points(
+        plant,
+        record,
+        np.stack((nodes[:-1], middles, nodes[1:])),
+        np.stack((phi[:-1], flow.values(middles - delay_s), phi[1:])),
+        flow.rates(middles - delay_s) if turns else np.empty(0),
+        np.diff(nodes),
+        samples,
+    )
+
+
+def _crossings(
+    flow: FlowSignal, time_s: FloatArray, offset: FloatArray, level: float | None
+) -> FloatArray:
+    """Return where φ − level (or dφ/dt, for None) changes sign, by secants from the brackets."""
+    at = np.flatnonzero(offset[:-1] * offset[1:] < 0.0)
+    low, high = time_s[at].copy(), time_s[at + 1].copy()
+    f_low, f_high = offset[at].copy(), offset[at + 1].copy()
+    root = low
+    for _ in range(_ROOT_STEPS):
+        root = low - f_low * (high - low) / (f_high - f_low)
+        f_root = flow.rates(root) if level is None else flow.values(root) - level
+        exact = f_root == 0.0
+        if np.any(exact):
+            # Nothing is left to bracket; a hair beside it will do.
+            f_root = np.where(exact, np.finfo(np.float64).tiny, f_root)
+        left = f_root * f_low > 0.0
+        low, f_low = np.where(left, root, low), np.where(left, f_root, f_low)
+        high, f_high = np.where(left, high, root), np.where(left, f_high, f_root)
+    return root

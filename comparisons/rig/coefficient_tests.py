@@ -1,0 +1,317 @@
+"""Tests at the level of coefficients: φ and ψ' of several surge records, one effect hidden in them.
+
+The truth is τ dψ'/dt + ψ' = ψ'_QS(φ) with none, one or two physical effects at their ports. φ is a
+formula in time, so that ψ' is simulated on its own fine grid and only then sampled: what is left of
+a perfect model is noise alone, and the error of whoever simulates at the sample rate is his own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_plant import Plant, draw_plant
+from comparisons.rig.coefficient_runs import check_together, run_record
+from comparisons.rig.coefficient_signals import Excitation
+from comparisons.rig.coefficient_strength import BaseRefit, Sized, size_effect
+
+__all__ = [
+    "EFFECTS",
+    "NOISES",
+    "OUTSIDE",
+    "PAIRS",
+    "CoefficientRecord",
+    "CoefficientTest",
+    "Excitation",
+    "Noise",
+    "simulate_test",
+]
+
+FloatArray = NDArray[np.float64]
+Noise = Literal["white", "ar1", "t3", "outliers", "phi1", "phi3"]
+NOISES: tuple[Noise, ...] = get_args(Noise)
+
+# Ten steps from sample to sample: at 10 ms the simulation is exact to 1e-7 of ψ'.
+_SUBSTEPS = 10
+# Enough for the size of the signal.
+_COARSE = 2
+_DEGREES = (2, 3)
+_AR1 = 0.7
+_T_DEGREES = 3.0
+_OUTLIER_SHARE, _OUTLIER_SIZE = 0.01, 10.0
+_PHI_NOISE: Mapping[Noise, float] = {"phi1": 0.01, "phi3": 0.03}
+# Gaps of a record in segments: their number, their length in seconds, the length of a piece between
+# them as a multiple of τ at least, and how far ψ'_QS is off inside them.
+_GAPS, _GAP_S, _PIECE_TAUS = 3, (0.4, 1.0), 10.0
+_GAP_OFFSET = 2.0
+
+
+@dataclass(frozen=True)
+class CoefficientRecord:
+    """One record as its user has it.
+
+    Parameters
+    ----------
+    time_s : ndarray of shape (n,)
+        Facility clock, in seconds.
+    phi, psi_p : ndarray of shape (n,)
+        Measured flow coefficient φ and pressure coefficient ψ'.
+    T25_K : ndarray of shape (n,)
+        Inlet temperature as its thermocouple shows it, in kelvin.
+    Nc_frac : ndarray of shape (n,)
+        Corrected speed as a fraction of design.
+    in_stall : ndarray of bool, shape (n,), optional
+        True while the machine is in stall.
+    segment : ndarray of int, shape (n,), optional
+        1, 2, … in the intervals to be fitted, 0 elsewhere; None: all rows are one interval.
+    """
+
+    time_s: FloatArray
+    phi: FloatArray
+    psi_p: FloatArray
+    T25_K: FloatArray
+    Nc_frac: FloatArray
+    in_stall: NDArray[np.bool_] | None = None
+    segment: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class CoefficientTest:
+    """Records of one test, and their truth.
+
+    Parameters
+    ----------
+    records : tuple of CoefficientRecord
+        The records, in the order of the facility clock.
+    tau_s : float
+        True time constant, in seconds, as the design reports it for each effect.
+    beta : tuple of float
+        Coefficients of ψ'_QS in plain powers of φ, from the constant on.
+    effects : mapping of str to mapping of str to float
+        Parameters of each hidden effect, by its name; empty for none.
+    strengths : mapping of str to float
+        Strength that each effect has reached alone, in sigma.
+    sigma : float
+        Standard deviation of the noise on ψ'.
+    clean : tuple of ndarray
+        ψ' of each record without noise.
+    """
+
+    records: tuple[CoefficientRecord, ...]
+    tau_s: float
+    beta: tuple[float, ...]
+    effects: Mapping[str, Mapping[str, float]]
+    strengths: Mapping[str, float]
+    sigma: float
+    clean: tuple[FloatArray, ...]
+
+
+def simulate_test(
+    effect: str | tuple[str, ...] | None = None,
+    *,
+    strength: float = 1.0,
+    seed: int = 0,
+    noise: Noise = "white",
+    n_samples: int = 2000,
+    sample_period_s: float = 0.01,
+    n_records: int = 3,
+    degree: int = 3,
+    in_stall: bool = True,
+    gaps: bool = False,
+    noise_frac: float = 0.01,
+    tau_s: tuple[float, float] = (0.06, 0.20),
+    excitation: Excitation | None = None,
+) -> CoefficientTest:
+    """Simulate the records of a test in which an effect is hidden.
+
+    Parameters
+    ----------
+    effect : str, tuple of str or None
+        One or more of `EFFECTS` and `OUTSIDE`; None: nothing is missing.
+    strength : float
+        Rms, in sigma, of what is left of each effect without noise, once τ and a polynomial of the
+        right degree have been fitted again to the first 60 % of the first two records.
+    seed : int
+        Seed. Compressor, flow, noise and the draw of each effect have streams of their own: tests
+        of one seed differ in nothing but what they were asked to differ in.
+    noise : str
+        "white", "ar1" (0.7), "t3" (Student, three degrees), "outliers" (1 % of ten times the size),
+        or white noise on ψ' with 1 % ("phi1") or 3 % ("phi3") of the standard deviation of φ on φ.
+    n_samples, sample_period_s : int, float
+        Rows of each record, and time between two, in seconds.
+    n_records : int
+        Number of records; each starts 1.5 of its durations after the one before.
+    degree : int
+        3: the characteristic is the cubic of Moore and Greitzer; 2: a parabola.
+    in_stall : bool
+        Whether the records have the flag.
+    gaps : bool
+        Whether the records fall into segments with gaps between them, in which the compressor is on
+        another characteristic.
+    noise_frac : float
+        sigma over the standard deviation of ψ' without effect and noise.
+    tau_s : tuple of float
+        Range that τ is drawn from, in seconds.
+    excitation : Excitation, optional
+        How the flow moves.
+
+    Returns
+    -------
+    CoefficientTest
+        Records and truth.
+
+    Raises
+    ------
+    InputError
+        For an unknown effect, noise or degree, effects that cannot act at once, a negative
+        strength, fewer than 100 rows or no record.
+    """
+    names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
+    _check(names, strength, noise, degree, n_samples, n_records)
+    plant = draw_plant(
+        _stream(seed, "plant"),
+        n_records=n_records,
+        duration_s=n_samples * sample_period_s,
+        sample_period_s=sample_period_s,
+        degree=degree,
+        excitation=excitation or Excitation(),
+        tau_s=tau_s,
+    )
+    clock: FloatArray = sample_period_s * np.arange(n_samples, dtype=np.float64)
+    times = tuple(f.origin_s + clock for f in plant.flows)
+    untouched = [run_record(plant, i, t, {}, substeps=_COARSE) for i, t in enumerate(times)]
+    sigma = noise_frac * float(np.std(np.concatenate(untouched)))
+    refit = BaseRefit(plant, times, degree)
+    sized: dict[str, Sized] = {
+        name: size_effect(refit, name, _stream(seed, name), strength=strength, sigma=sigma)
+        for name in names
+    }
+    planted = {name: one.parameters for name, one in sized.items()}
+    rng = _stream(seed, "noise")
+    gap_rng = _stream(seed, "gaps") if gaps else None
+    records, clean = [], []
+    for i, time in enumerate(times):
+        segment = None if gap_rng is None else _segments(gap_rng, time, plant.tau_s)
+        offset = None if segment is None else _GAP_OFFSET * plant.psi_std * (segment == 0)
+        psi = run_record(plant, i, time, planted, substeps=_SUBSTEPS, curve_offset=offset)
+        clean.append(psi)
+        records.append(_measured(plant, i, time, psi, sigma, noise, rng, in_stall, segment))
+    return CoefficientTest(
+        records=tuple(records),
+        tau_s=plant.tau_s,
+        beta=plant.beta,
+        effects=planted,
+        strengths={name: one.strength for name, one in sized.items()},
+        sigma=sigma,
+        clean=tuple(clean),
+    )
+
+
+def _check(
+    names: tuple[str, ...],
+    strength: float,
+    noise: str,
+    degree: int,
+    n_samples: int,
+    n_records: int,
+) -> None:
+    for name in names:
+        if name not in FORMS:
+            raise InputError(
+                "effect", expected="one of " + ", ".join(EFFECTS + OUTSIDE), found=f"{name!r}"
+            )
+    check_together(names)
+    if not 0.0 <= strength < np.inf:
+        raise InputError("strength", expected="a number from 0 on", found=f"{strength}")
+    if noise not in NOISES:
+        raise InputError("noise", expected="one of " + ", ".join(NOISES), found=f"{noise!r}")
+    if degree not in _DEGREES:
+        raise InputError("degree", expected="2 or 3", found=f"{degree}")
+    if n_samples < 100 or n_records < 1:
+        raise InputError(
+            "records",
+            expected="at least one of at least 100 rows",
+            found=f"{n_records} of {n_samples}",
+        )
+
+
+def _stream(seed: int, purpose: str) -> np.random.Generator:
+    """Return a generator that no other purpose shares."""
+    return np.random.default_rng([seed, *purpose.encode()])
+
+
+def _measured(
+    plant: Plant,
+    record: int,
+    time_s: FloatArray,
+    psi: FloatArray,
+    sigma: float,
+    noise: Noise,
+    rng: np.random.Generator,
+    in_stall: bool,
+    segment: NDArray[np.int64] | None,
+) -> CoefficientRecord:
+    """Sample the channels of a record and put the noise on."""
+    phi = plant.flows[record].values(time_s)
+    stalled = phi < plant.stall_phi
+    shown = psi + sigma * _unit_noise(rng, psi.size, noise)
+    if noise in _PHI_NOISE:
+        phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
+    return CoefficientRecord(
+        time_s=time_s,
+        phi=phi,
+        psi_p=shown,
+        T25_K=plant.temperatures[record].values(time_s),
+        Nc_frac=plant.speeds[record].values(time_s),
+        in_stall=stalled if in_stall else None,
+        segment=segment,
+    )
+
+
+def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:
+    """Draw noise of unit variance (that of the bulk, for outliers)."""
+    if noise == "t3":
+        # The variance of Student's t with ν degrees of freedom is ν/(ν − 2).
+        spread = np.sqrt(_T_DEGREES / (_T_DEGREES - 2.0))
+        return np.asarray(rng.standard_t(_T_DEGREES, n) / spread)
+    white = rng.standard_normal(n)
+    if noise == "ar1":
+        coloured = np.empty(n)
+        coloured[0] = white[0]
+        innovation = np.sqrt(1.0 - _AR1**2)
+        for k in range(1, n):
+            coloured[k] = _AR1 * coloured[k - 1] + innovation * white[k]
+        return coloured
+    if noise == "outliers":
+        wild = rng.random(n) < _OUTLIER_SHARE
+        return np.where(wild, _OUTLIER_SIZE * white, white)
+    return white
+
+
+def _segments(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> NDArray[np.int64]:
+    """Return the number of the interval of each row, 0 in the gaps between the intervals."""
+    period_s = float(time_s[1] - time_s[0])
+    lengths = np.ceil(rng.uniform(*_GAP_S, _GAPS) / period_s).astype(int)
+    shortest = int(np.ceil(_PIECE_TAUS * tau_s / period_s))
+    spare = time_s.size - int(lengths.sum()) - (_GAPS + 1) * shortest
+    if spare < 0:
+        raise InputError(
+            "gaps", expected="records long enough for three gaps", found=f"{time_s.size} rows"
+        )
+    # Cuts of what is to spare into as many parts as there are pieces.
+    cuts = np.sort(rng.integers(0, spare + 1, _GAPS))
+    segment = np.zeros(time_s.size, dtype=np.int64)
+    begin = 0
+    for number, (end, length) in enumerate(
+        zip((*cuts, spare), (*lengths, 0), strict=True), start=1
+    ):
+        stop = int(end) + number * shortest + int(lengths[: number - 1].sum())
+        segment[begin:stop] = number
+        begin = stop + int(length)
+    return segment
