@@ -1,0 +1,137 @@
+"""From the end of a search to a diagnosis: the gap, τ under every name, and the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.episodes import errors_on
+from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.lag_data import LATER, OTHER
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.results import Diagnosis, Gap, MissingEffect
+from comparisons.missing_effect.search import Leftover, Round
+from comparisons.missing_effect.uncertainty import fitted_parameters, on_all_rows
+
+__all__ = ["concluded", "evidence_numbers"]
+
+AliasSets = Mapping[str, Sequence[Candidate]]
+
+
+def concluded(
+    verdict: str,
+    base: Bench,
+    final: Bench,
+    *,
+    sets: AliasSets,
+    provisional: bool,
+    noise: NoiseModel,
+    leftover: Leftover,
+    rounds: Sequence[Round],
+    unavailable: Mapping[str, str],
+    floor_rms: float,
+    gap: Gap | None = None,
+) -> Diagnosis:
+    """Return the diagnosis that a search has come to.
+
+    Parameters
+    ----------
+    verdict : str
+        One of the seven.
+    base, final : Bench
+        The model before and after, on the same rows.
+    sets : mapping of str to sequence of Candidate
+        Alias set of each effect found, it first.
+    provisional : bool
+        Whether names stand for something that may be another.
+    noise : NoiseModel
+        Of the model after.
+    leftover : Leftover
+        What it leaves.
+    rounds : sequence of Round
+        The search.
+    unavailable : mapping of str to str
+        Effects that these records cannot show, and why.
+    floor_rms : float
+        Measurement noise.
+    gap : Gap, optional
+        Where the held-out errors are not those of later time and another record.
+    """
+    found, data = final.fit.structure.effects, final.data
+    before = on_all_rows(base.fit, base)
+    after = on_all_rows(final.fit, final) if found else before
+    values = fitted_parameters(after, final)
+    missing = tuple(
+        MissingEffect(
+            effect.name,
+            tuple(c.name for c in sets[effect.name]) or (effect.name,),
+            provisional and not effect.unnamed,
+            values[effect.name],
+            evidence_numbers(sets[effect.name][0]) if sets[effect.name] else {},
+        )
+        for effect in found
+    )
+    held = (data.weight > 0.0) & np.isin(data.part, (LATER, OTHER))
+    gap = gap or Gap(
+        _rms(errors_on(base.fit, base.data, Metric())[0][held]),
+        _rms(errors_on(final.fit, data, Metric())[0][held]),
+        floor_rms,
+    )
+    return Diagnosis(
+        verdict,
+        missing,
+        gap,
+        before.tau_s,
+        after.tau_s,
+        values["tau"][0].stderr,
+        _tau_by_alias(final, sets, after),
+        before,
+        after,
+        base.fit,
+        final.fit,
+        data,
+        noise,
+        leftover,
+        tuple(rounds),
+        unavailable,
+    )
+
+
+def _tau_by_alias(final: Bench, sets: AliasSets, after: Fit) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for name, members in sets.items():
+        for member in members:
+            out[member.name] = (
+                after.tau_s if member.name == name else on_all_rows(member.fit, final).tau_s
+            )
+    return out
+
+
+def evidence_numbers(candidate: Candidate) -> dict[str, float]:
+    """Return the evidence of a candidate by name.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        Weighed.
+    """
+    e = candidate.evidence
+    numbers = {
+        "train_gain": e.train,
+        "later_gain": e.later,
+        "other_record_gain": e.other,
+        "held_out_z": e.z,
+        "p_value": e.p_value,
+        "score": e.score,
+    }
+    if np.isfinite(e.share):
+        numbers["share"] = e.share
+    return numbers
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

@@ -1,0 +1,163 @@
+"""What an effect is: a port, an equation, parameters, and how it acts on a lag model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.ports import Ports
+
+__all__ = ["Effect", "Parameter", "PortName"]
+
+PortName = Literal["input", "characteristic", "lag", "output", "noise"]
+PORT_ORDER: tuple[PortName, ...] = ("input", "characteristic", "lag", "output", "noise")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Parameters
+    ----------
+    name, unit : str
+        Symbol and SI unit; ``"1"`` without one.
+    low, high : float
+        Physical bounds.
+    kind : {"linear", "free", "held"}
+        ``"linear"``: a coefficient of a column; ``"free"``: searched continuously; ``"held"``:
+        one of a few values that the grid lists.
+    step : float
+        Size of a step that changes the model little; for finite differences and for starts.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    kind: Literal["linear", "free", "held"] = "linear"
+    step: float = 1e-3
+
+
+Acts = Callable[[Ports, LagData, FloatArray], Ports]
+Grid = Callable[[LagData], FloatArray]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect that a lag model may lack.
+
+    Parameters
+    ----------
+    name : str
+        Identifier.
+    port : {"input", "characteristic", "lag", "output", "noise"}
+        Where it acts.
+    equation : str
+        What it adds.
+    says : str
+        One sentence: what happens in the machine or in the measurement.
+    parameters : tuple of Parameter
+        The amplitude first; with amplitude 0 the effect is not there.
+    acts : callable
+        ``acts(ports, data, values)`` returns the ports with the effect; ``values`` holds the
+        parameters that are not linear, in their order.
+    grid : callable
+        ``grid(data)`` returns where a search starts, one row a start, of the parameters that are
+        neither linear nor the amplitude.
+    searched : float
+        How many independent trials that search is worth.
+    needs : str
+        Signal without which it cannot be told; empty for none.
+    on_tau : str
+        What the time constant suffers when the effect is left out.
+    confirm : str
+        The measurement that would confirm it.
+    episodes : bool
+        Whether its columns belong to one episode each, with a phase that means nothing elsewhere.
+    smooth : bool
+        Whether it may be searched by its slope at amplitude 0.
+    """
+
+    name: str
+    port: PortName
+    equation: str
+    says: str
+    parameters: tuple[Parameter, ...]
+    acts: Acts
+    grid: Grid
+    searched: float
+    on_tau: str
+    confirm: str
+    needs: str = ""
+    episodes: bool = False
+    unnamed: bool = False
+
+    @property
+    def linear(self) -> bool:
+        """Whether the amplitude is a coefficient of a column."""
+        return self.parameters[0].kind == "linear"
+
+    @property
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        """The parameters that ``acts`` takes, the amplitude among them when it is one."""
+        return tuple(p for p in self.parameters if p.kind != "linear")
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Which of ``nonlinear`` are searched continuously."""
+        return tuple(i for i, p in enumerate(self.nonlinear) if p.kind == "free")
+
+    def missing_channel(self, data: LagData) -> str | None:
+        """Return why the effect cannot be told from these records, or None.
+
+        Parameters
+        ----------
+        data : LagData
+            The records.
+        """
+        if not self.needs:
+            return None
+        if self.needs not in data:
+            return f"needs the column {self.needs}"
+        values = data[self.needs]
+        if float(np.ptp(values)) <= 1e-6 * float(np.mean(np.abs(values))):
+            return f"needs a {self.needs} that changes"
+        return None
+
+    def starts(self, data: LagData, amplitude: float = 0.0) -> FloatArray:
+        """Return the values of ``nonlinear`` that a search starts from, one row a start.
+
+        Parameters
+        ----------
+        data : LagData
+            The records.
+        amplitude : float
+            Where the amplitude is one of them.
+        """
+        shapes = np.atleast_2d(self.grid(data))
+        if self.linear:
+            return shapes
+        return np.column_stack([np.full(shapes.shape[0], amplitude), shapes])
+
+    def checked(self, values: FloatArray) -> FloatArray:
+        """Return the values of ``nonlinear``, refused where they are not physical.
+
+        Raises
+        ------
+        InputError
+            When one is outside its bounds.
+        """
+        for parameter, value in zip(self.nonlinear, values, strict=True):
+            if not parameter.low <= value <= parameter.high:
+                raise InputError(
+                    f"{self.name}: {parameter.name}",
+                    expected=f"{parameter.low:g} to {parameter.high:g} {parameter.unit}",
+                    found=f"{value:g}",
+                )
+        return values

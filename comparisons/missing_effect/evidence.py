@@ -1,0 +1,241 @@
+"""Evidence for one model over another: likelihood, later time, another record, and the search.
+
+Nothing here knows what a compressor is: a candidate brings its whitened errors on all rows, how
+many numbers it fitted, and how long it searched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
+
+__all__ = ["Evidence", "Rows", "alias_rows", "evidence_of", "paired_z"]
+
+# Accepted only below this chance of so large a gain anywhere in the search.
+LARGEST_P = 1e-4
+LEAST_Z = 2.5
+# A block that wins this much is no chance; three of them, thirty in all, make up for a small z.
+LOUD_BLOCK = 5.0
+LEAST_LOUD = 3
+LOUD_SUM = 30.0
+# Two models this close in log-units are not told apart by these rows, whatever their order; the
+# share covers what the rounding of the simulation does to large gains.
+LEAST_GAP = 12.0
+LEAST_GAP_SHARE = 0.004
+ALIAS_Z = 2.33
+ALIAS_COSINE = 0.7
+# Blocks over which errors are compared: at least so many in the held-out rows.
+MOST_BLOCKS = 40
+LEAST_BLOCK_ROWS = 20
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which rows are fitted and which are held out, and their blocks.
+
+    Parameters
+    ----------
+    part : ndarray of int, shape (n,)
+        0 fitted, 1 later time, 2 another record.
+    valid : ndarray of bool, shape (n,)
+        Rows that count.
+    block : ndarray of int, shape (n,)
+        Block of each row; no block lies in two parts.
+    """
+
+    part: NDArray[np.int8]
+    valid: NDArray[np.bool_]
+    block: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, part: NDArray[np.int8], valid: NDArray[np.bool_], block_rows: int) -> Rows:
+        """Cut each part into blocks of about so many rows."""
+        block = np.full(part.size, -1, dtype=np.int64)
+        count = 0
+        for value in (TRAIN, LATER, OTHER):
+            rows = np.flatnonzero((part == value) & valid)
+            if rows.size:
+                n = max(2, rows.size // block_rows)
+                block[rows] = count + np.minimum(np.arange(rows.size) * n // rows.size, n - 1)
+                count += n
+        return cls(part, valid, block)
+
+    def of_part(self, *parts: int) -> NDArray[np.bool_]:
+        """Return the rows that count, of some parts."""
+        return self.valid & np.isin(self.part, parts)
+
+    @property
+    def n_fitted(self) -> int:
+        """Number of rows fitted."""
+        return int(np.count_nonzero(self.of_part(TRAIN)))
+
+    @property
+    def has_other(self) -> bool:
+        """Whether there is a record that is not fitted."""
+        return bool(np.any(self.of_part(OTHER)))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for a candidate against the model without it; gains in log-units.
+
+    Parameters
+    ----------
+    train, later, other : float
+        Gain on the rows fitted, on later time, on the other record (NaN without one).
+    z : float
+        Mean gain of the held-out blocks over its standard error.
+    p_value : float
+        Chance of the fitted gain without the effect, times all that was searched.
+    score : float
+        Fitted gain less half log n a number, plus the held-out gain.
+    share : float
+        Share of the squared errors of all rows that it explains; where model error, not noise,
+        rules the errors.
+    least_share : float
+        What that share must reach there, in place of the chance and of z.
+    many_blocks : bool
+        Whether several held-out blocks speak for it by themselves, and hardly one against it.
+    """
+
+    train: float
+    later: float
+    other: float
+    z: float
+    p_value: float
+    score: float
+    share: float = float("nan")
+    least_share: float = float("nan")
+    many_blocks: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether likelihood, later time and the other record all speak for it."""
+        held_out = self.later > 0.0 and not self.other <= 0.0
+        if self.least_share == self.least_share:
+            return held_out and self.share >= self.least_share
+        consistent = self.z > LEAST_Z or self.many_blocks
+        return held_out and self.p_value < LARGEST_P and consistent
+
+
+def evidence_of(
+    rows: Rows,
+    before: FloatArray,
+    after: FloatArray,
+    *,
+    added: int,
+    searched: float,
+    episodes: tuple[float, float] = (0.0, 0.0),
+) -> Evidence:
+    """Weigh a candidate against the model without it.
+
+    Parameters
+    ----------
+    rows : Rows
+        Parts and blocks.
+    before, after : ndarray of shape (n,)
+        Whitened errors without and with it, by fits to the fitted rows alone.
+    added : int
+        Numbers that it fitted in addition.
+    searched : float
+        How many independent trials the search was worth, all candidates counted.
+    episodes : tuple of float
+        Log-units taken off the gain on later time and on the other record for phases that had to
+        be fitted there.
+    """
+    from scipy.stats import chi2
+
+    gain = 0.5 * (before**2 - after**2)
+    train = float(gain[rows.of_part(TRAIN)].sum())
+    later = float(gain[rows.of_part(LATER)].sum()) - episodes[0]
+    other = float(gain[rows.of_part(OTHER)].sum()) - episodes[1] if rows.has_other else float("nan")
+    p_value = float(min(1.0, chi2.sf(2.0 * max(train, 0.0), max(added, 1)) * searched))
+    held = later + (other if rows.has_other else 0.0)
+    score = train - 0.5 * added * float(np.log(max(rows.n_fitted, 2))) + held
+    z = paired_z(gain, rows, LATER, OTHER)
+    several = _speak_for_themselves(gain, rows)
+    return Evidence(train, later, other, z, p_value, score, many_blocks=several)
+
+
+def _speak_for_themselves(gain: FloatArray, rows: Rows) -> bool:
+    """Tell whether several held-out blocks win much, where the mean is ruled by a few of them.
+
+    An effect that acts in a few cycles only, such as a branch in reversed flow that φ seldom
+    reaches, wins thousands of log-units there and nothing elsewhere: its z is small.
+    """
+    sums = block_sums(gain, rows, LATER, OTHER)
+    loud = int(np.count_nonzero(sums > LOUD_BLOCK))
+    against = int(np.count_nonzero(sums < -LOUD_BLOCK))
+    return loud >= LEAST_LOUD and loud >= LEAST_LOUD * against and sums.sum() > LOUD_SUM
+
+
+def block_sums(gain: FloatArray, rows: Rows, *parts: int) -> FloatArray:
+    """Return the log-units that each block of some parts wins."""
+    here = rows.of_part(*parts)
+    sums = np.bincount(rows.block[here], gain[here])
+    return np.asarray(sums[np.bincount(rows.block[here]) > 0], dtype=np.float64)
+
+
+def paired_z(gain: FloatArray, rows: Rows, *parts: int) -> float:
+    """Return the mean gain of the blocks of some parts over its standard error.
+
+    Parameters
+    ----------
+    gain : ndarray of shape (n,)
+        Log-units of each row.
+    rows : Rows
+        Blocks.
+    *parts : int
+        Which parts.
+    """
+    sums = block_sums(gain, rows, *parts)
+    if sums.size < 2:
+        return 0.0
+    spread = float(np.std(sums, ddof=1)) * np.sqrt(sums.size)
+    return float(sums.sum()) / spread if spread > 0.0 else 0.0
+
+
+def alias_rows(
+    rows: Rows,
+    base: FloatArray,
+    errors: Sequence[FloatArray],
+    scores: Sequence[float],
+) -> list[bool]:
+    """Tell which of several accepted candidates these rows cannot tell from the best.
+
+    Parameters
+    ----------
+    rows : Rows
+        Blocks.
+    base : ndarray of shape (n,)
+        Whitened errors of the model without any.
+    errors : sequence of ndarray of shape (n,)
+        Of each candidate.
+    scores : sequence of float
+        Of each candidate.
+
+    Returns
+    -------
+    list of bool
+        True for the best and for those that stand beside it.
+    """
+    best = 0 if scores[0] >= max(scores) else int(np.argmax(scores))
+    out = []
+    for j, error in enumerate(errors):
+        gap = scores[best] - scores[j]
+        near = gap < max(LEAST_GAP, LEAST_GAP_SHARE * scores[best])
+        if not near:
+            gain = 0.5 * (error**2 - errors[best] ** 2)
+            z = paired_z(gain, rows, TRAIN, LATER, OTHER)
+            one, two = (base - error)[rows.valid], (base - errors[best])[rows.valid]
+            size = float(np.linalg.norm(one) * np.linalg.norm(two))
+            cosine = float(one @ two) / size if size > 0.0 else 0.0
+            near = z < ALIAS_Z and cosine > ALIAS_COSINE
+        out.append(j == best or near)
+    return out

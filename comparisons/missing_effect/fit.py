@@ -1,0 +1,211 @@
+"""Joint fit of τ, characteristic and effects: linear parameters solved, the others stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.structure import Structure
+
+__all__ = ["Fit", "fit_structure", "solved"]
+
+MOST_STEPS = 25
+# A step that would win less than this many log-units ends the search: beside a threshold of
+# evidence of ten it is nothing.
+LEAST_GAIN = 1e-3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A structure with its numbers.
+
+    Parameters
+    ----------
+    structure : Structure
+        Terms and effects.
+    nonlinear : ndarray of shape (p,)
+        log τ and the parameters of the effects.
+    coefficients : ndarray of shape (q,)
+        Linear parameters: terms, inputs that effects add, nuisances, added columns.
+    cost : float
+        Half the sum of squared errors in the metric of the fit.
+    converged : bool
+        Whether the search ended by itself.
+    """
+
+    structure: Structure
+    nonlinear: FloatArray
+    coefficients: FloatArray
+    cost: float
+    converged: bool = True
+
+    @property
+    def tau_s(self) -> float:
+        """Time constant, in seconds."""
+        return float(np.exp(self.nonlinear[0]))
+
+    @property
+    def n_parameters(self) -> int:
+        """Numbers that were fitted."""
+        return len(self.structure.free) + self.coefficients.size
+
+    def output(self, data: LagData) -> FloatArray:
+        """Return the free run, each run from rest."""
+        return self.structure.output(data, self.nonlinear, self.coefficients)
+
+    def errors(self, data: LagData, metric: Metric) -> FloatArray:
+        """Return the errors in a metric, with each run's start projected out."""
+        decay = self.structure.respond_decay(data, self.nonlinear)
+        return metric.seen(data.measured - self.output(data), decay, data)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The linear parameters at given others.
+
+    Parameters
+    ----------
+    coefficients : ndarray of shape (q,)
+        The linear parameters.
+    errors : ndarray of shape (n,)
+        In the metric.
+    basis : ndarray of shape (n, r)
+        Orthonormal basis of what the linear parameters can move.
+    decay : ndarray of shape (n,)
+        What a start leaves.
+    """
+
+    coefficients: FloatArray
+    errors: FloatArray
+    basis: FloatArray
+    decay: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared errors."""
+        return 0.5 * float(self.errors @ self.errors)
+
+
+def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: FloatArray) -> Solution:
+    """Solve for the linear parameters at given others.
+
+    Parameters
+    ----------
+    structure : Structure
+        Terms and effects.
+    data : LagData
+        Rows.
+    metric : Metric
+        How errors are weighed.
+    nonlinear : ndarray of shape (p,)
+        log τ and the parameters of the effects.
+    """
+    answer = structure.respond(data, nonlinear)
+    joint = np.column_stack([answer.columns, data.measured])
+    seen = metric.seen(joint, answer.decay, data)
+    columns, target = seen[:, :-1], seen[:, -1]
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    scale[scale == 0.0] = 1.0
+    basis, triangle = np.linalg.qr(columns / scale)
+    diagonal = np.abs(np.diag(triangle))
+    if diagonal.min(initial=1.0) > 1e-9:
+        along = basis.T @ target
+        coefficients = np.linalg.solve(triangle, along) / scale
+    else:
+        # Terms that the rows cannot tell apart: the least of all equally good answers.
+        left, size, right = np.linalg.svd(columns / scale, full_matrices=False)
+        kept = size > 1e-9 * size[0]
+        basis = left[:, kept]
+        along = basis.T @ target
+        coefficients = (right[kept].T @ (along / size[kept])) / scale
+    return Solution(coefficients, target - basis @ along, basis, answer.decay)
+
+
+def fit_structure(
+    structure: Structure,
+    data: LagData,
+    metric: Metric,
+    starts: Sequence[FloatArray],
+    *,
+    most_steps: int = MOST_STEPS,
+) -> Fit:
+    """Fit τ, terms and effects jointly, from the best of several starts.
+
+    Gauss-Newton on the parameters that are not linear, with the linear ones solved at each step
+    (variable projection, Kaufman's slopes) and a trust factor; stays within the bounds.
+
+    Parameters
+    ----------
+    structure : Structure
+        What is fitted.
+    data : LagData
+        Rows; all that are scored are fitted.
+    metric : Metric
+        How errors are weighed.
+    starts : sequence of ndarray of shape (p,)
+        Starts of log τ and the parameters of the effects.
+    most_steps : int
+        Bound on the steps.
+    """
+    fits = [_descend(structure, data, metric, start, most_steps) for start in starts]
+    # Starts may differ in how many columns they bring. One log-unit for each, not half log n: too
+    # coarse a spline leaves structure behind, one too fine costs little.
+    return min(fits, key=lambda fit: fit.cost + fit.n_parameters)
+
+
+def _descend(
+    structure: Structure, data: LagData, metric: Metric, start: FloatArray, most_steps: int
+) -> Fit:
+    low, high = structure.bounds.T
+    here = np.clip(np.asarray(start, dtype=np.float64), low, high)
+    found = solved(structure, data, metric, here)
+    damping, converged = 1e-4, False
+    for _ in range(most_steps):
+        there, moved, damping = _step(structure, data, metric, here, found, damping)
+        if moved is None:
+            converged = True
+            break
+        gained = found.cost - moved.cost
+        here, found = there, moved
+        if gained < LEAST_GAIN:
+            converged = True
+            break
+    return Fit(structure, here, found.coefficients, found.cost, converged)
+
+
+def _step(
+    structure: Structure,
+    data: LagData,
+    metric: Metric,
+    here: FloatArray,
+    found: Solution,
+    damping: float,
+) -> tuple[FloatArray, Solution | None, float]:
+    """Return where a step that gains leads; None where none gains any more."""
+    free = list(structure.free)
+    low, high = structure.bounds.T
+    slopes = structure.slopes(data, here, found.coefficients, free)
+    seen = metric.seen(slopes, found.decay, data)
+    seen -= found.basis @ (found.basis.T @ seen)
+    normal, gradient = seen.T @ seen, seen.T @ found.errors
+    size = np.diag(normal).copy()
+    size[size <= 0.0] = 1.0
+    while damping < 1e8:
+        step = np.linalg.solve(normal + damping * np.diag(size), gradient)
+        if float(gradient @ step) - 0.5 * float(step @ normal @ step) < LEAST_GAIN:
+            break
+        there = here.copy()
+        there[free] += step
+        there = np.clip(there, low, high)
+        # log τ never moves by more than a factor of three at once.
+        there[0] = np.clip(there[0], here[0] - 1.1, here[0] + 1.1)
+        moved = solved(structure, data, metric, there)
+        if np.isfinite(moved.cost) and moved.cost < found.cost:
+            return there, moved, max(damping / 10.0, 1e-9)
+        damping = max(10.0 * damping, 1e-3)
+    return here, None, damping

@@ -1,0 +1,241 @@
+"""The recursions of the extended lag model, compiled: every column of its inputs in one pass."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.compiled import compiled
+from classic_ml.records import FloatArray
+
+__all__ = [
+    "lag_pass",
+    "piecewise_cubics",
+    "second_order_pass",
+    "shifted",
+    "varying_lag_pass",
+    "whiten",
+]
+
+IntArray = NDArray[np.int64]
+
+
+@compiled
+def lag_pass(
+    columns: FloatArray, a: float, now: float, before: float, runs: IntArray, every: int
+) -> FloatArray:
+    """Answer of τ dx/dt + x = u to each column, kept at every so many rows; starts at rest."""
+    n_kept = 0
+    for r in range(runs.shape[0]):
+        n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
+    q = columns.shape[1]
+    out = np.empty((n_kept, q))
+    state = np.empty(q)
+    row = 0
+    for r in range(runs.shape[0]):
+        start, stop = runs[r, 0], runs[r, 1]
+        for j in range(q):
+            state[j] = columns[start, j]
+            out[row, j] = state[j]
+        row += 1
+        left = every
+        for k in range(start + 1, stop):
+            for j in range(q):
+                state[j] = a * state[j] + now * columns[k, j] + before * columns[k - 1, j]
+            left -= 1
+            if left == 0:
+                left = every
+                for j in range(q):
+                    out[row, j] = state[j]
+                row += 1
+    return out
+
+
+@compiled
+def varying_lag_pass(
+    columns: FloatArray, ratio: FloatArray, runs: IntArray, every: int
+) -> tuple[FloatArray, FloatArray]:
+    """Answer of τ(t) dx/dt + x = u; ``ratio[k]`` is step over τ from row k-1 to k.
+
+    The second result is what is left of a start that is off by one.
+    """
+    n_kept = 0
+    for r in range(runs.shape[0]):
+        n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
+    q = columns.shape[1]
+    out = np.empty((n_kept, q))
+    decay = np.empty(n_kept)
+    state = np.empty(q)
+    row = 0
+    for r in range(runs.shape[0]):
+        start, stop = runs[r, 0], runs[r, 1]
+        rest = 1.0
+        for j in range(q):
+            state[j] = columns[start, j]
+            out[row, j] = state[j]
+        decay[row] = 1.0
+        row += 1
+        left = every
+        for k in range(start + 1, stop):
+            a = np.exp(-ratio[k])
+            mean = -np.expm1(-ratio[k]) / ratio[k]
+            rest *= a
+            for j in range(q):
+                state[j] = (
+                    a * state[j] + (1.0 - mean) * columns[k, j] + (mean - a) * columns[k - 1, j]
+                )
+            left -= 1
+            if left == 0:
+                left = every
+                decay[row] = rest
+                for j in range(q):
+                    out[row, j] = state[j]
+                row += 1
+    return out, decay
+
+
+@compiled
+def second_order_pass(
+    columns: FloatArray,
+    transition: FloatArray,
+    before: FloatArray,
+    now: FloatArray,
+    tau_steps: float,
+    runs: IntArray,
+    every: int,
+) -> FloatArray:
+    """Answer of a₂ d²x/dt² + τ dx/dt + x = u; rates are per step; starts as after a long ramp."""
+    n_kept = 0
+    for r in range(runs.shape[0]):
+        n_kept += (runs[r, 1] - runs[r, 0] - 1) // every + 1
+    q = columns.shape[1]
+    out = np.empty((n_kept, q))
+    x = np.empty(q)
+    v = np.empty(q)
+    row = 0
+    for r in range(runs.shape[0]):
+        start, stop = runs[r, 0], runs[r, 1]
+        for j in range(q):
+            v[j] = columns[min(start + 1, stop - 1), j] - columns[start, j]
+            x[j] = columns[start, j] - tau_steps * v[j]
+            out[row, j] = x[j]
+        row += 1
+        left = every
+        for k in range(start + 1, stop):
+            for j in range(q):
+                u0, u1 = columns[k - 1, j], columns[k, j]
+                x_new = transition[0, 0] * x[j] + transition[0, 1] * v[j]
+                v_new = transition[1, 0] * x[j] + transition[1, 1] * v[j]
+                x[j] = x_new + before[0] * u0 + now[0] * u1
+                v[j] = v_new + before[1] * u0 + now[1] * u1
+            left -= 1
+            if left == 0:
+                left = every
+                for j in range(q):
+                    out[row, j] = x[j]
+                row += 1
+    return out
+
+
+@compiled
+def shifted(signal: FloatArray, steps: float, runs: IntArray) -> FloatArray:
+    """Return a signal later by any number of steps, by cubics through four rows of each run."""
+    out = np.empty_like(signal)
+    for r in range(runs.shape[0]):
+        start, stop = runs[r, 0], runs[r, 1]
+        for k in range(start, stop):
+            at = min(max(k - steps, float(start)), float(stop - 1))
+            i = min(max(int(np.floor(at)), start), stop - 2)
+            f = at - i
+            y0 = signal[max(i - 1, start)]
+            y1, y2 = signal[i], signal[i + 1]
+            y3 = signal[min(i + 2, stop - 1)]
+            out[k] = (
+                -f * (f - 1.0) * (f - 2.0) / 6.0 * y0
+                + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * y1
+                - (f + 1.0) * f * (f - 2.0) / 2.0 * y2
+                + (f + 1.0) * f * (f - 1.0) / 6.0 * y3
+            )
+    return out
+
+
+@compiled
+def whiten(columns: FloatArray, ar: FloatArray, weight: FloatArray, runs: IntArray) -> FloatArray:
+    """Return w[k] (x[k] - Σ a_i x[k-i]) of each column, zero where a row before is missing."""
+    p, q = ar.size, columns.shape[1]
+    out = np.zeros_like(columns)
+    for r in range(runs.shape[0]):
+        for k in range(runs[r, 0] + p, runs[r, 1]):
+            w = weight[k]
+            if w == 0.0:
+                continue
+            for j in range(q):
+                value = columns[k, j]
+                for i in range(p):
+                    value -= ar[i] * columns[k - 1 - i, j]
+                out[k, j] = w * value
+    return out
+
+
+@compiled
+def piecewise_cubics(at: FloatArray, pieces: FloatArray) -> FloatArray:
+    """Return splines at points of [0, 1]: cubics about the left ends of equal intervals."""
+    intervals, _, q = pieces.shape
+    out = np.empty((at.size, q))
+    for k in range(at.size):
+        i = min(int(at[k] * intervals), intervals - 1)
+        x = at[k] - i / intervals
+        for j in range(q):
+            out[k, j] = pieces[i, 0, j] + x * (
+                pieces[i, 1, j] + x * (pieces[i, 2, j] + x * pieces[i, 3, j])
+            )
+    return out
+
+
+@compiled
+def flow_noise_whiten(
+    columns: FloatArray,
+    a: float,
+    now: float,
+    before: float,
+    slope: FloatArray,
+    ratio: float,
+    weight: FloatArray,
+    runs: IntArray,
+) -> tuple[FloatArray, float]:
+    """Whiten errors that hold the lag's answer to noise on φ beside white noise of variance one.
+
+    A Kalman filter over the lag's answer and the last noise; returns the innovations over their
+    standard deviations, and half the sum of the logarithms of their variances.
+    """
+    q = columns.shape[1]
+    out = np.zeros_like(columns)
+    x, u = np.zeros(q), np.zeros(q)
+    half_log = 0.0
+    for r in range(runs.shape[0]):
+        x[:] = 0.0
+        u[:] = 0.0
+        pxx, pxu, puu = 0.0, 0.0, 0.0
+        for k in range(runs[r, 0], runs[r, 1]):
+            new = ratio * slope[k] * slope[k]
+            pxx = a * a * pxx + 2.0 * a * before * pxu + before * before * puu + now * now * new
+            pxu, puu = now * new, new
+            for j in range(q):
+                x[j] = a * x[j] + before * u[j]
+                u[j] = 0.0
+            w = weight[k]
+            if w == 0.0:
+                continue
+            s = pxx + 1.0
+            kx, ku = pxx / s, pxu / s
+            root = np.sqrt(s)
+            half_log += 0.5 * np.log(s)
+            for j in range(q):
+                v = columns[k, j] - x[j]
+                out[k, j] = w * v / root
+                x[j] += kx * v
+                u[j] += ku * v
+            puu -= ku * pxu
+            pxu -= kx * pxu
+            pxx -= kx * pxx
+    return out, half_log

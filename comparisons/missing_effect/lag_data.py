@@ -1,0 +1,233 @@
+"""What a lag model with effects is simulated from and fitted to: signals on a fine grid, rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.terms import evaluate_terms
+
+__all__ = ["LATER", "OTHER", "TRAIN", "LagData", "Part"]
+
+IntArray = NDArray[np.int64]
+Part = Literal["train", "later", "other"]
+TRAIN, LATER, OTHER = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class LagData:
+    """Runs of one or several records, each signal on a grid finer than the samples.
+
+    A model simulated at the sample step alone leaves an error that looks like a delay; four steps
+    to a sample leave none that 6 000 samples can see.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray of shape (N,)
+        Fine grid: ``time_s``, ``phi``, ``dphi_s`` and, where known, ``T25_K``, ``dT25_K_s``,
+        ``Nc_frac``, ``in_stall``, ``amplitude``, ``stalled``.
+    nuisance : ndarray of shape (N, k)
+        Inputs of the lag that belong to no characteristic.
+    measured : ndarray of shape (n,)
+        The coefficient at the samples.
+    weight : ndarray of shape (n,)
+        1 where a sample is scored, 0 where it is simulated through.
+    part, record : ndarray of int, shape (n,)
+        0 fitted, 1 later time, 2 another record; index of the record.
+    rows : ndarray of int, shape (n,)
+        Row of the fine grid of each sample.
+    runs, fine_runs : ndarray of int, shape (R, 2)
+        First and last-plus-one row of each run, in samples and on the fine grid.
+    step_s : float
+        Step of the fine grid, in seconds.
+    every : int
+        Fine steps to a sample.
+    average_s : float
+        Length of the average that the measured coefficient passed; 0 for none.
+    mean_amplitude, mean_amplitude_as_is, mean_speed : float
+        Amplitude of φ (with the ends of the records prolonged, and as they stand) and corrected
+        speed, means over the records.
+    phi_range : tuple of float
+        Range of the φ that is fitted.
+    origin_s, middle_s : float
+        Facility clock at the first row of the first record, and in the middle of all, in seconds.
+    surge_s : float
+        Period of surge, in seconds.
+    psi_levels : tuple of float
+        Levels below which a quarter, three quarters and 92 % of the measured coefficient lie.
+    sources : tuple of str
+        Names of the records.
+    also_average_s : float
+        Length of a second average, over a ripple that the first leaves; 0 for none.
+    has_reverse_loss : bool
+        Whether the last two nuisances are the loss in reversed flow and its derivative.
+    """
+
+    signals: Mapping[str, FloatArray]
+    nuisance: FloatArray
+    measured: FloatArray
+    weight: FloatArray
+    part: NDArray[np.int8]
+    record: IntArray
+    rows: IntArray
+    runs: IntArray
+    fine_runs: IntArray
+    step_s: float
+    every: int
+    average_s: float
+    mean_amplitude: float
+    mean_amplitude_as_is: float
+    mean_speed: float
+    phi_range: tuple[float, float]
+    origin_s: float
+    middle_s: float
+    surge_s: float
+    psi_levels: tuple[float, float, float]
+    sources: tuple[str, ...]
+    also_average_s: float = 0.0
+    has_reverse_loss: bool = False
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """Return a signal on the fine grid."""
+        return self.signals[name]
+
+    def get(self, name: str, other: FloatArray) -> FloatArray:
+        """Return a signal on the fine grid, or another where it is not known."""
+        return self.signals.get(name, other)
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether a signal is known."""
+        return name in self.signals
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, scored or not."""
+        return int(self.measured.size)
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time between two samples, in seconds."""
+        return self.step_s * self.every
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Rows of each run, in samples."""
+        return tuple(slice(int(a), int(b)) for a, b in self.runs)
+
+    @cached_property
+    def train(self) -> LagData:
+        """Only what is fitted: each run up to its last row of that part."""
+        return self.up_to(self.part == TRAIN)
+
+    @cached_property
+    def train_rows(self) -> IntArray:
+        """Which samples ``train`` holds."""
+        return np.concatenate(self._heads(self.part == TRAIN))
+
+    def _heads(self, wanted: NDArray[np.bool_]) -> list[IntArray]:
+        """Return the rows of each run up to its last wanted one."""
+        out = []
+        for start, stop in self.runs:
+            last = np.flatnonzero(wanted[start:stop])
+            out.append(np.arange(start, start + (last[-1] + 1 if last.size else 0)))
+        return out
+
+    def scored(self, part: int | None = None) -> NDArray[np.bool_]:
+        """Return which samples are scored, of one part or of all."""
+        rows = self.weight > 0.0
+        return rows if part is None else rows & (self.part == part)
+
+    def up_to(self, wanted: NDArray[np.bool_]) -> LagData:
+        """Return the runs, each cut behind its last wanted sample; runs without one are left out.
+
+        Parameters
+        ----------
+        wanted : ndarray of bool, shape (n,)
+            Samples to keep.
+        """
+        fine, runs, fine_runs, rows = [], [], [], []
+        n = n_fine = 0
+        for run, (fine_start, _) in zip(self._heads(wanted), self.fine_runs, strict=True):
+            length = run.size
+            if length == 0:
+                continue
+            fine_length = (length - 1) * self.every + 1
+            fine.append(np.arange(fine_start, fine_start + fine_length))
+            runs.append((n, n + length))
+            fine_runs.append((n_fine, n_fine + fine_length))
+            rows.append(n_fine + np.arange(length) * self.every)
+            n, n_fine = n + length, n_fine + fine_length
+        kept, fine_rows = np.concatenate(self._heads(wanted)), np.concatenate(fine)
+        return replace(
+            self,
+            signals={name: values[fine_rows] for name, values in self.signals.items()},
+            nuisance=self.nuisance[fine_rows],
+            measured=self.measured[kept],
+            weight=self.weight[kept],
+            part=self.part[kept],
+            record=self.record[kept],
+            rows=np.concatenate(rows),
+            runs=np.array(runs, dtype=np.int64),
+            fine_runs=np.array(fine_runs, dtype=np.int64),
+        )
+
+    def sampled(self, values: FloatArray) -> FloatArray:
+        """Return a fine signal at the samples."""
+        return values[self.rows]
+
+    def averaged(self, columns: FloatArray) -> FloatArray:
+        """Return fine columns as the average that the measured coefficient passed leaves them."""
+        if self.average_s == 0.0:
+            return columns
+        from classic_ml.filtering import period_average
+
+        out = columns
+        for period_s in (self.average_s, self.also_average_s):
+            if period_s == 0.0:
+                continue
+            before, out = out, np.empty_like(columns)
+            for start, stop in self.fine_runs:
+                for j in range(columns.shape[1]):
+                    out[start:stop, j] = period_average(
+                        before[start:stop, j], period_s, 1.0 / self.step_s
+                    )
+        return out
+
+    def with_signal(self, name: str, values: FloatArray) -> LagData:
+        """Return the same data with one more fine signal."""
+        out = replace(self, signals={**self.signals, name: values})
+        # What is kept is a function of φ alone, which is the same.
+        out.__dict__["_kept_terms"] = self._kept_terms
+        return out
+
+    @cached_property
+    def _kept_terms(self) -> dict[tuple[str, ...], FloatArray]:
+        return {}
+
+    def terms_of_phi(self, terms: tuple[str, ...]) -> FloatArray:
+        """Return the terms s_i at the measured φ, of shape (N, n_terms), formed once.
+
+        Parameters
+        ----------
+        terms : tuple of str
+            Their names.
+        """
+        if terms not in self._kept_terms:
+            columns = evaluate_terms(list(terms), self.signals["phi"])
+            columns.setflags(write=False)
+            self._kept_terms[terms] = columns
+        return self._kept_terms[terms]
+
+    def with_measured(self, measured: FloatArray) -> LagData:
+        """Return the same inputs with another measured coefficient."""
+        return replace(self, measured=measured)
+
+    def with_parts(self, part: Sequence[int] | NDArray[np.int8]) -> LagData:
+        """Return the same rows, split otherwise."""
+        return replace(self, part=np.asarray(part, dtype=np.int8))

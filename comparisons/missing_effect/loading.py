@@ -1,0 +1,303 @@
+"""From coefficient series to the rows and fine signals that a diagnosis works on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+from classic_ml.filtering import period_average
+from classic_ml.free_run_rows import near
+from classic_ml.records import FloatArray
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import check_rates
+from classic_ml.whole_run_rows import (
+    WholeRunRows,
+    has_whole_run,
+    is_blowdown,
+    whole_run_rows,
+)
+from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS
+from comparisons.missing_effect.excitation import amplitude_of, smooth_channel, surge_frequency_hz
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, IntArray, LagData
+
+__all__ = ["FINE_STEPS", "load_data"]
+
+# Simulated at the sample step alone, the integration error of surge with harmonics reads as a
+# delay (research: distance 4 to 25 standard errors); at four steps to a sample none is left.
+FINE_STEPS = 4
+TRAIN_SHARE = 0.6
+PSI_SHARES = (0.25, 0.75, 0.92)
+# Level and slope of the unstalled branch, the loss in reversed flow and its derivative.
+WHOLE_RUN_NUISANCES = 4
+# Rows ahead of a segment that are simulated, so that a late φ is known at its first row.
+LEAD_ROWS = 10
+# An averaged signal changes little from row to row: four rows to the average lose nothing and
+# leave errors whose colour an autoregression can describe.
+ROWS_OF_AVERAGE = 4.0
+
+
+def load_data(records: Sequence[CoefficientSeries], *, also_average_s: float = 0.0) -> LagData:
+    """Return the rows of one or several records, split into fitted, later and another record.
+
+    The last record, where there are two or more, is never fitted; of the others the last 40 % of
+    the scored rows are held out. Records that carry unfiltered columns are taken as one free run,
+    averaged over the stall cells, as in `compare`.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        At one sample rate.
+    also_average_s : float
+        Average whole runs over this period too, in seconds.
+
+    Raises
+    ------
+    InputError
+        When they do not go together or hold too few rows.
+    """
+    check_rates(records)
+    ordered = sorted(records, key=lambda record: float(record.time_s[0]))
+    whole = all(has_whole_run(record) for record in ordered)
+    pieces = [
+        _whole_run(record, also_average_s) if whole else _segments(record) for record in ordered
+    ]
+    if whole and is_blowdown([whole_run_rows(record) for record in ordered]):
+        raise InputError(
+            ", ".join(record.source for record in ordered),
+            expected="rows in forward flow in stall",
+            found="one blowdown after another",
+            remedy="a lag cannot be read from these records, nor what it lacks",
+        )
+    data = _joined(pieces, [record.source for record in ordered], also_average_s)
+    least = 4 * MINIMUM_SEGMENT_ROWS
+    for part, what in ((TRAIN, "to fit"), (LATER, "to hold out")):
+        if whole and part == LATER:
+            # Whole runs leave out cycles, not the last of them.
+            continue
+        found = int(np.count_nonzero(data.scored(part)))
+        if found < least:
+            raise InputError(
+                ", ".join(data.sources),
+                expected=f"at least {least} rows {what}",
+                found=f"{found}",
+                remedy="take a longer record or wider segments",
+            )
+    return data
+
+
+class _Piece:
+    """The runs of one record before they are joined."""
+
+    def __init__(self, every: int, step_s: float, average_s: float = 0.0) -> None:
+        self.every, self.step_s, self.average_s = every, step_s, average_s
+        self.signals: dict[str, list[FloatArray]] = {}
+        self.nuisance: list[FloatArray] = []
+        self.measured: list[FloatArray] = []
+        self.weight: list[FloatArray] = []
+        self.amplitude = self.amplitude_as_is = 0.0
+
+
+def _segments(record: CoefficientSeries) -> _Piece:
+    piece = _Piece(FINE_STEPS, record.sample_period_s / FINE_STEPS)
+    known, piece.amplitude, piece.amplitude_as_is = _record_signals(record)
+    for label in np.unique(record.segment[record.segment > 0]):
+        rows = np.flatnonzero(record.segment == label)
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+            if run.size < MINIMUM_SEGMENT_ROWS:
+                continue
+            lead = min(LEAD_ROWS, int(run[0]))
+            first, last = int(run[0]) - lead, int(run[-1])
+            at = np.arange((last - first) * FINE_STEPS + 1) / FINE_STEPS + first
+            for name, evaluate in known.items():
+                piece.signals.setdefault(name, []).append(evaluate(at))
+            piece.measured.append(record.psi_p[first : last + 1])
+            piece.weight.append((np.arange(first, last + 1) >= run[0]).astype(np.float64))
+            piece.nuisance.append(np.zeros((at.size, 0)))
+    if not piece.measured:
+        raise InputError(
+            record.source,
+            expected=f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows",
+            found="none",
+            remedy="mark the rows to be fitted in the column 'segment'",
+        )
+    return piece
+
+
+def _record_signals(record: CoefficientSeries):  # type: ignore[no-untyped-def]
+    """Return each known signal as a function of the row number, and the mean amplitude of φ."""
+    from scipy.interpolate import CubicSpline
+
+    rows = np.arange(record.n_samples, dtype=np.float64)
+    period_s = record.sample_period_s
+    phi = CubicSpline(rows, record.phi)
+    amplitude = amplitude_of(record.phi, record.sample_rate_hz)
+    as_is = amplitude_of(record.phi, record.sample_rate_hz, prolonged=False)
+    smooth = CubicSpline(rows, smooth_channel(record.phi))
+    slope = smooth.derivative()
+    known = {
+        "time_s": lambda at: np.interp(at, rows, record.time_s),
+        "phi": phi,
+        "phi_smooth": smooth,
+        "dphi_s": lambda at: slope(at) / period_s,
+        "amplitude": lambda at: np.interp(at, rows, amplitude),
+        "amplitude_as_is": lambda at: np.interp(at, rows, as_is),
+    }
+    if record.T25_K is not None:
+        channel = CubicSpline(rows, smooth_channel(record.T25_K))
+        rate = channel.derivative()
+        known["T25_K"] = channel
+        known["dT25_K_s"] = lambda at: rate(at) / period_s
+    if record.Nc_frac is not None:
+        speed = CubicSpline(rows, smooth_channel(record.Nc_frac))
+        known["Nc_frac"] = speed
+    if record.in_stall is not None:
+        state = record.in_stall.astype(np.float64)
+        known["in_stall"] = lambda at: np.interp(at, rows, state)
+    used = record.segment > 0
+    return known, float(np.mean(amplitude[used])), float(np.mean(as_is[used]))
+
+
+def _whole_run(record: CoefficientSeries, also_average_s: float) -> _Piece:
+    """Take one free run through a record; the fine grid is its own rows."""
+    averaged = _averaged_again(whole_run_rows(record, 0), record, also_average_s)
+    inside = np.flatnonzero(np.asarray(record.free_run) > 0)
+    average_s = cell_average_s(record)
+    every = max(1, round(average_s * record.sample_rate_hz / ROWS_OF_AVERAGE))
+    length = (inside.size - 1) // every * every + 1
+    rows = inside[:length]
+    piece = _Piece(every, record.sample_period_s, average_s)
+    amplitude = amplitude_of(averaged.phi, record.sample_rate_hz)[:length]
+    signals = {
+        "time_s": record.time_s[rows],
+        "phi": np.asarray(record.phi_unfiltered)[rows],
+        "dphi_s": np.gradient(averaged.phi, record.sample_period_s)[:length],
+        "phi_averaged": averaged.phi[:length],
+        "phi_smooth": averaged.phi[:length],
+        "amplitude": amplitude,
+        "amplitude_as_is": amplitude,
+        "stalled": np.asarray(record.stalled)[rows].astype(np.float64),
+    }
+    if record.T25_K is not None:
+        temperature = period_average(record.T25_K, average_s, record.sample_rate_hz)[rows]
+        signals["T25_K"] = temperature
+        signals["dT25_K_s"] = np.gradient(temperature, record.sample_period_s)
+    if record.Nc_frac is not None:
+        signals["Nc_frac"] = record.Nc_frac[rows]
+    piece.signals = {name: [np.asarray(values)] for name, values in signals.items()}
+    kept = slice(0, length)
+    piece.nuisance = [averaged.nuisance[kept]]
+    piece.measured = [averaged.psi_p[kept][::every]]
+    piece.weight = [averaged.weight[kept][::every]]
+    piece.amplitude = piece.amplitude_as_is = float(np.mean(amplitude))
+    return piece
+
+
+def cell_average_s(record: CoefficientSeries) -> float:
+    """Return the period of the stall cells that the reduction found, in seconds.
+
+    Parameters
+    ----------
+    record : CoefficientSeries
+        One that carries a whole run.
+    """
+    return next(
+        float(entry.parameters["average_s"])
+        for entry in reversed(record.history)
+        if entry.step == "free run" and "average_s" in entry.parameters
+    )
+
+
+def _averaged_again(rows: WholeRunRows, record: CoefficientSeries, period_s: float) -> WholeRunRows:
+    """Average a free run over a second period; rows that it smears across a switch go."""
+    if period_s == 0.0:
+        return rows
+    rate = record.sample_rate_hz
+    reach = round(0.5 * period_s * rate)
+    columns = [period_average(column, period_s, rate) for column in rows.nuisance.T]
+    return replace(
+        rows,
+        phi=period_average(rows.phi, period_s, rate),
+        psi_p=period_average(rows.psi_p, period_s, rate),
+        nuisance=np.column_stack(columns),
+        weight=np.where(near(rows.weight == 0.0, reach, reach), 0.0, rows.weight),
+    )
+
+
+def _joined(pieces: Sequence[_Piece], sources: Sequence[str], also_average_s: float) -> LagData:
+    first = pieces[0]
+    names = [n for n in first.signals if all(n in piece.signals for piece in pieces)]
+    measured = [run for piece in pieces for run in piece.measured]
+    fine = [run for piece in pieces for run in piece.signals["phi"]]
+    weight = np.concatenate([run for piece in pieces for run in piece.weight])
+    record = np.concatenate(
+        [np.full(run.size, i) for i, piece in enumerate(pieces) for run in piece.measured]
+    )
+    runs, fine_runs = _bounds(measured), _bounds(fine)
+    rows = np.concatenate(
+        [
+            start + np.arange(run.size) * first.every
+            for (start, _), run in zip(fine_runs, measured, strict=True)
+        ]
+    )
+    nuisance = np.concatenate([run for piece in pieces for run in piece.nuisance])
+    moving = np.ptp(nuisance, axis=0) > 1e-9
+    signals = {name: np.concatenate([r for p in pieces for r in p.signals[name]]) for name in names}
+    part = _parts(record, weight, len(pieces))
+    fitted = signals["phi"][rows[(part == TRAIN) & (weight > 0.0)]]
+    return LagData(
+        signals,
+        np.ascontiguousarray(nuisance[:, moving]),
+        np.concatenate(measured),
+        weight,
+        part,
+        record,
+        rows,
+        runs,
+        fine_runs,
+        first.step_s,
+        first.every,
+        first.average_s,
+        float(np.mean([piece.amplitude for piece in pieces])),
+        float(np.mean([piece.amplitude_as_is for piece in pieces])),
+        float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
+        (float(fitted.min()), float(fitted.max())),
+        float(signals["time_s"][0]),
+        0.5 * float(signals["time_s"][0] + signals["time_s"][-1]),
+        _surge_s(signals["phi"], fine_runs, first.step_s),
+        _levels(np.concatenate(measured)[weight > 0.0]),
+        tuple(sources),
+        also_average_s,
+        bool(moving.size == WHOLE_RUN_NUISANCES and moving[-2] and moving[-1]),
+    )
+
+
+def _surge_s(phi: FloatArray, runs: IntArray, step_s: float) -> float:
+    start, stop = max(runs, key=lambda run: run[1] - run[0])
+    surge_hz = surge_frequency_hz(phi[start:stop], 1.0 / step_s)
+    return 1.0 / surge_hz if surge_hz > 0.0 else float((stop - start) * step_s)
+
+
+def _levels(measured: FloatArray) -> tuple[float, float, float]:
+    low, high, highest = np.quantile(measured, PSI_SHARES)
+    return float(low), float(high), float(highest)
+
+
+def _bounds(runs: Sequence[FloatArray]) -> IntArray:
+    ends = np.cumsum([run.size for run in runs])
+    return np.column_stack([np.concatenate([[0], ends[:-1]]), ends]).astype(np.int64)
+
+
+def _parts(record: IntArray, weight: FloatArray, n_records: int) -> NDArray[np.int8]:
+    part = np.full(record.size, LATER, dtype=np.int8)
+    for i in range(n_records):
+        rows = np.flatnonzero(record == i)
+        if n_records > 1 and i == n_records - 1:
+            part[rows] = OTHER
+            continue
+        scored = np.cumsum(weight[rows])
+        part[rows[scored <= TRAIN_SHARE * scored[-1]]] = TRAIN
+    return part

@@ -1,0 +1,223 @@
+"""The four ports of the lag model, and its answer once effects have acted on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
+from comparisons.missing_effect.lag_data import IntArray, LagData
+from comparisons.terms import evaluate_terms
+
+__all__ = ["Ports", "Response", "respond"]
+
+
+@dataclass(frozen=True)
+class Ports:
+    """What stands at each port: φ, the inputs of the lag, the lag itself, its output.
+
+    Parameters
+    ----------
+    phi : ndarray of shape (N,)
+        φ as it acts.
+    driven : ndarray of shape (N, q)
+        Inputs of the lag, one a linear coefficient; the terms of the characteristic first.
+    names : tuple of str
+        Their names.
+    gain : ndarray of shape (N,), optional
+        Factor of the whole characteristic.
+    tau_factor : ndarray of shape (N,), optional
+        Factor of τ over the step that ends at each row.
+    a2_s2 : float
+        a₂ of the second-order lag, in s²; 0 for the first-order one.
+    out_gain : ndarray of shape (n,), optional
+        Factor of the lag's output at the samples.
+    added : ndarray of shape (n, p)
+        What is added behind the lag, one a linear coefficient.
+    added_names : tuple of str
+        Their names.
+    degree : int
+        Highest power of φ up to which the base terms hold all.
+    """
+
+    phi: FloatArray
+    driven: FloatArray
+    names: tuple[str, ...]
+    gain: FloatArray | None = None
+    tau_factor: FloatArray | None = None
+    a2_s2: float = 0.0
+    out_gain: FloatArray | None = None
+    added: FloatArray | None = None
+    added_names: tuple[str, ...] = ()
+    degree: int = 0
+
+    @classmethod
+    def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
+        """Return the ports of the base model at a φ."""
+        powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
+        degree = next((k for k, name in enumerate(powers) if name not in terms), len(terms)) - 1
+        names = tuple(terms)
+        known = phi is data.signals["phi"]
+        columns = data.terms_of_phi(names) if known else evaluate_terms(list(names), phi)
+        return cls(phi, columns, names, degree=degree)
+
+    def with_driven(self, columns: FloatArray, names: Sequence[str]) -> Ports:
+        """Return the ports with more inputs of the lag."""
+        return replace(
+            self,
+            driven=np.column_stack([self.driven, columns]),
+            names=(*self.names, *names),
+        )
+
+    def with_added(self, columns: FloatArray, names: Sequence[str]) -> Ports:
+        """Return the ports with more columns behind the lag."""
+        both = columns if self.added is None else np.column_stack([self.added, columns])
+        return replace(self, added=both, added_names=(*self.added_names, *names))
+
+    def with_gain(self, factor: FloatArray) -> Ports:
+        """Return the ports with one more factor of the characteristic."""
+        return replace(self, gain=factor if self.gain is None else self.gain * factor)
+
+    def with_out_gain(self, factor: FloatArray) -> Ports:
+        """Return the ports with one more factor of the output."""
+        return replace(self, out_gain=factor if self.out_gain is None else self.out_gain * factor)
+
+    def with_tau_factor(self, factor: FloatArray) -> Ports:
+        """Return the ports with one more factor of τ."""
+        both = factor if self.tau_factor is None else self.tau_factor * factor
+        return replace(self, tau_factor=both)
+
+    def contracted(self, coefficients: FloatArray) -> Ports:
+        """Return the ports with all columns of one side joined by their coefficients."""
+        q = self.driven.shape[1]
+        k = coefficients.size - q - (0 if self.added is None else self.added.shape[1])
+        added = None if self.added is None else self.added @ coefficients[q + k :, None]
+        return replace(
+            self,
+            driven=self.driven @ coefficients[:q, None],
+            names=("",),
+            added=added,
+            added_names=() if added is None else ("",),
+        )
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the model gives at the samples, column by column.
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n, q)
+        One a linear coefficient: inputs of the lag, nuisances, what is added behind it.
+    decay : ndarray of shape (n,)
+        What is left, at each sample, of a start of its run that is off by one.
+    """
+
+    columns: FloatArray
+    decay: FloatArray
+
+
+def respond(
+    ports: Ports, data: LagData, tau_s: float, nuisance: FloatArray | None = None
+) -> Response:
+    """Return the answer to every input column, at the samples.
+
+    Parameters
+    ----------
+    ports : Ports
+        Of the model.
+    data : LagData
+        Grid and runs.
+    tau_s : float
+        Time constant, in seconds.
+    nuisance : ndarray of shape (N, k), optional
+        In place of the nuisance columns of the data.
+    """
+    driven = ports.driven
+    if "stalled" in data:
+        driven = driven * data["stalled"][:, None]
+    if ports.gain is not None:
+        driven = driven * ports.gain[:, None]
+    driven = data.averaged(driven)
+    extra = data.nuisance if nuisance is None else nuisance
+    if extra.shape[1]:
+        driven = np.column_stack([driven, extra])
+    columns, decay = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
+    if ports.out_gain is not None:
+        columns = columns * ports.out_gain[:, None]
+    if ports.added is not None:
+        columns = np.column_stack([columns, ports.added])
+    return Response(columns, decay)
+
+
+def _lagged(
+    driven: FloatArray, ports: Ports, data: LagData, tau_s: float
+) -> tuple[FloatArray, FloatArray]:
+    runs, every = data.fine_runs, data.every
+    if ports.a2_s2 > 0.0:
+        if 4.0 * ports.a2_s2 <= tau_s**2:
+            # Overdamped: two lags in a row, the fast one first; the slow one may vary.
+            root = float(np.sqrt(tau_s**2 - 4.0 * ports.a2_s2))
+            slow_s, fast_s = 0.5 * (tau_s + root), 2.0 * ports.a2_s2 / (tau_s + root)
+            if fast_s > 1e-3 * data.step_s:
+                lag = FirstOrderLag(fast_s, data.step_s, "first")
+                start = _ramped(driven, fast_s / data.step_s, runs)
+                driven = lag_pass(driven, lag.a, lag.gain_now, lag.gain_before, runs, 1)
+                driven = driven + start * _decay(data, fast_s, fine=True)[:, None]
+            tau_s = slow_s
+        else:
+            return _underdamped(driven, ports.a2_s2, data, tau_s)
+    if ports.tau_factor is not None:
+        ratio = data.step_s / (tau_s * ports.tau_factor)
+        return varying_lag_pass(driven, ratio, runs, every)  # type: ignore[no-any-return]
+    lag = FirstOrderLag(tau_s, data.step_s, "first")
+    columns = lag_pass(driven, lag.a, lag.gain_now, lag.gain_before, runs, every)
+    return columns, _decay(data, tau_s)
+
+
+def _ramped(driven: FloatArray, tau_steps: float, runs: IntArray) -> FloatArray:
+    """Return, in every row of a run, how far behind a long ramp its start should have been."""
+    starts = runs[:, 0]
+    slope = driven[starts + 1] - driven[starts]
+    return np.repeat(-tau_steps * slope, np.diff(runs, axis=1)[:, 0], axis=0)
+
+
+def _decay(data: LagData, tau_s: float, *, fine: bool = False) -> FloatArray:
+    runs = data.fine_runs if fine else data.runs
+    step_s = data.step_s if fine else data.sample_period_s
+    counts = np.concatenate([np.arange(stop - start) for start, stop in runs])
+    return np.asarray(np.exp(-counts * (step_s / tau_s)))
+
+
+def _underdamped(
+    driven: FloatArray, a2_s2: float, data: LagData, tau_s: float
+) -> tuple[FloatArray, FloatArray]:
+    transition, before, now = _second_order_steps(a2_s2, tau_s, data.step_s)
+    columns = second_order_pass(
+        driven, transition, before, now, tau_s / data.step_s, data.fine_runs, data.every
+    )
+    # The envelope; the start is put where a ramp would have left it, so little is left to decay.
+    return columns, _decay(data, 2.0 * a2_s2 / tau_s)
+
+
+@lru_cache(maxsize=64)
+def _second_order_steps(
+    a2_s2: float, tau_s: float, step_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the exact step of a₂ ẍ + τ ẋ + x = u for u joined by straight lines."""
+    from scipy.linalg import expm
+
+    a2, tau = a2_s2 / step_s**2, tau_s / step_s
+    # States x, ẋ, u and the slope of u: the last two carry the input over the step.
+    system = np.zeros((4, 4))
+    system[0, 1] = 1.0
+    system[1] = [-1.0 / a2, -tau / a2, 1.0 / a2, 0.0]
+    system[2, 3] = 1.0
+    step = expm(system)
+    now = np.ascontiguousarray(step[:2, 3])
+    return np.ascontiguousarray(step[:2, :2]), step[:2, 2] - now, now

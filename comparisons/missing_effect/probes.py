@@ -1,0 +1,229 @@
+"""Score tests: what each effect would win, told by its slope at amplitude zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.fit import Fit, Solution, solved
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.ports import Ports, respond
+
+__all__ = ["Probe", "Prober"]
+
+# The spectrum of an episode is laid this many times finer than its own lines.
+FINER = 4
+KEPT_STARTS = 2
+# Columns that have lost all but this share of themselves to the base say nothing of their own.
+LEAST_OWN_SHARE = 1e-4
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What the score of one effect says.
+
+    Parameters
+    ----------
+    effect : Effect
+        Which.
+    gain : float
+        Log-units that a step along its slope would win.
+    degrees : int
+        Columns behind it.
+    starts : tuple of ndarray
+        Where its search should begin: the values of its nonlinear parameters, best first.
+    columns : ndarray of shape (n, k)
+        Its slope at the best start, orthonormal, free of what the base can move.
+    """
+
+    effect: Effect
+    gain: float
+    degrees: int
+    starts: tuple[FloatArray, ...]
+    columns: FloatArray
+
+
+class Prober:
+    """Score tests against one fitted model.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model.
+    data : LagData
+        What it was fitted to, with the state that open terms need.
+    metric : Metric
+        Of the fit.
+    """
+
+    def __init__(self, fit: Fit, data: LagData, metric: Metric) -> None:
+        self.fit, self.data, self.metric = fit, data, metric
+        self.solution: Solution = solved(fit.structure, data, metric, fit.nonlinear)
+        self.ports = fit.structure.ports(data, fit.nonlinear)
+        slopes = fit.structure.slopes(
+            data, fit.nonlinear, self.solution.coefficients, fit.structure.free
+        )
+        seen = metric.seen(slopes, self.solution.decay, data)
+        basis = self.solution.basis
+        seen -= basis @ (basis.T @ seen)
+        self.basis = np.column_stack([basis, _orthonormal(seen)])
+        self.errors = self.solution.errors
+        self._here = self._contracted(self.ports)
+
+    def probe(self, effect: Effect) -> Probe:
+        """Return the score of one effect at the best of its starts."""
+        if effect.episodes:
+            return self._ripple(effect)
+        starts = effect.starts(self.data, 0.0)
+        if effect.linear:
+            groups = self._linear_columns(effect, starts)
+        else:
+            groups = [self._slope(effect, start) for start in starts]
+        scored = [self._score(columns) for columns in groups]
+        price = 0.5 * float(np.log(max(int(np.count_nonzero(self.data.weight)), 2)))
+        order = np.argsort([price * own.shape[1] - gain for gain, own, _ in scored])
+        best = scored[order[0]]
+        if effect.linear:
+            kept = tuple(starts[i] for i in order[:KEPT_STARTS])
+        else:
+            kept = tuple(self._begun(effect, starts[i], scored[i][2]) for i in order[:KEPT_STARTS])
+        if not effect.free:
+            # Nothing is searched: each of the held values is tried.
+            kept = tuple(starts[i] for i in order)
+        return Probe(effect, best[0], best[1].shape[1], kept, best[1])
+
+    def joint(self, columns: Sequence[FloatArray]) -> tuple[float, FloatArray]:
+        """Return the gain and the basis of many columns at once."""
+        basis = _orthonormal(np.column_stack(columns))
+        along = basis.T @ self.errors
+        return 0.5 * float(along @ along), basis
+
+    def _linear_columns(self, effect: Effect, starts: FloatArray) -> list[FloatArray]:
+        """Return the answers to the columns of each start, all simulated in one pass."""
+        if effect.port == "input":
+            raise ValueError("an effect at the input has no column of its own")
+        q = self.ports.driven.shape[1]
+        p = 0 if self.ports.added is None else self.ports.added.shape[1]
+        driven, added, owner = [], [], []
+        for i, start in enumerate(starts):
+            after = effect.acts(self.ports, self.data, start)
+            if after.driven.shape[1] > q:
+                driven.append(after.driven[:, q:])
+                owner += [i] * (after.driven.shape[1] - q)
+            elif after.added is not None and after.added.shape[1] > p:
+                added.append((i, after.added[:, p:]))
+        groups: list[list[FloatArray]] = [[] for _ in starts]
+        if driven:
+            ports = replace(self.ports, driven=np.column_stack(driven), added=None)
+            answer = respond(ports, self.data, self.fit.tau_s, self.data.nuisance[:, :0]).columns
+            for column, i in enumerate(owner):
+                groups[i].append(answer[:, column])
+        for i, columns in added:
+            groups[i].extend(columns.T)
+        return [np.column_stack(g) if g else np.zeros((self.data.n_samples, 1)) for g in groups]
+
+    def _slope(self, effect: Effect, start: FloatArray) -> FloatArray:
+        amplitude = effect.parameters[0]
+        moved = start.copy()
+        moved[0] = amplitude.step
+        if effect.port == "input":
+            structure = self.fit.structure.with_effect(effect)
+            ports = structure.ports(self.data, np.concatenate([self.fit.nonlinear, moved]))
+        else:
+            ports = effect.acts(self.ports, self.data, moved)
+        return (self._contracted(ports) - self._here)[:, None] / amplitude.step
+
+    def _contracted(self, ports: Ports) -> FloatArray:
+        coefficients, data = self.solution.coefficients, self.data
+        q, k = ports.driven.shape[1], data.nuisance.shape[1]
+        nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
+        answer = respond(ports.contracted(coefficients), data, self.fit.tau_s, nuisance)
+        return np.asarray(answer.columns.sum(axis=1))
+
+    def _score(self, columns: FloatArray) -> tuple[float, FloatArray, float]:
+        """Return gain, own orthonormal columns, and the amplitude of a single column."""
+        seen = self.metric.seen(columns, self.solution.decay, self.data)
+        whole = np.sqrt(np.einsum("ij,ij->j", seen, seen))
+        seen -= self.basis @ (self.basis.T @ seen)
+        own = np.sqrt(np.einsum("ij,ij->j", seen, seen))
+        kept = own > np.maximum(LEAST_OWN_SHARE * whole, 1e-12)
+        if not np.any(kept):
+            return 0.0, np.zeros((columns.shape[0], 0)), 0.0
+        basis = _orthonormal(seen[:, kept])
+        along = basis.T @ self.errors
+        amplitude = float(seen[:, 0] @ self.errors) / max(float(own[0]) ** 2, 1e-300)
+        return 0.5 * float(along @ along), basis, amplitude
+
+    def _begun(self, effect: Effect, start: FloatArray, amplitude: float) -> FloatArray:
+        """Return a start with the amplitude that its slope suggests, within half the bounds."""
+        parameter = effect.parameters[0]
+        out = start.copy()
+        out[0] = np.clip(amplitude, 0.5 * parameter.low, 0.5 * parameter.high)
+        return out
+
+    def _ripple(self, effect: Effect) -> Probe:
+        """Search the frequency of a ripple in the spectra of the errors, episode by episode."""
+        found = []
+        for gate in effect.starts(self.data)[:, 1]:
+            episodes = stall_episodes(self.data, float(gate))
+            if not episodes:
+                continue
+            frequency, power = episode_spectrum(self.errors, episodes, self.data)
+            best = int(np.argmax(power))
+            # Two numbers an episode: what white errors would give on the average is their count.
+            found.append((float(power[best]), len(episodes), np.array([frequency[best], gate])))
+        if not found:
+            return Probe(effect, 0.0, 0, (), np.zeros((self.data.n_samples, 0)))
+        found.sort(key=lambda item: item[1] - item[0])
+        gain, count, start = found[0]
+        return Probe(effect, gain, 2 * count, (start,), np.zeros((self.data.n_samples, 0)))
+
+
+def episode_spectrum(
+    errors: FloatArray, episodes: Sequence[slice], data: LagData
+) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies and the log-units that a sine of free phase in each episode would win.
+
+    Parameters
+    ----------
+    errors : ndarray of shape (n,)
+        White, of unit variance.
+    episodes : sequence of slice
+        Stretches of rows.
+    data : LagData
+        Sample period and length of the average, above whose band nothing is left.
+    """
+    longest = max(e.stop - e.start for e in episodes)
+    size = int(2 ** np.ceil(np.log2(FINER * longest)))
+    power = np.zeros(size // 2 + 1)
+    for rows in episodes:
+        e = errors[rows]
+        power += np.abs(np.fft.rfft(e, size)) ** 2 / max(e.size, 1)
+    frequency = np.fft.rfftfreq(size, data.sample_period_s)
+    # Below two cycles an episode a sine is a trend, and trends are another effect's.
+    lowest = 2.0 / (np.median([e.stop - e.start for e in episodes]) * data.sample_period_s)
+    power[frequency < lowest] = 0.0
+    power[frequency > HIGHEST_SHARE / data.sample_period_s] = 0.0
+    return np.asarray(frequency, dtype=np.float64), power
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of columns, without those that the others already span."""
+    if columns.shape[1] == 0:
+        return columns
+    size = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    kept = np.asarray(columns[:, size > 1e-12] / size[size > 1e-12])
+    if kept.shape[1] == 0:
+        return kept
+    basis, triangle = np.linalg.qr(kept)
+    diagonal = np.abs(np.diag(triangle))
+    if diagonal.min() > 1e-6:
+        return np.asarray(basis)
+    left, scale, _ = np.linalg.svd(kept, full_matrices=False)
+    return np.asarray(left[:, scale > 1e-6 * scale[0]])

@@ -1,0 +1,153 @@
+"""What a diagnosis is: verdict, names, the gap before and after, and everything behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.search import Leftover, Round
+from comparisons.missing_effect.whole_runs import RippleLine
+
+__all__ = ["Diagnosis", "FittedParameter", "Gap", "MissingEffect"]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Held-out rms errors in units of the coefficient, by fits to the other rows.
+
+    Parameters
+    ----------
+    before_rms, after_rms : float
+        Of the free run, without and with what was added.
+    floor_rms : float
+        Measurement noise.
+    """
+
+    before_rms: float
+    after_rms: float
+    floor_rms: float
+
+    @property
+    def shrink(self) -> float:
+        """Share of the gap that is closed: (before² − after²)/(before² − floor²)."""
+        gap = self.before_rms**2 - self.floor_rms**2
+        won = self.before_rms**2 - self.after_rms**2
+        return float(won / gap) if gap > 0.0 and won > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """A number of an effect.
+
+    Parameters
+    ----------
+    name : str
+        Symbol.
+    value, stderr : float
+        From all rows.
+    unit : str
+        SI; ``"1"`` without one.
+    """
+
+    name: str
+    value: float
+    stderr: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class MissingEffect:
+    """One effect that the model lacked.
+
+    Parameters
+    ----------
+    effect : str
+        First name.
+    alias_set : tuple of str
+        The names that these data cannot tell apart, the first among them.
+    provisional : bool
+        True where the model still leaves structure in its errors: then the name stands for
+        something that may be another.
+    parameters : tuple of FittedParameter
+        Its numbers.
+    evidence : mapping
+        Gains in log-units on the fitted rows, later time and the other record, and their z.
+    """
+
+    effect: str
+    alias_set: tuple[str, ...]
+    provisional: bool
+    parameters: tuple[FittedParameter, ...]
+    evidence: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a model of these records lacks.
+
+    Parameters
+    ----------
+    verdict : str
+        ``nothing_missing``, ``named``, ``alias_set``, ``provisional``, ``unnamed_term``,
+        ``unexplained_structure`` or ``noise_model_wrong``.
+    missing : tuple of MissingEffect
+        In the order in which they were found.
+    gap : Gap
+        On held-out rows.
+    tau_before_s, tau_after_s : float
+        τ by fits to all rows.
+    tau_stderr_s : float
+        Of the one after.
+    tau_by_alias_s : mapping of str to float
+        τ under every name of the alias sets.
+    before, after : Fit
+        To all rows.
+    before_fitted, after_fitted : Fit
+        To the fitted rows alone.
+    data : LagData
+        The rows.
+    noise : NoiseModel
+        Of the model after.
+    leftover : Leftover
+        What the model after leaves.
+    rounds : tuple of Round
+        The search.
+    unavailable : mapping of str to str
+        Effects that these records cannot show, and why.
+    ripple : RippleLine, optional
+        A second pattern of stall cells, on whole runs.
+    remarks : tuple of str
+        What a reader should know beside it.
+    """
+
+    verdict: str
+    missing: tuple[MissingEffect, ...]
+    gap: Gap
+    tau_before_s: float
+    tau_after_s: float
+    tau_stderr_s: float
+    tau_by_alias_s: Mapping[str, float]
+    before: Fit
+    after: Fit
+    before_fitted: Fit
+    after_fitted: Fit
+    data: LagData
+    noise: NoiseModel
+    leftover: Leftover
+    rounds: tuple[Round, ...]
+    unavailable: Mapping[str, str]
+    ripple: RippleLine | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def whole_runs(self) -> bool:
+        """Whether the records were taken as whole runs, averaged over the stall cells."""
+        return self.data.average_s > 0.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """First names of what is missing."""
+        return tuple(item.effect for item in self.missing)

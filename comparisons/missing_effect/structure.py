@@ -1,0 +1,169 @@
+"""Which terms and effects a lag model has, and its answer for given parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.effect import PORT_ORDER, Effect
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.ports import Ports, Response, respond
+
+__all__ = ["Structure"]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Terms of the characteristic and effects, without numbers.
+
+    The parameters that are not linear stand in one vector: log τ first, then those of each effect.
+
+    Parameters
+    ----------
+    terms : tuple of str
+        Names of the terms s_i(φ).
+    effects : tuple of Effect
+        What is added to the lag model.
+    """
+
+    terms: tuple[str, ...]
+    effects: tuple[Effect, ...] = ()
+
+    def with_effect(self, effect: Effect) -> Structure:
+        """Return the structure with one effect more."""
+        return Structure(self.terms, (*self.effects, effect))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Identifiers of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Bounds of the parameters that are not linear, of shape (p, 2)."""
+        rows = [(np.log(1e-5), np.log(1e3))]
+        rows += [(p.low, p.high) for effect in self.effects for p in effect.nonlinear]
+        return np.array(rows)
+
+    @property
+    def steps(self) -> FloatArray:
+        """Small steps of the parameters that are not linear, of shape (p,)."""
+        return np.array([1e-4, *(p.step for effect in self.effects for p in effect.nonlinear)])
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Which of the parameters that are not linear are fitted."""
+        out, at = [0], 1
+        for effect in self.effects:
+            out += [at + i for i in effect.free]
+            at += len(effect.nonlinear)
+        return tuple(out)
+
+    def parts(self, nonlinear: FloatArray) -> list[FloatArray]:
+        """Return the values of each effect out of the vector."""
+        out, at = [], 1
+        for effect in self.effects:
+            out.append(nonlinear[at : at + len(effect.nonlinear)])
+            at += len(effect.nonlinear)
+        return out
+
+    def ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
+        """Return what stands at each port for given parameters.
+
+        Parameters
+        ----------
+        data : LagData
+            Signals.
+        nonlinear : ndarray of shape (p,)
+            log τ and the parameters of the effects.
+        """
+        ports = self.bare_ports(data, nonlinear)
+        for effect in self.in_order:
+            if effect.port != "input":
+                ports = effect.acts(ports, data, self.values_of(effect, nonlinear))
+        return ports
+
+    def bare_ports(self, data: LagData, nonlinear: FloatArray) -> Ports:
+        """Return the ports once the effects at the input have acted, and no others."""
+        ports = Ports(data["phi"], np.zeros((data["phi"].size, 0)), ())
+        for effect in self.in_order:
+            if effect.port == "input":
+                ports = effect.acts(ports, data, self.values_of(effect, nonlinear))
+        return Ports.of(data, ports.phi, self.terms)
+
+    @property
+    def in_order(self) -> tuple[Effect, ...]:
+        """The effects in the order in which a signal meets them; a ripple last."""
+        return tuple(sorted(self.effects, key=lambda e: (PORT_ORDER.index(e.port), e.episodes)))
+
+    def values_of(self, effect: Effect, nonlinear: FloatArray) -> FloatArray:
+        """Return the values of one effect out of the vector."""
+        return self.parts(nonlinear)[self.names.index(effect.name)]
+
+    def without(self, effect: Effect, nonlinear: FloatArray) -> tuple[Structure, FloatArray]:
+        """Return the structure and the vector without one effect."""
+        parts = self.parts(nonlinear)
+        kept = [i for i, name in enumerate(self.names) if name != effect.name]
+        rest = Structure(self.terms, tuple(self.effects[i] for i in kept))
+        return rest, np.concatenate([nonlinear[:1], *[parts[i] for i in kept]])
+
+    def respond(self, data: LagData, nonlinear: FloatArray) -> Response:
+        """Return the answer to every linear coefficient, at the samples."""
+        return respond(self.ports(data, nonlinear), data, float(np.exp(nonlinear[0])))
+
+    def respond_decay(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
+        """Return what is left, at each sample, of a start of its run that is off by one."""
+        ports = self.ports(data, nonlinear)
+        bare = replace(ports, driven=np.zeros((data["phi"].size, 1)), added=None, out_gain=None)
+        return respond(bare, data, float(np.exp(nonlinear[0])), data.nuisance[:, :0]).decay
+
+    def output(self, data: LagData, nonlinear: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """Return the model's answer for given coefficients, of shape (n,)."""
+        return self._contracted(data, self.ports(data, nonlinear), nonlinear, coefficients)
+
+    def slopes(
+        self,
+        data: LagData,
+        nonlinear: FloatArray,
+        coefficients: FloatArray,
+        which: Sequence[int],
+    ) -> FloatArray:
+        """Return the derivative of the answer with respect to parameters that are not linear.
+
+        Parameters
+        ----------
+        data : LagData
+            Signals.
+        nonlinear, coefficients : ndarray
+            Where.
+        which : sequence of int
+            Which of ``nonlinear``.
+
+        Returns
+        -------
+        ndarray of shape (n, len(which))
+        """
+        here = self.ports(data, nonlinear)
+        base = self._contracted(data, here, nonlinear, coefficients)
+        out = np.empty((base.size, len(which)))
+        for column, i in enumerate(which):
+            step = self.steps[i]
+            if nonlinear[i] + step > self.bounds[i, 1]:
+                step = -step
+            moved = nonlinear.copy()
+            moved[i] += step
+            ports = here if i == 0 else self.ports(data, moved)
+            out[:, column] = (self._contracted(data, ports, moved, coefficients) - base) / step
+        return out
+
+    def _contracted(
+        self, data: LagData, ports: Ports, nonlinear: FloatArray, coefficients: FloatArray
+    ) -> FloatArray:
+        q, k = ports.driven.shape[1], data.nuisance.shape[1]
+        joined = ports.contracted(coefficients)
+        nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
+        answer = respond(joined, data, float(np.exp(nonlinear[0])), nuisance)
+        return np.asarray(answer.columns.sum(axis=1))

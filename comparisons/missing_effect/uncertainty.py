@@ -1,0 +1,150 @@
+"""A fit to all rows, and the standard errors of its numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.fit import Fit, fit_structure, solved
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.open_terms import with_own_state
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.candidates import Bench
+    from comparisons.missing_effect.results import FittedParameter
+
+__all__ = ["fitted_parameters", "on_all_rows"]
+
+
+def on_all_rows(fit: Fit, bench: Bench) -> Fit:
+    """Return a model fitted again, to the fitted and the held-out rows alike.
+
+    Parameters
+    ----------
+    fit : Fit
+        To the fitted rows.
+    bench : Bench
+        Records and metric.
+    """
+    data = with_own_state(bench.data, fit)
+    return fit_structure(fit.structure, data, bench.metric, [fit.nonlinear])
+
+
+def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter, ...]]:
+    """Return the numbers of each effect with their standard errors; τ under the key ``"tau"``.
+
+    The covariance is that of clusters: the errors of one surge cycle may depend on each other.
+
+    Parameters
+    ----------
+    fit : Fit
+        To all rows.
+    bench : Bench
+        Records and metric.
+    """
+    from comparisons.missing_effect.results import FittedParameter
+
+    data = with_own_state(bench.data, fit)
+    covariance = _covariance(fit, data, bench)
+    free = list(fit.structure.free)
+    stderr = np.zeros(fit.nonlinear.size)
+    stderr[free] = np.sqrt(np.maximum(np.diag(covariance)[: len(free)], 0.0))
+    linear = np.sqrt(np.maximum(np.diag(covariance)[len(free) :], 0.0))
+    tau = FittedParameter("tau", fit.tau_s, fit.tau_s * stderr[0], "s")
+    out: dict[str, tuple[FittedParameter, ...]] = {"tau": (tau,)}
+    columns = linear_columns(fit, data)
+    at = 1
+    for effect in fit.structure.effects:
+        numbers = []
+        for parameter in effect.parameters:
+            if parameter.kind == "linear":
+                rows = columns[effect.name]
+                value, error = _amplitude(effect, fit, data, rows, linear)
+                numbers.append(FittedParameter(parameter.name, value, error, parameter.unit))
+            else:
+                numbers.append(
+                    FittedParameter(
+                        parameter.name, float(fit.nonlinear[at]), float(stderr[at]), parameter.unit
+                    )
+                )
+                at += 1
+        out[effect.name] = tuple(numbers)
+    return out
+
+
+def linear_columns(fit: Fit, data: LagData) -> dict[str, slice]:
+    """Return which linear coefficients belong to which effect.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fitted model.
+    data : LagData
+        What it was fitted to.
+    """
+    ports = fit.structure.ports(data, fit.nonlinear)
+    q, k = ports.driven.shape[1], data.nuisance.shape[1]
+    out, driven, added = {}, len(fit.structure.terms), q + k
+    for effect in fit.structure.in_order:
+        if not effect.linear:
+            continue
+        alone = effect.acts(
+            fit.structure.bare_ports(data, fit.nonlinear),
+            data,
+            fit.structure.values_of(effect, fit.nonlinear),
+        )
+        n_driven = alone.driven.shape[1] - len(fit.structure.terms)
+        n_added = 0 if alone.added is None else alone.added.shape[1]
+        if n_driven:
+            out[effect.name] = slice(driven, driven + n_driven)
+            driven += n_driven
+        else:
+            out[effect.name] = slice(added, added + n_added)
+            added += n_added
+    return out
+
+
+def _amplitude(
+    effect: Effect, fit: Fit, data: LagData, rows: slice, stderr: FloatArray
+) -> tuple[float, float]:
+    coefficients, errors = fit.coefficients[rows], stderr[rows]
+    if effect.name == "characteristic_shape":
+        low, high = data.phi_range
+        grid = np.linspace(low, high, 200)
+        values = fit.structure.values_of(effect, fit.nonlinear)
+        degree = fit.structure.bare_ports(data, fit.nonlinear).degree
+        curve = shape_columns(grid, data.phi_range, int(values[0]), degree + 1)
+        added = curve @ coefficients
+        worst = int(np.argmax(np.abs(added)))
+        return float(added[worst]), float(np.sqrt(np.sum((curve[worst] * errors) ** 2)))
+    if effect.episodes:
+        size = float(np.sqrt(2.0 * np.mean(coefficients**2)))
+        n = max(
+            len(stall_episodes(data, float(fit.structure.values_of(effect, fit.nonlinear)[1]))), 1
+        )
+        return size, float(np.sqrt(np.mean(errors**2) / n))
+    return float(coefficients[0]), float(errors[0])
+
+
+def _covariance(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
+    solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
+    slopes = fit.structure.slopes(data, fit.nonlinear, solution.coefficients, fit.structure.free)
+    answer = fit.structure.respond(data, fit.nonlinear)
+    seen = bench.metric.seen(np.column_stack([slopes, answer.columns]), solution.decay, data)
+    scale = np.sqrt(np.einsum("ij,ij->j", seen, seen))
+    scale[scale == 0.0] = 1.0
+    seen /= scale
+    inverse = np.linalg.pinv(seen.T @ seen, rcond=1e-12, hermitian=True)
+    rows = bench.rows
+    scores = seen * solution.errors[:, None]
+    counted = rows.block >= 0
+    sums = np.zeros((int(rows.block.max()) + 1, seen.shape[1]))
+    np.add.at(sums, rows.block[counted], scores[counted])
+    meat = sums.T @ sums * (sums.shape[0] / max(sums.shape[0] - 1, 1))
+    covariance = inverse @ meat @ inverse
+    return np.asarray(covariance / np.multiply.outer(scale, scale))
