@@ -11,7 +11,7 @@ from classic_ml.records import FloatArray
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Evidence, Rows, evidence_of
-from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.fit import Fit, fit_structure, solved
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel, noise_of, weights_of
@@ -25,8 +25,13 @@ __all__ = ["Bench", "Candidate"]
 # A score that promises less than this many log-units is not fitted: no threshold is that low.
 LEAST_PROMISE = 6.0
 LEAST_PROMISE_SHARE = 0.01
+# A ripple brings two columns an episode, and the best of many frequencies always looks like
+# something: it is fitted when it is no chance, and not a part of what another explains better.
+LARGEST_CHANCE = 0.01
 # Open terms follow the state that they themselves change.
 STATE_ROUNDS = 8
+# Steps of a threshold beside the one found on fewer rows, as shares of the range of φ.
+NUDGES = (1e-4, 3e-4, 1e-3)
 # A candidate whose score is below this share of the best one's is not fitted to all rows.
 RUNNING_SHARE = 0.5
 STATE_SETTLED = 0.1
@@ -144,7 +149,13 @@ class Bench:
         """Return the probes that are worth a fit, best first."""
         best = max((probe.gain for probe in probes), default=0.0)
         least = max(LEAST_PROMISE, LEAST_PROMISE_SHARE * best)
-        kept = [p for p in probes if p.gain > least + 0.5 * p.degrees and p.starts]
+        kept = [
+            p
+            for p in probes
+            if p.gain > least + 0.5 * p.degrees
+            and p.starts
+            and not (p.effect.episodes and (p.chance > LARGEST_CHANCE or p.gain < 0.5 * best))
+        ]
         kept.sort(key=lambda p: 0.5 * p.degrees * np.log(self.train.n_samples) - p.gain)
         return kept[:most]
 
@@ -185,8 +196,9 @@ class Bench:
     def everywhere(self) -> Bench:
         """Return the bench with all rows fitted."""
         part = np.zeros(self.data.n_samples, dtype=np.int8)
-        data = self.data.with_parts(part)
-        fit = fit_structure(self.fit.structure, data, self.metric, [self.fit.nonlinear])
+        data = self.data.with_parts(part).over_all_phi()
+        start = self.fit.structure.adapted(data, self.fit.nonlinear)
+        fit = fit_structure(self.fit.structure, data, self.metric, [start])
         return replace(self, data=data, fit=fit)
 
     def ranked(self, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -228,7 +240,9 @@ class Bench:
         """
         metric = self.train_metric
         data = with_own_state(self.train, fit)
-        whole = fit_structure(fit.structure, data, metric, [fit.nonlinear])
+        start = fit.structure.adapted(data, fit.nonlinear)
+        start = nudged(fit.structure, data, metric, start)
+        whole = fit_structure(fit.structure, data, metric, [start])
         if not any(effect.unnamed for effect in fit.structure.effects):
             return whole
         for _ in range(STATE_ROUNDS):
@@ -255,6 +269,35 @@ class Bench:
             self.fit.structure, self.train, metric.on(self.data.train_rows), [self.fit.nonlinear]
         )
         return replace(self, metric=metric, fit=again).with_states()
+
+
+def nudged(structure: Structure, data: LagData, metric: Metric, start: FloatArray) -> FloatArray:
+    """Return the best of a start and its neighbours, for the thresholds of effects that switch.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model.
+    data : LagData
+        Rows; where one turns back just at a threshold, no slope leads over the jump.
+    metric : Metric
+        On these rows.
+    start : ndarray of shape (p,)
+        log τ and the parameters of the effects.
+    """
+    trials, at = [start], 1
+    reach = data.phi_range[1] - data.phi_range[0]
+    for effect in structure.effects:
+        for i in effect.free if effect.switches else ():
+            for step in NUDGES:
+                for sign in (-1.0, 1.0):
+                    trial = start.copy()
+                    trial[at + i] += sign * step * reach
+                    trials.append(trial)
+        at += len(effect.nonlinear)
+    if len(trials) == 1:
+        return start
+    return min(trials, key=lambda trial: solved(structure, data, metric, trial).cost)
 
 
 def slope_of(fit: Fit, data: LagData) -> FloatArray:

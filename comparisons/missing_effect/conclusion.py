@@ -63,7 +63,8 @@ def concluded(
     """
     found, data = final.fit.structure.effects, final.data
     before = on_all_rows(base.fit, base)
-    after = on_all_rows(final.fit, final) if found else before
+    averaged_again = data.also_average_s != base.data.also_average_s
+    after = on_all_rows(final.fit, final) if found or averaged_again else before
     values = fitted_parameters(after, final)
     missing = tuple(
         MissingEffect(

@@ -11,7 +11,7 @@ from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import has_whole_run
 from comparisons.missing_effect.candidates import Bench, Candidate
-from comparisons.missing_effect.catalogue import CATALOGUE
+from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.excitation import block_rows
@@ -24,6 +24,7 @@ from comparisons.missing_effect.results import Diagnosis, FittedParameter, Gap, 
 from comparisons.missing_effect.search import (
     Round,
     aliases,
+    leftover_of,
     refitted_without,
     search_round,
 )
@@ -134,7 +135,23 @@ def diagnose_data(
         bench = replace(step.bench, fit=step.winner.fit).with_states()
         if step.winner.unnamed or not step.leftover.structured:
             break
-    return _concluded(base, bench, rounds, effects, unavailable)
+    final = rounds[-1].bench if rounds[-1].winner is None else bench
+    if len(found) > 1:
+        final, rounds = _pruned(final, rounds, effects, open_library)
+    return _concluded(base, final, rounds, effects, unavailable)
+
+
+def _pruned(
+    bench: Bench, rounds: list[Round], effects: Sequence[Effect], open_library: Sequence[Effect]
+) -> tuple[Bench, list[Round]]:
+    """Take out effects that those found later made needless: they stood in for what came after."""
+    for effect in bench.fit.structure.effects:
+        if len(bench.fit.structure.effects) < 2 or _swapped(bench, effect, [effect]):
+            continue
+        bench = refitted_without(bench, effect)
+        left = leftover_of(bench, None, effects, open_library)
+        rounds = [*rounds[:-1], replace(rounds[-1], leftover=left)]
+    return bench, rounds
 
 
 def first_bench(data: LagData, terms: tuple[str, ...], n_names: int) -> Bench:
@@ -167,19 +184,19 @@ def _tau_starts(data: LagData) -> tuple[float, ...]:
 
 def _concluded(
     base: Bench,
-    bench: Bench,
+    final: Bench,
     rounds: Sequence[Round],
     effects: Sequence[Effect],
     unavailable: Mapping[str, str],
 ) -> Diagnosis:
     last = rounds[-1]
-    final = last.bench if last.winner is None else bench
     noise = final.noise(final.fit)
     found = final.fit.structure.effects
     sets = _alias_sets(final, rounds, effects)
     provisional = bool(found) and (last.leftover.doubtful or any(e.unnamed for e in found))
-    return concluded(
-        _verdict(found, sets, provisional, last, noise),
+    verdict = _verdict(found, sets, provisional, last, noise)
+    diagnosis = concluded(
+        verdict,
         base,
         final,
         sets=sets,
@@ -190,6 +207,16 @@ def _concluded(
         unavailable=unavailable,
         floor_rms=noise.sigma,
     )
+    if verdict != "noise_model_wrong" or noise.flow is None:
+        return diagnosis
+    return replace(diagnosis, missing=(_noise_on_flow(noise),))
+
+
+def _noise_on_flow(noise: NoiseModel) -> MissingEffect:
+    """Return the noise on φ as what the model of the errors, not that of the lag, lacks."""
+    sigma = FittedParameter("sigma_phi", noise.flow_sigma, noise.flow_stderr, "1")
+    evidence = {"gain_over_autoregression": noise.flow_gain}
+    return MissingEffect(FLOW_NOISE.name, (FLOW_NOISE.name,), False, (sigma,), evidence)
 
 
 def _verdict(
@@ -218,11 +245,10 @@ def _alias_sets(
     """Return, for each effect found, the candidates that could stand in its place."""
     found = final.fit.structure.effects
     if len(found) == 1:
-        step = rounds[-1] if rounds[-1].winner is not None else rounds[-2]
-        winner = step.winner
-        if winner is not None:
-            base = step.bench.errors(step.bench.fit)
-            return {winner.name: aliases(step.bench, winner, step.candidates, base)}
+        for step in rounds:
+            if step.winner is not None and step.winner.name == found[0].name:
+                base = step.bench.errors(step.bench.fit)
+                return {found[0].name: aliases(step.bench, step.winner, step.candidates, base)}
     return {effect.name: _swapped(final, effect, effects) for effect in found}
 
 
@@ -238,6 +264,6 @@ def _swapped(final: Bench, effect: Effect, effects: Sequence[Effect]) -> tuple[C
     probes = without.promising([prober.probe(e) for e in names])
     tried = without.ranked([without.weighed(without.fitted(p), [p.effect], base) for p in probes])
     own = next((c for c in tried if c.name == effect.name), None)
-    if own is None:
+    if own is None or not own.evidence.accepted:
         return ()
     return aliases(without, own, [c for c in tried if c is not own], base)

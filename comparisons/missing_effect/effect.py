@@ -46,6 +46,7 @@ class Parameter:
 
 Acts = Callable[[Ports, LagData, FloatArray], Ports]
 Grid = Callable[[LagData], FloatArray]
+Adapts = Callable[[LagData, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,14 @@ class Effect:
         The measurement that would confirm it.
     episodes : bool
         Whether its columns belong to one episode each, with a phase that means nothing elsewhere.
-    smooth : bool
-        Whether it may be searched by its slope at amplitude 0.
+    unnamed : bool
+        Whether it is an open term, without a name.
+    adapted : callable, optional
+        ``adapted(data, values)`` returns the values for other rows, where held ones depend on
+        what is fitted.
+    switches : bool
+        Whether a small step of its thresholds can change the answer at once: where φ turns back
+        just at one of them, the likelihood jumps.
     """
 
     name: str
@@ -97,6 +104,8 @@ class Effect:
     needs: str = ""
     episodes: bool = False
     unnamed: bool = False
+    adapted: Adapts | None = None
+    switches: bool = False
 
     @property
     def linear(self) -> bool:

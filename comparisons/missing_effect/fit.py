@@ -153,9 +153,10 @@ def fit_structure(
         Bound on the steps.
     """
     fits = [_descend(structure, data, metric, start, most_steps) for start in starts]
-    # Starts may differ in how many columns they bring. One log-unit for each, not half log n: too
-    # coarse a spline leaves structure behind, one too fine costs little.
-    return min(fits, key=lambda fit: fit.cost + fit.n_parameters)
+    # Starts may differ in how many columns they bring. Half a log-unit for each, what noise alone
+    # would win, and not half log n: too coarse a spline leaves structure behind, one too fine
+    # costs little.
+    return min(fits, key=lambda fit: fit.cost + 0.5 * fit.n_parameters)
 
 
 def _descend(

@@ -224,6 +224,11 @@ class LagData:
             self._kept_terms[terms] = columns
         return self._kept_terms[terms]
 
+    def over_all_phi(self) -> LagData:
+        """Return the same data with the range of φ of all scored rows."""
+        phi = self.signals["phi"][self.rows[self.weight > 0.0]]
+        return replace(self, phi_range=(float(phi.min()), float(phi.max())))
+
     def with_measured(self, measured: FloatArray) -> LagData:
         """Return the same inputs with another measured coefficient."""
         return replace(self, measured=measured)

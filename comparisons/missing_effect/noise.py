@@ -43,6 +43,8 @@ class NoiseModel:
         Noise on φ, where it describes the errors better than an autoregression.
     flow_gain : float
         By how many log-units it does.
+    flow_stderr : float
+        Standard error of the noise on φ, from the curvature of the likelihood.
     """
 
     sigma: float
@@ -51,6 +53,7 @@ class NoiseModel:
     heavy_share: float
     flow: FlowNoise | None = None
     flow_gain: float = 0.0
+    flow_stderr: float = 0.0
 
     @property
     def coloured(self) -> bool:
@@ -154,7 +157,12 @@ def _with_flow_noise(
     if gain < FLOW_RELUCTANCE:
         return plain
     flow = FlowNoise(lag.a, lag.gain_now, lag.gain_before, slope, float(np.exp(found.x)))
-    return NoiseModel(plain.sigma, float(np.sqrt(variance)), (), plain.heavy_share, flow, gain)
+    step = 0.3
+    bend = (cost(found.x + step)[0] - 2.0 * value + cost(found.x - step)[0]) / step**2
+    stderr = 0.5 * float(np.sqrt(variance * np.exp(found.x) / max(bend, 1e-6)))
+    return NoiseModel(
+        plain.sigma, float(np.sqrt(variance)), (), plain.heavy_share, flow, gain, stderr
+    )
 
 
 def weights_of(errors: FloatArray, noise: NoiseModel, data: LagData) -> FloatArray | None:

@@ -48,6 +48,15 @@ class Probe:
     starts: tuple[FloatArray, ...]
     columns: FloatArray
 
+    @property
+    def chance(self) -> float:
+        """Chance of so large a gain in noise, times what was searched."""
+        from scipy.stats import chi2
+
+        if self.degrees == 0:
+            return 1.0
+        return min(1.0, float(chi2.sf(2.0 * self.gain, self.degrees)) * self.effect.searched)
+
 
 class Prober:
     """Score tests against one fitted model.

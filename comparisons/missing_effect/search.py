@@ -173,7 +173,7 @@ def _with_ripple(bench: Bench, best: Fit, effects: Sequence[Effect]) -> Fit:
         return best
     moved = replace(bench, fit=best)
     probe = moved.prober().probe(ripple)
-    if _chance(probe) < LEFTOVER_P and probe.gain > probe.degrees * np.log(bench.train.n_samples):
+    if probe.chance < LEFTOVER_P and probe.gain > probe.degrees * np.log(bench.train.n_samples):
         return moved.fitted(probe)
     return best
 
@@ -261,20 +261,16 @@ def leftover_of(
     searched = [p for p in probes if p.effect.searched >= MANY_TRIALS and p.degrees]
     told = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
     uneven = unevenness(every, bench.data.part)
-    apart = min((_chance(p) for p in searched), default=1.0)
+    apart = min((p.chance for p in searched), default=1.0)
     if bench.metric.flow is not None and told:
         # Many smooth terms together make up the difference between a noisy φ and a smooth one,
         # which is the noise itself: here each is tested alone.
-        best = min(told, key=_chance)
-        p_value = min(1.0, len(told) * _chance(best), 2.0 * apart)
+        best = min(told, key=lambda p: p.chance)
+        p_value = min(1.0, len(told) * best.chance, 2.0 * apart)
         return Leftover(best.gain, best.degrees, p_value, True, uneven)
     gain, basis = prober.joint([p.columns for p in told]) if told else (0.0, np.zeros((0, 0)))
     together = _chi2(gain, basis.shape[1])
     return Leftover(gain, basis.shape[1], min(1.0, 2.0 * together, 2.0 * apart), False, uneven)
-
-
-def _chance(probe: Probe) -> float:
-    return min(1.0, _chi2(probe.gain, probe.degrees) * probe.effect.searched)
 
 
 def _chi2(gain: float, degrees: int) -> float:

@@ -103,6 +103,14 @@ class Structure:
         """Return the values of one effect out of the vector."""
         return self.parts(nonlinear)[self.names.index(effect.name)]
 
+    def adapted(self, data: LagData, nonlinear: FloatArray) -> FloatArray:
+        """Return the vector with held values as other rows ask for them."""
+        parts = [
+            values if effect.adapted is None else effect.adapted(data, values)
+            for effect, values in zip(self.effects, self.parts(nonlinear), strict=True)
+        ]
+        return np.concatenate([nonlinear[:1], *parts])
+
     def without(self, effect: Effect, nonlinear: FloatArray) -> tuple[Structure, FloatArray]:
         """Return the structure and the vector without one effect."""
         parts = self.parts(nonlinear)

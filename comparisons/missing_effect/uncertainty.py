@@ -31,8 +31,12 @@ def on_all_rows(fit: Fit, bench: Bench) -> Fit:
     bench : Bench
         Records and metric.
     """
-    data = with_own_state(bench.data, fit)
-    return fit_structure(fit.structure, data, bench.metric, [fit.nonlinear])
+    from comparisons.missing_effect.candidates import nudged
+
+    data = with_own_state(bench.data, fit).over_all_phi()
+    start = fit.structure.adapted(data, fit.nonlinear)
+    start = nudged(fit.structure, data, bench.metric, start)
+    return fit_structure(fit.structure, data, bench.metric, [start])
 
 
 def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter, ...]]:
@@ -114,11 +118,11 @@ def _amplitude(
 ) -> tuple[float, float]:
     coefficients, errors = fit.coefficients[rows], stderr[rows]
     if effect.name == "characteristic_shape":
-        low, high = data.phi_range
-        grid = np.linspace(low, high, 200)
         values = fit.structure.values_of(effect, fit.nonlinear)
+        low, high = float(values[1]), float(values[2])
+        grid = np.linspace(low, high, 200)
         degree = fit.structure.bare_ports(data, fit.nonlinear).degree
-        curve = shape_columns(grid, data.phi_range, int(values[0]), degree + 1)
+        curve = shape_columns(grid, (low, high), int(values[0]), degree + 1)
         added = curve @ coefficients
         worst = int(np.argmax(np.abs(added)))
         return float(added[worst]), float(np.sqrt(np.sum((curve[worst] * errors) ** 2)))

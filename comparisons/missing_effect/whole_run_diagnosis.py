@@ -165,8 +165,8 @@ def _with_line(diagnosis: Diagnosis, line: RippleLine | None) -> Diagnosis:
         ("rotating_stall_ripple",),
         diagnosis.verdict == "provisional",
         (
-            FittedParameter("r", line.amplitude, float("nan"), "1"),
-            FittedParameter("f", line.frequency_hz, float("nan"), "Hz"),
+            FittedParameter("r", line.amplitude, line.amplitude_stderr, "1"),
+            FittedParameter("f", line.frequency_hz, line.frequency_stderr_hz, "Hz"),
         ),
         {"line_over_background": line.height},
     )

@@ -71,11 +71,19 @@ class RippleLine:
         Of ψ', while in stall.
     height : float
         Power over that of the spectrum around it.
+    frequency_stderr_hz : float
+        Of the frequency, by the length of the record and the height.
     """
 
     frequency_hz: float
     amplitude: float
     height: float
+    frequency_stderr_hz: float
+
+    @property
+    def amplitude_stderr(self) -> float:
+        """Standard error of the amplitude: the spectrum around the line moves it."""
+        return self.amplitude / float(np.sqrt(2.0 * self.height))
 
 
 def ripple_line(record: CoefficientSeries) -> RippleLine | None:
@@ -107,7 +115,10 @@ def ripple_line(record: CoefficientSeries) -> RippleLine | None:
     if height[best] < LEAST_LINE:
         return None
     amplitude = 2.0 * float(np.abs(spectrum[best])) / float(np.count_nonzero(stalled))
-    return RippleLine(float(frequency[best]), amplitude, float(height[best]))
+    tall = float(height[best])
+    # The bound for a line in white noise: √6 / (2π T √(power ratio)).
+    spread_hz = float(np.sqrt(6.0)) * rate / (2.0 * np.pi * held.size * float(np.sqrt(tall)))
+    return RippleLine(float(frequency[best]), amplitude, tall, spread_hz)
 
 
 def _fast_part(record: CoefficientSeries) -> tuple[NDArray[np.bool_], FloatArray]:

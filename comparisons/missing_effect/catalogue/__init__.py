@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from comparisons.missing_effect.catalogue.characteristic_effects import CHARACTERISTIC_EFFECTS
 from comparisons.missing_effect.catalogue.lag_effects import INPUT_EFFECTS, LAG_EFFECTS
-from comparisons.missing_effect.catalogue.output_effects import OUTPUT_EFFECTS
+from comparisons.missing_effect.catalogue.output_effects import FLOW_NOISE, OUTPUT_EFFECTS
 from comparisons.missing_effect.effect import Effect
 
-__all__ = ["CATALOGUE", "DRIFT_FAMILY", "find_effect"]
+__all__ = ["CATALOGUE", "DRIFT_FAMILY", "FLOW_NOISE", "find_effect"]
 
 CATALOGUE: tuple[Effect, ...] = (
     *INPUT_EFFECTS,
@@ -32,11 +32,12 @@ def find_effect(name: str) -> Effect:
     """
     from classic_ml.errors import InputError
 
-    for effect in CATALOGUE:
+    known = (*CATALOGUE, FLOW_NOISE)
+    for effect in known:
         if effect.name == name:
             return effect
     raise InputError(
-        "effect", expected="one of " + ", ".join(e.name for e in CATALOGUE), found=repr(name)
+        "effect", expected="one of " + ", ".join(e.name for e in known), found=repr(name)
     )
 
 

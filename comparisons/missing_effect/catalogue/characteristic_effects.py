@@ -18,8 +18,10 @@ __all__ = ["CHARACTERISTIC_EFFECTS"]
 
 HEATING_TIMES = (0.03, 0.1, 0.3, 0.7, 2.0)
 BRANCH_QUANTILES = (0.06, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.94)
-# Knots of the free characteristic over the range of φ; how many is told by the data.
-INTERVALS = (4, 7, 12, 20, 34)
+# Intervals between the knots of the free characteristic over the range of φ; how many is told by
+# the data. One means no knots but two more powers of φ, which go on beyond the range.
+INTERVALS = (1, 4, 7, 12, 20, 34)
+MORE_POWERS = 2
 
 
 def _heated(ports: Ports, data: LagData, values: FloatArray) -> Ports:
@@ -105,7 +107,8 @@ def _reversed_grid(data: LagData) -> FloatArray:
 
 
 def _shaped(ports: Ports, data: LagData, values: FloatArray) -> Ports:
-    columns = shape_columns(ports.phi, data.phi_range, int(values[0]), ports.degree + 1)
+    phi_range = (float(values[1]), float(values[2]))
+    columns = shape_columns(ports.phi, phi_range, int(values[0]), ports.degree + 1)
     names = [f"spline {i + 1}" for i in range(columns.shape[1])]
     return ports.with_driven(columns, names)
 
@@ -127,8 +130,25 @@ def shape_columns(
         Terms of the base; a base of degree below three leaves its missing powers to the splines.
     """
     low, high = phi_range
-    at = np.clip((phi - low) / (high - low), 0.0, 1.0)
+    at = (phi - low) / (high - low)
+    if intervals == 1:
+        powers = [at**k for k in range(n_base, n_base + MORE_POWERS)]
+        return np.column_stack(powers) @ _more_powers(n_base)
+    at = np.clip(at, 0.0, 1.0)
     return np.asarray(piecewise_cubics(np.ascontiguousarray(at), _cubics(intervals, n_base)))
+
+
+@lru_cache(maxsize=8)
+def _more_powers(n_base: int) -> FloatArray:
+    """Return the mixture of the next powers that is orthonormal over the range and to the base.
+
+    Whole powers of the base are left in: the base holds them anyway, beyond the range too.
+    """
+    at = np.linspace(0.0, 1.0, 401)
+    base = np.linalg.qr(np.vander(at, n_base, increasing=True))[0]
+    more = np.column_stack([at**k for k in range(n_base, n_base + MORE_POWERS)])
+    own = more - base @ (base.T @ more)
+    return np.asarray(np.linalg.inv(np.linalg.qr(own)[1]) * np.sqrt(at.size))
 
 
 @lru_cache(maxsize=32)
@@ -163,7 +183,12 @@ def _cubics(intervals: int, n_base: int) -> FloatArray:
 
 
 def _interval_grid(data: LagData) -> FloatArray:
-    return np.array(INTERVALS, dtype=np.float64)[:, None]
+    return np.array([(count, *data.phi_range) for count in INTERVALS])
+
+
+def _over_the_range(data: LagData, values: FloatArray) -> FloatArray:
+    """Lay the knots over the φ of what is fitted now: more rows may reach further."""
+    return np.array([values[0], *data.phi_range])
 
 
 CHARACTERISTIC_EFFECTS = (
@@ -211,6 +236,7 @@ CHARACTERISTIC_EFFECTS = (
         20.0,
         "a branch that answers late reads as lag",
         "a slow throttle sweep through stall and back",
+        switches=True,
     ),
     Effect(
         "reverse_flow_branch",
@@ -235,11 +261,14 @@ CHARACTERISTIC_EFFECTS = (
         (
             Parameter("f", "1", -np.inf, np.inf),
             Parameter("intervals", "1", 1.0, 64.0, "held"),
+            Parameter("phi_from", "1", -3.0, 3.0, "held"),
+            Parameter("phi_to", "1", -3.0, 3.0, "held"),
         ),
         _shaped,
         _interval_grid,
         4.0,
         "small where φ sweeps its range in every cycle",
         "steady points between those of the map, or a slow throttle sweep",
+        adapted=_over_the_range,
     ),
 )

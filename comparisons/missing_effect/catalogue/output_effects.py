@@ -11,7 +11,7 @@ from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
 
-__all__ = ["OUTPUT_EFFECTS", "stall_episodes"]
+__all__ = ["FLOW_NOISE", "OUTPUT_EFFECTS", "stall_episodes"]
 
 GATE_QUANTILES = (0.3, 0.4, 0.5, 0.6, 0.7, 1.0)
 # The ripple is searched up to this share of the sample rate.
@@ -155,4 +155,23 @@ OUTPUT_EFFECTS = (
         "taps around the circumference: the cells turn",
         episodes=True,
     ),
+)
+
+
+def _unchanged(ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    return ports
+
+
+# Not searched among the others: it is told from the errors, as noise (noise.py).
+FLOW_NOISE = Effect(
+    "flow_noise",
+    "noise",
+    "φ measured = φ + n",
+    "φ itself is noisy, and the lag passes its noise on into the errors",
+    (Parameter("sigma_phi", "1", 0.0, 1.0, "free", 1e-4),),
+    _unchanged,
+    no_shape,
+    1.0,
+    "none to speak of in a free run; one-step estimators read it too fast",
+    "the scatter of φ at a steady point",
 )
