@@ -9,6 +9,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TypeAlias
 
+from comparisons.diagnose_command import add_diagnose_parser
 from comparisons.orders_command import add_orders_parser
 from comparisons.structure_command import add_structure_parser
 from comparisons.total_system_command import add_total_system_parser
@@ -77,6 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_reduce(commands)
     _add_compare(commands)
     _add_reconstruct(commands)
+    add_diagnose_parser(commands)
     _add_reproduce(commands)
     _add_work(commands)
     add_orders_parser(commands)
@@ -223,6 +225,13 @@ def _add_compare(commands: _Commands) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report")
     parser.add_argument("--save", type=Path, metavar="MODEL", help="save the fitted models")
     parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="set a lag model with effects, saved by diagnose, beside the estimators: its numbers "
+        "are fitted again, its structure stays",
+    )
+    parser.add_argument(
         "--degree",
         type=_degree,
         default=2,
@@ -248,10 +257,12 @@ def _add_reconstruct(commands: _Commands) -> None:
     parser = commands.add_parser(
         "reconstruct",
         help="run a saved model over another record",
-        description="Run models saved by `compare --save` over other records, with nothing "
-        "refitted, and score the reconstruction.",
+        description="Run models saved by `compare --save` or `diagnose --save` over other records, "
+        "with nothing refitted, and score the reconstruction.",
     )
-    parser.add_argument("model", type=Path, metavar="MODEL", help="saved by compare --save")
+    parser.add_argument(
+        "model", type=Path, metavar="MODEL", help="saved by compare --save or diagnose --save"
+    )
     _add_series(parser)
     parser.add_argument(
         "--estimator",

@@ -15,6 +15,7 @@ from classic_ml.series import CoefficientSeries, ledger_path, read_series, write
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction, ReductionSettings
     from comparisons.compare import Comparison
+    from comparisons.estimators import EstimatorSpec
     from comparisons.lag_value import FittedLag
     from comparisons.reconstruction import Reconstruction
 
@@ -90,11 +91,10 @@ def run_compare(arguments: argparse.Namespace) -> None:
     """Fit the estimators to series files and set them side by side."""
     from comparisons.lag_value import save_models
 
-    _check_targets(
-        arguments.series, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ())
-    )
+    inputs = [*arguments.series, *([arguments.model] if arguments.model else [])]
+    _check_targets(inputs, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
     records = [read_series(path) for path in arguments.series]
-    comparison, work = _compare(records, arguments.degree, arguments.hold, arguments.tau)
+    comparison, work = _compare(records, arguments)
     if arguments.json:
         from comparisons.json_output import comparison_document, to_strict_json
 
@@ -121,8 +121,8 @@ def run_compare(arguments: argparse.Namespace) -> None:
 
 def run_reconstruct(arguments: argparse.Namespace) -> None:
     """Run saved models over other records."""
-    from comparisons.lag_value import load_models
     from comparisons.reconstruction import (
+        load_any_models,
         reconstruct_record,
         reconstruction_csv,
         reconstruction_document,
@@ -135,7 +135,7 @@ def run_reconstruct(arguments: argparse.Namespace) -> None:
         (arguments.report, HTML),
         (arguments.out, (".csv",)),
     )
-    models = load_models(arguments.model)
+    models = load_any_models(arguments.model)
     if arguments.estimator is not None:
         if arguments.estimator not in models:
             raise InputError(
@@ -212,15 +212,17 @@ def _settings(arguments: argparse.Namespace) -> ReductionSettings:
 
 
 def _compare(
-    records: Sequence[CoefficientSeries], degree: int, hold: str, tau_s: float | None
+    records: Sequence[CoefficientSeries], arguments: argparse.Namespace
 ) -> tuple[Comparison, Comparison | None]:
     from comparisons.compare import compare_records
 
+    hold, tau_s = arguments.hold, arguments.tau
     comparison = compare_records(
         records,
-        degree=degree,
-        hold=hold,  # type: ignore[arg-type]
+        degree=arguments.degree,
+        hold=hold,
         time_constant_s=tau_s,
+        estimators=_with_model(arguments),
         progress=_progress,
     )
     if any(record.psi is None for record in records):
@@ -229,7 +231,7 @@ def _compare(
         work = compare_records(
             records,
             target="psi",
-            hold=hold,  # type: ignore[arg-type]
+            hold=hold,
             time_constant_s=tau_s,
             progress=_progress,
         )
@@ -239,10 +241,31 @@ def _compare(
     return comparison, work
 
 
+def _with_model(arguments: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
+    """Return the default estimators and those of --model; None without the option."""
+    if arguments.model is None:
+        return None
+    if arguments.hold != "first":
+        raise InputError(
+            "--model",
+            expected="--hold first: a model with effects joins the samples of φ",
+            found=f"--hold {arguments.hold}",
+        )
+    from comparisons.estimators import default_estimators
+    from comparisons.missing_effect.extended_estimator import extended_specs
+    from comparisons.missing_effect.extended_file import load_extended
+
+    own = default_estimators(degree=arguments.degree, hold="first", time_constant_s=arguments.tau)
+    return (*own, *extended_specs(load_extended(arguments.model), [spec.name for spec in own]))
+
+
 def _models(comparison: Comparison, work: Comparison | None) -> dict[str, FittedLag]:
-    # A refused fit is no model: nothing may be reconstructed with it later.
+    # A refused fit is no model: nothing may be reconstructed with it later. One with effects is
+    # more than its characteristic and τ, and has a file of its own.
     models = {
-        result.name: result.model for result in comparison.results if result.state != "blowdown"
+        result.name: result.model
+        for result in comparison.results
+        if result.state != "blowdown" and result.extended is None
     }
     if work is not None:
         models.update({f"{result.name}:psi": result.model for result in work.results})

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from comparisons.fit_quality import (
 )
 from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
+from comparisons.reconstruction import free_run_over
 from comparisons.record_cautions import (
     TAU_AGREEMENT,
     comparison_cautions,
@@ -36,6 +37,9 @@ from comparisons.record_cautions import (
     told_time_constants,
 )
 from comparisons.structure import StructureChoice, structure_of
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.extended_lag import ExtendedLag
 
 __all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
 
@@ -79,6 +83,8 @@ class EstimatorResult:
         How sure the choice of terms is; None where they were given.
     remarks : tuple of str
         What the estimator itself warns of.
+    extended : ExtendedLag or None
+        The model with its effects, where it has any; ``model`` is then its characteristic and τ.
     """
 
     name: str
@@ -99,6 +105,7 @@ class EstimatorResult:
     whole_run: WholeRunFit | None = None
     structure: StructureChoice | None = None
     remarks: tuple[str, ...] = ()
+    extended: ExtendedLag | None = None
 
     @property
     def converged(self) -> bool:
@@ -274,10 +281,9 @@ def _run(
     estimator = spec.fitted(rows, records, None)
     seconds = time.perf_counter() - begin
     model = _value(estimator, spec, rows, hold, valid_phi)
-    reconstruction = model.free_run(
-        rows.phi, rows.sample_period_s, rows.labels, start=rows.measured
-    )
-    predicted, known = _one_step(estimator, model, rows)
+    extended = getattr(estimator, "extended_", None)
+    reconstruction = free_run_over(extended or model, rows, records)
+    predicted, known = _one_step(estimator, model, rows, records)
     trained = _trained(spec, rows, records, hold, valid_phi)
     held_out, blocks = _held_out(rows, trained)
     state, advice = _state(estimator)
@@ -288,7 +294,7 @@ def _run(
         model,
         state,
         advice,
-        model.equation(),
+        (extended or model).equation(),
         score_fit(rows.measured, reconstruction),
         score_fit(rows.measured, predicted, known),
         held_out,
@@ -301,6 +307,7 @@ def _run(
         estimator if isinstance(estimator, WholeRunFit) else None,
         structure_of(estimator),
         tuple(text for text in getattr(estimator, "cautions_", ()) if text != advice),
+        extended,
     )
 
 
@@ -315,8 +322,13 @@ def _value(
     return FittedLag.from_estimator(estimator, spec.name, rows.target, hold, grid, valid_phi)
 
 
-def _one_step(estimator: Any, model: FittedLag, rows: FitRows) -> tuple[FloatArray, Any]:
+def _one_step(
+    estimator: Any, model: FittedLag, rows: FitRows, records: Sequence[CoefficientSeries]
+) -> tuple[FloatArray, Any]:
     """Ask the estimator for its own one-step predictor, or take the plain lag's."""
+    if hasattr(estimator, "extended_"):
+        prediction, known = estimator.extended_.one_step_over(rows, records)
+        return prediction, known
     if hasattr(estimator, "one_step"):
         prediction, known = estimator.one_step(rows.X, rows.measured, rows.labels)
         return prediction, known
@@ -344,7 +356,7 @@ def _trained(
     model = _value(estimator, spec, train, hold, valid_phi)
     # Where the one segment is cut in two, the held-out part has a measured start of its own.
     labels = 2 * rows.labels + ~rows.train
-    return model.free_run(rows.phi, rows.sample_period_s, labels, start=rows.measured)
+    return free_run_over(getattr(estimator, "extended_", None) or model, rows, records, labels)
 
 
 def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | None, FloatArray]:
@@ -426,7 +438,9 @@ def _trust(
         words.append("no worse than the best within the paired error")
     if result.whole_run is not None:
         words.append("fitted to unfiltered signals, scored here on the filtered rows of the others")
-    taus = told_time_constants(tuple(r for r in results if r.whole_run is None))
+    # With an effect τ means another thing: a model that has one is measured by no other.
+    plain = tuple(r for r in results if r.whole_run is None and r.extended is None)
+    taus = told_time_constants(plain)
     tau = result.model.time_constant_s
     if len(taus) > 1 and tau in taus and abs(tau / np.median(taus) - 1.0) > TAU_AGREEMENT:
         words.append("τ off the others by more than 15 %")

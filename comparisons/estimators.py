@@ -32,12 +32,16 @@ class EstimatorSpec:
     fit_records : callable, optional
         ``fit_records(records, until_s) -> fitted`` takes whole records in place of the rows, each
         scored up to a time of its own (None: all of it), where they carry what it needs.
+    fit_rows : callable, optional
+        ``fit_rows(rows, records) -> fitted`` takes the rows and the records they come from, in
+        place of ``build``, for a model that needs more channels than φ.
     """
 
     name: str
     label: str
     build: Callable[[FitRows], Any]
     fit_records: Callable[[Sequence[CoefficientSeries], Sequence[float] | None], Any] | None = None
+    fit_rows: Callable[[FitRows, Sequence[CoefficientSeries]], Any] | None = None
 
     def fitted(
         self, rows: FitRows, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
@@ -55,6 +59,8 @@ class EstimatorSpec:
         """
         if self.fit_records is not None and rows.target == "psi_p" and _are_whole(records):
             return self.fit_records(records, until_s)
+        if self.fit_rows is not None:
+            return self.fit_rows(rows, records)
         return self.build(rows).fit(rows.X, rows.measured, segments=rows.labels)
 
 

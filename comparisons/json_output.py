@@ -103,6 +103,7 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         "seconds": result.seconds,
         "dead_time_s": model.dead_time_s,
         **({"structure": result.structure.to_json()} if result.structure else {}),
+        **({"effects": result.extended.to_json()["effects"]} if result.extended else {}),
     }
 
 

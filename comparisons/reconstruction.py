@@ -5,26 +5,36 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_quality import FitScore, score_fit
 from comparisons.fit_rows import FitRows, stack_rows
-from comparisons.lag_value import FittedLag
+from comparisons.lag_value import FittedLag, load_models
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.extended_lag import ExtendedLag
 
 __all__ = [
     "RECONSTRUCT_SCHEMA",
+    "AnyLag",
     "Reconstruction",
+    "free_run_over",
+    "load_any_models",
     "reconstruct_record",
     "reconstruction_csv",
     "reconstruction_document",
 ]
 
 RECONSTRUCT_SCHEMA = "sindy-surge/reconstruct/1"
+
+AnyLag: TypeAlias = "FittedLag | ExtendedLag"
 
 
 @dataclass(frozen=True)
@@ -33,7 +43,7 @@ class Reconstruction:
 
     Parameters
     ----------
-    model : FittedLag
+    model : FittedLag or ExtendedLag
         The model, as it was fitted elsewhere.
     record : CoefficientSeries
         The record it is run on.
@@ -47,7 +57,7 @@ class Reconstruction:
         Share of the rows whose φ lies outside the model's range of trust.
     """
 
-    model: FittedLag
+    model: AnyLag
     record: CoefficientSeries
     rows: FitRows
     reconstructed: FloatArray
@@ -55,12 +65,12 @@ class Reconstruction:
     outside: float
 
 
-def reconstruct_record(model: FittedLag, record: CoefficientSeries) -> Reconstruction:
+def reconstruct_record(model: AnyLag, record: CoefficientSeries) -> Reconstruction:
     """Run a fitted model over another record, with nothing refitted.
 
     Parameters
     ----------
-    model : FittedLag
+    model : FittedLag or ExtendedLag
         Fitted elsewhere.
     record : CoefficientSeries
         Measured φ drives it; the measured coefficient serves for each segment's start and for
@@ -69,14 +79,60 @@ def reconstruct_record(model: FittedLag, record: CoefficientSeries) -> Reconstru
     Raises
     ------
     InputError
-        When the record lacks the coefficient that the model gives.
+        When the record lacks the coefficient that the model gives, or a channel that it needs.
     """
     rows = stack_rows([record], model.target)
-    reconstructed = model.free_run(rows.phi, rows.sample_period_s, rows.labels, start=rows.measured)
+    reconstructed = free_run_over(model, rows, [record])
     low, high = model.valid_phi
     outside = float(np.mean((rows.phi < low) | (rows.phi > high)))
     score = score_fit(rows.measured, reconstructed)
     return Reconstruction(model, record, rows, reconstructed, score, outside)
+
+
+def free_run_over(
+    model: AnyLag,
+    rows: FitRows,
+    records: Sequence[CoefficientSeries],
+    labels: NDArray[np.int64] | None = None,
+) -> FloatArray:
+    """Return the free run of a model over rows, each segment from its measured start.
+
+    Parameters
+    ----------
+    model : FittedLag or ExtendedLag
+        The model.
+    rows : FitRows
+        The rows.
+    records : sequence of CoefficientSeries
+        The records they come from: effects may need more of them than φ.
+    labels : ndarray of int, shape (n,), optional
+        In place of the rows' own segments.
+    """
+    if isinstance(model, FittedLag):
+        marks = rows.labels if labels is None else labels
+        return model.free_run(rows.phi, rows.sample_period_s, marks, start=rows.measured)
+    return model.free_run_over(rows, records, labels)
+
+
+def load_any_models(path: str | Path) -> dict[str, AnyLag]:
+    """Read lag models, or lag models with effects: whichever the file says that it holds.
+
+    Parameters
+    ----------
+    path : str or path
+        Written by ``compare --save`` or ``diagnose --save``.
+
+    Raises
+    ------
+    InputError
+        When it is missing or is neither.
+    """
+    from comparisons.missing_effect.extended_file import is_extended_file, load_extended
+
+    if not is_extended_file(path):
+        return {**load_models(path)}
+    # The name in the file is the one that tables show and that --estimator takes.
+    return {name: replace(m, estimator=name) for name, m in load_extended(path).items()}
 
 
 def reconstruction_csv(reconstruction: Reconstruction) -> str:

@@ -98,7 +98,7 @@ def comparison_cautions(
     for record in records:
         for entry in record.history:
             cautions += [f"{record.source}: {flag}" for flag in entry.flags]
-    on_rows = tuple(result for result in results if result.whole_run is None)
+    on_rows = tuple(r for r in results if r.whole_run is None and r.extended is None)
     taus = told_time_constants(on_rows)
     if len(taus) > 1 and max(taus) > (1.0 + 2.0 * TAU_AGREEMENT) * min(taus):
         who = "the estimators" if on_rows == results else "the estimators on the filtered rows"

@@ -207,6 +207,10 @@ def _concluded(
         unavailable=unavailable,
         floor_rms=noise.sigma,
     )
+    if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
+        # What wins in whitened errors and nothing in plain ones explains the colour of the noise.
+        doubted = tuple(replace(item, provisional=True) for item in diagnosis.missing)
+        return replace(diagnosis, verdict="provisional", missing=doubted)
     if verdict != "noise_model_wrong" or noise.flow is None:
         return diagnosis
     return replace(diagnosis, missing=(_noise_on_flow(noise),))

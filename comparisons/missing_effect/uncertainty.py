@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from comparisons.missing_effect.candidates import Bench
     from comparisons.missing_effect.results import FittedParameter
 
-__all__ = ["fitted_parameters", "on_all_rows"]
+__all__ = ["covariance_of", "fitted_parameters", "linear_columns", "on_all_rows"]
 
 
 def on_all_rows(fit: Fit, bench: Bench) -> Fit:
@@ -54,7 +54,7 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     from comparisons.missing_effect.results import FittedParameter
 
     data = with_own_state(bench.data, fit)
-    covariance = _covariance(fit, data, bench)
+    covariance = covariance_of(fit, data, bench)
     free = list(fit.structure.free)
     stderr = np.zeros(fit.nonlinear.size)
     stderr[free] = np.sqrt(np.maximum(np.diag(covariance)[: len(free)], 0.0))
@@ -135,7 +135,18 @@ def _amplitude(
     return float(coefficients[0]), float(errors[0])
 
 
-def _covariance(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
+def covariance_of(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
+    """Return the covariance of a fit, of shape (p + q, p + q): free parameters, then linear ones.
+
+    Parameters
+    ----------
+    fit : Fit
+        To these rows.
+    data : LagData
+        The rows.
+    bench : Bench
+        Metric and blocks; the errors of one block may depend on each other.
+    """
     solution = solved(fit.structure, data, bench.metric, fit.nonlinear)
     slopes = fit.structure.slopes(data, fit.nonlinear, solution.coefficients, fit.structure.free)
     answer = fit.structure.respond(data, fit.nonlinear)

@@ -19,6 +19,7 @@ from classic_ml.filtering import period_average
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
+from comparisons.missing_effect.catalogue import DRIFT_FAMILY
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import evidence_of, paired_z
 from comparisons.missing_effect.fit import Fit, fit_structure
@@ -47,7 +48,6 @@ CHAIN_REACH = 2.5
 # else in one record of a few seconds.
 ALIAS_SHARE = 0.92
 DRIFT_ALIAS_SHARE = 0.8
-DRIFTS = ("sensitivity_drift", "facility_heating", "bias_drift", "speed_droop")
 # A line of a second pattern stands this far above the spectrum around it; side lines of the
 # known cells, at their frequency plus or minus that of surge, reach 40.
 LEAST_LINE = 70.0
@@ -290,7 +290,7 @@ def alias_by_share(winner: Candidate, candidates: Sequence[Candidate]) -> tuple[
     candidates : sequence of Candidate
         All.
     """
-    drift = winner.name in DRIFTS
+    drift = winner.name in DRIFT_FAMILY
     out = [winner]
     for candidate in candidates:
         if candidate is winner or not candidate.evidence.accepted:
@@ -300,7 +300,7 @@ def alias_by_share(winner: Candidate, candidates: Sequence[Candidate]) -> tuple[
             # an offset, and the size of ψ' tells nothing of it.
             out.append(candidate)
             continue
-        least = DRIFT_ALIAS_SHARE if drift and candidate.name in DRIFTS else ALIAS_SHARE
+        least = DRIFT_ALIAS_SHARE if drift and candidate.name in DRIFT_FAMILY else ALIAS_SHARE
         if candidate.evidence.share >= least * winner.evidence.share:
             out.append(candidate)
     return tuple(out)

@@ -1,0 +1,410 @@
+"""A lag model with the effects that were added to it: a value that is run on other records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from classic_ml.errors import InputError
+from classic_ml.first_order_lag import Hold
+from classic_ml.records import FloatArray
+from classic_ml.series import CoefficientSeries
+from comparisons.fit_rows import FitRows
+from comparisons.missing_effect.catalogue import find_effect
+from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.extended_parts import (
+    MOST_EFFECTS,
+    REVERSE,
+    SHAPE,
+    AddedEffect,
+    FrozenReferences,
+    n_powers,
+)
+from comparisons.missing_effect.extended_rows import row_of_sample, rows_in, segment_data
+from comparisons.missing_effect.extended_run import FreeRun
+from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.structure import Structure
+from comparisons.rounding import bracketed
+from comparisons.terms import evaluate_terms
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.diagnosis import Diagnosis
+
+__all__ = ["AddedEffect", "ExtendedLag", "FrozenReferences", "curve_columns"]
+
+# Channels of a series that an effect may need; the others follow from φ.
+CHANNELS = ("T25_K", "Nc_frac")
+
+
+@dataclass(frozen=True)
+class ExtendedLag:
+    """τ dψ'/dt + ψ' = Σ β_i s_i(φ) with up to three effects of the catalogue, and numbers in it.
+
+    Parameters
+    ----------
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error, in seconds.
+    terms : tuple of str
+        Names of the s_i.
+    coefficients, stderr : tuple of float
+        β_i and their standard errors.
+    effects : tuple of AddedEffect
+        What was added, in that order.
+    references : FrozenReferences
+        What the effects are measured from.
+    noise_sigma, noise_innovation : float
+        Standard deviation of an error of the fit, and of what is new in it.
+    noise_ar : tuple of float
+        Autoregression of the errors; empty where they are white.
+    valid_phi : tuple of float
+        Range of φ in which the curve can be trusted.
+    table : tuple of tuple of float
+        The characteristic as (φ, value, standard error).
+    n_blocks : int
+        Blocks behind the standard errors.
+    estimator : str
+        What it is called among other models.
+    hold : {"zero", "first"}
+        How φ acts between samples; a spline through them, joined by lines on a four times finer
+        grid, is the finer form of ``"first"``.
+    """
+
+    time_constant_s: float
+    time_constant_stderr_s: float
+    terms: tuple[str, ...]
+    coefficients: tuple[float, ...]
+    stderr: tuple[float, ...]
+    effects: tuple[AddedEffect, ...]
+    references: FrozenReferences
+    noise_sigma: float
+    noise_innovation: float
+    noise_ar: tuple[float, ...]
+    valid_phi: tuple[float, float]
+    table: tuple[tuple[float, float, float], ...]
+    n_blocks: int = 0
+    estimator: str = "extended"
+    hold: Hold = "first"
+
+    @classmethod
+    def from_fit(cls, source: Diagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
+        """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
+
+        Parameters
+        ----------
+        source : Diagnosis or Fit
+            What was fitted.
+        data : LagData, optional
+            The rows of a fit; a diagnosis knows its own.
+
+        Raises
+        ------
+        InputError
+            When the model holds a term without a name: that says that something is missing and is
+            no model of it.
+        """
+        from comparisons.missing_effect.extended_refit import value_of
+
+        return value_of(source, data)
+
+    @property
+    def target(self) -> str:
+        """The coefficient that it gives."""
+        return "psi_p"
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        return " + ".join(["lag", *(added.name for added in self.effects)])
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Effects that a simulation of another record leaves out: their phases are not known."""
+        return tuple(added.name for added in self.effects if added.effect.episodes)
+
+    def with_effect(self, effect: Effect | str) -> ExtendedLag:
+        """Return the model with one effect more, which does nothing until it is fitted.
+
+        Parameters
+        ----------
+        effect : Effect or str
+            An effect of the catalogue.
+
+        Raises
+        ------
+        InputError
+            For an effect that is unknown, is there already, acts on no port of a model, or would
+            be the fourth.
+        """
+        found = find_effect(effect if isinstance(effect, str) else effect.name)
+        if found.port == "noise":
+            raise InputError("effect", expected="one that acts on the model", found=found.name)
+        if found.name in {added.name for added in self.effects}:
+            raise InputError("effect", expected="one the model lacks", found=found.name)
+        if len(self.effects) >= MOST_EFFECTS:
+            raise InputError(
+                "effect",
+                expected=f"at most {MOST_EFFECTS} effects",
+                found=f"one more: {found.name}",
+            )
+        return replace(self, effects=(*self.effects, AddedEffect.neutral(found)))
+
+    def refit(
+        self,
+        records: Sequence[CoefficientSeries],
+        *,
+        until_s: Sequence[float] | None = None,
+    ) -> ExtendedLag:
+        """Return the model with all its numbers fitted to other records.
+
+        τ, characteristic and effects are fitted jointly to every scored row; an effect that was
+        just added is searched for first.
+
+        Parameters
+        ----------
+        records : sequence of CoefficientSeries
+            At one sample rate. Records that all carry unfiltered columns are taken as free runs.
+        until_s : sequence of float, optional
+            Score each record up to this time only, in seconds on its clock.
+
+        Raises
+        ------
+        InputError
+            When the records hold too few rows or lack a channel that an effect needs.
+        """
+        from comparisons.missing_effect.extended_refit import refitted
+
+        return refitted(self, records, until_s)
+
+    def fit_on(self, data: LagData) -> Fit:
+        """Return the model as the engine runs it on rows that stand in its references.
+
+        Parameters
+        ----------
+        data : LagData
+            What :meth:`FrozenReferences.on` gave.
+        """
+        acting = [added for added in self.effects if added.acts]
+        structure = Structure(self.terms, tuple(added.effect for added in acting))
+        nonlinear = np.concatenate(
+            [[np.log(self.time_constant_s)], *[added.nonlinear for added in acting]]
+        )
+        groups = CoefficientGroups(
+            np.asarray(self.coefficients),
+            {added.name: np.asarray(added.coefficients) for added in acting if added.coefficients},
+            np.zeros(0),
+        )
+        return assembled_fit(structure, data, nonlinear, groups)
+
+    def simulate(
+        self,
+        record: CoefficientSeries,
+        labels: ArrayLike | None = None,
+        *,
+        start: Literal["measured", "rest"] = "measured",
+    ) -> FloatArray:
+        """Reconstruct ψ' of a record from its φ; nothing is refitted.
+
+        Each segment of at least 15 rows is one free run. A ripple is left out: its phase differs
+        from one stall episode to the next, and in another record nobody knows it.
+
+        Parameters
+        ----------
+        record : CoefficientSeries
+            Of any length; its segments, temperature, speed and clock need not be those of the fit.
+        labels : array-like of int, shape (n,), optional
+            Starts anew from the measured ψ' wherever these change within a segment.
+        start : {"measured", "rest"}
+            Whether a run starts from the first measured ψ' of its segment, or from the quasi-steady
+            value ten rows before it. A lag of second order reads its two numbers from the first
+            rows, as many as its short time constant lasts twice.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            ψ'; NaN outside the segments.
+
+        Raises
+        ------
+        InputError
+            When the record lacks a channel that an effect needs.
+        """
+        run = self._run(record)
+        values = run.free
+        if start == "measured":
+            values = values + run.started(record.segment if labels is None else np.asarray(labels))
+        out = np.full(record.n_samples, np.nan)
+        out[run.at[run.scored]] = values[run.scored]
+        return out
+
+    def one_step(self, record: CoefficientSeries) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Predict each row of a record from the measured row before it.
+
+        Parameters
+        ----------
+        record : CoefficientSeries
+            The record.
+
+        Returns
+        -------
+        prediction : ndarray of shape (n,)
+            NaN outside the segments.
+        known : ndarray of bool, shape (n,)
+            Rows with a measured row before them.
+        """
+        run = self._run(record)
+        prediction, known = run.one_step()
+        out, there = np.full(record.n_samples, np.nan), np.zeros(record.n_samples, dtype=np.bool_)
+        out[run.at[run.scored]] = prediction[run.scored]
+        there[run.at[known]] = True
+        return out, there
+
+    def _run(self, record: CoefficientSeries) -> FreeRun:
+        for added in self.effects:
+            needed = added.effect.needs
+            if added.acts and needed in CHANNELS and getattr(record, needed) is None:
+                raise InputError(
+                    record.source,
+                    expected=f"the column {needed}, which {added.name} needs",
+                    found="none",
+                )
+        plain = segment_data(record)
+        data = self.references.on(plain)
+        fit = self.fit_on(data)
+        return FreeRun(data, fit, row_of_sample(plain, record))
+
+    def free_run_over(
+        self,
+        rows: FitRows,
+        records: Sequence[CoefficientSeries],
+        labels: NDArray[np.int64] | None = None,
+    ) -> FloatArray:
+        """Reconstruct the rows that a comparison fits, each segment from its measured start.
+
+        Parameters
+        ----------
+        rows : FitRows
+            Rows of the records.
+        records : sequence of CoefficientSeries
+            The records they come from, in that order.
+        labels : ndarray of int, shape (n,), optional
+            In place of the rows' own segments.
+        """
+        out = np.empty(rows.phi.size)
+        for i, record in enumerate(records):
+            of_record = rows.record == i
+            at = rows_in(record, rows.time_s[of_record])
+            marks = np.zeros(record.n_samples, dtype=np.int64)
+            marks[at] = (rows.labels if labels is None else labels)[of_record]
+            out[of_record] = self.simulate(record, marks)[at]
+        return out
+
+    def one_step_over(
+        self, rows: FitRows, records: Sequence[CoefficientSeries]
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Predict each row of a comparison from the row before it, and tell which are predicted.
+
+        Parameters
+        ----------
+        rows : FitRows
+            Rows of the records.
+        records : sequence of CoefficientSeries
+            The records they come from.
+        """
+        out, known = np.empty(rows.phi.size), np.zeros(rows.phi.size, dtype=np.bool_)
+        for i, record in enumerate(records):
+            of_record = rows.record == i
+            at = rows_in(record, rows.time_s[of_record])
+            prediction, there = self.one_step(record)
+            out[of_record], known[of_record] = prediction[at], there[at]
+        return out, known
+
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return the characteristic at φ, at the start of the clock and the mean speed.
+
+        With the loss in reversed flow and the free shape, without hysteresis, of shape (n,).
+        """
+        names, coefficients = self.curve_terms()
+        columns = curve_columns(names, np.asarray(phi, dtype=np.float64), self)
+        return np.asarray(columns @ coefficients)
+
+    def curve_terms(self) -> tuple[tuple[str, ...], FloatArray]:
+        """Return the names of all that is a function of φ alone, and one coefficient a column."""
+        names, values = list(self.terms), list(self.coefficients)
+        for added in self.effects:
+            if added.name in (REVERSE, SHAPE) and added.acts:
+                names.append(added.name)
+                values += added.coefficients
+        return tuple(names), np.array(values)
+
+    def equation(self) -> str:
+        """Return the model in one line, each number rounded to its standard error."""
+        right = " ".join(
+            _term(name, value, stderr)
+            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
+        ).removeprefix("+ ")
+        tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
+        text = f"{tau_ms} ms · dψ'/dt + ψ' = {right or '0'}"
+        for added in self.effects:
+            text += f"; {added.name}: {added.effect.equation}, {_numbers(added)}"
+        return text
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the value as plain JSON types."""
+        from comparisons.missing_effect.extended_file import extended_to_json
+
+        return extended_to_json(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> ExtendedLag:
+        """Build from what :meth:`to_json` gave; KeyError, TypeError or ValueError otherwise."""
+        from comparisons.missing_effect.extended_file import extended_from_json
+
+        return extended_from_json(data)
+
+
+def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> FloatArray:
+    """Return the columns of a characteristic over φ, effects that bend it among them.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Terms, and names of effects that are functions of φ alone.
+    phi : ndarray of shape (n,)
+        Flow coefficient.
+    model : ExtendedLag
+        Whose effects they are.
+    """
+    columns = [evaluate_terms(list(model.terms), phi)]
+    for added in model.effects:
+        if added.name == REVERSE and added.name in names:
+            columns.append(evaluate_terms(["phi^2[phi<0]"], phi))
+        elif added.name == SHAPE and added.name in names:
+            intervals, low, high = added.nonlinear
+            own = shape_columns(phi, (low, high), int(intervals), n_powers(model.terms))
+            columns.append(own)
+    return np.column_stack(columns)
+
+
+def _term(name: str, value: float, stderr: float) -> str:
+    sign = "-" if value < 0.0 else "+"
+    factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
+    return f"{sign} {bracketed(abs(value), stderr)}{factor}"
+
+
+def _numbers(added: AddedEffect) -> str:
+    from comparisons.missing_effect.diagnosis import FittedParameter
+    from comparisons.missing_effect.quantities import numbers_of
+
+    if not added.fitted:
+        return "not fitted"
+    rows = zip(added.effect.parameters, added.values, added.stderr, strict=True)
+    numbers = [FittedParameter(p.name, value, stderr, p.unit) for p, value, stderr in rows]
+    text = numbers_of(added.name, numbers)
+    return f"{text} (not simulated: phase unknown)" if added.effect.episodes else text

@@ -1,0 +1,212 @@
+"""Fitting the numbers of a lag model with effects, and taking them out of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from classic_ml.series import CoefficientSeries
+from comparisons.fit_quality import trusted_range
+from comparisons.missing_effect.candidates import Bench
+from comparisons.missing_effect.catalogue import CATALOGUE
+from comparisons.missing_effect.coefficient_groups import coefficient_groups, refitted_on
+from comparisons.missing_effect.diagnosis import Diagnosis, FittedParameter
+from comparisons.missing_effect.excitation import block_rows
+from comparisons.missing_effect.extended_lag import ExtendedLag, curve_columns
+from comparisons.missing_effect.extended_parts import (
+    REVERSE,
+    SHAPE,
+    AddedEffect,
+    FrozenReferences,
+)
+from comparisons.missing_effect.extended_rows import fitted_data
+from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import NoiseModel, weights_of
+from comparisons.missing_effect.probes import Prober
+from comparisons.missing_effect.structure import Structure
+from comparisons.missing_effect.uncertainty import (
+    covariance_of,
+    fitted_parameters,
+    linear_columns,
+)
+
+__all__ = ["refitted", "value_of"]
+
+CURVE_POINTS = 121
+
+
+def value_of(source: Diagnosis | Fit, data: LagData | None) -> ExtendedLag:
+    """Take the numbers out of a diagnosis or a fit; see :meth:`ExtendedLag.from_fit`."""
+    if isinstance(source, Diagnosis):
+        return _value(source.after, replace(source.rounds[-1].bench, data=source.data))
+    if data is None:
+        raise InputError("data", expected="the rows that the fit was made on", found="none")
+    _refuse_unnamed(source)
+    bench = _bench(source, data)
+    return _value(source, replace(bench, metric=_own_metric(bench)))
+
+
+def refitted(
+    model: ExtendedLag,
+    records: Sequence[CoefficientSeries],
+    until_s: Sequence[float] | None = None,
+) -> ExtendedLag:
+    """Fit a model's numbers to other records; see :meth:`ExtendedLag.refit`."""
+    data = fitted_data(records, until_s)
+    for added in model.effects:
+        missing = added.effect.missing_channel(data)
+        if missing is not None:
+            raise InputError(
+                ", ".join(data.sources),
+                expected=f"records in which {added.name} can be told",
+                found=f"some without: it {missing}",
+            )
+    plain = Metric(model.noise_sigma)
+    known = [added for added in model.effects if _starts_where_it_was(added)]
+    fit = _known_part(model, known, data, plain)
+    for added in model.effects:
+        if added not in known:
+            fit = _with_effect(fit, added, data, plain)
+    metric = _own_metric(_bench(fit, data))
+    # In the order in which they were added, whatever order they were searched in.
+    parts = dict(zip(fit.structure.names, fit.structure.parts(fit.nonlinear), strict=True))
+    structure = Structure(model.terms, tuple(added.effect for added in model.effects))
+    start = np.concatenate([fit.nonlinear[:1], *[parts[name] for name in structure.names]])
+    fit = refitted_on(Fit(structure, start, np.zeros(0), 0.0), data, metric)
+    return replace(_value(fit, _bench(fit, data, metric)), estimator=model.estimator)
+
+
+def _starts_where_it_was(added: AddedEffect) -> bool:
+    # The frequency of a ripple is known to one part in the length of a record, and beyond that
+    # a search that begins beside it finds another line.
+    return added.fitted and not added.effect.episodes
+
+
+def _known_part(
+    model: ExtendedLag, known: Sequence[AddedEffect], data: LagData, metric: Metric
+) -> Fit:
+    """Fit what had numbers before, from these."""
+    structure = Structure(model.terms, tuple(added.effect for added in known))
+    start = np.concatenate([[np.log(model.time_constant_s)], *[added.nonlinear for added in known]])
+    return refitted_on(Fit(structure, start, np.zeros(0), 0.0), data, metric)
+
+
+def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) -> Fit:
+    """Fit one effect more, from where the errors of the model without it tell to begin."""
+    probe = Prober(fit, data, metric).probe(added.effect)
+    if not probe.starts:
+        raise InputError(
+            ", ".join(data.sources),
+            expected=f"records in which {added.name} can be told",
+            found="none of the rows that it acts on",
+        )
+    starts = [np.concatenate([fit.nonlinear, start]) for start in probe.starts]
+    return fit_structure(fit.structure.with_effect(added.effect), data, metric, starts)
+
+
+def _bench(fit: Fit, data: LagData, metric: Metric | None = None) -> Bench:
+    return Bench(data, fit, metric or Metric(), block_rows(data), len(CATALOGUE))
+
+
+def _own_metric(bench: Bench) -> Metric:
+    """Return the metric in which the errors of a fit to all rows are white.
+
+    Of whole runs all errors weigh alike: they are the model's own, and weighing them by their
+    colour would fit what is fast, where a lag is worst.
+    """
+    noise = bench.noise(bench.fit)
+    if bench.data.average_s > 0.0:
+        return Metric(noise.sigma)
+    errors = bench.fit.errors(bench.data, Metric())
+    return noise.metric(weights_of(errors, noise, bench.data))
+
+
+def _refuse_unnamed(fit: Fit) -> None:
+    for effect in fit.structure.effects:
+        if effect.unnamed:
+            raise InputError(
+                "model",
+                expected="effects of the catalogue alone",
+                found=f"the term {effect.name}, which has no name",
+                remedy="it says that something is missing and is no model of it",
+            )
+
+
+def _value(fit: Fit, bench: Bench) -> ExtendedLag:
+    _refuse_unnamed(fit)
+    data = bench.data
+    noise = bench.noise(fit)
+    covariance = covariance_of(fit, data, bench)
+    parameters = fitted_parameters(fit, bench)
+    n_free, n_terms = len(fit.structure.free), len(fit.structure.terms)
+    linear = covariance[n_free:, n_free:]
+    groups = coefficient_groups(fit, data)
+    effects = tuple(
+        _added(
+            effect.name, parameters[effect.name], groups.effects.get(effect.name), effect.episodes
+        )
+        for effect in fit.structure.effects
+    )
+    stderr = np.sqrt(np.maximum(np.diag(linear)[:n_terms], 0.0))
+    phi = data.sampled(data["phi"])[data.scored()]
+    model = ExtendedLag(
+        fit.tau_s,
+        parameters["tau"][0].stderr,
+        fit.structure.terms,
+        tuple(groups.terms.tolist()),
+        tuple(stderr.tolist()),
+        effects,
+        FrozenReferences.of(data),
+        *_noise(noise),
+        trusted_range(phi),
+        (),
+        int(bench.rows.block.max()) + 1,
+    )
+    return replace(model, table=_table(model, fit, data, linear, phi))
+
+
+def _added(
+    name: str,
+    parameters: Sequence[FittedParameter],
+    coefficients: FloatArray | None,
+    episodes: bool,
+) -> AddedEffect:
+    kept = () if coefficients is None or episodes else tuple(coefficients.tolist())
+    return AddedEffect(
+        name, tuple(p.value for p in parameters), tuple(p.stderr for p in parameters), kept
+    )
+
+
+def _noise(noise: NoiseModel) -> tuple[float, float, tuple[float, ...]]:
+    return noise.sigma, noise.innovation, noise.ar
+
+
+def _table(
+    model: ExtendedLag, fit: Fit, data: LagData, covariance: FloatArray, phi: FloatArray
+) -> tuple[tuple[float, float, float], ...]:
+    """Return the characteristic over the range of φ with its standard error."""
+    grid = np.linspace(float(phi.min()), float(phi.max()), CURVE_POINTS)
+    names, coefficients = model.curve_terms()
+    columns = curve_columns(names, grid, model)
+    slices = linear_columns(fit, data)
+    rows = np.concatenate(
+        [
+            np.arange(len(model.terms)),
+            *[
+                np.arange(slices[added.name].start, slices[added.name].stop)
+                for added in model.effects
+                if added.name in (REVERSE, SHAPE) and added.acts
+            ],
+        ]
+    )
+    own = covariance[np.ix_(rows, rows)]
+    variance = np.einsum("ij,jk,ik->i", columns, own, columns)
+    value = columns @ coefficients
+    error = np.sqrt(np.maximum(variance, 0.0))
+    return tuple(zip(grid.tolist(), value.tolist(), error.tolist(), strict=True))

@@ -1,0 +1,297 @@
+"""Planting an effect of a given size into a user's own records, and noise like theirs beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
+from comparisons.missing_effect.coefficient_groups import (
+    CoefficientGroups,
+    assembled_fit,
+    coefficient_groups,
+)
+from comparisons.missing_effect.diagnosis import Diagnosis
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.open_terms import with_own_state
+from comparisons.missing_effect.probes import Prober
+
+__all__ = ["NoiseSource", "Planter"]
+
+# A branch between the quartiles of φ is on either side for a good part of every cycle.
+BRANCH_QUANTILES = (0.25, 0.75)
+# A bump in the middle of the range of φ, of this width as a share of it, on so many intervals.
+BUMP_WIDTH, BUMP_INTERVALS = 0.15, 7
+# A ripple at a frequency that is no simple share of the sample rate.
+RIPPLE_SHARE = 0.171
+# What the noise model does not know of the order of the errors is kept over so many rows.
+BLOCK_ROWS = 20
+BURN_IN_ROWS = 200
+LARGEST_ROOT = 0.995
+
+
+@dataclass(frozen=True)
+class NoiseSource:
+    """Noise as a fit's errors show it, drawn anew.
+
+    Parameters
+    ----------
+    white : ndarray of shape (m,)
+        What is new in each error, in units of the coefficient.
+    noise : NoiseModel
+        Colour, and noise on φ.
+    data : LagData
+        Rows that it is drawn for.
+    """
+
+    white: FloatArray
+    noise: NoiseModel
+    data: LagData
+
+    @classmethod
+    def of(cls, fit: Fit, noise: NoiseModel, data: LagData) -> NoiseSource:
+        """Take the errors of a fit to all rows apart into what is new in each and its colour."""
+        if noise.flow is not None:
+            from comparisons.missing_effect.candidates import slope_of
+
+            noise = replace(noise, flow=replace(noise.flow, slope=slope_of(fit, data)))
+        metric = noise.metric()
+        white = metric.whitened(fit.errors(data, Metric()), data) * noise.innovation
+        kept = white[metric.rows(data) > 0.0]
+        return cls(kept - kept.mean(), noise, data)
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Return noise on the coefficient at every sample, of shape (n,).
+
+        What is new in each error is drawn in blocks from the fit's own, so that its tails and its
+        bursts are those of the record; then it is given the colour of the noise model.
+        """
+        new = self._resampled(rng, self.data.n_samples)
+        if self.noise.flow is not None:
+            return new + self._from_flow(rng)
+        if not self.noise.ar:
+            return new
+        from scipy.signal import lfilter
+
+        feedback = np.concatenate([[1.0], -_stable(np.array(self.noise.ar))])
+        out = np.empty_like(new)
+        for run in self.data.slices:
+            ahead = self._resampled(rng, BURN_IN_ROWS)
+            coloured = lfilter([1.0], feedback, np.concatenate([ahead, new[run]]))
+            out[run] = coloured[BURN_IN_ROWS:]
+        return out
+
+    def _resampled(self, rng: np.random.Generator, n: int) -> FloatArray:
+        size = min(BLOCK_ROWS, self.white.size)
+        first = rng.integers(0, self.white.size - size + 1, -(-n // size))
+        rows = (first[:, None] + np.arange(size)).ravel()[:n]
+        return np.asarray(self.white[rows])
+
+    def _from_flow(self, rng: np.random.Generator) -> FloatArray:
+        """Return what noise on φ leaves behind the lag."""
+        from scipy.signal import lfilter
+
+        flow = self.noise.flow
+        assert flow is not None
+        driven = flow.slope * self.noise.flow_sigma * rng.standard_normal(self.data.n_samples)
+        out = np.empty_like(driven)
+        for run in self.data.slices:
+            out[run] = lfilter([flow.now, flow.before], [1.0, -flow.a], driven[run])
+        return out
+
+
+@dataclass(frozen=True)
+class Planter:
+    """A fitted model of a user's records, into which effects are planted.
+
+    Parameters
+    ----------
+    fit : Fit
+        To all rows; what it holds stays in.
+    data : LagData
+        The rows.
+    source : NoiseSource
+        Noise like theirs.
+    sigma : float
+        Standard deviation of one error.
+    floor_rms : float
+        That of the measurement noise.
+    """
+
+    fit: Fit
+    data: LagData
+    source: NoiseSource
+    sigma: float
+    floor_rms: float
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> Planter:
+        """Return the planter of a diagnosis: its model after, its rows, its noise."""
+        data = with_own_state(diagnosis.data, diagnosis.after)
+        source = NoiseSource.of(diagnosis.after, diagnosis.noise, data)
+        noise = diagnosis.noise.sigma
+        return cls(diagnosis.after, data, source, noise, diagnosis.gap.floor_rms)
+
+    @property
+    def whole_runs(self) -> bool:
+        """Whether these are whole runs, whose errors are the model's own and not noise."""
+        return self.data.average_s > 0.0
+
+    def shape(self, effect: Effect) -> FloatArray:
+        """Return where an effect is planted: its parameters beside the amplitude that are searched.
+
+        Parameters
+        ----------
+        effect : Effect
+            The effect.
+        """
+        if effect.name == "hysteresis":
+            return np.quantile(self._phi, BRANCH_QUANTILES)
+        if effect.name == "characteristic_shape":
+            return np.array([float(BUMP_INTERVALS), *self.data.phi_range])
+        if effect.episodes:
+            highest_hz = HIGHEST_SHARE / max(self.data.average_s, 1e-12)
+            frequency_hz = min(RIPPLE_SHARE / self.data.sample_period_s, highest_hz)
+            return np.array([frequency_hz, float(np.median(self._phi))])
+        starts = effect.starts(self.data)
+        held = any(p.kind == "held" for p in effect.nonlinear)
+        # Of values held at one of a few the first is the plain case; of a search, the middle.
+        start = starts[0 if held else starts.shape[0] // 2]
+        return np.asarray(start if effect.linear else start[1:])
+
+    def coefficients(self, effect: Effect, size: float, rng: np.random.Generator) -> FloatArray:
+        """Return the coefficients of the columns of an effect of a given size.
+
+        Parameters
+        ----------
+        effect : Effect
+            The effect; one without columns gets none.
+        size : float
+            Its amplitude, in the unit of the catalogue.
+        rng : Generator
+            For the phases of a ripple.
+        """
+        if not effect.linear:
+            return np.zeros(0)
+        if effect.episodes:
+            n = len(stall_episodes(self.data, float(self.shape(effect)[1])))
+            phase = rng.uniform(0.0, 2.0 * np.pi, n)
+            return size * np.column_stack([np.cos(phase), np.sin(phase)]).ravel()
+        if effect.name == "characteristic_shape":
+            return size * self._bump
+        return np.array([size])
+
+    def planted(self, effect: Effect, size: float, rng: np.random.Generator) -> FloatArray:
+        """Return the coefficient at every sample, without noise, with an effect in it.
+
+        Parameters
+        ----------
+        effect : Effect
+            One that the model has not.
+        size : float
+            Its amplitude.
+        rng : Generator
+            For the phases of a ripple.
+        """
+        shape = self.shape(effect)
+        own = shape if effect.linear else np.concatenate([[size], shape])
+        groups = coefficient_groups(self.fit, self.data)
+        more = {**groups.effects, effect.name: self.coefficients(effect, size, rng)}
+        model = assembled_fit(
+            self.fit.structure.with_effect(effect),
+            self.data,
+            np.concatenate([self.fit.nonlinear, own]),
+            CoefficientGroups(groups.terms, more, groups.nuisance),
+        )
+        return model.output(self.data)
+
+    @cached_property
+    def bare(self) -> FloatArray:
+        """The coefficient at every sample, without noise and with nothing planted."""
+        return self.fit.output(self.data)
+
+    def measured(self, clean: FloatArray, rng: np.random.Generator) -> LagData:
+        """Return the rows with a coefficient that was measured with noise.
+
+        What a model leaves of whole runs comes back in every cycle: there the errors of the
+        records stay where they are, and only measurement noise is added.
+
+        Parameters
+        ----------
+        clean : ndarray of shape (n,)
+            Without noise.
+        rng : Generator
+            Of the noise.
+        """
+        if not self.whole_runs:
+            return self.data.with_measured(clean + self.source.draw(rng))
+        rows = max(1, round(self.data.average_s / self.data.sample_period_s))
+        white = rng.standard_normal(clean.size + rows - 1)
+        noise = np.convolve(white, np.full(rows, rows**-0.5), mode="valid")
+        own = self.data.measured - self.bare
+        return self.data.with_measured(clean + own + self.floor_rms * noise)
+
+    def promise(self, clean: FloatArray) -> tuple[float, float]:
+        """Return what an effect leaves once the model without it is fitted again.
+
+        Parameters
+        ----------
+        clean : ndarray of shape (n,)
+            What :meth:`planted` gave.
+
+        Returns
+        -------
+        gain : float
+            Log-units that it would win on the fitted rows, in the metric of the noise.
+        excess_sigma : float
+            Rms of it there, in standard deviations of the noise.
+        """
+        added = (clean - self.bare)[self.data.train_rows]
+        coloured = self._left(added, self._probers[0])
+        plain = self._left(added, self._probers[1])
+        n = max(int(np.count_nonzero(self.data.train.weight)), 1)
+        return 0.5 * float(coloured @ coloured), float(np.sqrt(plain @ plain / n))
+
+    def _left(self, added: FloatArray, prober: Prober) -> FloatArray:
+        seen = prober.metric.seen(added, prober.solution.decay, prober.data)
+        return np.asarray(seen - prober.basis @ (prober.basis.T @ seen))
+
+    @cached_property
+    def _probers(self) -> tuple[Prober, Prober]:
+        """Score tests in the metric of the noise, and in units of its standard deviation."""
+        train, rows = self.data.train, self.data.train_rows
+        # Of a ripple in the model only the episodes that are fitted have columns there.
+        fit = Fit(self.fit.structure, self.fit.nonlinear, self.fit.coefficients, 0.0)
+        metric = self.source.noise.metric().on(rows)
+        return Prober(fit, train, metric), Prober(fit, train, Metric(self.sigma))
+
+    @property
+    def _phi(self) -> FloatArray:
+        return self.data.sampled(self.data["phi"])[self.data.scored()]
+
+    @cached_property
+    def _bump(self) -> FloatArray:
+        """Coefficients of the splines for a bump in the middle of the range, of height 1."""
+        low, high = self.data.phi_range
+        grid = np.linspace(low, high, 400)
+        bump = np.exp(-0.5 * ((grid - 0.5 * (low + high)) / (BUMP_WIDTH * (high - low))) ** 2)
+        degree = self.fit.structure.bare_ports(self.data, self.fit.nonlinear).degree
+        columns = shape_columns(grid, self.data.phi_range, BUMP_INTERVALS, degree + 1)
+        found = np.linalg.lstsq(columns, bump, rcond=None)[0]
+        return np.asarray(found / np.max(np.abs(columns @ found)))
+
+
+def _stable(ar: NDArray[np.float64]) -> FloatArray:
+    """Return an autoregression whose memory dies away."""
+    largest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -ar]))), initial=0.0))
+    shrink = min(1.0, LARGEST_ROOT / max(largest, 1e-12))
+    return np.asarray(ar * shrink ** np.arange(1, ar.size + 1))

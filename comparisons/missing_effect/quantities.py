@@ -1,0 +1,207 @@
+"""Numbers and equations of a lag model and of effects, as people read them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from comparisons.rounding import round_to_error, significant
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.diagnosis import FittedParameter
+    from comparisons.missing_effect.effect import Effect
+    from comparisons.missing_effect.fit import Fit
+
+__all__ = [
+    "chance",
+    "equation_of",
+    "letters_of",
+    "model_equation",
+    "numbers_of",
+    "open_words",
+    "quantity",
+    "symbol",
+    "tau_ms",
+]
+
+_SYMBOLS = {
+    "Delta": "Δ",
+    "phi_lo": "φ_lo",
+    "phi_hi": "φ_hi",
+    "phi_t": "φ_t",
+    "phi_gate": "φ_gate",
+    "a2": "a₂",
+    "tau_tc": "τ_tc",
+    "l": "ℓ",
+    "tau": "τ",
+}
+# Parameters that were held at one of a few values: a word says more than the value.
+_HELD = {
+    ("reverse_flow_branch", "lagged"): {1.0: "behind the lag", 0.0: "not lagged"},
+    ("characteristic_shape", "intervals"): {},
+    # A number of the method: how the ends of a record are taken.
+    ("amplitude_dependent_lag", "prolonged"): None,
+    ("characteristic_shape", "phi_from"): None,
+    ("characteristic_shape", "phi_to"): None,
+}
+# A number of this unit below the limit is read in a smaller unit.
+_SMALLER = {"s": (1.0, 1e3, "ms"), "s^2": (1e-2, 1e6, "ms²")}
+_UNITS = {"1": "", "1/s": "1/s", "s^2": "s²"}
+_OPEN_SYMBOLS = (
+    ("dphi", "dφ/dt"),
+    ("dpsi", "dψ'/dt"),
+    ("phi", "φ"),
+    ("psi", "ψ'"),
+    ("sgn", "sign"),
+)
+_OPEN_MEANING = (
+    (r"\be\b", "e is τ dψ'/dt, how far ψ' is from its quasi-steady value"),
+    (r"\bA\b", "A is the amplitude of φ"),
+    (r"\bt\b", "t is the facility clock"),
+    (r"\bn\b", "n is the corrected speed"),
+)
+
+
+def symbol(parameter: str) -> str:
+    """Return the symbol of a parameter.
+
+    Parameters
+    ----------
+    parameter : str
+        Its name.
+    """
+    return _SYMBOLS.get(parameter, parameter)
+
+
+def quantity(value: float, stderr: float, unit: str) -> str:
+    """Return a number with its standard error and unit.
+
+    Parameters
+    ----------
+    value, stderr : float
+        In the unit.
+    unit : str
+        SI; ``"1"`` without one. Small times are written in ms.
+    """
+    limit, factor, smaller = _SMALLER.get(unit, (0.0, 1.0, ""))
+    shown = _UNITS.get(unit, unit)
+    if abs(value) < limit:
+        value, stderr, shown = factor * value, factor * stderr, smaller
+    return f"{round_to_error(value, stderr)} {shown}".rstrip()
+
+
+def tau_ms(tau_s: float, stderr_s: float | None = None) -> str:
+    """Return a time constant in milliseconds, with its standard error where it is given.
+
+    Parameters
+    ----------
+    tau_s : float
+        In seconds.
+    stderr_s : float, optional
+        In seconds.
+    """
+    if stderr_s is None:
+        return f"{significant(1e3 * tau_s)} ms"
+    return f"{round_to_error(1e3 * tau_s, 1e3 * stderr_s)} ms"
+
+
+def numbers_of(effect: str, parameters: Sequence[FittedParameter]) -> str:
+    """Return the numbers of an effect in one line.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    parameters : sequence of FittedParameter
+        Its numbers.
+    """
+    parts = []
+    for p in parameters:
+        words = _HELD.get((effect, p.name), "")
+        if words is None:
+            continue
+        if isinstance(words, dict):
+            parts.append(words.get(p.value, f"{p.value:g} {p.name}"))
+        elif p.name == "phi_gate":
+            # 0 stands for stall as the record flags it.
+            parts += [f"where φ < {p.value:.3g}"] if p.value else []
+        elif effect == "characteristic_shape":
+            parts.append(f"largest f = {quantity(p.value, p.stderr, p.unit)}")
+        else:
+            parts.append(f"{symbol(p.name)} = {quantity(p.value, p.stderr, p.unit)}")
+    return ", ".join(parts)
+
+
+def equation_of(effect: Effect) -> str:
+    """Return what an effect adds.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    """
+    return f"+ c · {open_words(effect.name)}" if effect.unnamed else effect.equation
+
+
+def letters_of(effect: Effect) -> str:
+    """Say what the letters of an open term stand for; empty for an effect with a name.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect.
+    """
+    if not effect.unnamed:
+        return ""
+    return "; ".join(words for letter, words in _OPEN_MEANING if re.search(letter, effect.name))
+
+
+def model_equation(fit: Fit) -> str:
+    """Return the equation of a fitted model, its effects named behind it.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model.
+    """
+    from sindy_surge.equations import pretty_term
+
+    text = "τ dψ'/dt + ψ' ="
+    for name, value in zip(fit.structure.terms, fit.coefficients, strict=False):
+        factor = "" if name == "1" else f" {pretty_term(name)}"
+        sign = ("−" if value < 0.0 else "") if text.endswith("=") else "−" if value < 0.0 else "+"
+        gap = "" if text.endswith("=") else " "
+        text += f" {sign}{gap}{significant(abs(float(value)))}{factor}"
+    text += f", τ = {tau_ms(fit.tau_s)}"
+    for effect in fit.structure.in_order:
+        name = "open term" if effect.unnamed else effect.name
+        text += f"; {name}: {equation_of(effect)}"
+    return text
+
+
+def chance(p_value: float) -> str:
+    """Return a p-value in a few letters.
+
+    Parameters
+    ----------
+    p_value : float
+        From 0 to 1.
+    """
+    if p_value < 1e-300:
+        return "<1e-300"
+    return f"{p_value:.0e}" if p_value < 0.01 else f"{p_value:.2f}"
+
+
+def open_words(name: str) -> str:
+    """Return the name of an open term in the field's symbols.
+
+    Parameters
+    ----------
+    name : str
+        Of the term.
+    """
+    for plain, pretty in _OPEN_SYMBOLS:
+        name = re.sub(rf"(?<![A-Za-z]){plain}(?![A-Za-z])", pretty, name)
+    name = name.removesuffix(" at the output")
+    return name.replace("*", "·").replace("^2", "²").replace("^3", "³")

@@ -1,0 +1,354 @@
+"""Which further measurement would tell apart the effects that these records cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
+from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
+from comparisons.missing_effect.coefficient_groups import (
+    CoefficientGroups,
+    assembled_fit,
+    coefficient_groups,
+    refitted_on,
+)
+from comparisons.missing_effect.diagnosis import Diagnosis
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.evidence import LEAST_GAP, LEAST_GAP_SHARE
+from comparisons.missing_effect.extended_parts import FrozenReferences
+from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.lag_data import TRAIN, LagData
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.probes import Prober
+
+__all__ = ["Distance", "Measurement", "Separation", "SetSeparation", "separating_measurements"]
+
+# Two models that leave less than this many standard deviations between them, all rows together,
+# are not told apart: a gain of 12.5 log-units. Of strong effects the workflow asks for more.
+TOLD_APART = 5.0
+# What happens in the transducer of one tap, or at its place on the circumference.
+OF_ONE_TAP = ("sensitivity_drift", "bias_drift", "rotating_stall_ripple")
+SECOND_TAP = Change("second_tap", "a second tap with a transducer of its own")
+
+
+@dataclass(frozen=True)
+class Distance:
+    """How far the best of a rival stays from the truth.
+
+    Parameters
+    ----------
+    truth, rival : str
+        Which effect is there, and which is fitted in its place.
+    sigma : float
+        Root of the sum of squared errors left, in standard deviations of the noise.
+    asked : float
+        From where on the workflow would tell them apart.
+    """
+
+    truth: str
+    rival: str
+    sigma: float
+    asked: float = TOLD_APART
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One experiment, and what it would tell.
+
+    Parameters
+    ----------
+    name, says : str
+        What it is called, and what is done.
+    distances : tuple of Distance
+        One for each truth and each rival.
+    """
+
+    name: str
+    says: str
+    distances: tuple[Distance, ...]
+
+    @property
+    def sigma(self) -> float:
+        """The least of the distances, whichever of the effects is there."""
+        return min(distance.sigma for distance in self.distances)
+
+    @property
+    def tells_apart(self) -> bool:
+        """Whether it tells every member from every other."""
+        return all(distance.sigma >= distance.asked for distance in self.distances)
+
+    @property
+    def asked(self) -> float:
+        """From where on it would."""
+        return max(distance.asked for distance in self.distances)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the measurement as plain JSON types."""
+        return {
+            "name": self.name,
+            "says": self.says,
+            "sigma": self.sigma,
+            "asked_sigma": self.asked,
+            "tells_apart": self.tells_apart,
+            "distances": [dict(d.__dict__) for d in self.distances],
+        }
+
+
+@dataclass(frozen=True)
+class SetSeparation:
+    """What would tell the members of one alias set apart.
+
+    Parameters
+    ----------
+    alias_set : tuple of str
+        The names.
+    as_recorded : Measurement
+        The distances on the records themselves.
+    measurements : tuple of Measurement
+        Experiments, in the order in which they are easily done.
+    confirm : mapping of str to str
+        What would confirm each member by itself.
+    """
+
+    alias_set: tuple[str, ...]
+    as_recorded: Measurement
+    measurements: tuple[Measurement, ...]
+    confirm: Mapping[str, str]
+
+    @property
+    def best(self) -> Measurement | None:
+        """The measurement that tells them apart most clearly; None where none does."""
+        telling = [m for m in self.measurements if m.tells_apart]
+        return max(telling, key=lambda m: m.sigma, default=None)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What the experiments would tell, a line each."""
+        width = max(len(m.says) for m in self.measurements)
+        rows = [
+            f"  {m.says:<{width}}  {m.sigma:6.1f} σ of {m.asked:4.1f}"
+            f"{'' if m.tells_apart else '  not enough'}"
+            for m in self.measurements
+        ]
+        names = " | ".join(self.alias_set)
+        head = (
+            f"{names}: {self.as_recorded.sigma:.1f} σ apart on these records, all rows together; "
+            f"from {self.as_recorded.asked:.1f} σ on they would be told apart"
+        )
+        return (head, *rows, *self._advice())
+
+    def _advice(self) -> tuple[str, ...]:
+        best = self.best
+        if best is not None:
+            return (f"  best: {best.says}, which leaves {best.sigma:.1f} σ between them",)
+        own = [f"  {name}: {words}" for name, words in self.confirm.items()]
+        return ("  none of these tells them apart; what would confirm each:", *own)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the set as plain JSON types."""
+        return {
+            "alias_set": list(self.alias_set),
+            "as_recorded": self.as_recorded.to_json(),
+            "measurements": [m.to_json() for m in self.measurements],
+            "best": None if self.best is None else self.best.name,
+            "confirm": dict(self.confirm),
+        }
+
+
+@dataclass(frozen=True)
+class Separation:
+    """What would tell apart the members of every alias set of a diagnosis.
+
+    Parameters
+    ----------
+    sets : tuple of SetSeparation
+        One for each set of two or more.
+    """
+
+    sets: tuple[SetSeparation, ...]
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What the experiments would tell; one line where there is nothing to tell apart."""
+        if not self.sets:
+            return ("No two names stand for the same: there is nothing to tell apart.",)
+        return tuple(line for one in self.sets for line in one.lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the separation as plain JSON types."""
+        return {"told_apart_at_sigma": TOLD_APART, "sets": [one.to_json() for one in self.sets]}
+
+
+def separating_measurements(
+    diagnosis: Diagnosis, *, changes: Sequence[Change] = CHANGES, seed: int = 0
+) -> Separation:
+    """Simulate further experiments and see which would tell aliases apart.
+
+    Each member of an alias set, with the numbers that it has on these records, is simulated
+    without noise on experiments derived from them; every other member is then fitted to that, and
+    what it leaves is the distance, D = √(2 · gain).
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        With its alias sets.
+    changes : sequence of Change
+        The experiments.
+    seed : int
+        Of the phases that a ripple would have in them.
+    """
+    sets = []
+    for item in diagnosis.missing:
+        known = {effect.name for effect in CATALOGUE}
+        names = tuple(name for name in item.alias_set if name in known)
+        # A name that the workflow took from rows beside the model stands for nothing else.
+        if len(names) > 1 and item.effect in diagnosis.after.structure.names:
+            rivals = _Rivals.of(diagnosis, item.effect, names)
+            sets.append(_separated(rivals, changes, seed))
+    return Separation(tuple(sets))
+
+
+def _separated(rivals: _Rivals, changes: Sequence[Change], seed: int) -> SetSeparation:
+    names = tuple(rivals.fits)
+    rng = np.random.default_rng(seed)
+    before = Measurement(AS_RECORDED.name, AS_RECORDED.says, rivals.distances(AS_RECORDED, rng))
+    made = [Measurement(c.name, c.says, rivals.distances(c, rng)) for c in changes]
+    if len({name in OF_ONE_TAP for name in names}) > 1:
+        tap = rivals.with_second_tap(before.distances)
+        made.append(Measurement(SECOND_TAP.name, SECOND_TAP.says, tap))
+    confirm = {name: find_effect(name).confirm for name in names}
+    return SetSeparation(names, before, tuple(made), confirm)
+
+
+@dataclass(frozen=True)
+class _Rivals:
+    """The members of one alias set, each fitted to all rows in the place of the others."""
+
+    fits: Mapping[str, Fit]
+    without: Fit
+    data: LagData
+    references: FrozenReferences
+    metric: Metric
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis, winner: str, names: Sequence[str]) -> _Rivals:
+        bench = diagnosis.rounds[-1].bench
+        references = FrozenReferences.of(diagnosis.data)
+        data = references.on(diagnosis.data)
+        data = data.with_parts(np.full(data.n_samples, TRAIN, dtype=np.int8))
+        effect = next(e for e in diagnosis.after.structure.effects if e.name == winner)
+        structure, nonlinear = diagnosis.after.structure.without(effect, diagnosis.after.nonlinear)
+        bare = Fit(structure, nonlinear, np.zeros(0), 0.0)
+        without = refitted_on(bare, data, bench.metric)
+        fits = {winner: diagnosis.after}
+        prober = Prober(without, data, bench.metric)
+        for name in names:
+            if name != winner:
+                fits[name] = _fitted(without, find_effect(name), data, bench.metric, prober)
+        plain = Metric(diagnosis.noise.innovation, np.array(diagnosis.noise.ar))
+        return cls({name: fits[name] for name in names}, without, data, references, plain)
+
+    def distances(self, change: Change, rng: np.random.Generator) -> tuple[Distance, ...]:
+        """Return how far each rival stays from each truth in an experiment."""
+        there = changed(self.data, change)
+        out: list[Distance] = []
+        for truth in self.fits:
+            data = there.with_measured(self._simulated(self.fits[truth], there, rng))
+            base = self._base(data)
+            prober = Prober(base, data, self.metric)
+            for rival in self.fits:
+                if rival != truth:
+                    own = self.fits[rival].structure.values_of(
+                        find_effect(rival), self.fits[rival].nonlinear
+                    )
+                    fit = _fitted(base, find_effect(rival), data, self.metric, prober, own)
+                    out.append(Distance(truth, rival, _sigma(fit), _asked(base)))
+        return tuple(out)
+
+    def with_second_tap(self, recorded: Sequence[Distance]) -> tuple[Distance, ...]:
+        """Return the distances once a second transducer reads the same pressure.
+
+        Where one effect is the transducer's own and the other is not, the second tap shows the
+        one and not the other: either the two taps differ, or the second needs what it cannot have.
+        """
+        rng = np.random.default_rng(0)
+        out = []
+        for d in recorded:
+            truth_of_tap, rival_of_tap = d.truth in OF_ONE_TAP, d.rival in OF_ONE_TAP
+            clean = self._simulated(self.fits[d.truth], self.data, rng)
+            sigma = d.sigma
+            if truth_of_tap and not rival_of_tap:
+                sigma = self._between_taps(d.truth, clean)
+            elif rival_of_tap and not truth_of_tap:
+                sigma = _sigma(self._base(self.data.with_measured(clean)))
+            out.append(Distance(d.truth, d.rival, max(sigma, d.sigma), d.asked))
+        return tuple(out)
+
+    def _between_taps(self, name: str, clean: FloatArray) -> float:
+        """Return how far two taps differ that both are noisy, one with an effect of its own."""
+        fit = self.fits[name]
+        groups = coefficient_groups(fit, self.data)
+        structure, nonlinear = fit.structure.without(find_effect(name), fit.nonlinear)
+        bare = assembled_fit(structure, self.data, nonlinear, groups).output(self.data)
+        decay = fit.structure.respond_decay(self.data, fit.nonlinear)
+        seen = self.metric.seen(clean - bare, decay, self.data)
+        return float(np.linalg.norm(seen) / np.sqrt(2.0))
+
+    def _base(self, data: LagData) -> Fit:
+        return refitted_on(self.without, data, self.metric)
+
+    def _simulated(self, fit: Fit, there: LagData, rng: np.random.Generator) -> FloatArray:
+        """Return ψ' of a model in an experiment, each effect measured from where it was fitted."""
+        kept = self.references
+        data = replace(
+            there,
+            mean_amplitude=kept.mean_amplitude,
+            mean_amplitude_as_is=kept.mean_amplitude_as_is,
+            mean_speed=kept.mean_speed,
+            phi_range=kept.phi_range,
+        )
+        groups = coefficient_groups(fit, self.data)
+        effects = dict(groups.effects)
+        for effect in fit.structure.effects:
+            if effect.episodes:
+                gate = float(fit.structure.values_of(effect, fit.nonlinear)[1])
+                size = float(np.sqrt(2.0 * np.mean(effects[effect.name] ** 2)))
+                phase = rng.uniform(0.0, 2.0 * np.pi, len(stall_episodes(data, gate)))
+                waves = np.column_stack([np.cos(phase), np.sin(phase)])
+                effects[effect.name] = size * waves.ravel()
+        own = CoefficientGroups(groups.terms, effects, groups.nuisance)
+        return assembled_fit(fit.structure, data, fit.nonlinear, own).output(data)
+
+
+def _fitted(
+    base: Fit,
+    effect: Effect,
+    data: LagData,
+    metric: Metric,
+    prober: Prober,
+    own: FloatArray | None = None,
+) -> Fit:
+    """Fit a model with one effect more, from where its score tells and from where it was."""
+    begun = list(prober.probe(effect).starts)
+    if own is not None:
+        begun.append(own if effect.adapted is None else effect.adapted(data, own))
+    starts = [np.concatenate([base.nonlinear, values]) for values in begun]
+    if not starts:
+        return base
+    return fit_structure(base.structure.with_effect(effect), data, metric, starts)
+
+
+def _asked(base: Fit) -> float:
+    """Return from which distance on the workflow tells two names apart that both gain so much."""
+    gap = max(LEAST_GAP, LEAST_GAP_SHARE * base.cost)
+    return float(max(TOLD_APART, np.sqrt(2.0 * gap)))
+
+
+def _sigma(fit: Fit) -> float:
+    return float(np.sqrt(2.0 * max(fit.cost, 0.0)))

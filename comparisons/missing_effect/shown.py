@@ -1,0 +1,370 @@
+"""Numbers behind what is shown of a diagnosis: residuals, held-out runs, curves, contributions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+from comparisons.missing_effect.diagnosis import Diagnosis
+from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.episodes import errors_on
+from comparisons.missing_effect.excitation import surge_frequency_hz
+from comparisons.missing_effect.fit import Fit
+from comparisons.missing_effect.lag_data import LATER, OTHER, LagData
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.open_terms import with_state
+from comparisons.missing_effect.ports import Ports
+from comparisons.missing_effect.uncertainty import fitted_parameters, linear_columns
+from comparisons.missing_effect.where import ResidualRuns, Where, localise
+from comparisons.missing_effect.whole_runs import cycles_left_out
+
+__all__ = [
+    "Contribution",
+    "Curve",
+    "HeldOutRun",
+    "contributions",
+    "held_out_run",
+    "residual_runs",
+    "steady_curves",
+    "stretch",
+    "tau_before_stderr_s",
+    "where_of",
+]
+
+CURVE_POINTS = 241
+# Enough cycles to see that the error repeats, few enough to tell the lines apart.
+CYCLES_SHOWN = 5.0
+FEWEST_SHOWN, MOST_SHOWN = 60, 1500
+# After so many τ less than 1 % of how a run was started is left.
+SETTLING_TAUS = 5.0
+
+
+@dataclass(frozen=True)
+class HeldOutRun:
+    """The measured coefficient and both free runs, by fits to other rows.
+
+    Rows that were fitted stand as they were fitted; on whole runs each row comes from a fit that
+    did not see its cycle.
+
+    Parameters
+    ----------
+    time_s : ndarray of shape (n,)
+        Facility clock, in seconds.
+    measured, before, after : ndarray of shape (n,)
+        The coefficient, and the models without and with what was added; NaN in rows that are not
+        scored.
+    held_out : ndarray of bool, shape (n,)
+        Rows that were scored and not fitted.
+    """
+
+    time_s: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    held_out: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A quasi-steady characteristic.
+
+    Parameters
+    ----------
+    label : str
+        What it holds for; empty where it is the only one.
+    phi, value : ndarray of shape (n,)
+        Flow coefficient and ψ'_QS.
+    """
+
+    label: str
+    phi: FloatArray
+    value: FloatArray
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one effect adds to the free run.
+
+    Parameters
+    ----------
+    effect : str
+        Its name.
+    value : ndarray of shape (n,)
+        Free run with everything, less the same with this effect's amplitude at zero; NaN in rows
+        that are not scored, and where each run still shows how it was started.
+    rms : float
+        Over the rest.
+    """
+
+    effect: str
+    value: FloatArray
+    rms: float
+
+
+def residual_runs(d: Diagnosis, fit: Fit) -> ResidualRuns:
+    """Return the residual of a fit to all rows with what it can be looked at over.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        Whose records.
+    fit : Fit
+        ``d.before`` or ``d.after``.
+    """
+    data = d.data
+    phi = data["phi_averaged"] if "phi_averaged" in data else data["phi"]
+    names = tuple(PurePath(source).name for source in data.sources)
+    return ResidualRuns(
+        fit.errors(_with_state_of(fit, data), Metric()),
+        data.sampled(phi),
+        data.sampled(data["time_s"]),
+        data.slices,
+        data.record.astype(np.int64),
+        data.scored(),
+        1.0 / data.sample_period_s,
+        names if len(set(names)) == len(names) else data.sources,
+    )
+
+
+def where_of(d: Diagnosis, fit: Fit) -> Where:
+    """Return where the residual of a fit to all rows stands out of the noise.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        Whose records and noise.
+    fit : Fit
+        ``d.before`` or ``d.after``.
+
+    Raises
+    ------
+    InputError
+        When the records are too short to look at.
+    """
+    colour = np.array(d.noise.ar) if d.noise.coloured else None
+    return localise(residual_runs(d, fit), d.gap.floor_rms, whitening=colour)
+
+
+def held_out_run(d: Diagnosis) -> HeldOutRun:
+    """Return both free runs over all scored rows.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    data, scored = d.data, d.data.scored()
+    before, after = (
+        np.where(scored, data.measured - _held_out_errors(d, fit), np.nan)
+        for fit in (d.before_fitted, d.after_fitted)
+    )
+    held_out = scored & (d.whole_runs | np.isin(data.part, (LATER, OTHER)))
+    measured = np.where(scored, data.measured, np.nan)
+    return HeldOutRun(data.sampled(data["time_s"]), measured, before, after, held_out)
+
+
+def stretch(d: Diagnosis, run: HeldOutRun) -> slice:
+    """Return the held-out stretch of a few surge cycles in which the model before is worst.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    run : HeldOutRun
+        From :func:`held_out_run`.
+    """
+    data = d.data
+    length = _rows_shown(data)
+    squares = np.where(run.held_out, (run.measured - run.before) ** 2, 0.0)
+    best, chosen = -1.0, data.slices[-1]
+    for rows in data.slices:
+        held = np.flatnonzero(run.held_out[rows])
+        if not held.size:
+            continue
+        first, stop = rows.start + int(held[0]), rows.stop
+        width = min(length, stop - first)
+        sums = np.concatenate([[0.0], np.cumsum(squares[first:stop])])
+        moving = sums[width:] - sums[:-width]
+        at = int(np.argmax(moving))
+        if moving[at] > best:
+            best, chosen = float(moving[at]), slice(first + at, first + at + width)
+    return chosen
+
+
+def steady_curves(fit: Fit, data: LagData) -> tuple[Curve, ...]:
+    """Return the characteristic of a fit over the range of φ, as a slow sweep would draw it.
+
+    A model with two branches gives one curve while φ falls and one while it rises; one whose
+    characteristic moves with time or corrected speed gives it at both ends of what was recorded.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fitted model.
+    data : LagData
+        What it was fitted to.
+    """
+    names = fit.structure.names
+    clock = clock_s(data)
+    middle = float(np.mean(clock))
+    states: list[tuple[str, float, float]] = [("", middle, data.mean_speed)]
+    if "facility_heating" in names:
+        states = [
+            (f"at {at:.3g} s", at, data.mean_speed)
+            for at in (float(clock.min()), float(clock.max()))
+        ]
+    elif "speed_droop" in names:
+        ends = (float(data["Nc_frac"].min()), float(data["Nc_frac"].max()))
+        states = [(f"at N_c {end:.4g}", middle, end) for end in ends]
+    return tuple(curve for state in states for curve in _sweep(fit, data, *state))
+
+
+def contributions(d: Diagnosis) -> tuple[Contribution, ...]:
+    """Return what each effect adds to the free run of the model after.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis; empty where nothing was added, and on whole runs without what is told from
+        other rows than the scored ones.
+    """
+    fit = d.after
+    data = _with_state_of(fit, d.data)
+    full, shown = fit.output(data), _settled(fit, data)
+    out = []
+    for effect in fit.structure.effects:
+        value = full - _without_amplitude(fit, effect, data).output(data)
+        rms = float(np.sqrt(np.mean(value[shown] ** 2)))
+        out.append(Contribution(effect.name, np.where(shown, value, np.nan), rms))
+    return tuple(out)
+
+
+def tau_before_stderr_s(d: Diagnosis) -> float:
+    """Return the standard error of τ of the model before, in seconds; it knows no bias.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    return fitted_parameters(d.before, d.rounds[0].bench)["tau"][0].stderr
+
+
+def _held_out_errors(d: Diagnosis, fit: Fit) -> FloatArray:
+    if not d.whole_runs:
+        return errors_on(fit, d.data, Metric())[0]
+    bench = d.rounds[-1].bench
+    return cycles_left_out(fit, replace(bench, data=d.data)) * bench.metric.sigma
+
+
+def _with_state_of(fit: Fit, data: LagData) -> LagData:
+    unnamed = any(effect.unnamed for effect in fit.structure.effects)
+    return with_state(data, fit) if unnamed else data
+
+
+def _settled(fit: Fit, data: LagData) -> NDArray[np.bool_]:
+    """Return the scored rows behind the start of their run, which is none of an effect's."""
+    shown = data.scored()
+    lead = int(np.ceil(SETTLING_TAUS * fit.tau_s / data.sample_period_s))
+    for rows in data.slices:
+        first = min(lead, (rows.stop - rows.start) // 3)
+        shown[rows.start : rows.start + first] = False
+    return shown
+
+
+def _rows_shown(data: LagData) -> int:
+    longest = max(data.fine_runs, key=lambda run: run[1] - run[0])
+    phi = data["phi"][longest[0] : longest[1] : data.every]
+    surge_hz = surge_frequency_hz(phi, 1.0 / data.sample_period_s)
+    if surge_hz <= 0.0:
+        return MOST_SHOWN
+    rows = CYCLES_SHOWN / (surge_hz * data.sample_period_s)
+    return int(min(max(rows, FEWEST_SHOWN), MOST_SHOWN))
+
+
+def _without_amplitude(fit: Fit, effect: Effect, data: LagData) -> Fit:
+    """Return the fit with one effect's amplitude at zero, everything else as it is."""
+    nonlinear, coefficients = fit.nonlinear.copy(), fit.coefficients.copy()
+    if effect.linear:
+        coefficients[linear_columns(fit, data)[effect.name]] = 0.0
+    else:
+        at = 1
+        for other in fit.structure.effects:
+            if other.name == effect.name:
+                nonlinear[at] = 0.0
+            at += len(other.nonlinear)
+    return replace(fit, nonlinear=nonlinear, coefficients=coefficients)
+
+
+def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> tuple[Curve, ...]:
+    """Sweep φ slowly from the top of its range to the bottom and back."""
+    seen = data.sampled(data["phi"])[data.scored()]
+    low, high = float(seen.min()), float(seen.max())
+    grid = np.linspace(low, high, CURVE_POINTS)
+    phi = np.concatenate([grid[::-1], grid])
+    slow = _slow_data(data, phi, clock, speed)
+    ports = Ports.of(slow, phi, fit.structure.terms)
+    own = fit.coefficients[: len(fit.structure.terms)]
+    slow = slow.with_signal("state", ports.driven @ own)
+    for effect in fit.structure.in_order:
+        if effect.port == "characteristic":
+            values = fit.structure.values_of(effect, fit.nonlinear)
+            ports = effect.acts(ports, slow, values)
+    q = ports.driven.shape[1]
+    value = ports.driven @ fit.coefficients[:q]
+    if ports.gain is not None:
+        value = value * ports.gain
+    if ports.added is not None:
+        # A loss without the lag is part of what a steady test would find.
+        behind = fit.coefficients[q + data.nuisance.shape[1] :]
+        value = value + ports.added @ behind[: ports.added.shape[1]]
+    falling, rising = value[:CURVE_POINTS][::-1], value[CURVE_POINTS:]
+    if np.allclose(falling, rising, rtol=0.0, atol=1e-9 * float(np.ptp(value) or 1.0)):
+        return (Curve(label, grid, rising),)
+    return (
+        Curve(f"φ falling {label}".strip(), grid, falling),
+        Curve(f"φ rising {label}".strip(), grid, rising),
+    )
+
+
+def _slow_data(data: LagData, phi: FloatArray, clock: float, speed: float) -> LagData:
+    """Return rows in which φ moves so slowly that the lag has nothing to do."""
+    n = phi.size
+    still = np.zeros(n)
+    direction = np.concatenate([np.full(n // 2, -1e-12), np.full(n - n // 2, 1e-12)])
+    signals = {name: np.full(n, float(np.mean(values))) for name, values in data.signals.items()}
+    for name in signals:
+        if name.startswith("phi"):
+            signals[name] = phi
+        elif name.startswith("d"):
+            signals[name] = direction if name.startswith("dphi") else still
+    signals |= {
+        "time_s": np.full(n, clock),
+        "amplitude": np.full(n, data.mean_amplitude),
+        "amplitude_as_is": np.full(n, data.mean_amplitude_as_is),
+        "Nc_frac": np.full(n, speed),
+        "relaxation": still,
+        "state": still,
+    }
+    whole = np.array([[0, n]], dtype=np.int64)
+    return replace(
+        data,
+        signals=signals,
+        nuisance=np.zeros((n, 0)),
+        measured=still,
+        weight=np.ones(n),
+        part=np.zeros(n, dtype=np.int8),
+        record=np.zeros(n, dtype=np.int64),
+        rows=np.arange(n),
+        runs=whole,
+        fine_runs=whole,
+        every=1,
+        average_s=0.0,
+        # The clock is given as the effects count it.
+        origin_s=0.0,
+    )

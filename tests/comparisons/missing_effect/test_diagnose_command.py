@@ -1,0 +1,304 @@
+"""The command `diagnose`: known truths, what is written, and every bad option.
+
+The records come from the simulated tests at the level of coefficients, which share no code with
+what finds the effect again.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from made_diagnosis import Told
+from PIL import Image
+
+from classic_ml.series import CoefficientSeries, read_series, write_series
+from comparisons.cli import main
+from comparisons.missing_effect.base_terms import discovered_terms
+from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
+
+N = 1000
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def written(test: CoefficientTest, folder: Path) -> list[Path]:
+    """The records of a test as series files."""
+    paths = []
+    for number, record in enumerate(test.records, start=1):
+        path = folder / f"run-{number}.csv"
+        series = CoefficientSeries(
+            record.time_s,
+            record.phi,
+            record.psi_p,
+            np.ones(record.phi.size, dtype=np.int64),
+            T25_K=record.T25_K,
+            Nc_frac=record.Nc_frac,
+            in_stall=record.in_stall,
+            source=path.name,
+        )
+        write_series(series, path)
+        paths.append(path)
+    return paths
+
+
+class Case:
+    """A test with its truth, and what the command wrote of it."""
+
+    def __init__(self, folder: Path, effect: str | None, *options: object) -> None:
+        self.test = simulate_test(effect, strength=2.0, seed=3, n_samples=N)
+        self.folder = folder
+        self.paths = written(self.test, folder)
+        self.model, self.page = folder / "model.json", folder / "page.html"
+        self.numbers = folder / "numbers.json"
+        self.code = run("diagnose", *self.paths, "--json", self.numbers, *options)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        document: dict[str, Any] = json.loads(self.numbers.read_text("utf-8"))
+        return document
+
+
+@pytest.fixture(scope="module")
+def branch(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """Records with a hidden hysteresis, and all that is written of them."""
+    folder = tmp_path_factory.mktemp("branch")
+    outputs = ("--report", folder / "page.html", "--save", folder / "model.json")
+    return Case(folder, "hysteresis", "--degree", 3, *outputs)
+
+
+@pytest.fixture(scope="module")
+def untouched(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """Records in which nothing is hidden."""
+    return Case(tmp_path_factory.mktemp("untouched"), None, "--degree", 3)
+
+
+def test_a_hidden_hysteresis_is_named_with_its_number_and_tau(branch: Case) -> None:
+    assert branch.code == 0
+    document = branch.document
+    assert document["verdict"] == "named"
+    (item,) = document["missing"]
+    assert item["effect"] == "hysteresis"
+    truth = branch.test.effects["hysteresis"]
+    found = {p["name"]: p for p in item["parameters"]}
+    for name, value in (("Delta", "step"), ("phi_lo", "phi_lo"), ("phi_hi", "phi_hi")):
+        assert abs(found[name]["value"] - truth[value]) < 4.0 * found[name]["stderr"]
+    tau = document["time_constant_s"]
+    assert abs(tau["after"] - branch.test.tau_s) < 4.0 * tau["after_stderr"]
+    assert abs(tau["after"] - branch.test.tau_s) < 0.2 * abs(tau["before"] - branch.test.tau_s)
+    gap = document["gap"]
+    assert gap["floor_rms"] == pytest.approx(branch.test.sigma, rel=0.05)
+    assert gap["shrink"] > 0.9
+    assert document["base"] == {
+        "terms": ["1", "phi", "phi^2", "phi^3"],
+        "source": "polynomial",
+        "degree": 3,
+    }
+
+
+def test_where_the_residual_stands_out_is_written(branch: Case) -> None:
+    where = branch.document["where"]
+    assert {row["record"] for row in where["time"]} == {path.name for path in branch.paths}
+    ways = {row["direction"] for row in where["flow"]}
+    assert ways == {"falling", "rising"}
+    assert max(row["ratio"] for row in where["frequency"]) > 3.0
+
+
+def test_the_saved_model_simulates_the_records(branch: Case) -> None:
+    from comparisons.missing_effect.extended_file import load_extended
+
+    (model,) = load_extended(branch.model).values()
+    assert model.time_constant_s == pytest.approx(branch.document["time_constant_s"]["after"])
+    assert [added.name for added in model.effects] == ["hysteresis"]
+    record = read_series(branch.paths[2])
+    left = (model.simulate(record) - record.psi_p)[200:]
+    assert float(np.sqrt(np.mean(left**2))) < 1.1 * branch.test.sigma
+
+
+def test_the_report_holds_every_part_and_asks_the_network_for_nothing(branch: Case) -> None:
+    page = branch.page.read_text("utf-8")
+    parts = [html.unescape(found) for found in re.findall(r"<h3[^>]*>([^<]*)</h3>", page)]
+    assert parts == [
+        "What is missing: named",
+        "Where the model and the measurement part",
+        "Who was tried",
+        "What was added",
+        "What it changes",
+        "Noise and what is left",
+        "Effects that could not be tried",
+    ]
+    pictures = re.findall(r'src="data:image/png;base64,([^"]*)"', page)
+    assert len(pictures) == 5
+    for picture in pictures:
+        with Image.open(io.BytesIO(base64.b64decode(picture))) as image:
+            assert min(image.size) > 200
+    assert "http" not in re.sub(r"<meta http-equiv[^>]*>", "", page)
+    assert branch.document["words"] in html.unescape(page)
+
+
+def test_an_untouched_record_lacks_nothing_and_says_that_this_has_a_limit(
+    untouched: Case,
+) -> None:
+    document = untouched.document
+    assert document["verdict"] == "nothing_missing"
+    assert document["missing"] == []
+    assert "--limits" in document["words"]
+    tau = document["time_constant_s"]
+    assert tau["after"] == tau["before"]
+    assert abs(tau["after"] - untouched.test.tau_s) < 4.0 * tau["after_stderr"]
+    assert document["gap"]["shrink"] == 0.0
+
+
+def test_a_delay_comes_out_as_an_alias_set_on_a_discovered_base(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = Case(tmp_path, "transport_delay", "--base", "sindy")
+    document = case.document
+    assert case.code == 0
+    names = document["missing"][0]["alias_set"]
+    assert "transport_delay" in names
+    assert document["base"]["source"] == "sindy"
+    assert document["base"]["terms"] != ["1", "phi", "phi^2"]
+    tau = document["time_constant_s"]["by_alias"]["transport_delay"]
+    assert tau == pytest.approx(case.test.tau_s, rel=0.01)
+    out = capsys.readouterr().out
+    assert f"VERDICT: {document['verdict']}" in out
+    assert out.rstrip().endswith(f"numbers: {case.numbers}")
+
+
+def test_a_base_that_is_too_stiff_shows_as_characteristic_shape(tmp_path: Path) -> None:
+    case = Case(tmp_path, None, "--max-effects", 1)
+    assert case.document["base"]["degree"] == 2
+    assert [item["effect"] for item in case.document["missing"]] == ["characteristic_shape"]
+
+
+def test_the_discovered_base_does_not_see_what_is_held_out(untouched: Case) -> None:
+    records = [read_series(path) for path in untouched.paths]
+    found = discovered_terms(records)
+    other = records[2].psi_p.copy()
+    other += 0.3 * np.sin(40.0 * records[2].phi)
+    assert discovered_terms([*records[:2], replace(records[2], psi_p=other)]) == found
+    assert {"1", "phi^2", "phi^3"} <= set(found.terms)
+
+
+def test_limits_and_separation_reach_text_json_and_report(
+    untouched: Case,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name, function, words in (
+        ("limits", "planted_limits", "bias_drift  c = 7e-06 1/s"),
+        ("separate", "separating_measurements", "cycles at twice the pace"),
+    ):
+        module = ModuleType(name)
+        setattr(module, function, lambda d, words=words, **_: Told(words))
+        monkeypatch.setitem(sys.modules, f"comparisons.missing_effect.{name}", module)
+    numbers, page = tmp_path / "n.json", tmp_path / "p.html"
+    options = ("--degree", 3, "--limits", "--separate", "--json", numbers, "--report", page)
+    assert run("diagnose", *untouched.paths, *options) == 0
+    out = capsys.readouterr().out
+    document = json.loads(numbers.read_text("utf-8"))
+    assert document["limits"] == {"lines": ["bias_drift  c = 7e-06 1/s"]}
+    assert document["separation"] == {"lines": ["cycles at twice the pace"]}
+    for text in (out, page.read_text("utf-8")):
+        assert "bias_drift  c = 7e-06 1/s" in text
+        assert "cycles at twice the pace" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--degree", 0), "a whole number from 1 to 8"),
+        (("--degree", "two"), "a whole number from 1 to 8"),
+        (("--max-effects", 4), "a whole number from 1 to 3"),
+        (("--base", "ml"), "invalid choice"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(
+    untouched: Case, capsys: pytest.CaptureFixture[str], options: tuple[object, ...], words: str
+) -> None:
+    with pytest.raises(SystemExit) as refused:
+        run("diagnose", *untouched.paths, *options)
+    assert refused.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--report", "page.txt"), "ending in .html or .htm"),
+        (("--json", "nowhere/n.json"), "an existing folder"),
+        (("--json", "n.json", "--save", "n.json"), "a file of its own for each output"),
+        (("--degree", 2, "--base", "sindy"), "--degree"),
+    ],
+)
+def test_targets_and_options_are_checked_before_any_work(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[object, ...],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    # The series is not even there: that would be said if it were read first.
+    assert run("diagnose", "missing.csv", *options) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("sindy-surge: ")
+    assert words in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_input_is_never_written_over(
+    untouched: Case, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = untouched.paths[0].read_bytes()
+    assert run("diagnose", *untouched.paths, "--json", untouched.paths[0]) == 2
+    assert "an input of this command" in capsys.readouterr().err
+    assert untouched.paths[0].read_bytes() == before
+
+
+def test_a_record_given_twice_is_refused(
+    untouched: Case, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("diagnose", untouched.paths[0], untouched.paths[0]) == 2
+    assert "each record once" in capsys.readouterr().err
+
+
+def test_too_short_a_record_is_refused_in_one_sentence(
+    untouched: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = untouched.paths[0].read_text("utf-8").splitlines(keepends=True)
+    short = tmp_path / "short.csv"
+    short.write_text("".join(lines[:110]), "utf-8")
+    assert run("diagnose", short) == 2
+    error = capsys.readouterr().err
+    assert "rows to hold out" in error
+    assert error.count("\n") == 1
+    assert run("diagnose", tmp_path / "none.csv") == 2
+
+
+def test_a_model_without_a_name_is_not_saved_and_no_error(
+    untouched: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    test = simulate_test("nonlinear_relaxation", strength=2.0, seed=0, n_samples=N)
+    paths = written(test, tmp_path)
+    target = tmp_path / "model.json"
+    assert run("diagnose", *paths, "--degree", 3, "--save", target, "--max-effects", 1) == 0
+    out = capsys.readouterr().out
+    assert "VERDICT: unnamed_term" in out
+    assert "model: not saved" in out
+    assert not target.exists()

@@ -1,0 +1,164 @@
+"""The JSON of a diagnosis: the contract of DESIGN section 5 for every verdict, strict and whole."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_diagnosis import BETA, SIGMA, VERDICTS, Told, made_diagnosis, swept
+
+from comparisons.json_output import to_strict_json
+from comparisons.missing_effect.catalogue import CATALOGUE
+from comparisons.missing_effect.document import DIAGNOSE_SCHEMA, diagnosis_document
+from comparisons.missing_effect.shown import where_of
+
+PANELS = ("time", "frequency", "flow", "phase", "regime")
+CANDIDATE_KEYS = {
+    "name",
+    "accepted",
+    "score",
+    "train_gain",
+    "later_gain",
+    "other_record_gain",
+    "held_out_z",
+    "p_value",
+    "time_constant_s",
+    "parameters_added",
+}
+
+
+def document_of(verdict: str) -> dict[str, Any]:
+    d = made_diagnosis(verdict)
+    written = to_strict_json(diagnosis_document(d, where_of(d, d.before)))
+    parsed: dict[str, Any] = json.loads(written, parse_constant=_refuse)
+    return parsed
+
+
+def _refuse(word: str) -> None:
+    raise AssertionError(f"JSON has no {word}")
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_fills_the_schema(verdict: str) -> None:
+    document = document_of(verdict)
+    assert document["schema"] == DIAGNOSE_SCHEMA == "sindy-surge/diagnose/1"
+    assert document["verdict"] == verdict
+    assert set(document["gap"]) == {"before_rms", "after_rms", "floor_rms", "shrink"}
+    assert {"before", "after", "by_alias"} <= set(document["time_constant_s"])
+    assert all(document["where"][name] for name in PANELS)
+    assert bool(document["missing"]) == (
+        verdict in ("named", "alias_set", "provisional", "unnamed_term")
+    )
+    for item in document["missing"]:
+        assert item["alias_set"][0] == item["effect"]
+        assert item["provisional"] == (verdict == "provisional")
+        for parameter in item["parameters"]:
+            assert set(parameter) == {"name", "value", "stderr", "unit"}
+    for row in document["candidates"]:
+        assert not row["fitted"] or set(row) >= CANDIDATE_KEYS
+
+
+def test_shrink_is_the_share_of_the_held_out_gap() -> None:
+    gap = document_of("named")["gap"]
+    before, after, floor = (gap[f"{name}_rms"] for name in ("before", "after", "floor"))
+    share = (before**2 - after**2) / (before**2 - floor**2)
+    assert gap["shrink"] == pytest.approx(share)
+    assert floor == SIGMA
+
+
+def test_tau_stands_under_every_name_of_an_alias_set() -> None:
+    document = document_of("alias_set")
+    assert document["missing"][0]["alias_set"] == ["transport_delay", "second_order_lag"]
+    tau = document["time_constant_s"]
+    assert tau["by_alias"] == {"transport_delay": pytest.approx(0.1), "second_order_lag": 0.1043}
+    assert tau["before"] == pytest.approx(0.11)
+    assert tau["after_stderr"] == 0.0004
+    assert [row["name"] for row in document["candidates"] if row["alias"]] == [
+        "transport_delay",
+        "second_order_lag",
+    ]
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_effect_of_the_catalogue_is_accounted_for(verdict: str) -> None:
+    document = document_of(verdict)
+    told = {row["name"] for row in document["candidates"]} | set(document["unavailable"])
+    assert {effect.name for effect in CATALOGUE} <= told
+    assert document["unavailable"]["speed_droop"] == "needs the column Nc_frac"
+
+
+def test_candidates_are_ranked_and_say_on_what_they_were_refused() -> None:
+    rows = [row for row in document_of("named")["candidates"] if row["fitted"]]
+    assert [row["name"] for row in rows] == ["hysteresis", "transport_delay", "bias_drift"]
+    assert [row["score"] for row in rows] == sorted((r["score"] for r in rows), reverse=True)
+    assert rows[0]["chosen"]
+    assert rows[2]["refused_on"] == ["fitted rows", "later time", "other record"]
+    assert rows[0]["parameters_added"] == 3
+
+
+def test_what_is_not_known_is_null() -> None:
+    d = made_diagnosis("named")
+    step = d.rounds[0]
+    first = step.candidates[0]
+    alone = replace(first, evidence=replace(first.evidence, other=math.nan))
+    d = replace(d, rounds=(replace(step, candidates=(alone, *step.candidates[1:])),))
+    document = json.loads(to_strict_json(diagnosis_document(d, None)))
+    assert document["candidates"][0]["other_record_gain"] is None
+    assert document["where"] == {name: [] for name in PANELS}
+
+
+def test_limits_and_separation_are_null_until_they_are_looked_for() -> None:
+    d = made_diagnosis("alias_set")
+    plain = diagnosis_document(d, None)
+    assert plain["limits"] is None
+    assert plain["separation"] is None
+    asked = diagnosis_document(d, None, Told("a"), Told("b"), base={"source": "sindy"})
+    assert asked["limits"] == {"lines": ["a"]}
+    assert asked["separation"] == {"lines": ["b"]}
+    assert asked["base"] == {"terms": ["1", "phi", "phi^2"], "source": "sindy"}
+
+
+def test_the_records_and_their_parts_are_told() -> None:
+    records = document_of("named")["records"]
+    assert [record["source"] for record in records] == ["run-1.csv", "run-2.csv"]
+    assert records[0]["rows"] == {"fitted": 240, "later_time": 160, "other_record": 0}
+    assert records[1]["rows"] == {"fitted": 0, "later_time": 0, "other_record": 400}
+    assert records[1]["from_s"] == 30.0
+
+
+def test_the_model_before_is_its_polynomial() -> None:
+    model = document_of("named")["model"]["before"]
+    assert [term["coefficient"] for term in model["terms"]] == list(BETA)
+    (curve,) = model["characteristic"]
+    phi = np.array(curve["phi"])
+    np.testing.assert_allclose(curve["psi_p"], swept(phi), atol=1e-12)
+    seen = made_diagnosis("named").data["phi"]
+    assert phi[0] == pytest.approx(seen.min(), abs=1e-3)
+    assert phi[-1] == pytest.approx(seen.max(), abs=1e-3)
+
+
+def test_both_branches_of_a_hysteresis_are_written() -> None:
+    model = document_of("named")["model"]["after"]
+    falling, rising = model["characteristic"]
+    phi = np.array(falling["phi"])
+    apart = np.array(falling["psi_p"]) - np.array(rising["psi_p"])
+    between = (phi > 0.13) & (phi < 0.30)
+    # The lower branch, Δ below, holds on the way up between the thresholds alone.
+    np.testing.assert_allclose(apart[between], 0.021, atol=1e-12)
+    np.testing.assert_allclose(apart[(phi < 0.10) | (phi > 0.33)], 0.0, atol=1e-12)
+
+
+def test_a_term_without_a_name_keeps_its_own() -> None:
+    document = document_of("unnamed_term")
+    (item,) = document["missing"]
+    assert item["effect"] == "phi*dphi"
+    assert item["unnamed"]
+    assert document["candidates"][0]["kind"] == "unnamed_term"
+
+
+def test_the_words_are_part_of_it() -> None:
+    assert "It is hysteresis" in document_of("named")["words"]

@@ -1,0 +1,218 @@
+"""Limits: an effect planted into the user's own records, and found again from a size on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kurtosis
+
+from classic_ml.errors import InputError
+from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
+from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
+from comparisons.missing_effect.fit import fit_structure
+from comparisons.missing_effect.limits import Limit, Limits, planted_limits
+from comparisons.missing_effect.metric import Metric
+from comparisons.missing_effect.planting import Planter
+from comparisons.rig.coefficient_tests import Noise, simulate_test
+
+ROWS = 600
+
+
+def records(
+    noise: Noise = "white", noise_frac: float = 0.01, rows: int = ROWS
+) -> list[CoefficientSeries]:
+    test = simulate_test(None, seed=1, n_samples=rows, noise=noise, noise_frac=noise_frac)
+    return [
+        CoefficientSeries(
+            r.time_s,
+            r.phi,
+            r.psi_p,
+            np.ones(r.phi.size, dtype=np.int64),
+            T25_K=r.T25_K,
+            Nc_frac=r.Nc_frac,
+            in_stall=r.in_stall,
+            source=f"record {i}",
+        )
+        for i, r in enumerate(test.records)
+    ]
+
+
+@pytest.fixture(scope="module")
+def nothing_missing() -> Diagnosis:
+    diagnosis = diagnose(records(), degree=3)
+    assert diagnosis.verdict == "nothing_missing"
+    return diagnosis
+
+
+@pytest.fixture(scope="module")
+def limits(nothing_missing: Diagnosis) -> Limits:
+    return planted_limits(nothing_missing, effects=["flow_inertia", "hysteresis"], trials=6)
+
+
+@pytest.fixture(scope="module")
+def planter(nothing_missing: Diagnosis) -> Planter:
+    return Planter.of(nothing_missing)
+
+
+def test_a_half_larger_effect_is_named_in_fresh_trials(limits: Limits) -> None:
+    for row in limits.rows:
+        assert row.found
+        assert row.named >= 6 * limits.share
+        assert row.check_size == pytest.approx(1.5 * row.size)
+        assert row.check_trials == 6
+        assert row.check_named >= 5
+
+
+def test_half_the_limit_is_not_named(limits: Limits, planter: Planter) -> None:
+    from comparisons.missing_effect.diagnosis import diagnose_data
+
+    row = limits["flow_inertia"]
+    effect = find_effect("flow_inertia")
+    named = 0
+    for seed in range(4):
+        rng = np.random.default_rng([9, seed])
+        data = planter.measured(planter.planted(effect, 0.5 * row.size, rng), rng)
+        found = diagnose_data(data, ("1", "phi", "phi^2", "phi^3"))
+        named += "flow_inertia" in {name for item in found.missing for name in item.alias_set}
+    assert named <= 2
+
+
+def test_twice_the_noise_makes_the_limit_twice_as_large(limits: Limits) -> None:
+    noisy = diagnose(records(noise_frac=0.02), degree=3)
+    loud = planted_limits(noisy, effects=["flow_inertia"], trials=6, check=False)["flow_inertia"]
+    quiet = limits["flow_inertia"]
+    assert loud.size == pytest.approx(2.0 * quiet.size, rel=0.25)
+    # In units of the noise it is the same effect.
+    assert loud.excess_sigma == pytest.approx(quiet.excess_sigma, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    "name", [e.name for e in CATALOGUE if e.port != "noise" and not e.episodes]
+)
+def test_the_excess_is_what_a_refit_leaves(name: str, planter: Planter) -> None:
+    effect = find_effect(name)
+    size = 20.0 * effect.parameters[0].step
+    for _ in range(3):
+        clean = planter.planted(effect, size, np.random.default_rng(0))
+        size *= 0.3 / planter.promise(clean)[1]
+    clean = planter.planted(effect, size, np.random.default_rng(0))
+    _, excess = planter.promise(clean)
+    train = planter.data.with_measured(clean).train
+    fit = fit_structure(
+        planter.fit.structure, train, Metric(planter.sigma), [planter.fit.nonlinear]
+    )
+    left = np.sqrt(2.0 * fit.cost / np.count_nonzero(train.weight))
+    assert excess == pytest.approx(left, rel=0.05)
+    assert excess == pytest.approx(0.3, rel=0.1)
+
+
+def test_nothing_planted_is_the_fitted_model(planter: Planter) -> None:
+    rng = np.random.default_rng(0)
+    for effect in CATALOGUE:
+        if effect.port != "noise":
+            none = planter.planted(effect, 0.0, rng)
+            np.testing.assert_allclose(none, planter.bare, rtol=0.0, atol=1e-12)
+
+
+def test_the_bump_is_as_high_as_it_is_said_to_be(planter: Planter) -> None:
+    effect = find_effect("characteristic_shape")
+    one, two = (planter.planted(effect, s, np.random.default_rng(0)) for s in (0.01, 0.02))
+    np.testing.assert_allclose(two - planter.bare, 2.0 * (one - planter.bare), atol=1e-12)
+    # Behind the lag no bump of ψ'_QS comes out higher than it went in.
+    assert 0.3 < float(np.max(np.abs(one - planter.bare))) / 0.01 <= 1.0
+
+
+@pytest.mark.parametrize("noise", ["white", "ar1", "t3", "outliers"])
+def test_the_noise_that_is_drawn_is_like_that_of_the_records(noise: Noise) -> None:
+    diagnosis = diagnose(records(noise, rows=1500), degree=3)
+    source = Planter.of(diagnosis).source
+    own = diagnosis.after.errors(diagnosis.data, Metric())
+    drawn = source.draw(np.random.default_rng(0))
+    assert drawn.std() == pytest.approx(own.std(), rel=0.15)
+    memory = [float(np.corrcoef(e[1:], e[:-1])[0, 1]) for e in (drawn, own)]
+    assert memory[0] == pytest.approx(memory[1], abs=0.06)
+    heavy = [float(kurtosis(e)) for e in (drawn, own)]
+    assert (heavy[0] > 2.0) == (heavy[1] > 2.0) == (noise in ("t3", "outliers"))
+    assert not np.array_equal(drawn, source.draw(np.random.default_rng(1)))
+
+
+def test_an_effect_that_leaves_no_trace_has_no_limit() -> None:
+    forward = [replace(r, phi=r.phi + 0.2 - min(r.phi.min(), 0.0)) for r in records(rows=400)]
+    diagnosis = diagnose([replace(r, T25_K=None) for r in forward], degree=3)
+    found = planted_limits(diagnosis, effects=["reverse_flow_branch", "thermocouple_lag"])
+    assert "no trace" in found["reverse_flow_branch"].why_none
+    assert "T25_K" in found["thermocouple_lag"].why_none
+    assert not any(row.found for row in found.rows)
+    assert "reverse_flow_branch: no limit" in "\n".join(found.lines)
+    assert found.to_json()["effects"][0]["size"] is None
+
+
+def test_what_the_records_have_is_not_planted_again(nothing_missing: Diagnosis) -> None:
+    test = simulate_test("flow_inertia", strength=3.0, seed=1, n_samples=ROWS)
+    own = [
+        replace(r, psi_p=m.psi_p, phi=m.phi) for r, m in zip(records(), test.records, strict=True)
+    ]
+    diagnosis = diagnose(own, degree=3)
+    assert diagnosis.names == ("flow_inertia",)
+    found = planted_limits(diagnosis, effects=["flow_inertia"])
+    assert "already" in found["flow_inertia"].why_none
+
+
+def test_beside_a_term_without_a_name_nothing_is_named() -> None:
+    test = simulate_test("nonlinear_relaxation", strength=2.0, seed=1, n_samples=ROWS)
+    own = [
+        replace(r, psi_p=m.psi_p, phi=m.phi) for r, m in zip(records(), test.records, strict=True)
+    ]
+    diagnosis = diagnose(own, degree=3)
+    assert diagnosis.verdict in ("unnamed_term", "provisional")
+    found = planted_limits(diagnosis)
+    assert not any(row.found for row in found.rows)
+    assert len({row.why_none for row in found.rows if row.effect not in diagnosis.names}) == 1
+
+
+def test_the_limits_are_told_in_lines_and_in_json(limits: Limits) -> None:
+    text = "\n".join(limits.lines)
+    assert "named in 90 % of 6 trials" in text
+    assert "flow_inertia" in text
+    assert " ms" in text
+    assert "check: 1.5 times the limit" in text
+    row = json.loads(json.dumps(limits.to_json()))["effects"][1]
+    assert row["effect"] == "hysteresis"
+    assert set(row["at"]) == {"phi_lo", "phi_hi"}
+    assert row["size"] > 0.0
+
+
+def test_progress_sees_each_limit_as_it_is_found(nothing_missing: Diagnosis) -> None:
+    seen: list[Limit] = []
+
+    def watch(rows):  # type: ignore[no-untyped-def]
+        for row in rows:
+            seen.append(row)
+            yield row
+
+    wanted = ["thermocouple_lag", "bias_drift"]
+    found = planted_limits(
+        nothing_missing, effects=wanted, trials=1, share=1.0, check=False, progress=watch
+    )
+    assert [row.effect for row in seen] == wanted
+    assert found.rows == tuple(seen)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"share": 0.0}, "share: expected more than 0"),
+        ({"share": 1.5}, "share: expected more than 0"),
+        ({"trials": 0}, "expected at least 1"),
+        ({"effects": ["rust"]}, "found 'rust'"),
+    ],
+)
+def test_what_makes_no_drill_is_refused(
+    options: dict[str, object], words: str, nothing_missing: Diagnosis
+) -> None:
+    with pytest.raises(InputError, match=words):
+        planted_limits(nothing_missing, **options)  # type: ignore[arg-type]
