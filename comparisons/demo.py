@@ -1,4 +1,4 @@
-"""The demo: two simulated surge tests from counts to the report, and a validation run."""
+"""The demo: simulated surge tests from counts to the report, and one that hides an effect."""
 
 from __future__ import annotations
 
@@ -80,6 +80,7 @@ def run(
     InputError
         When the folder cannot be made.
     """
+    from comparisons.demo_missing import missing_ending
     from comparisons.lag_value import save_models
     from comparisons.report import ReportSection, write_report
 
@@ -117,6 +118,17 @@ def run(
                 extra=extra,
             )
         )
+        if case == FITTED[0][0]:
+            first = (reduction.series, float(rig.truth_parameters["tau_s"]))
+    ending = missing_ending(
+        folder,
+        seed,
+        first[0],
+        lambda effect: _test(FITTED[0][0], seed, folder, hide=effect)[1].series,
+        first[1],
+    )
+    sections += ending.sections
+    lines += ending.lines
     report = folder / "report.html"
     write_report(report, sections, title="A simulated surge test, end to end", command=command)
     return Demo(tuple(done), "\n".join(lines), report)
@@ -129,18 +141,19 @@ def _make(folder: Path) -> None:
         raise InputError(str(folder), expected="a folder to write to", found="a file") from None
 
 
-def _test(case: str, seed: int, folder: Path) -> tuple[RigRun, Reduction]:
+def _test(case: str, seed: int, folder: Path, hide: str | None = None) -> tuple[RigRun, Reduction]:
     """Simulate one test and reduce it from its files, as a real record is."""
     from classic_ml.readers import read_raw
     from classic_ml.reduction import reduce_record
     from comparisons.rig import simulate, write_run
 
-    rig = simulate(case, seed=seed)
-    raw = folder / f"raw_{case}"
+    rig = simulate(case, seed=seed, hide=hide)
+    name = case if hide is None else f"{case}-altered"
+    raw = folder / f"raw_{name}"
     _clear(raw)
     write_run(rig, raw)
     reduction = reduce_record(*read_raw(raw / "raw.csv", raw / "test.toml"))
-    write_series(reduction.series, folder / f"series_{case}.csv")
+    write_series(reduction.series, folder / f"series_{name}.csv")
     return rig, reduction
 
 
