@@ -30,8 +30,10 @@ LEAST_PROMISE_SHARE = 0.01
 LARGEST_CHANCE = 0.01
 # Open terms follow the state that they themselves change.
 STATE_ROUNDS = 8
-# Steps of a threshold beside the one found on fewer rows, as shares of the range of φ.
-NUDGES = (1e-4, 3e-4, 1e-3)
+# Steps of a threshold beside the one found, as shares of the range of φ: where φ turns back at a
+# threshold the likelihood jumps, and between such places it is flat.
+NUDGES = (1e-4, 5e-4, 2e-3, 7e-3, 2e-2, 4e-2)
+MOST_NUDGES = 3
 # A candidate whose score is below this share of the best one's is not fitted to all rows.
 RUNNING_SHARE = 0.5
 STATE_SETTLED = 0.1
@@ -164,6 +166,11 @@ class Bench:
         structure = self.fit.structure.with_effect(probe.effect)
         starts = [np.concatenate([self.fit.nonlinear, start]) for start in probe.starts]
         fit = fit_structure(structure, self.train, self.train_metric, starts)
+        for _ in range(MOST_NUDGES if probe.effect.switches else 0):
+            beside = nudged(structure, self.train, self.train_metric, fit.nonlinear)
+            if beside is fit.nonlinear:
+                break
+            fit = fit_structure(structure, self.train, self.train_metric, [beside])
         if probe.effect.unnamed:
             fit = self._with_own_state(fit)
         return fit

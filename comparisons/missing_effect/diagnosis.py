@@ -93,7 +93,9 @@ def diagnose(
         When the records do not go together or hold too few rows.
     """
     base = tuple(terms) if terms is not None else polynomial_terms(degree)
-    if all(has_whole_run(record) for record in records):
+    if most_effects < 1:
+        raise InputError("most_effects", expected="1 or more", found=f"{most_effects}")
+    if records and all(has_whole_run(record) for record in records):
         return diagnose_whole_runs(records, base, catalogue=catalogue, most_effects=most_effects)
     return diagnose_data(load_data(records), base, catalogue=catalogue, most_effects=most_effects)
 

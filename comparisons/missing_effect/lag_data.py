@@ -56,7 +56,7 @@ class LagData:
     phi_range : tuple of float
         Range of the φ that is fitted.
     origin_s, middle_s : float
-        Facility clock at the first row of the first record, and in the middle of all, in seconds.
+        Zero of the facility clock, and its middle over all records, in seconds.
     surge_s : float
         Period of surge, in seconds.
     psi_levels : tuple of float

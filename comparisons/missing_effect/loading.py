@@ -103,20 +103,23 @@ class _Piece:
 
 def _segments(record: CoefficientSeries) -> _Piece:
     piece = _Piece(FINE_STEPS, record.sample_period_s / FINE_STEPS)
-    known, piece.amplitude, piece.amplitude_as_is = _record_signals(record)
+    spans = []
     for label in np.unique(record.segment[record.segment > 0]):
         rows = np.flatnonzero(record.segment == label)
-        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
-            if run.size < MINIMUM_SEGMENT_ROWS:
-                continue
-            lead = min(LEAD_ROWS, int(run[0]))
-            first, last = int(run[0]) - lead, int(run[-1])
-            at = np.arange((last - first) * FINE_STEPS + 1) / FINE_STEPS + first
-            for name, evaluate in known.items():
-                piece.signals.setdefault(name, []).append(evaluate(at))
-            piece.measured.append(record.psi_p[first : last + 1])
-            piece.weight.append((np.arange(first, last + 1) >= run[0]).astype(np.float64))
-            piece.nuisance.append(np.zeros((at.size, 0)))
+        spans += np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    # In the order of the clock, whatever the intervals are called: what is held out is later.
+    spans = sorted((r for r in spans if r.size >= MINIMUM_SEGMENT_ROWS), key=lambda r: int(r[0]))
+    if spans:
+        known, piece.amplitude, piece.amplitude_as_is = _record_signals(record)
+    for run in spans:
+        lead = min(LEAD_ROWS, int(run[0]))
+        first, last = int(run[0]) - lead, int(run[-1])
+        at = np.arange((last - first) * FINE_STEPS + 1) / FINE_STEPS + first
+        for name, evaluate in known.items():
+            piece.signals.setdefault(name, []).append(evaluate(at))
+        piece.measured.append(record.psi_p[first : last + 1])
+        piece.weight.append((np.arange(first, last + 1) >= run[0]).astype(np.float64))
+        piece.nuisance.append(np.zeros((at.size, 0)))
     if not piece.measured:
         raise InputError(
             record.source,
@@ -265,7 +268,7 @@ def _joined(pieces: Sequence[_Piece], sources: Sequence[str], also_average_s: fl
         float(np.mean([piece.amplitude_as_is for piece in pieces])),
         float(np.mean(signals["Nc_frac"])) if "Nc_frac" in signals else 1.0,
         (float(fitted.min()), float(fitted.max())),
-        float(signals["time_s"][0]),
+        _clock_zero_s(signals["time_s"]),
         0.5 * float(signals["time_s"][0] + signals["time_s"][-1]),
         _surge_s(signals["phi"], fine_runs, first.step_s),
         _levels(np.concatenate(measured)[weight > 0.0]),
@@ -273,6 +276,12 @@ def _joined(pieces: Sequence[_Piece], sources: Sequence[str], also_average_s: fl
         also_average_s,
         bool(moving.size == WHOLE_RUN_NUISANCES and moving[-2] and moving[-1]),
     )
+
+
+def _clock_zero_s(time_s: FloatArray) -> float:
+    """Return the zero of the clock: the first row where it began long before the records."""
+    first, span = float(time_s[0]), float(np.ptp(time_s))
+    return 0.0 if 0.0 <= first <= 3.0 * span else first
 
 
 def _surge_s(phi: FloatArray, runs: IntArray, step_s: float) -> float:

@@ -164,7 +164,8 @@ def _lagged(
             # Overdamped: two lags in a row, the fast one first; the slow one may vary.
             root = float(np.sqrt(tau_s**2 - 4.0 * ports.a2_s2))
             slow_s, fast_s = 0.5 * (tau_s + root), 2.0 * ports.a2_s2 / (tau_s + root)
-            if fast_s > 1e-3 * data.step_s:
+            # Only against a division by zero: at the first small step of a₂ the fast lag is short.
+            if fast_s > 1e-9 * data.step_s:
                 lag = FirstOrderLag(fast_s, data.step_s, "first")
                 start = _ramped(driven, fast_s / data.step_s, runs)
                 driven = lag_pass(driven, lag.a, lag.gain_now, lag.gain_before, runs, 1)

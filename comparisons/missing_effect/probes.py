@@ -19,7 +19,7 @@ __all__ = ["Probe", "Prober"]
 
 # The spectrum of an episode is laid this many times finer than its own lines.
 FINER = 4
-KEPT_STARTS = 2
+KEPT_STARTS = 3
 # Columns that have lost all but this share of themselves to the base say nothing of their own.
 LEAST_OWN_SHARE = 1e-4
 

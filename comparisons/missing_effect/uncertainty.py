@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["covariance_of", "fitted_parameters", "linear_columns", "on_all_rows"]
 
+# Steps of a threshold, as shares of the range of φ.
+JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
+
 
 def on_all_rows(fit: Fit, bench: Bench) -> Fit:
     """Return a model fitted again, to the fitted and the held-out rows alike.
@@ -58,6 +61,7 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
     free = list(fit.structure.free)
     stderr = np.zeros(fit.nonlinear.size)
     stderr[free] = np.sqrt(np.maximum(np.diag(covariance)[: len(free)], 0.0))
+    stderr = _over_jumps(fit, data, bench, stderr)
     linear = np.sqrt(np.maximum(np.diag(covariance)[len(free) :], 0.0))
     tau = FittedParameter("tau", fit.tau_s, fit.tau_s * stderr[0], "s")
     out: dict[str, tuple[FittedParameter, ...]] = {"tau": (tau,)}
@@ -78,6 +82,28 @@ def fitted_parameters(fit: Fit, bench: Bench) -> dict[str, tuple[FittedParameter
                 )
                 at += 1
         out[effect.name] = tuple(numbers)
+    return out
+
+
+def _over_jumps(fit: Fit, data: LagData, bench: Bench, stderr: FloatArray) -> FloatArray:
+    """Widen the errors of thresholds that φ turns back at: there the slope on one side misleads.
+
+    Each of several steps to either side is taken for as many standard errors as it costs.
+    """
+    out, at = stderr.copy(), 1
+    reach = data.phi_range[1] - data.phi_range[0]
+    here = solved(fit.structure, data, bench.metric, fit.nonlinear).cost
+    for effect in fit.structure.effects:
+        for i in effect.free if effect.switches else ():
+            for step in JUMP_STEPS:
+                for sign in (-1.0, 1.0):
+                    there = fit.nonlinear.copy()
+                    there[at + i] += sign * step * reach
+                    lost = solved(fit.structure, data, bench.metric, there).cost - here
+                    # A step that costs half a log-unit is one standard error.
+                    error = step * reach / float(np.sqrt(2.0 * max(lost, 0.5)))
+                    out[at + i] = max(out[at + i], error)
+        at += len(effect.nonlinear)
     return out
 
 

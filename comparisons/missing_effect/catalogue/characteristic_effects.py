@@ -35,10 +35,8 @@ def _heating_times(data: LagData) -> FloatArray:
 
 
 def clock_s(data: LagData) -> FloatArray:
-    """Return the facility clock; from its first row on where it began long before the records."""
-    time_s = data["time_s"]
-    first, span = float(data.origin_s), float(np.ptp(time_s))
-    return time_s - first if not 0.0 <= first <= 3.0 * span else time_s
+    """Return the facility clock from its zero on."""
+    return np.asarray(data["time_s"] - data.origin_s)
 
 
 def _drooped(ports: Ports, data: LagData, values: FloatArray) -> Ports:

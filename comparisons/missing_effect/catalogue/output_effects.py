@@ -44,11 +44,13 @@ def _bias(ports: Ports, data: LagData, values: FloatArray) -> Ports:
 def _ripple(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     frequency_hz, gate = values
     episodes = stall_episodes(data, gate)
-    phase = 2.0 * np.pi * frequency_hz * data.sampled(data["time_s"])
+    time_s = data.sampled(data["time_s"])
     columns = np.zeros((data.n_samples, 2 * len(episodes)))
     for i, rows in enumerate(episodes):
-        columns[rows, 2 * i] = np.sin(phase[rows])
-        columns[rows, 2 * i + 1] = np.cos(phase[rows])
+        own = time_s[rows]
+        phase = 2.0 * np.pi * frequency_hz * (own - 0.5 * (own[0] + own[-1]))
+        columns[rows, 2 * i] = np.sin(phase)
+        columns[rows, 2 * i + 1] = np.cos(phase)
     names = [
         f"ripple {i // 2 + 1} {'sin' if i % 2 == 0 else 'cos'}" for i in range(columns.shape[1])
     ]

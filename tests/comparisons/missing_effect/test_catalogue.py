@@ -1,0 +1,295 @@
+"""What every effect owes: its name, its port, its sentences, bounds, and silence at amplitude 0."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from effect_data import CUBIC, hidden, series_of, without_channels
+
+from classic_ml.errors import InputError
+from comparisons.missing_effect import CATALOGUE, Effect, find_effect
+from comparisons.missing_effect.catalogue import DRIFT_FAMILY
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.open_terms import open_terms
+from comparisons.missing_effect.ports import Ports
+from comparisons.missing_effect.structure import Structure
+
+PORTS = {
+    "transport_delay": "input",
+    "facility_heating": "characteristic",
+    "speed_droop": "characteristic",
+    "hysteresis": "characteristic",
+    "reverse_flow_branch": "characteristic",
+    "characteristic_shape": "characteristic",
+    "second_order_lag": "lag",
+    "amplitude_dependent_lag": "lag",
+    "asymmetric_lag": "lag",
+    "flow_dependent_lag": "lag",
+    "flow_inertia": "output",
+    "thermocouple_lag": "output",
+    "sensitivity_drift": "output",
+    "bias_drift": "output",
+    "rotating_stall_ripple": "output",
+}
+TOUCHES = {
+    "input": {"phi"},
+    "characteristic": {"gain", "driven", "names"},
+    "lag": {"tau_factor", "a2_s2"},
+    "output": {"out_gain", "added", "added_names"},
+}
+# Visible amplitudes; the sizes that records of surge show.
+SIZES = {
+    "transport_delay": 0.01,
+    "facility_heating": 0.05,
+    "speed_droop": 2.0,
+    "second_order_lag": 1e-3,
+    "amplitude_dependent_lag": 0.3,
+    "asymmetric_lag": 0.1,
+    "flow_dependent_lag": 0.3,
+    "thermocouple_lag": 0.3,
+    "sensitivity_drift": 1e-3,
+}
+TAU_S = 0.1
+BETA = np.array([0.3, 1.4, -0.6, -0.8])
+SI_UNITS = {"1", "s", "s^2", "1/s", "Hz"}
+every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.name)
+nonlinear_effects = pytest.mark.parametrize(
+    "effect", [e for e in CATALOGUE if not e.linear], ids=lambda e: e.name
+)
+linear_effects = pytest.mark.parametrize(
+    "effect", [e for e in CATALOGUE if e.linear], ids=lambda e: e.name
+)
+
+
+@pytest.fixture(scope="module")
+def data() -> LagData:
+    return load_data(series_of(hidden(None, seed=5, n_samples=400)))
+
+
+def starts_of(effect: Effect, data: LagData) -> np.ndarray:
+    """The starts of an effect; a ripple takes its frequency from a spectrum, here from us."""
+    starts = effect.starts(data, SIZES.get(effect.name, 0.0))
+    if effect.episodes:
+        starts[:, 0] = 13.0
+    return starts
+
+
+def answer(effect: Effect, values: np.ndarray, data: LagData, amplitudes: float) -> np.ndarray:
+    structure = Structure(CUBIC, (effect,))
+    nonlinear = np.concatenate([[np.log(TAU_S)], values])
+    n_columns = structure.respond(data, nonlinear).columns.shape[1]
+    own = np.full(n_columns - BETA.size, amplitudes)
+    ports = structure.ports(data, nonlinear)
+    n_driven = ports.driven.shape[1] - BETA.size
+    coefficients = np.concatenate([BETA, own[:n_driven], own[n_driven:]])
+    return structure.output(data, nonlinear, coefficients)
+
+
+def base_answer(data: LagData) -> np.ndarray:
+    return Structure(CUBIC).output(data, np.array([np.log(TAU_S)]), BETA)
+
+
+def test_identifiers_and_ports_are_those_of_the_design() -> None:
+    assert {effect.name: effect.port for effect in CATALOGUE} == PORTS
+    assert len(CATALOGUE) == len(PORTS)
+
+
+@every_effect
+def test_every_effect_says_what_it_is(effect: Effect) -> None:
+    for text in (effect.equation, effect.says, effect.on_tau, effect.confirm):
+        assert len(text.strip()) > 3
+    assert effect.says[0].islower() or not effect.says[0].isascii()
+    assert effect.searched >= 1.0
+    assert not effect.unnamed
+    assert find_effect(effect.name) is effect
+
+
+@every_effect
+def test_parameters_have_units_bounds_and_steps(effect: Effect) -> None:
+    names = [p.name for p in effect.parameters]
+    assert len(names) == len(set(names)) > 0
+    for p in effect.parameters:
+        assert p.unit in SI_UNITS
+        assert p.low < p.high
+        assert 0.0 < p.step < p.high - p.low
+    amplitude = effect.parameters[0]
+    assert amplitude.kind in ("linear", "free")
+    # The effect can be absent, and its slope at that end can be taken.
+    assert amplitude.low <= 0.0 < amplitude.high
+    assert all(p.kind != "linear" for p in effect.parameters[1:])
+    assert effect.linear is (amplitude.kind == "linear")
+
+
+@every_effect
+def test_a_search_starts_within_the_bounds(effect: Effect, data: LagData) -> None:
+    starts = effect.starts(data, 0.0)
+    assert starts.ndim == 2
+    assert starts.shape[0] >= 1
+    assert starts.shape[1] == len(effect.nonlinear)
+    for values in starts:
+        assert effect.checked(values) is values
+    assert np.unique(starts, axis=0).shape == starts.shape
+
+
+@nonlinear_effects
+def test_amplitude_zero_is_the_model_without_it(effect: Effect, data: LagData) -> None:
+    plain = base_answer(data)
+    for values in effect.starts(data, 0.0):
+        assert np.allclose(answer(effect, values, data, 0.0), plain, rtol=0.0, atol=1e-12)
+
+
+@linear_effects
+def test_columns_with_zero_coefficients_are_the_model_without_it(
+    effect: Effect, data: LagData
+) -> None:
+    plain = base_answer(data)
+    for values in starts_of(effect, data):
+        assert np.allclose(answer(effect, values, data, 0.0), plain, rtol=0.0, atol=1e-12)
+
+
+@every_effect
+def test_a_visible_amplitude_changes_the_answer_and_stays_finite(
+    effect: Effect, data: LagData
+) -> None:
+    plain = base_answer(data)
+    for values in starts_of(effect, data):
+        changed = answer(effect, values, data, 0.02)
+        assert np.all(np.isfinite(changed))
+        assert np.max(np.abs(changed - plain)) > 1e-5
+
+
+@every_effect
+def test_only_its_own_port_is_touched(effect: Effect, data: LagData) -> None:
+    before = Ports.of(data, data["phi"], CUBIC)
+    for values in starts_of(effect, data):
+        after = effect.acts(before, data, values)
+        changed = {
+            f.name
+            for f in fields(Ports)
+            if not np.array_equal(getattr(before, f.name), getattr(after, f.name))
+        }
+        allowed = TOUCHES[effect.port]
+        if effect.name == "reverse_flow_branch" and values[0] == 0.0:
+            # The loss that is not lagged stands behind the lag.
+            allowed = TOUCHES["output"]
+        assert changed
+        assert changed <= allowed
+        if "driven" in changed:
+            assert np.array_equal(after.driven[:, : len(CUBIC)], before.driven)
+            assert after.driven.shape[1] == len(after.names)
+        if "added" in changed:
+            assert after.added is not None
+            assert after.added.shape == (data.n_samples, len(after.added_names))
+
+
+@every_effect
+def test_records_and_ports_are_left_as_they_were(effect: Effect, data: LagData) -> None:
+    before = {name: values.copy() for name, values in data.signals.items()}
+    ports = Ports.of(data, data["phi"].copy(), CUBIC)
+    kept = ports.driven.copy(), ports.phi.copy()
+    for values in starts_of(effect, data):
+        own = values.copy()
+        effect.acts(ports, data, values)
+        assert np.array_equal(values, own)
+    assert np.array_equal(ports.driven, kept[0])
+    assert np.array_equal(ports.phi, kept[1])
+    assert all(np.array_equal(data[name], values) for name, values in before.items())
+
+
+@every_effect
+def test_the_step_of_a_parameter_is_small(effect: Effect, data: LagData) -> None:
+    """Slopes by steps and by half steps agree: the step is no larger than the model is smooth."""
+    structure = Structure(CUBIC, (effect,))
+    values = starts_of(effect, data)[0]
+    nonlinear = np.concatenate([[np.log(TAU_S)], values])
+    ports = structure.ports(data, nonlinear)
+    n_added = 0 if ports.added is None else ports.added.shape[1]
+    own = np.full(ports.driven.shape[1] - BETA.size + n_added, 0.02)
+    coefficients = np.concatenate([BETA, own])
+    which = [1 + i for i in effect.free]
+    if not which:
+        return
+    halves = tuple(replace(p, step=0.5 * p.step) for p in effect.parameters)
+    finer = Structure(CUBIC, (replace(effect, parameters=halves),))
+    slopes = structure.slopes(data, nonlinear, coefficients, which)
+    fine = finer.slopes(data, nonlinear, coefficients, which)
+    for coarse, exact in zip(slopes.T, fine.T, strict=True):
+        assert np.linalg.norm(exact) > 0.0
+        assert np.linalg.norm(coarse - exact) < 0.2 * np.linalg.norm(exact)
+
+
+def test_bounds_refuse_what_is_not_physical() -> None:
+    heating = find_effect("facility_heating")
+    assert np.array_equal(heating.checked(np.array([0.1, 5.0])), [0.1, 5.0])
+    with pytest.raises(InputError, match=r"facility_heating: T_h: expected 0\.02 to 100000 s"):
+        heating.checked(np.array([0.1, 0.0]))
+    with pytest.raises(InputError, match=r"second_order_lag: a2: .* s\^2, found -0\.001"):
+        find_effect("second_order_lag").checked(np.array([-1e-3]))
+    with pytest.raises(ValueError, match="zip"):
+        heating.checked(np.array([0.1]))
+
+
+@nonlinear_effects
+def test_every_bound_is_kept(effect: Effect, data: LagData) -> None:
+    inside = starts_of(effect, data)[0]
+    for i, parameter in enumerate(effect.nonlinear):
+        for bound, side in ((parameter.low, -1.0), (parameter.high, 1.0)):
+            if not np.isfinite(bound):
+                continue
+            outside = inside.copy()
+            outside[i] = bound + side * max(1e-6, 1e-6 * abs(bound))
+            with pytest.raises(InputError, match=f"{effect.name}: {parameter.name}"):
+                effect.checked(outside)
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(InputError, match=r"transport_delay.*rotating_stall_ripple.*'heat'"):
+        find_effect("heat")
+
+
+def test_channels_that_are_not_there_or_stand_still() -> None:
+    records = series_of(hidden(None, seed=5, n_samples=400))
+    complete = load_data(records)
+    bare = load_data([without_channels(record) for record in records])
+    n = records[0].n_samples
+    still = load_data(
+        [replace(r, T25_K=np.full(n, 288.15), Nc_frac=np.full(n, 0.98)) for r in records]
+    )
+    for effect in CATALOGUE:
+        assert effect.missing_channel(complete) is None
+        if effect.name == "thermocouple_lag":
+            assert effect.missing_channel(bare) == "needs the column T25_K"
+            assert str(effect.missing_channel(still)).endswith("T25_K that changes")
+        elif effect.name == "speed_droop":
+            assert effect.missing_channel(bare) == "needs the column Nc_frac"
+            assert str(effect.missing_channel(still)).endswith("Nc_frac that changes")
+        else:
+            assert effect.missing_channel(bare) is None
+    steady = complete.with_signal("amplitude", np.full(complete["phi"].size, 0.2))
+    why = find_effect("amplitude_dependent_lag").missing_channel(steady)
+    assert why is not None
+    assert why.endswith("amplitude that changes")
+
+
+def test_a_channel_of_one_record_alone_is_none() -> None:
+    first, *others = series_of(hidden(None, seed=5, n_samples=400))
+    data = load_data([first, *[without_channels(record) for record in others]])
+    assert find_effect("thermocouple_lag").missing_channel(data) == "needs the column T25_K"
+
+
+def test_the_drift_family_stands_in_the_catalogue() -> None:
+    assert {find_effect(name).name for name in DRIFT_FAMILY} == set(DRIFT_FAMILY)
+
+
+def test_open_terms_take_no_name_of_the_catalogue(data: LagData) -> None:
+    terms = open_terms(data)
+    names = [term.name for term in terms]
+    assert len(set(names)) == len(names)
+    assert not set(names) & set(PORTS)
+    assert all(term.unnamed and term.linear for term in terms)
+    assert any(name.startswith("n*") for name in names)
+    speedless = replace(data, signals={k: v for k, v in data.signals.items() if k != "Nc_frac"})
+    assert not any(term.name.startswith("n*") for term in open_terms(speedless))

@@ -1,0 +1,383 @@
+"""Names from records: right ones, sets where the data cannot tell, and none where none is due."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from effect_data import (
+    CUBIC,
+    STUDY,
+    diagnosed,
+    firm,
+    hidden,
+    named_sets,
+    series_of,
+    without_channels,
+)
+
+from classic_ml.errors import InputError
+from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose
+from comparisons.missing_effect.diagnosis import polynomial_terms
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
+from comparisons.missing_effect.loading import load_data
+from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
+
+Records = list[CoefficientSeries]
+SHORT = {"seed": 3, "n_samples": 1000}
+
+
+def error_percent(diagnosis: Diagnosis, tau_s: float) -> float:
+    return 100.0 * abs(diagnosis.tau_after_s / tau_s - 1.0)
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_a_hidden_effect_is_named_and_its_gap_closed(effect: str) -> None:
+    test, d = diagnosed(effect, **STUDY)
+    assert d.verdict in ("named", "alias_set")
+    (names,) = named_sets(d)
+    assert effect in names
+    assert len(names) <= 3
+    assert d.verdict == ("named" if len(names) == 1 else "alias_set")
+    found = d.missing[0]
+    assert found.effect == found.alias_set[0]
+    assert not found.provisional
+    assert d.gap.shrink >= 0.9
+    assert d.gap.after_rms == pytest.approx(test.sigma, rel=0.06)
+    assert d.gap.before_rms > 1.2 * test.sigma
+    assert d.gap.floor_rms == pytest.approx(test.sigma, rel=0.06)
+    assert error_percent(d, test.tau_s) < 1.0
+    assert set(d.tau_by_alias_s) == names
+    assert d.tau_by_alias_s[found.effect] == d.tau_after_s
+    assert not d.leftover.structured
+    for number in ("train_gain", "later_gain", "other_record_gain", "score"):
+        assert found.evidence[number] > 0.0
+    assert found.evidence["p_value"] < 1e-4
+
+
+def test_most_names_are_alone_and_tau_is_put_right() -> None:
+    tests = [diagnosed(effect, **STUDY) for effect in EFFECTS]
+    alone = [d.verdict == "named" for _, d in tests]
+    assert np.mean(alone) >= 0.7
+    after = [error_percent(d, test.tau_s) for test, d in tests]
+    before = [100.0 * abs(d.tau_before_s / test.tau_s - 1.0) for test, d in tests]
+    assert np.median(after) < 0.2
+    assert np.max(before) > 3.0
+    assert np.median([d.gap.shrink for _, d in tests]) > 0.95
+    first = [d.names[0] == effect for effect, (_, d) in zip(EFFECTS, tests, strict=True)]
+    assert np.mean(first) >= 0.85
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("noise", NOISES)
+def test_nothing_missing_is_said_and_noise_is_called_noise(noise: str, seed: int) -> None:
+    test, d = diagnosed(None, seed=seed, noise=noise)
+    assert error_percent(d, test.tau_s) < 0.3
+    assert d.gap.shrink == pytest.approx(0.0, abs=0.01)
+    if noise.startswith("phi"):
+        assert set(d.names) <= {"flow_noise"}
+        share = 0.01 * float(noise.removeprefix("phi"))
+        true = share * np.sqrt(np.mean([np.var(record.phi) for record in test.records]))
+        assert d.noise.flow_sigma == pytest.approx(true, rel=0.3)
+    else:
+        assert d.missing == ()
+        assert d.noise.flow is None
+    assert d.verdict == ("nothing_missing" if noise == "white" else "noise_model_wrong")
+    if noise == "ar1":
+        assert d.noise.ar[0] == pytest.approx(0.7, abs=0.05)
+    assert d.noise.heavy_tailed is (noise in ("t3", "outliers"))
+
+
+@pytest.mark.parametrize("noise", ["ar1", "t3"])
+def test_a_name_is_found_through_noise_of_another_kind(noise: str) -> None:
+    test, d = diagnosed("flow_inertia", **SHORT, noise=noise)
+    assert named_sets(d) == [{"flow_inertia"}]
+    assert error_percent(d, test.tau_s) < 1.0
+
+
+@pytest.mark.parametrize("effect", OUTSIDE)
+def test_what_stands_in_no_catalogue_gets_no_firm_name(effect: str) -> None:
+    _, d = diagnosed(effect, **SHORT)
+    assert not firm(d)
+    assert d.verdict != "nothing_missing"
+
+
+@pytest.mark.parametrize("effect", ["hysteresis", "amplitude_dependent_lag"])
+def test_an_effect_taken_out_of_the_catalogue_is_not_called_by_another_name(effect: str) -> None:
+    records = series_of(hidden(effect, **SHORT))
+    d = diagnose(records, 3, catalogue=[e for e in CATALOGUE if e.name != effect])
+    assert not firm(d)
+    assert d.verdict != "nothing_missing"
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [("amplitude_dependent_lag", "transport_delay"), ("flow_inertia", "bias_drift")],
+    ids=" and ".join,
+)
+def test_two_effects_at_once_are_both_named(pair: tuple[str, str]) -> None:
+    test, d = diagnosed(pair, **SHORT, strength=2.0)
+    sets = named_sets(d)
+    assert len(sets) == 2
+    assert all(any(name in names for names in sets) for name in pair)
+    assert max(len(names) for names in sets) <= 3
+    assert error_percent(d, test.tau_s) < 1.0
+    assert d.gap.shrink > 0.95
+
+
+def test_a_base_too_stiff_for_the_data_shows_as_its_shape() -> None:
+    test, d = diagnosed(None, degree=2, **SHORT)
+    assert "characteristic_shape" in d.names
+    assert firm(d)
+    assert named_sets(d) == [{"characteristic_shape"}]
+    assert d.gap.shrink > 0.99
+    assert error_percent(d, test.tau_s) < 0.3
+
+
+def test_a_base_with_more_terms_than_needed_lacks_nothing() -> None:
+    test, d = diagnosed(None, degree=5, **SHORT)
+    assert d.verdict == "nothing_missing"
+    assert error_percent(d, test.tau_s) < 0.3
+
+
+def test_an_effect_that_the_base_has_is_not_missing() -> None:
+    """The loss in reversed flow, lagged, is a term of the base here."""
+    test = hidden("reverse_flow_branch", **SHORT)
+    assert test.effects["reverse_flow_branch"]["lagged"] == 1.0
+    d = diagnose(series_of(test), terms=(*CUBIC, "phi^2[phi<0]"))
+    assert d.verdict == "nothing_missing"
+    assert d.after.coefficients[-1] == pytest.approx(
+        test.effects["reverse_flow_branch"]["coefficient"], rel=0.05
+    )
+
+
+def with_clock(records: Records, shift_s: float) -> Records:
+    return [replace(record, time_s=record.time_s + shift_s) for record in records]
+
+
+def scaled(records: Records, factor: float) -> Records:
+    return [replace(record, psi_p=factor * record.psi_p) for record in records]
+
+
+INVARIANCES: dict[str, Callable[[Records], Records]] = {
+    "the order in which the records are given": lambda r: [r[2], r[0], r[1]],
+    "psi' ten times as large": lambda r: scaled(r, 10.0),
+    "a temperature in another unit": lambda r: [replace(x, T25_K=1.8 * x.T25_K) for x in r],
+}
+
+
+@pytest.mark.parametrize("change", INVARIANCES)
+def test_what_does_not_matter_changes_nothing(change: str) -> None:
+    test, d = diagnosed("thermocouple_lag", **SHORT)
+    other = diagnose(INVARIANCES[change](series_of(test)), 3)
+    assert other.verdict == d.verdict
+    assert [m.alias_set for m in other.missing] == [m.alias_set for m in d.missing]
+    assert other.tau_after_s == pytest.approx(d.tau_after_s, rel=1e-4)
+    assert other.gap.shrink == pytest.approx(d.gap.shrink, abs=1e-3)
+
+
+@cache
+def at_another_clock(effect: str, shift_s: float) -> Diagnosis:
+    return diagnose(with_clock(series_of(hidden(effect, **SHORT)), shift_s), 3)
+
+
+# A clock that the test started, one that ran before it, and one that has run for hours.
+@pytest.mark.parametrize(
+    ("effect", "shift_s"),
+    [
+        ("sensitivity_drift", 60.0),
+        ("sensitivity_drift", 100.0),
+        ("sensitivity_drift", 12_345.6),
+        ("bias_drift", 100.0),
+        ("rotating_stall_ripple", 100.0),
+        ("rotating_stall_ripple", 12_345.6),
+    ],
+)
+def test_a_clock_that_reads_otherwise_changes_no_name(effect: str, shift_s: float) -> None:
+    _, d = diagnosed(effect, **SHORT)
+    other = at_another_clock(effect, shift_s)
+    assert other.verdict == d.verdict
+    assert [set(m.alias_set) for m in other.missing] == [set(m.alias_set) for m in d.missing]
+    assert other.tau_after_s == pytest.approx(d.tau_after_s, rel=1e-4)
+
+
+@pytest.mark.parametrize("shift_s", [100.0, 12_345.6])
+def test_the_frequency_of_a_ripple_does_not_depend_on_the_clock(shift_s: float) -> None:
+    _, d = diagnosed("rotating_stall_ripple", **SHORT)
+    other = at_another_clock("rotating_stall_ripple", shift_s)
+    for one, two in zip(d.missing[0].parameters, other.missing[0].parameters, strict=True):
+        assert two.value == pytest.approx(one.value, rel=1e-3)
+        assert two.stderr == pytest.approx(one.stderr, rel=0.2)
+
+
+# A faster rig at the sample rate that suits it, and a slower one.
+@pytest.mark.parametrize(
+    ("effect", "factor"),
+    [("second_order_lag", 0.1), ("second_order_lag", 4.0), ("facility_heating", 0.1)],
+)
+def test_a_rig_of_another_speed_has_the_same_names(effect: str, factor: float) -> None:
+    test, d = diagnosed(effect, **SHORT)
+    scaled_time = [replace(r, time_s=factor * r.time_s) for r in series_of(test)]
+    other = diagnose(scaled_time, 3)
+    assert other.verdict == d.verdict
+    assert [set(m.alias_set) for m in other.missing] == [set(m.alias_set) for m in d.missing]
+    assert other.tau_after_s == pytest.approx(factor * d.tau_after_s, rel=1e-3)
+
+
+@pytest.mark.parametrize("shift_s", [0.0, 40.0, 65.0, 100.0, 119.0, 130.0, 1e4])
+def test_fitted_rows_and_all_rows_have_one_clock(shift_s: float) -> None:
+    """What is fitted is a part of what is run: a drift must count from one zero in both."""
+    from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
+
+    data = load_data(with_clock(series_of(hidden(None, **SHORT)), shift_s))
+    whole = dict(zip(data["time_s"].tolist(), clock_s(data).tolist(), strict=True))
+    train = data.train
+    assert [whole[t] for t in train["time_s"].tolist()] == clock_s(train).tolist()
+
+
+def in_segments(effect: str | None) -> Records:
+    return series_of(hidden(effect, **STUDY, gaps=True))
+
+
+@pytest.mark.parametrize("effect", ["flow_inertia", None], ids=str)
+def test_records_in_segments_are_diagnosed_as_whole_ones(effect: str | None) -> None:
+    """In the gaps the machine is on another characteristic, which must not be seen."""
+    test, d = diagnosed(effect, **STUDY, gaps=True)
+    assert named_sets(d) == ([] if effect is None else [{effect}])
+    assert d.verdict == ("nothing_missing" if effect is None else "named")
+    assert error_percent(d, test.tau_s) < 0.3
+    renumbered = [
+        replace(x, segment=np.where(x.segment > 0, 10 * x.segment, 0)) for x in in_segments(effect)
+    ]
+    other = diagnose(renumbered, 3)
+    assert other.tau_after_s == d.tau_after_s
+    assert other.gap == d.gap
+
+
+def test_later_rows_are_later_whatever_the_segments_are_called() -> None:
+    records = in_segments(None)
+    backwards = [
+        replace(x, segment=np.where(x.segment > 0, 1 + x.segment.max() - x.segment, 0))
+        for x in records
+    ]
+    for records_given in (records, backwards):
+        data = load_data(records_given)
+        time_s = data.sampled(data["time_s"])
+        for number in (0, 1):
+            own = (data.record == number) & data.scored()
+            fitted, held = own & (data.part == TRAIN), own & (data.part == LATER)
+            assert time_s[fitted].max() < time_s[held].min()
+            share = np.count_nonzero(fitted) / np.count_nonzero(own)
+            assert share == pytest.approx(0.6, abs=0.01)
+        assert np.all(data.part[data.record == 2] == OTHER)
+
+
+def test_the_same_question_has_the_same_answer() -> None:
+    test, d = diagnosed("flow_dependent_lag", **SHORT)
+    again = diagnose(series_of(test), 3)
+    assert again.verdict == d.verdict
+    assert again.gap == d.gap
+    assert again.tau_after_s == d.tau_after_s
+    assert again.tau_stderr_s == d.tau_stderr_s
+    assert again.missing == d.missing
+    assert again.leftover == d.leftover
+
+
+def test_one_record_alone_is_judged_by_its_later_part() -> None:
+    test = hidden("flow_inertia", seed=3, n_samples=2000)
+    d = diagnose(series_of(test)[:1], 3)
+    assert named_sets(d) == [{"flow_inertia"}]
+    assert np.isnan(d.missing[0].evidence["other_record_gain"])
+    assert error_percent(d, test.tau_s) < 0.5
+
+
+def test_a_channel_that_is_not_there_is_said_and_its_effect_not_blamed_on_another() -> None:
+    records = series_of(hidden("thermocouple_lag", **SHORT))
+    d = diagnose([without_channels(record) for record in records], 3)
+    assert d.unavailable == {
+        "speed_droop": "needs the column Nc_frac",
+        "thermocouple_lag": "needs the column T25_K",
+    }
+    assert not firm(d)
+    assert d.verdict != "nothing_missing"
+
+
+def test_a_record_without_the_flag_of_stall_still_shows_its_ripple() -> None:
+    test = hidden("rotating_stall_ripple", **SHORT)
+    d = diagnose([replace(record, in_stall=None) for record in series_of(test)], 3)
+    assert d.names == ("rotating_stall_ripple",)
+    frequency, gate = d.missing[0].parameters[1:]
+    true = test.effects["rotating_stall_ripple"]
+    assert frequency.value == pytest.approx(true["frequency_hz"], abs=0.05)
+    assert gate.value == pytest.approx(true["phi_threshold"], abs=0.12)
+
+
+def test_the_model_before_is_the_bare_one_and_that_after_has_the_effect() -> None:
+    _, d = diagnosed("bias_drift", **STUDY)
+    assert d.before.structure.names == ()
+    assert d.after.structure.names == ("bias_drift",)
+    assert d.before_fitted.structure == d.before.structure
+    assert d.rounds[0].winner is not None
+    assert d.rounds[0].winner.name == "bias_drift"
+    assert d.rounds[0].candidates[0].name == "bias_drift"
+    assert not d.whole_runs
+
+
+@pytest.fixture
+def records() -> Records:
+    return series_of(hidden(None, seed=3, n_samples=300))
+
+
+def test_no_records_are_refused() -> None:
+    with pytest.raises(InputError, match="records of one sample rate, found none"):
+        diagnose([])
+
+
+def test_unlike_rates_are_refused_with_both(records: Records) -> None:
+    half = records[1]
+    slower = replace(
+        half,
+        time_s=half.time_s[0] + 2.0 * (half.time_s - half.time_s[0]),
+    )
+    with pytest.raises(InputError, match=r"one sample rate, found 100 Hz and 50 Hz and 100 Hz"):
+        diagnose([records[0], slower, records[2]])
+
+
+def test_too_few_rows_are_refused_with_their_number(records: Records) -> None:
+    short = [replace(record, segment=np.where(np.arange(300) < 70, 1, 0)) for record in records[:1]]
+    with pytest.raises(InputError, match=r"record-1\.csv: expected at least 60 rows to fit, found"):
+        diagnose(short)
+
+
+def test_records_without_a_segment_long_enough_are_refused(records: Records) -> None:
+    none = replace(records[0], segment=np.zeros(300, dtype=np.int64))
+    with pytest.raises(InputError, match=r"record-1\.csv: expected a segment of at least 15 rows"):
+        diagnose([none, *records[1:]])
+    crumbs = np.where(np.arange(300) % 15 < 14, 1 + np.arange(300) // 15, 0)
+    with pytest.raises(InputError, match=r"segment of at least 15 rows, found none; mark the rows"):
+        diagnose([replace(records[0], segment=crumbs)])
+
+
+@pytest.mark.parametrize("degree", [0, 9, -1])
+def test_a_degree_that_is_no_characteristic_is_refused(records: Records, degree: int) -> None:
+    with pytest.raises(InputError, match=f"degree: expected 1 to 8, found {degree}"):
+        diagnose(records, degree)
+
+
+def test_an_unknown_term_is_refused_by_name(records: Records) -> None:
+    with pytest.raises(InputError, match=r"term sin\(phi\): expected 1, phi, phi\^2"):
+        diagnose(records, terms=("1", "sin(phi)"))
+
+
+def test_constant_flow_is_refused_by_the_series(records: Records) -> None:
+    with pytest.raises(InputError, match="column phi"):
+        replace(records[0], phi=np.full(300, 0.2))
+
+
+def test_polynomials_by_degree() -> None:
+    assert polynomial_terms(1) == ("1", "phi")
+    assert polynomial_terms(4) == ("1", "phi", "phi^2", "phi^3", "phi^4")

@@ -1,0 +1,514 @@
+"""The extended lag model against integrations of its equations, and its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from classic_ml.series import CoefficientSeries
+from comparisons.missing_effect import CATALOGUE, find_effect
+from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
+from comparisons.missing_effect.catalogue.output_effects import stall_episodes
+from comparisons.missing_effect.fit import fit_structure
+from comparisons.missing_effect.kernels import lag_pass, shifted, varying_lag_pass
+from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.metric import Metric, projected
+from comparisons.missing_effect.ports import Ports, respond
+from comparisons.missing_effect.structure import Structure
+
+Array = np.ndarray
+CUBIC = ("1", "phi", "phi^2", "phi^3")
+BETA = np.array([0.30, 0.40, 2.2, -4.0])
+TAU_S = 0.1
+PERIOD_S = 0.01
+N = 1500
+# The equations are integrated from well before the record, so that no start is left in it.
+LEAD_S = 2.0
+SETTLED_S = 1.5
+STEPS_PER_SAMPLE = 20
+SURGE = 2.0 * np.pi * 1.1
+PLAIN = np.array([np.log(TAU_S)])
+
+
+def amplitude(t: Array) -> Array:
+    return 0.22 * (1.0 + 0.2 * np.sin(2.0 * np.pi * 0.08 * t + 0.3))
+
+
+def flow(t: Array) -> Array:
+    return 0.2 + amplitude(t) * np.sin(SURGE * t + 0.4) + 0.03 * np.sin(2.0 * SURGE * t + 1.0)
+
+
+def flow_rate(t: Array) -> Array:
+    swing = 0.22 * 0.2 * 2.0 * np.pi * 0.08 * np.cos(2.0 * np.pi * 0.08 * t + 0.3)
+    return (
+        amplitude(t) * SURGE * np.cos(SURGE * t + 0.4)
+        + swing * np.sin(SURGE * t + 0.4)
+        + 0.06 * SURGE * np.cos(2.0 * SURGE * t + 1.0)
+    )
+
+
+def temperature(t: Array) -> Array:
+    return 288.0 * (1.0 + 0.01 * np.sin(SURGE * t) + 0.01 * np.sin(0.4 * t))
+
+
+def temperature_rate(t: Array) -> Array:
+    return 288.0 * (0.01 * SURGE * np.cos(SURGE * t) + 0.004 * np.cos(0.4 * t))
+
+
+def speed(t: Array) -> Array:
+    return 0.95 * (1.0 + 0.01 * np.sin(0.6 * t) + 0.004 * np.sin(SURGE * t + 1.0))
+
+
+def steady(phi: Array) -> Array:
+    return np.polynomial.polynomial.polyval(phi, BETA)
+
+
+def record(n: int = N, period_s: float = PERIOD_S, first_s: float = 0.0) -> CoefficientSeries:
+    t = first_s + period_s * np.arange(n)
+    return CoefficientSeries(
+        t,
+        flow(t),
+        steady(flow(t)),
+        np.ones(n, dtype=np.int64),
+        T25_K=temperature(t),
+        Nc_frac=speed(t),
+        in_stall=flow(t) < 0.18,
+    )
+
+
+@pytest.fixture(scope="module")
+def data() -> LagData:
+    return load_data([record()])
+
+
+def integrated(
+    target: Callable[[Array], Array],
+    tau: Callable[[Array], Array] | None = None,
+    *,
+    n: int = N,
+    period_s: float = PERIOD_S,
+) -> Array:
+    """ψ' at the samples by Runge-Kutta steps of fourth order over τ(t) dψ'/dt + ψ' = u(t)."""
+    h = period_s / STEPS_PER_SAMPLE
+    lead = round(LEAD_S / period_s) * STEPS_PER_SAMPLE
+    steps = lead + (n - 1) * STEPS_PER_SAMPLE
+    half = 0.5 * h * (np.arange(2 * steps + 1) - 2 * lead)
+    u = target(half)
+    rate = 1.0 / (np.full(half.size, TAU_S) if tau is None else tau(half))
+    y = np.empty(steps + 1)
+    y[0] = u[0]
+    for k in range(steps):
+        now, u0, u1, u2 = y[k], u[2 * k], u[2 * k + 1], u[2 * k + 2]
+        r0, r1, r2 = rate[2 * k], rate[2 * k + 1], rate[2 * k + 2]
+        k1 = r0 * (u0 - now)
+        k2 = r1 * (u1 - now - 0.5 * h * k1)
+        k3 = r1 * (u1 - now - 0.5 * h * k2)
+        k4 = r2 * (u2 - now - h * k3)
+        y[k + 1] = now + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return y[lead::STEPS_PER_SAMPLE]
+
+
+def plain_target(t: Array) -> Array:
+    return steady(flow(t))
+
+
+def switched(t: Array, low: float, high: float) -> Array:
+    """1 from φ < low until φ > high, instant by instant."""
+    state, out = 0.0, np.empty(t.size)
+    for k, value in enumerate(flow(t)):
+        if value < low:
+            state = 1.0
+        elif value > high:
+            state = 0.0
+        out[k] = state
+    return out
+
+
+def simulated(name: str, values: tuple[float, ...], own: Array, data: LagData) -> Array:
+    structure = Structure(CUBIC, (find_effect(name),))
+    nonlinear = np.concatenate([PLAIN, values])
+    return structure.output(data, nonlinear, np.concatenate([BETA, own]))
+
+
+NONE = np.zeros(0)
+TIME_S = PERIOD_S * np.arange(N)
+TRUTHS: dict[str, tuple[str, tuple[float, ...], Array, Callable[[], Array]]] = {
+    "delay": (
+        "transport_delay",
+        (0.0137,),
+        NONE,
+        lambda: integrated(lambda t: plain_target(t - 0.0137)),
+    ),
+    "heating": (
+        "facility_heating",
+        (0.08, 4.0),
+        NONE,
+        lambda: integrated(
+            lambda t: plain_target(t) * (1.0 - 0.08 * (1.0 - np.exp(-np.maximum(t, 0.0) / 4.0)))
+        ),
+    ),
+    "droop": (
+        "speed_droop",
+        (3.0,),
+        NONE,
+        lambda: integrated(lambda t: plain_target(t) * (speed(t) / np.mean(speed(TIME_S))) ** 3.0),
+    ),
+    "hysteresis": (
+        "hysteresis",
+        (0.1, 0.3),
+        np.array([0.05]),
+        lambda: integrated(lambda t: plain_target(t) - 0.05 * switched(t, 0.1, 0.3)),
+    ),
+    "reverse, lagged": (
+        "reverse_flow_branch",
+        (1.0,),
+        np.array([20.0]),
+        lambda: integrated(
+            lambda t: plain_target(t) + 20.0 * np.where(flow(t) < 0.0, flow(t) ** 2, 0.0)
+        ),
+    ),
+    "reverse, not lagged": (
+        "reverse_flow_branch",
+        (0.0,),
+        np.array([20.0]),
+        lambda: (
+            integrated(plain_target) + 20.0 * np.where(flow(TIME_S) < 0.0, flow(TIME_S) ** 2, 0.0)
+        ),
+    ),
+    "amplitude": (
+        "amplitude_dependent_lag",
+        (0.5, 1.0),
+        NONE,
+        lambda: integrated(
+            plain_target,
+            lambda t: TAU_S * (1.0 + 0.5 * (amplitude(t) / np.mean(amplitude(TIME_S)) - 1.0)),
+        ),
+    ),
+    "asymmetric": (
+        "asymmetric_lag",
+        (0.2,),
+        NONE,
+        lambda: integrated(plain_target, lambda t: TAU_S * (1.0 + 0.2 * np.sign(flow_rate(t)))),
+    ),
+    "flow-dependent": (
+        "flow_dependent_lag",
+        (0.5, 0.15),
+        NONE,
+        lambda: integrated(plain_target, lambda t: TAU_S * (1.0 + 0.5 * (flow(t) < 0.15))),
+    ),
+    "inertia": (
+        "flow_inertia",
+        (),
+        np.array([0.003]),
+        lambda: integrated(plain_target) - 0.003 * flow_rate(TIME_S),
+    ),
+    "thermocouple": (
+        "thermocouple_lag",
+        (0.4,),
+        NONE,
+        lambda: (
+            integrated(plain_target)
+            * temperature(TIME_S)
+            / (temperature(TIME_S) + 0.4 * temperature_rate(TIME_S))
+        ),
+    ),
+    "sensitivity": (
+        "sensitivity_drift",
+        (0.004,),
+        NONE,
+        lambda: integrated(plain_target) * (1.0 + 0.004 * TIME_S),
+    ),
+    "bias": (
+        "bias_drift",
+        (),
+        np.array([0.002]),
+        lambda: integrated(plain_target) + 0.002 * TIME_S,
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def plain_truth() -> Array:
+    return integrated(plain_target)
+
+
+def off_by(found: Array, truth: Array, skip_s: float = SETTLED_S) -> float:
+    """The rms difference once the start has gone, in standard deviations of ψ'."""
+    rows = TIME_S[: truth.size] > skip_s
+    return float(np.sqrt(np.mean((found - truth)[rows] ** 2)) / np.std(truth[rows]))
+
+
+def test_the_bare_model_is_the_integral_of_its_equation(data: LagData, plain_truth: Array) -> None:
+    assert off_by(Structure(CUBIC).output(data, PLAIN, BETA), plain_truth) < 1e-4
+
+
+@pytest.mark.parametrize("case", TRUTHS)
+def test_every_effect_is_the_integral_of_its_equation(
+    case: str, data: LagData, plain_truth: Array
+) -> None:
+    name, values, own, integral = TRUTHS[case]
+    truth = integral()
+    assert off_by(simulated(name, values, own, data), truth) < 1e-3
+    assert off_by(plain_truth, truth) > 1e-2
+
+
+def test_the_cases_cover_the_catalogue() -> None:
+    elsewhere = {"second_order_lag", "characteristic_shape", "rotating_stall_ripple"}
+    assert {name for name, *_ in TRUTHS.values()} | elsewhere == {e.name for e in CATALOGUE}
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.25, 0.6], ids=lambda s: f"a2 = {s} tau^2")
+def test_second_order_is_the_integral_of_its_equation(
+    share: float, data: LagData, plain_truth: Array
+) -> None:
+    a2 = share * TAU_S**2
+    solution = solve_ivp(
+        lambda t, y: [y[1], (steady(flow(np.array(t))) - y[0] - TAU_S * y[1]) / a2],
+        (-LEAD_S, 6.0),
+        [float(plain_target(np.array(-LEAD_S))), 0.0],
+        t_eval=TIME_S[TIME_S <= 6.0],
+        rtol=1e-7,
+        atol=1e-9,
+    )
+    truth = solution.y[0]
+    found = simulated("second_order_lag", (a2,), NONE, data)[: truth.size]
+    assert off_by(found, truth) < 1e-3
+    assert off_by(plain_truth[: truth.size], truth) > 1e-2
+
+
+def test_a_bump_lies_in_the_span_of_the_free_characteristic(
+    data: LagData, plain_truth: Array
+) -> None:
+    def bump(phi: Array) -> Array:
+        return 0.03 * np.exp(-0.5 * ((phi - 0.2) / 0.07) ** 2)
+
+    low, high = data.phi_range
+    grid = np.linspace(low, high, 800)
+    columns = np.column_stack(
+        [np.vander(grid, 4, increasing=True), shape_columns(grid, (low, high), 20, 4)]
+    )
+    near = np.linalg.lstsq(columns, bump(grid), rcond=None)[0]
+    found = simulated("characteristic_shape", (20.0, low, high), near[4:], data)
+    found += Structure(CUBIC).output(data, PLAIN, near[:4])
+    truth = integrated(lambda t: plain_target(t) + bump(flow(t)))
+    assert off_by(found, truth) < 1e-3
+    assert off_by(plain_truth, truth) > 1e-2
+
+
+def test_a_ripple_has_a_phase_of_its_own_in_each_episode(data: LagData, plain_truth: Array) -> None:
+    rng = np.random.default_rng(3)
+    stalled = flow(TIME_S) < 0.18
+    number = np.cumsum(np.diff(stalled.astype(int), prepend=0) > 0)
+    theta = rng.uniform(0.0, 6.0, number[-1] + 1)
+    wave = stalled * np.sin(2.0 * np.pi * 13.7 * TIME_S + theta[number])
+    truth = plain_truth + 0.01 * wave
+    episodes = stall_episodes(data, 0.0)
+    structure = Structure(CUBIC, (find_effect("rotating_stall_ripple"),))
+    columns = structure.respond(data, np.concatenate([PLAIN, [13.7, 0.0]])).columns[:, 4:]
+    assert columns.shape == (N, 2 * len(episodes))
+    # Sine and cosine of an episode make up its wave, whatever instant they count from.
+    own = np.linalg.lstsq(columns, 0.01 * wave, rcond=None)[0]
+    assert np.allclose(np.hypot(*own.reshape(-1, 2).T), 0.01, rtol=1e-9)
+    found = simulated("rotating_stall_ripple", (13.7, 0.0), own, data)
+    inside = np.zeros(N, dtype=bool)
+    for rows in episodes:
+        inside[rows] = True
+    # An episode of less than eight samples has no phase to speak of and is left out.
+    assert np.count_nonzero(stalled & ~inside) < 8 * (len(theta) - len(episodes)) + 1
+    use = inside | ~stalled
+    assert off_by(np.where(use, found, 0.0), np.where(use, truth, 0.0)) < 1e-3
+    assert off_by(plain_truth, truth) > 1e-2
+
+
+def test_without_the_flag_a_threshold_tells_the_episodes(data: LagData) -> None:
+    known = {name: values for name, values in data.signals.items() if name != "in_stall"}
+    blind = replace(data, signals=known)
+    assert stall_episodes(blind, 0.18) == stall_episodes(data, 0.0)
+    assert stall_episodes(blind, -1.0) == []
+
+
+def test_a_clock_that_began_long_ago_counts_from_the_first_row() -> None:
+    early, late = load_data([record(600)]), load_data([record(600, first_s=1000.0)])
+    for name, values in (("sensitivity_drift", (0.004,)), ("facility_heating", (0.1, 3.0))):
+        for data in (early, late):
+            gain = simulated(name, values, NONE, data) / Structure(CUBIC).output(data, PLAIN, BETA)
+            assert gain[0] == pytest.approx(1.0, abs=1e-9)
+            assert abs(gain[-1] - 1.0) > 0.01
+
+
+def test_a_lag_of_no_time_is_the_characteristic(data: LagData) -> None:
+    found = Structure(CUBIC).output(data, np.array([np.log(1e-5)]), BETA)
+    assert np.allclose(found, steady(flow(TIME_S)), atol=2e-5)
+
+
+def test_a_finer_sample_brings_the_model_to_its_equation() -> None:
+    errors = []
+    for period_s in (0.04, 0.02, 0.01):
+        n = round(12.0 / period_s)
+        truth = integrated(plain_target, n=n, period_s=period_s)
+        found = Structure(CUBIC).output(load_data([record(n, period_s)]), PLAIN, BETA)
+        settled = period_s * np.arange(n) > SETTLED_S
+        errors.append(float(np.sqrt(np.mean((found - truth)[settled] ** 2))))
+    # Inputs joined by straight lines: the error falls with the square of the step.
+    for coarse, fine in pairwise(errors):
+        assert 3.0 < coarse / fine < 6.0
+
+
+@pytest.mark.parametrize("effect", [e for e in CATALOGUE if not e.linear], ids=lambda e: e.name)
+def test_nothing_in_nothing_out(effect: object, data: LagData) -> None:
+    structure = Structure(CUBIC, (effect,))  # type: ignore[arg-type]
+    start = structure.effects[0].starts(data, 0.5 * structure.effects[0].parameters[0].high)[0]
+    found = structure.output(data, np.concatenate([PLAIN, start]), np.zeros(4))
+    assert np.array_equal(found, np.zeros(N))
+
+
+def test_a_constant_factor_of_tau_is_a_longer_lag(data: LagData) -> None:
+    ports = Ports.of(data, data["phi"], CUBIC)
+    varying = respond(ports.with_tau_factor(np.full(ports.phi.size, 1.7)), data, TAU_S)
+    plain = respond(ports, data, 1.7 * TAU_S)
+    assert np.allclose(varying.columns, plain.columns, rtol=0.0, atol=1e-12)
+    assert np.allclose(varying.decay, plain.decay, rtol=0.0, atol=1e-12)
+
+
+def test_what_is_left_of_a_start_falls_with_the_integral_of_one_over_tau(data: LagData) -> None:
+    structure = Structure(CUBIC, (find_effect("asymmetric_lag"),))
+    decay = structure.respond_decay(data, np.append(PLAIN, 0.4))
+    fine = np.linspace(0.0, 0.5, 100_001)
+    tau = TAU_S * (1.0 + 0.4 * np.sign(flow_rate(fine)))
+    integral = np.concatenate([[0.0], np.cumsum(np.diff(fine) / tau[1:])])
+    expected = np.exp(-np.interp(TIME_S[:51], fine, integral))
+    assert np.allclose(decay[:51], expected, atol=5e-3)
+    assert not np.allclose(decay[:51], np.exp(-TIME_S[:51] / TAU_S), atol=5e-2)
+
+
+def test_a_vanishing_second_store_is_a_first_order_lag(data: LagData) -> None:
+    first = Structure(CUBIC).output(data, PLAIN, BETA)
+    away = [
+        off_by(simulated("second_order_lag", (share * TAU_S**2,), NONE, data), first)
+        for share in (1e-2, 1e-3, 1e-4)
+    ]
+    assert away[0] / away[1] == pytest.approx(10.0, rel=0.1)
+    assert away[1] / away[2] == pytest.approx(10.0, rel=0.1)
+    assert np.allclose(simulated("second_order_lag", (1e-9,), NONE, data), first, atol=1e-6)
+
+
+def test_over_and_underdamped_join_at_the_critical_damping(data: LagData) -> None:
+    critical = 0.25 * TAU_S**2
+    settled = TIME_S > SETTLED_S
+    gaps = []
+    for share in (1e-2, 1e-4, 1e-6):
+        below = simulated("second_order_lag", (critical * (1.0 - share),), NONE, data)
+        above = simulated("second_order_lag", (critical * (1.0 + share),), NONE, data)
+        gaps.append(float(np.max(np.abs(above - below)[settled])))
+    # No jump but that of two ways of joining inputs by straight lines.
+    assert gaps[1] < 0.05 * gaps[0]
+    assert gaps[2] < 1e-4 * np.std(below[settled])
+
+
+def test_the_second_store_settles_from_its_start_as_from_a_ramp(data: LagData) -> None:
+    """Close to the start as well, both branches follow the integral and not a kick."""
+    for share in (0.1, 0.6):
+        found = simulated("second_order_lag", (share * TAU_S**2,), NONE, data)
+        assert np.max(np.abs(np.diff(found))) < 1.5 * np.max(np.abs(np.diff(steady(flow(TIME_S)))))
+
+
+def test_a_delay_of_whole_samples_is_a_shift(data: LagData) -> None:
+    late = simulated("transport_delay", (7 * PERIOD_S,), NONE, data)
+    plain = Structure(CUBIC).output(data, PLAIN, BETA)
+    assert np.allclose(late[7:], plain[:-7], rtol=0.0, atol=1e-11)
+    early = simulated("transport_delay", (-7 * PERIOD_S,), NONE, data)
+    settled = slice(150, N - 7)
+    assert np.allclose(early[settled], plain[157:N], rtol=0.0, atol=1e-6)
+
+
+def test_a_part_of_a_step_is_exact_for_a_cubic_and_runs_do_not_mix() -> None:
+    k = np.arange(40.0)
+    runs = np.array([[0, 20], [20, 40]])
+    signal = np.where(k < 20, 1.0 + k + 0.1 * k**2 - 0.01 * k**3, -5.0)
+    late = shifted(signal, 2.3, runs)
+    at = k[5:18] - 2.3
+    assert np.allclose(late[5:18], 1.0 + at + 0.1 * at**2 - 0.01 * at**3, atol=1e-10)
+    assert late[0] == pytest.approx(signal[0])
+    assert np.allclose(late[20:], -5.0)
+    assert np.array_equal(shifted(signal, 0.0, runs), signal)
+
+
+def test_runs_do_not_know_of_each_other() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((90, 3))
+    runs = np.array([[0, 41], [41, 90]])
+    ratio = rng.uniform(0.1, 0.4, 90)
+    both, decay = varying_lag_pass(columns, ratio, runs, 4)
+    second, second_decay = varying_lag_pass(
+        np.ascontiguousarray(columns[41:]), ratio[41:], np.array([[0, 49]]), 4
+    )
+    assert both.shape == (11 + 13, 3)
+    assert np.allclose(both[11:], second)
+    assert np.allclose(decay[11:], second_decay)
+    # By hand: the exact answer to straight lines, one row at a time.
+    a, now, before = 0.7, 0.16, 0.14
+    found = lag_pass(columns, a, now, before, np.array([[0, 90]]), 1)
+    state = columns[0]
+    for k in range(1, 90):
+        state = a * state + now * columns[k] + before * columns[k - 1]
+        assert np.allclose(found[k], state)
+
+
+def test_a_wrong_start_leaves_no_trace(data: LagData) -> None:
+    """Errors of a start that is off lie wholly in what is projected out."""
+    two = load_data([record(500), record(500, first_s=30.0)])
+    structure = Structure(CUBIC)
+    decay = structure.respond_decay(two, PLAIN)
+    start = np.where(two.record == 0, 0.7, -0.4) * decay
+    rng = np.random.default_rng(1)
+    errors = rng.standard_normal(two.n_samples)
+    for metric in (Metric(), Metric(0.3, np.array([0.6])), Metric(1.0, np.array([0.5, -0.2]))):
+        with_start = metric.seen(errors + start, decay, two)
+        assert np.allclose(with_start, metric.seen(errors, decay, two), atol=1e-10)
+    once = projected(errors[:, None], decay, two)
+    assert np.allclose(projected(once, decay, two), once)
+
+
+def test_a_fit_does_not_mind_where_the_run_began(plain_truth: Array) -> None:
+    two = load_data([record(700), record(700, first_s=30.0)])
+    rng = np.random.default_rng(2)
+    clean = Structure(CUBIC).output(two, PLAIN, BETA)
+    measured = clean + 1e-3 * rng.standard_normal(two.n_samples)
+    decay = Structure(CUBIC).respond_decay(two, PLAIN)
+    away = measured + np.where(two.record == 0, 0.5, -0.3) * decay
+    fits = [
+        fit_structure(Structure(CUBIC), two.with_measured(y), Metric(1e-3), [PLAIN + 0.3])
+        for y in (measured, away)
+    ]
+    assert all(fit.converged for fit in fits)
+    assert fits[1].tau_s == pytest.approx(fits[0].tau_s, rel=1e-4)
+    assert np.allclose(fits[1].coefficients, fits[0].coefficients, rtol=1e-3, atol=1e-5)
+    assert fits[0].tau_s == pytest.approx(TAU_S, rel=5e-3)
+
+
+def test_the_slope_of_tau_is_the_derivative(data: LagData) -> None:
+    structure = Structure(CUBIC)
+    slope = structure.slopes(data, PLAIN, BETA, [0])[:, 0]
+    ahead = structure.output(data, PLAIN + 1e-3, BETA)
+    behind = structure.output(data, PLAIN - 1e-3, BETA)
+    central = (ahead - behind) / 2e-3
+    assert np.linalg.norm(slope - central) < 1e-3 * np.linalg.norm(central)
+
+
+def test_several_effects_act_at_their_ports_together(data: LagData) -> None:
+    """A delay, a lag that rises and falls apart, and a drift of the sensor, all at once."""
+    names = ("sensitivity_drift", "asymmetric_lag", "transport_delay")
+    structure = Structure(CUBIC, tuple(find_effect(name) for name in names))
+    found = structure.output(data, np.concatenate([PLAIN, [0.004, 0.2, 0.02]]), BETA)
+    # The sign of dφ/dt is that of the φ that was measured.
+    truth = integrated(
+        lambda t: plain_target(t - 0.02),
+        lambda t: TAU_S * (1.0 + 0.2 * np.sign(flow_rate(t))),
+    ) * (1.0 + 0.004 * TIME_S)
+    assert off_by(found, truth) < 1e-3
