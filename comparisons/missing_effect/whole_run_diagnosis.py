@@ -31,7 +31,7 @@ from comparisons.missing_effect.whole_runs import (
 
 __all__ = ["diagnose_whole_runs"]
 
-# Untouched records leave 0.014 to 0.020 of the mean ψ'. A further effect is only looked for above
+# Untouched records leave 0.012 to 0.021 of the mean ψ'. A further effect is only looked for above
 # the first of these; above the second, whatever was named, something else is there.
 CHAIN_ERROR = 0.022
 LARGEST_MODEL_ERROR = 0.03

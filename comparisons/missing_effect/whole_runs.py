@@ -2,8 +2,8 @@
 
 A record that passed the whole sensor chain leaves some 10 % of ψ' unexplained, cycle after cycle:
 no test of chance can tell a missing effect from that. What can is size. Untouched records of the
-simulated rig and of an independent one give some effect up to a sixth of the squared errors; an
-effect is named when it explains more than any of them does there
+simulated rig and of an independent one give some effect a share of the squared errors; an effect
+is named when it explains more than it does there
 (``benchmarks/hidden_on_the_rig.py``).
 """
 
@@ -38,10 +38,18 @@ __all__ = [
     "weighed_by_share",
 ]
 
-# What an effect must explain of the squared errors. Twenty untouched records gave hysteresis and
-# lag effects up to 0.16, ℓ dφ/dt up to 0.15, everything else up to 0.10.
+# What an effect must explain of the squared errors. On some 90 untouched records no effect but
+# those below explained more; they bend what the model error itself bends, and got up to 0.24, 0.20
+# and 0.45 (benchmarks/hidden_on_the_rig.py, --only untouched).
 LEAST_SHARE = 0.17
-# −ℓ dφ/dt of untouched records: the chain itself leaves this much, and this scatter, in seconds.
+LEAST_SHARES = {
+    "hysteresis": 0.26,
+    "flow_dependent_lag": 0.26,
+    "asymmetric_lag": 0.26,
+    "characteristic_shape": 0.46,
+}
+# −ℓ dφ/dt of untouched records: the noise of the transducers through the dead band of the probes
+# leaves this much, and this scatter, in seconds; 98.5 % speed less (-0.0014), 90 % more (-0.0041).
 CHAIN_INERTIA_S = (-0.0038, 0.0012)
 CHAIN_REACH = 2.5
 # Explaining this share of what the best explains is as good; drifts are told apart by nothing
@@ -218,7 +226,8 @@ def _weighed(
         last = bench.data.record == bench.data.record.max()
         if not last.all():
             other = float(gain[last].sum())
-    needed = LEAST_SHARE if _beyond_the_chain(effect, fit) else np.inf
+    least = LEAST_SHARES.get(effect.name, LEAST_SHARE)
+    needed = least if _beyond_the_chain(effect, fit) else np.inf
     evidence = replace(
         evidence,
         later=later,

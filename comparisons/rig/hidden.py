@@ -222,7 +222,7 @@ HIDEABLE: Mapping[str, Hideable] = MappingProxyType(
             "time constant of the T25 junctions beyond the stated one, in s",
             "thermocouple_lag_s",
             bounds=(0.0, 1.0),
-            default=0.4,
+            default=0.2,
             unit="s",
         ),
         "sensitivity_drift": Hideable(
