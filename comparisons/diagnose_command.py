@@ -1,4 +1,4 @@
-"""The command `sindy-surge diagnose`: which physical effect a lag model of the records lacks."""
+"""The command `sindy-surge diagnose`: which physical effect a model of the records lacks."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ __all__ = ["add_diagnose_parser", "run_diagnose"]
 HIGHEST_DEGREE = 8
 DEFAULT_DEGREE = 2
 MOST_EFFECTS = 3
+# With --model; `comparisons.missing_effect.systems.script` says the same of scripts.
+MOST_MODEL_EFFECTS = 6
 
 _T = TypeVar("_T")
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -36,15 +38,34 @@ def add_diagnose_parser(commands: _Commands) -> None:
     """
     parser = commands.add_parser(
         "diagnose",
-        help="find where the lag model and the records part, and name what is missing",
+        help="find where a model and the records part, and name what is missing",
         description="Fit the lag model, find where its free run and the measurement part, name the "
         "physical effect that is missing, add it, and show on rows that were held out how far the "
         "gap shrinks; or say that nothing is missing, that names cannot be told apart, or that "
         "something is there without a name. Several records tell more than one: the last is never "
-        "fitted.",
+        "fitted. With --model the same is asked of a simulation model of your own, of any system: "
+        "the file is executed, the records of --fit are fitted, and those of --check are only "
+        "simulated.",
     )
     add = parser.add_argument
-    add("series", type=Path, nargs="+", metavar="SERIES", help="series (.csv or .nc)")
+    add("series", type=Path, nargs="*", metavar="SERIES", help="series (.csv or .nc)")
+    add("--model", type=Path, metavar="model.py", help="your own model, a Python file; executed")
+    add(
+        "--fit",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="RECORD",
+        help="records for --model (.csv, .mat, .npz, .nc) that are fitted",
+    )
+    add(
+        "--check",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="RECORD",
+        help="records for --model that are only simulated",
+    )
     add("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
     add("--report", type=Path, metavar="FILE.html", help="write the report")
     add("--save", type=Path, metavar="MODEL", help="save the model with what was added")
@@ -57,7 +78,6 @@ def add_diagnose_parser(commands: _Commands) -> None:
     add(
         "--base",
         choices=("polynomial", "sindy"),
-        default="polynomial",
         help="base terms: powers of φ up to --degree, or those that the sparse regression "
         "discovers on the fitted rows (default: polynomial)",
     )
@@ -74,12 +94,12 @@ def add_diagnose_parser(commands: _Commands) -> None:
     )
     add(
         "--max-effects",
-        type=_whole(1, MOST_EFFECTS),
-        default=MOST_EFFECTS,
+        type=_whole(1, MOST_MODEL_EFFECTS),
         metavar="N",
-        help=f"add at most so many effects (default: {MOST_EFFECTS})",
+        help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model 4, "
+        f"at most {MOST_MODEL_EFFECTS})",
     )
-    parser.set_defaults(run=run_diagnose)
+    parser.set_defaults(run=run_diagnose, refuse=parser.error)
 
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
@@ -95,6 +115,21 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
+    from comparisons.model_command import check_ways, run_model_diagnosis
+
+    check_ways(arguments)
+    if arguments.model is not None:
+        run_model_diagnosis(arguments)
+        return
+    if (arguments.max_effects or 0) > MOST_EFFECTS:
+        arguments.refuse(
+            f"argument --max-effects: expected a whole number from 1 to {MOST_EFFECTS}: "
+            f"'{arguments.max_effects}'"
+        )
+    _run_lag_diagnosis(arguments)
+
+
+def _run_lag_diagnosis(arguments: argparse.Namespace) -> None:
     from classic_ml.files import write_whole
     from classic_ml.readers.series_files import read_series
     from comparisons.missing_effect.terminal import diagnosis_text
@@ -151,7 +186,8 @@ def _diagnosed(
             names = ", ".join(found.dropped)
             remarks.append(f"Left out of the base, since their form is not known here: {names}.")
     progress.next("trying effects")
-    d = diagnose(records, degree, terms=terms, most_effects=arguments.max_effects)
+    most_effects = arguments.max_effects or MOST_EFFECTS
+    d = diagnose(records, degree, terms=terms, most_effects=most_effects)
     progress.next("looking where")
     before, why = _where(d, d.before)
     after, _ = _where(d, d.after) if d.missing else (before, "")

@@ -9,8 +9,28 @@ if TYPE_CHECKING:
     from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
     from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
     from comparisons.missing_effect.effect import Effect, Parameter
+    from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
+    from comparisons.missing_effect.systems.diagnosis import diagnose_model
+    from comparisons.missing_effect.systems.experiments import Experiment
+    from comparisons.missing_effect.systems.model import Model, P
+    from comparisons.missing_effect.systems.places import SystemEffect
+    from comparisons.missing_effect.systems.results import SystemDiagnosis
 
-__all__ = ["CATALOGUE", "Diagnosis", "Effect", "Parameter", "diagnose", "find_effect"]
+__all__ = [
+    "CATALOGUE",
+    "SYSTEM_CATALOGUE",
+    "Diagnosis",
+    "Effect",
+    "Experiment",
+    "Model",
+    "P",
+    "Parameter",
+    "SystemDiagnosis",
+    "SystemEffect",
+    "diagnose",
+    "diagnose_model",
+    "find_effect",
+]
 
 _HOMES = {
     "CATALOGUE": "catalogue",
@@ -19,6 +39,13 @@ _HOMES = {
     "diagnose": "diagnosis",
     "Effect": "effect",
     "Parameter": "effect",
+    "SYSTEM_CATALOGUE": "systems.catalogue",
+    "diagnose_model": "systems.diagnosis",
+    "Experiment": "systems.experiments",
+    "Model": "systems.model",
+    "P": "systems.model",
+    "SystemEffect": "systems.places",
+    "SystemDiagnosis": "systems.results",
 }
 
 

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from classic_ml.first_order_lag import FirstOrderLag
 from classic_ml.records import FloatArray
+from comparisons.missing_effect.autoregression import chosen_order
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import FlowNoise, Metric
 
 __all__ = ["NoiseModel", "noise_of"]
 
 MOST_LAGS = 4
-# An autoregression must win this much more than its parameters cost (in log-units of BIC).
-RELUCTANCE = 3.0
 # Noise on φ is believed only when it beats every autoregression by this much.
 FLOW_RELUCTANCE = 5.0
 # Huber's bound: beyond so many standard deviations an error counts in proportion, not in square.
@@ -203,15 +202,4 @@ def _autoregression(errors: FloatArray, rows: NDArray[np.bool_], data: LagData) 
         target.append(e[at])
     if not lagged:
         return np.zeros(0)
-    X, y = np.concatenate(lagged), np.concatenate(target)
-    n = y.size
-    if n < 20 * MOST_LAGS:
-        return np.zeros(0)
-    best, best_score = np.zeros(0), 0.5 * n * np.log(float(y @ y) / n)
-    for order in range(1, MOST_LAGS + 1):
-        a = np.linalg.lstsq(X[:, :order], y, rcond=None)[0]
-        left = y - X[:, :order] @ a
-        score = 0.5 * n * np.log(float(left @ left) / n) + 0.5 * order * np.log(n) + RELUCTANCE
-        if score < best_score - 1e-9:
-            best, best_score = np.asarray(a, dtype=np.float64), score
-    return np.asarray(best)
+    return chosen_order(np.concatenate(lagged), np.concatenate(target))

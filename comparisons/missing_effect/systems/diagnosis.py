@@ -1,0 +1,319 @@
+"""What a user's simulation model lacks: the workflow from model and records to a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
+from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import SystemEffect
+from comparisons.missing_effect.systems.quantities import covariance, numbers_of
+from comparisons.missing_effect.systems.records import Records, check_run, runs_of
+from comparisons.missing_effect.systems.results import (
+    CheckRun,
+    FittedNumber,
+    FoundEffect,
+    ParameterRow,
+    SystemDiagnosis,
+)
+from comparisons.missing_effect.systems.search import (
+    Bench,
+    Round,
+    base_bench,
+    search_round,
+)
+from comparisons.missing_effect.systems.structure import Run, Structure
+
+__all__ = ["MOST_EFFECTS", "diagnose_model"]
+
+MOST_EFFECTS = 4
+# What an effect beyond the first must explain: of the squared whitened errors, or of the squared
+# raw errors on held-out rows.
+LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
+# Share of a parameter's range that counts as at its bound.
+AT_BOUND = 1e-4
+
+Progress = Callable[[str], None]
+
+
+def diagnose_model(
+    model: Model,
+    fit: Experiment | Sequence[Experiment],
+    check: Experiment | Sequence[Experiment] = (),
+    *,
+    catalogue: Sequence[SystemEffect] = SYSTEM_CATALOGUE,
+    most_effects: int = MOST_EFFECTS,
+    progress: Progress | None = None,
+) -> SystemDiagnosis:
+    """Find what a model lacks, name it, add it, and show the error fall on other records.
+
+    Names come from the training records alone: two thirds are fitted and the last third is held
+    out of the fits. Check records are simulated at the end; nothing is chosen by them.
+
+    Parameters
+    ----------
+    model : Model
+        The user's model.
+    fit : Experiment or sequence of Experiment
+        Training records, of whatever lengths.
+    check : Experiment or sequence of Experiment
+        Records that are only shown.
+    catalogue : sequence of SystemEffect
+        The names.
+    most_effects : int
+        Add at most so many.
+    progress : callable, optional
+        Told in a few words what begins.
+
+    Returns
+    -------
+    SystemDiagnosis
+
+    Raises
+    ------
+    InputError
+        When records do not fit the model.
+    """
+    told = progress or (lambda _: None)
+    records = Records.of(model, [fit] if isinstance(fit, Experiment) else list(fit))
+    given = [check] if isinstance(check, Experiment) else list(check)
+    checks = [_checkable(e.of(model), records) for e in given]
+    told("fitting the model")
+    bench = base_bench(records)
+    base = bench
+    rounds: list[Round] = []
+    while len(rounds) < most_effects and not bench.fit.failed:
+        told(f"round {len(rounds) + 1}")
+        rounds.append(search_round(bench, catalogue, OPEN_TERMS))
+        winner = rounds[-1].winner
+        if winner is None or winner.fit is None:
+            break
+        moved = replace(
+            bench.refitted(winner.fit.structure, winner.fit.theta), white=winner.fit
+        ).between_chosen()
+        if len(rounds) > 1 and not _worth_adding(rounds[-1], bench, moved):
+            break
+        bench = moved
+        if winner.placed.effect.unnamed:
+            break
+    told("fitting all rows")
+    return _concluded(base, bench, tuple(rounds), checks)
+
+
+def _checkable(experiment: Experiment, records: Records) -> Experiment:
+    """Return a check record; refuse another rate, and a start that leaves no row to score."""
+    period_s = records.whole[0].sample_period_s
+    if abs(experiment.sample_period_s - period_s) > 1e-6 * period_s:
+        raise InputError(
+            experiment.told("sample period"),
+            expected=f"that of the training records, {period_s:g} s",
+            found=f"{experiment.sample_period_s:g} s",
+            remedy="resample it: lags and timing offsets are told in samples",
+        )
+    settle = experiment.settle or _settle_rows(records.model)
+    if settle >= experiment.n_samples // 2:
+        raise InputError(
+            experiment.told("rows"),
+            expected=f"more than twice the {settle} rows from which its start is estimated",
+            found=f"{experiment.n_samples}",
+        )
+    return experiment
+
+
+def _settle_rows(model: Model) -> int:
+    """Return how many rows of a check tell its start: several a state."""
+    return max(10, 5 * len(model.states))
+
+
+def _worth_adding(step: Round, bench: Bench, moved: Bench) -> bool:
+    """Tell whether an effect beyond the first is: named, and a fair share of what is left.
+
+    Where model error rules, and not noise, every term of some flexibility wins something.
+    """
+    assert step.winner is not None
+    raw = 1.0 - (moved.held_out_size() / bench.held_out_size()) ** 2
+    fair = step.share >= LEAST_FURTHER_SHARE or raw >= LEAST_FURTHER_RAW_SHARE
+    return fair and not step.winner.placed.effect.unnamed
+
+
+def _concluded(
+    base: Bench, bench: Bench, rounds: tuple[Round, ...], checks: Sequence[Experiment]
+) -> SystemDiagnosis:
+    records = base.records
+    before, before_cov, metric = _whole(base)
+    after, after_cov = before, before_cov
+    if bench is not base:
+        after, after_cov, metric = _whole(bench)
+    added = after.structure.effects
+    won = [
+        r for r in rounds if r.winner is not None and r.winner.placed.key in {e.key for e in added}
+    ]
+    missing = tuple(_found(after, after_cov, r, records) for r in won)
+    model = records.model
+    return SystemDiagnosis(
+        model,
+        _verdict(missing, base),
+        missing,
+        records,
+        rounds,
+        before,
+        after,
+        _parameters(model, before, before_cov, after, after_cov),
+        _offsets(model, after, after_cov),
+        tuple(_trained(records, e, before, after, r) for r, e in enumerate(records.whole)),
+        tuple(_checked(records, e, before, after) for e in checks),
+        metric.sigma,
+        rounds[-1].refused if rounds else {},
+        _remarks(base, rounds, missing),
+    )
+
+
+def _whole(bench: Bench) -> tuple[Fit, FloatArray, Metric]:
+    """Fit a model to all training rows, in the raw metric."""
+    structure = replace(bench.fit.structure, offsets_free=False)
+    runs = _whole_runs(bench.records, structure)
+    raw = raw_metric([run.outputs for run in runs])
+    fit = fit_runs(structure, runs, raw, bench.fit.theta, bench.fit.starts, bench.fit.scale)
+    return fit, covariance(fit, runs, raw), raw if fit.failed else metric_of(fit.errors)
+
+
+def _whole_runs(records: Records, structure: Structure) -> tuple[Run, ...]:
+    return runs_of(records, records.whole, structure.between, begun=True)
+
+
+def _found(fit: Fit, cov: FloatArray, step: Round, records: Records) -> FoundEffect:
+    winner = step.winner
+    assert winner is not None
+    assert winner.evidence is not None
+    model, placed = records.model, winner.placed
+    labels = tuple(c.placed.label(model) for c in step.aliases)
+    names = tuple(dict.fromkeys(c.placed.name for c in step.aliases))
+    evidence = winner.evidence
+    clock = step.bench.train[0].clock
+    return FoundEffect(
+        placed.name,
+        placed.label(model),
+        placed.where(model),
+        names,
+        labels,
+        step.rivalled,
+        placed.effect.unnamed,
+        numbers_of(fit, placed, cov, clock),
+        {
+            "train": evidence.train,
+            "held_out": evidence.later,
+            "z": evidence.z,
+            "score": evidence.score,
+            "p_value": evidence.p_value,
+        },
+        _written(placed.effect.equation, placed.where(model)),
+        placed.effect.says,
+        placed.effect.confirm,
+    )
+
+
+def _written(equation: str, place: dict[str, str]) -> str:
+    """Return the equation of an effect with the signals of its place."""
+    signal = place.get("signal", place.get("input", ""))
+    return (
+        equation.replace("{s}", signal)
+        .replace("{o}", place.get("times", ""))
+        .replace("{p}", place.get("parameter", ""))
+    )
+
+
+def _verdict(missing: Sequence[FoundEffect], base: Bench) -> str:
+    if base.fit.failed:
+        return "unexplained_structure"
+    if not missing:
+        return "nothing_missing"
+    if missing[0].unnamed:
+        return "unnamed_term"
+    if any(item.provisional for item in missing):
+        return "provisional"
+    return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"
+
+
+def _parameters(
+    model: Model, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
+) -> tuple[ParameterRow, ...]:
+    rows = []
+    for i, (name, parameter) in enumerate(model.params.items()):
+        value = float(after.theta[i])
+        reach = AT_BOUND * (parameter.high - parameter.low)
+        rows.append(
+            ParameterRow(
+                name,
+                parameter.unit,
+                float(before.theta[i]),
+                value,
+                float(np.sqrt(max(before_cov[i, i], 0.0))),
+                float(np.sqrt(max(after_cov[i, i], 0.0))),
+                min(value - parameter.low, parameter.high - value) < reach,
+            )
+        )
+    return tuple(rows)
+
+
+def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedNumber, ...]:
+    first = len(model.params)
+    return tuple(
+        FittedNumber(
+            name,
+            float(fit.theta[first + j]),
+            float(np.sqrt(max(cov[first + j, first + j], 0.0))),
+            "samples",
+        )
+        for j, name in enumerate(model.input_names)
+    )
+
+
+def _trained(
+    records: Records, experiment: Experiment, before: Fit, after: Fit, which: int
+) -> CheckRun:
+    measured = experiment.columns(records.model.output_names)
+    return CheckRun(
+        experiment,
+        False,
+        0,
+        records.model.output_names,
+        measured,
+        measured - before.errors[which],
+        measured - after.errors[which],
+    )
+
+
+def _checked(records: Records, experiment: Experiment, before: Fit, after: Fit) -> CheckRun:
+    """Simulate a check record; its start comes from its first rows, which are not scored."""
+    settle = experiment.settle or _settle_rows(records.model)
+    simulated = []
+    for fit in (before, after):
+        run = check_run(records, experiment, fit.structure.between, fit.scale)
+        raw = raw_metric([run.outputs]).with_size_of(fit.errors)
+        there = settled(fit, [run], raw, rows=settle)
+        simulated.append(run.outputs - there.errors[0])
+    measured = experiment.columns(records.model.output_names)
+    return CheckRun(experiment, True, settle, records.model.output_names, measured, *simulated)
+
+
+def _remarks(
+    base: Bench, rounds: Sequence[Round], missing: Sequence[FoundEffect]
+) -> tuple[str, ...]:
+    out = []
+    if base.fit.failed:
+        out.append("The model could not be simulated from its starts: give other starts or bounds.")
+    last = rounds[-1] if rounds else None
+    if last is not None and last.winner is not None and len(rounds) > len(missing):
+        label = last.winner.placed.label(base.records.model)
+        share = f"{100.0 * last.share:.1f} % of the squared whitened errors"
+        kind = "a term without a name" if last.winner.placed.effect.unnamed else "small"
+        out.append(f"{label} would explain {share} that are left; {kind}, and not added.")
+    return tuple(out)

@@ -1,0 +1,214 @@
+"""The extended system: a user's model with effects in place, as one compiled right-hand side.
+
+Everything that distinguishes one extension from another is data (integers and numbers), so that
+the kernels are compiled once and cached, whatever the model and whatever is tried on it.
+
+The vector θ holds the model's parameters, one timing offset an input (in samples), and four slots
+an effect. The state X holds the model's states, then one a lag, a play or a hysteresis.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.compiled import call_at
+from comparisons.missing_effect.systems.shapes import map_value, term_value
+
+__all__ = ["HEAD", "ROW", "SLOTS", "extended_output", "extended_rhs"]
+
+# Numbers of an effect in θ: its amplitude or first parameter, and shape parameters.
+SLOTS = 4
+# Integers before the rows of effects: addresses of the right-hand side and the output; numbers of
+# states, inputs, parameters, outputs, own states and effects; pieces a sample.
+HEAD = 9
+# Integers of an effect: kind, code, equation or channel, signal, second signal, own state.
+ROW = 6
+# A spilling vessel gives off what exceeds its rim within this many samples; a play follows its
+# drive within as few. Fast enough to be instantaneous at the sample rate, and no faster.
+SPILL_SAMPLES = 2.0
+PLAY_SAMPLES = 0.5
+
+IntArray = NDArray[np.int64]
+
+
+@njit(cache=True, error_model="numpy")
+def _input_at(at: float, j: int, ints: IntArray, pieces: FloatArray) -> float:
+    """Return input j at a time given in samples; held beyond the ends."""
+    n = pieces.shape[1]
+    place = at * ints[8]
+    i = math.floor(place)
+    if i < 0:
+        i, s = 0, 0.0
+    elif i >= n:
+        i, s = n - 1, 1.0
+    else:
+        s = place - i
+    c = pieces[j, i]
+    value: float = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+    return value
+
+
+@njit(cache=True, error_model="numpy")
+def _inputs(
+    t: float,
+    X: FloatArray,
+    theta: FloatArray,
+    ints: IntArray,
+    floats: FloatArray,
+    pieces: FloatArray,
+    u: FloatArray,
+    dX: FloatArray,
+    clock: FloatArray,
+) -> None:
+    """Fill u with the inputs as the system sees them, and dX with what their own states do."""
+    n_u, n_p, n_eff = ints[3], ints[4], ints[7]
+    h = clock[1]
+    for j in range(n_u):
+        late = theta[n_p + j]
+        for e in range(n_eff):
+            row = HEAD + ROW * e
+            if ints[row] == 3 and ints[row + 2] == j:
+                late += theta[n_p + n_u + SLOTS * e]
+        u[j] = _input_at(t / h - late, j, ints, pieces)
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        kind = ints[row]
+        j, own = ints[row + 2], ints[row + 5]
+        a = theta[n_p + n_u + SLOTS * e]
+        if kind == 1:
+            u[j] = map_value(ints[row + 1], u[j], floats[3 * e + 1], a)
+        elif kind == 2:
+            dX[own] = (u[j] - X[own]) / (max(a, 1e-3) * h)
+            u[j] = X[own]
+        elif kind == 4:
+            gap = a * floats[3 * e + 1]
+            off = u[j] - X[own]
+            dX[own] = (max(off - gap, 0.0) + min(off + gap, 0.0)) / (PLAY_SAMPLES * h)
+            u[j] = X[own]
+
+
+@njit(cache=True, error_model="numpy")
+def _parameters(
+    t: float,
+    theta: FloatArray,
+    ints: IntArray,
+    floats: FloatArray,
+    clock: FloatArray,
+    p: FloatArray,
+) -> None:
+    """Fill p with the model's parameters, drifting ones at the clock."""
+    n_u, n_p, n_eff = ints[3], ints[4], ints[7]
+    p[:] = theta[:n_p]
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        if ints[row] == 7:
+            along = (t + clock[0] - clock[2]) / clock[3]
+            p[ints[row + 2]] += theta[n_p + n_u + SLOTS * e] * floats[3 * e] * along
+
+
+@njit(cache=True, error_model="numpy")
+def extended_rhs(
+    t: float,
+    X: FloatArray,
+    theta: FloatArray,
+    ints: IntArray,
+    floats: FloatArray,
+    pieces: FloatArray,
+    clock: FloatArray,
+) -> FloatArray:
+    """Return dX/dt of the extended system.
+
+    Parameters
+    ----------
+    t : float
+        Seconds since the run's first sample.
+    X : ndarray of shape (n_x + n_own,)
+        State.
+    theta : ndarray
+        Parameters, timing offsets, effects.
+    ints, floats : ndarray
+        Layout and scales, as `systems.structure` packs them.
+    pieces : ndarray of shape (n_u, m, 4)
+        Inputs between samples.
+    clock : ndarray of shape (4,)
+        Clock of the first sample, sample period, middle and half length of the records' span.
+    """
+    n_x, n_u, n_p, n_y = ints[2], ints[3], ints[4], ints[5]
+    n_eff = ints[7]
+    dX = np.zeros(X.size)
+    u, p, x = np.empty(n_u), np.empty(n_p), X[:n_x].copy()
+    _inputs(t, X, theta, ints, floats, pieces, u, dX, clock)
+    _parameters(t, theta, ints, floats, clock, p)
+    at = n_p + n_u
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        if ints[row] == 8:
+            i = ints[row + 2]
+            x[i] = map_value(ints[row + 1], x[i], floats[3 * e + 1], theta[at + SLOTS * e])
+    call_at(ints[0], t, x, u, p, dX)
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        kind, i, k = ints[row], ints[row + 2], ints[row + 3]
+        amount = theta[at + SLOTS * e]
+        a, b = theta[at + SLOTS * e + 1], theta[at + SLOTS * e + 2]
+        if kind == 0:
+            s = (X[k] if k < n_x else u[k - n_x]) / floats[3 * e + 1]
+            m = ints[row + 4]
+            other = 0.0
+            if ints[row + 1] == 9:
+                other = (X[m] if m < n_x else u[m - n_x]) / floats[3 * e + 2]
+            dX[i] += amount * floats[3 * e] * term_value(ints[row + 1], s, other, a, b)
+        elif kind == 9:
+            spilt = max(X[i] - amount * floats[3 * e + 1], 0.0) / (SPILL_SAMPLES * clock[1])
+            dX[i] -= spilt
+            if ints[row + 4] >= 0:
+                dX[ints[row + 4]] += a * spilt
+        elif kind == 10:
+            own = ints[row + 5]
+            s = X[k] / floats[3 * e + 1]
+            z = X[own]
+            # Bouc and Wen with n = 1 and β = γ = 1/2, which is Dahl's model.
+            dX[own] = (s - 0.5 * abs(s) * z - 0.5 * s * abs(z)) / (a * floats[3 * e + 2])
+            dX[i] += amount * floats[3 * e] * z
+    for e in range(n_eff):
+        row = HEAD + ROW * e
+        if ints[row] == 6:
+            y = np.empty(n_y)
+            call_at(ints[1], t, x, u, p, y)
+            own = ints[row + 5]
+            lag_s = max(theta[at + SLOTS * e], 1e-3) * clock[1]
+            dX[own] = (y[ints[row + 2]] - X[own]) / lag_s
+    return dX
+
+
+@njit(cache=True, error_model="numpy")
+def extended_output(
+    t: float,
+    X: FloatArray,
+    theta: FloatArray,
+    ints: IntArray,
+    floats: FloatArray,
+    pieces: FloatArray,
+    clock: FloatArray,
+    y: FloatArray,
+) -> None:
+    """Fill y with the outputs of the extended system; parameters as of `extended_rhs`."""
+    n_x, n_u, n_p = ints[2], ints[3], ints[4]
+    u, p, x = np.empty(n_u), np.empty(n_p), X[:n_x].copy()
+    unused = np.empty(X.size)
+    _inputs(t, X, theta, ints, floats, pieces, u, unused, clock)
+    _parameters(t, theta, ints, floats, clock, p)
+    call_at(ints[1], t, x, u, p, y)
+    at = n_p + n_u
+    for e in range(ints[7]):
+        row = HEAD + ROW * e
+        j = ints[row + 2]
+        if ints[row] == 6:
+            y[j] = X[ints[row + 5]]
+        elif ints[row] == 5:
+            y[j] = map_value(ints[row + 1], y[j], floats[3 * e + 1], theta[at + SLOTS * e])

@@ -1,0 +1,191 @@
+"""Measured experiments: one run each of a system, and how its inputs run between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.model import Model
+
+__all__ = ["Experiment", "input_pieces"]
+
+FEWEST_ROWS = 40
+# Pieces a sample for a band-limited input: a spline through four times as many points follows it
+# to well below the noise of any record here.
+BAND_FACTOR = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One run of a system: measured inputs and outputs at a uniform rate.
+
+    Parameters
+    ----------
+    name : str
+        What it is called in tables; a test split's name.
+    sample_period_s : float
+        In seconds.
+    channels : mapping of str to ndarray of shape (n,)
+        Inputs and outputs of the model, in its units; others are left alone.
+    first_s : float
+        Clock of the first sample, in seconds.
+    settle : int
+        Rows at the start from which the initial state may be estimated when the run is a check;
+        they are not scored there. 0 takes what the model has states for.
+
+    Raises
+    ------
+    InputError
+        When channels differ in length, are not finite, or are too short.
+    """
+
+    name: str
+    sample_period_s: float
+    channels: Mapping[str, FloatArray]
+    first_s: float = 0.0
+    settle: int = 0
+    origin: str = field(default="")
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sample_period_s) and self.sample_period_s > 0.0):
+            raise InputError(
+                self.told("sample period"),
+                expected="a positive number of seconds",
+                found=f"{self.sample_period_s!r}",
+            )
+        made: dict[str, FloatArray] = {}
+        for name, values in self.channels.items():
+            made[name] = np.ascontiguousarray(values, dtype=np.float64)
+            self._check(name, made[name])
+        sizes = {values.size for values in made.values()}
+        if len(sizes) != 1:
+            raise InputError(
+                self.told("channels"), expected="one length", found=f"lengths {sorted(sizes)}"
+            )
+        if min(sizes) < FEWEST_ROWS:
+            raise InputError(
+                self.told("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{min(sizes)}"
+            )
+        object.__setattr__(self, "channels", MappingProxyType(made))
+
+    def _check(self, name: str, values: FloatArray) -> None:
+        if values.ndim != 1:
+            raise InputError(
+                self.told(name), expected="one value a row", found=f"shape {values.shape}"
+            )
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(
+                self.told(name),
+                expected="finite values",
+                found=f"{values[bad[0]]} in row {bad[0] + 1}",
+                remedy="cut the record there, or give the pieces as experiments of their own",
+            )
+
+    def told(self, what: str) -> str:
+        """Return a place for a message: file or name of the run, and what in it."""
+        return f"{self.origin or self.name}: {what}"
+
+    @property
+    def n_samples(self) -> int:
+        """Number of rows."""
+        return next(iter(self.channels.values())).size
+
+    def of(self, model: Model) -> Experiment:
+        """Return the run with what a model needs, checked.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+
+        Raises
+        ------
+        InputError
+            When an input or an output of the model is missing, or an output is constant.
+        """
+        wanted = (*model.input_names, *model.output_names)
+        for name in wanted:
+            if name not in self.channels:
+                raise InputError(
+                    self.told(name),
+                    expected=f"channels {', '.join(wanted)}",
+                    found=f"{', '.join(self.channels)}",
+                    remedy=f"name the column '{name}' in the file, or as it is in the model",
+                )
+        for name in model.output_names:
+            if float(np.ptp(self.channels[name])) == 0.0:
+                raise InputError(
+                    self.told(name), expected="an output that changes", found="a constant"
+                )
+        return Experiment(
+            self.name,
+            self.sample_period_s,
+            {name: self.channels[name] for name in wanted},
+            self.first_s,
+            self.settle,
+            self.origin,
+        )
+
+    def rows(self, start: int, stop: int) -> Experiment:
+        """Return a stretch of the run; its clock goes on."""
+        return Experiment(
+            self.name,
+            self.sample_period_s,
+            {name: values[start:stop] for name, values in self.channels.items()},
+            self.first_s + start * self.sample_period_s,
+            self.settle,
+            self.origin,
+        )
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """Return channels side by side, shape (n, number of names)."""
+        if not names:
+            return np.zeros((self.n_samples, 0))
+        return np.column_stack([self.channels[name] for name in names])
+
+
+def input_pieces(values: FloatArray, how: str) -> tuple[FloatArray, int]:
+    """Return an input between samples as cubic pieces.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Samples.
+    how : {"held", "linear", "cubic", "band"}
+        Held until the next sample, straight lines, a cubic spline, or band-limited: resampled
+        four times finer by a polyphase filter, and a spline through that.
+
+    Returns
+    -------
+    pieces : ndarray of shape (m, 4)
+        Coefficients of 1, s, s², s³ on each piece, s from 0 to 1 along it.
+    per_sample : int
+        Pieces a sample.
+    """
+    if how == "held":
+        pieces = np.zeros((values.size, 4))
+        pieces[:, 0] = values
+        return pieces, 1
+    if how == "linear":
+        pieces = np.zeros((values.size - 1, 4))
+        pieces[:, 0], pieces[:, 1] = values[:-1], np.diff(values)
+        return pieces, 1
+    from scipy.interpolate import CubicSpline
+
+    per_sample = 1
+    if how == "band":
+        from scipy.signal import resample_poly
+
+        # A line from end to end is taken off, so that the filter sees no step at either end.
+        ramp = np.linspace(values[0], values[-1], values.size)
+        fine = resample_poly(values - ramp, BAND_FACTOR, 1)[: BAND_FACTOR * (values.size - 1) + 1]
+        values = fine + np.linspace(ramp[0], ramp[-1], fine.size)
+        per_sample = BAND_FACTOR
+    spline = CubicSpline(np.arange(values.size, dtype=np.float64), values)
+    return np.ascontiguousarray(spline.c[::-1].T), per_sample

@@ -1,0 +1,427 @@
+"""Files of a general diagnosis: measured records, and the program that a user's model is."""
+
+from __future__ import annotations
+
+import csv
+import os
+import runpy
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
+from comparisons.missing_effect.systems.model import Model
+
+__all__ = ["load_model", "read_experiment"]
+
+TIMES = ("time_s", "t")
+# How far a clock may be off a uniform one, in sample periods; a step of more than the second is a
+# gap and not a jitter.
+LARGEST_JITTER, GAP = 1e-3, 1.5
+# A period is as round as the jitter of its clock leaves open; a float's own noise at least.
+LEAST_JITTER, MOST_DIGITS = 1e-6, 12
+HDF5 = b"\x89HDF\r\n\x1a\n"
+MATLAB_73 = b"MATLAB 7.3"
+LONGEST_CAUSE = 200
+
+
+def read_experiment(
+    path: str | os.PathLike[str],
+    model: Model | None = None,
+    *,
+    settle: int = 0,
+    name: str | None = None,
+) -> Experiment:
+    """Read one measured run of a system; a record is data and is never executed.
+
+    Parameters
+    ----------
+    path : str or path
+        ``.csv`` with a header, ``.mat`` (MATLAB 5 to 7.2), ``.npz``, or ``.nc``. A column
+        ``time_s`` or ``t`` is the clock, in seconds; the others are called as in the model, in its
+        units. In files of arrays a vector may lie either way; scalars and other shapes are left
+        alone.
+    model : Model, optional
+        Whose inputs and outputs must be there, and which alone are read then.
+    settle : int
+        Rows at the start of a check record that are not scored; 0 takes what the model needs.
+    name : str, optional
+        Of the run; the file's without it.
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    InputError
+        Naming the file, the column and the row at fault.
+    """
+    file = Path(path)
+    reader = _READERS.get(file.suffix.lower())
+    if file.is_dir():
+        raise InputError(str(file), expected="a record", found="a folder")
+    if reader is None:
+        raise InputError(
+            str(file),
+            expected="a record ending in .csv, .mat, .npz or .nc",
+            found=f"the suffix '{file.suffix}'",
+        )
+    if not file.is_file():
+        raise InputError(str(file), expected="a record", found="no such file")
+    if file.stat().st_size == 0:
+        raise InputError(str(file), expected="a record", found="an empty file")
+    wanted = None if model is None else (*model.input_names, *model.output_names)
+    columns = reader(file, wanted)
+    clock = _clock_name(file, columns)
+    time_s = columns.pop(clock)
+    _check_rows(file, time_s, columns, wanted)
+    if not 0 <= settle < time_s.size:
+        raise InputError(
+            f"{file}: settle",
+            expected=f"from 0 to fewer than {time_s.size} rows",
+            found=f"{settle}",
+        )
+    if wanted is None:
+        columns = {key: values for key, values in columns.items() if values.size == time_s.size}
+    if not columns:
+        raise InputError(str(file), expected=f"columns beside '{clock}'", found="none")
+    period_s = _period(file, clock, time_s)
+    run = Experiment(
+        name or file.stem, period_s, columns, float(time_s[0]), settle=settle, origin=str(file)
+    )
+    return run if model is None else run.of(model)
+
+
+def load_model(path: str | os.PathLike[str]) -> Model:
+    """Return the model of a Python file, its variable ``model`` or the only `Model` in it.
+
+    A model file is a program: it is executed with all rights of whoever calls this. Only files
+    that one would run as ``python model.py`` may be given. Records, in contrast, are only read.
+
+    Parameters
+    ----------
+    path : str or path
+        A Python file.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    InputError
+        When the file is missing, fails (with the line), or holds no model or several.
+    """
+    file = Path(path)
+    if not file.is_file():
+        found = "a folder" if file.is_dir() else "no such file"
+        raise InputError(str(file), expected="a Python file with a model", found=found)
+    try:
+        with _folder_on_path(file.parent):
+            space = runpy.run_path(str(file), run_name="sindy_surge_model")
+    except InputError as error:
+        where = f"{file}, line {_line_of(error, file)}: {error.where}"
+        raise InputError(
+            where, expected=error.expected, found=error.found, remedy=error.remedy
+        ) from error
+    except SyntaxError as error:
+        raise _not_run(file, error.lineno or 1, f"{type(error).__name__}: {error.msg}") from error
+    except (Exception, SystemExit) as error:
+        # A program of the user's raises whatever it likes.
+        said = f"{type(error).__name__}: {_cause(error)}"
+        raise _not_run(file, _line_of(error, file), said) from error
+    if isinstance(space.get("model"), Model):
+        return space["model"]  # type: ignore[no-any-return]
+    models = {id(value): name for name, value in space.items() if isinstance(value, Model)}
+    if len(models) != 1:
+        raise InputError(
+            str(file),
+            expected="a variable 'model' that is a Model",
+            found=f"several models: {', '.join(models.values())}" if models else "no Model in it",
+            remedy="write model = Model(...)",
+        )
+    (name,) = models.values()
+    return space[name]  # type: ignore[no-any-return]
+
+
+@contextmanager
+def _folder_on_path(folder: Path) -> Iterator[None]:
+    """Let a model import what lies beside it, as a program does that is run by name."""
+    entry = str(folder.resolve())
+    sys.path.insert(0, entry)
+    try:
+        yield
+    finally:
+        if entry in sys.path:
+            sys.path.remove(entry)
+
+
+def _line_of(error: BaseException, file: Path) -> int:
+    """Return the last line of a file that an error came through."""
+    lines = [
+        frame.lineno or 1
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == str(file)
+    ]
+    return lines[-1] if lines else 1
+
+
+def _not_run(file: Path, line: int, said: str) -> InputError:
+    return InputError(f"{file}, line {line}", expected="Python that runs", found=said)
+
+
+def _cause(error: BaseException) -> str:
+    """Return what an exception says, on one line."""
+    return (" ".join(str(error).split()) or type(error).__name__)[:LONGEST_CAUSE]
+
+
+def _read_csv(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+    import pandas as pd
+
+    names = _csv_names(file)
+    kept = list(names) if wanted is None else [n for n in names if n in (*TIMES, *wanted)]
+    try:
+        with warnings.catch_warnings():
+            # A row that is longer than the header is a warning there, and would be cut.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                file,
+                header=None,
+                names=list(names),
+                skiprows=1,
+                index_col=False,
+                encoding="utf-8-sig",
+                skipinitialspace=True,
+                low_memory=False,
+            )
+    except pd.errors.EmptyDataError:
+        return {name: np.zeros(0) for name in kept}
+    except (pd.errors.ParserError, pd.errors.ParserWarning, UnicodeDecodeError) as error:
+        raise InputError(
+            str(file),
+            expected=f"a table of {len(names)} columns separated by commas",
+            found=_cause(error),
+        ) from error
+    return {name: _numbers(file, name, table[name].to_numpy()) for name in kept}
+
+
+def _csv_names(file: Path) -> tuple[str, ...]:
+    """Return the header of a table; refuse one that is none."""
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as lines:
+            header = next(csv.reader(lines), [])
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(
+            str(file), expected="a table as UTF-8 text", found="bytes that are no text"
+        ) from error
+    names = tuple(name.strip() for name in header)
+    if any("\0" in name for name in names):
+        raise InputError(
+            str(file), expected="a table as UTF-8 text", found="bytes that are no text"
+        )
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"{file}: header", expected="each column once", found=f"'{twice[0]}' twice"
+        )
+    if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
+        raise InputError(
+            f"{file}: header",
+            expected="columns separated by commas",
+            found=f"'{names[0][:60]}'",
+            remedy="write it with commas between columns and points in numbers",
+        )
+    return names
+
+
+def _numbers(file: Path, name: str, column: np.ndarray) -> FloatArray:
+    """Return a column as numbers, or say which row is none."""
+    if column.dtype.kind in "iufb":
+        return column.astype(np.float64)
+    for row, cell in enumerate(column, start=1):
+        try:
+            float(cell)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"{file}: {name}", expected="numbers", found=f"'{str(cell)[:40]}' in row {row}"
+            ) from None
+    return np.array([float(cell) for cell in column])
+
+
+def _read_mat(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+    from scipy.io import loadmat
+
+    with file.open("rb") as opened:
+        head = opened.read(len(MATLAB_73))
+    if head.startswith((MATLAB_73, HDF5)):
+        raise InputError(
+            str(file),
+            expected="a MATLAB file of version 5 to 7.2",
+            found="version 7.3",
+            remedy="save it in MATLAB with save(..., '-v7'), or export it as .csv",
+        )
+    with _parsed(file, "a MATLAB file"):
+        found = loadmat(str(file), appendmat=False)
+    return _vectors(
+        file, {k: np.asarray(v) for k, v in found.items() if not k.startswith("__")}, wanted
+    )
+
+
+def _read_npz(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+    arrays: dict[str, np.ndarray] = {}
+    with _parsed(file, "an .npz file of plain arrays"), file.open("rb") as binary:
+        # Pickled objects would be executed; they are refused.
+        opened = np.load(binary, allow_pickle=False)
+        if isinstance(opened, np.ndarray):
+            raise ValueError("a single array without a name")
+        with opened:
+            for name in opened.files:
+                if wanted is None or name in (*TIMES, *wanted):
+                    arrays[name] = opened[name]
+    return _vectors(file, arrays, wanted)
+
+
+def _read_netcdf(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
+    with _parsed(file, "a netCDF file"):
+        import xarray
+
+        with xarray.open_dataset(file, decode_times=False) as dataset:
+            arrays = {str(name): np.asarray(dataset[name].values) for name in dataset.variables}
+    return _vectors(file, arrays, wanted)
+
+
+@contextmanager
+def _parsed(file: Path, what: str) -> Iterator[None]:
+    """Tell any failure of a reader as one sentence: they raise whatever they stumble over."""
+    try:
+        yield
+    except Exception as error:
+        raise InputError(
+            str(file), expected=what, found=f"what cannot be read ({_cause(error)})"
+        ) from error
+
+
+def _vectors(
+    file: Path, arrays: Mapping[str, np.ndarray], wanted: tuple[str, ...] | None
+) -> dict[str, FloatArray]:
+    """Return the vectors of numbers among arrays; refuse what is wanted and is none."""
+    out = {}
+    for name, values in arrays.items():
+        vector = values.size > 1 and values.size == max(values.shape)
+        if vector and values.dtype.kind in "iufb":
+            out[name] = values.ravel().astype(np.float64)
+        elif wanted is not None and name in wanted:
+            raise InputError(
+                f"{file}: {name}",
+                expected="a vector of real numbers",
+                found=f"shape {values.shape} of {values.dtype}",
+            )
+    if wanted is None:
+        return out
+    return {name: values for name, values in out.items() if name in (*TIMES, *wanted)}
+
+
+_READERS = {
+    ".csv": _read_csv,
+    ".mat": _read_mat,
+    ".npz": _read_npz,
+    ".nc": _read_netcdf,
+    ".nc4": _read_netcdf,
+    ".netcdf": _read_netcdf,
+}
+
+
+def _clock_name(file: Path, columns: Mapping[str, FloatArray]) -> str:
+    found = [name for name in TIMES if name in columns]
+    if len(found) != 1:
+        raise InputError(
+            str(file),
+            expected="one column of time in seconds, 'time_s' or 't'",
+            found="both" if found else f"columns {', '.join(columns) or 'of other names'}",
+        )
+    return found[0]
+
+
+def _check_rows(
+    file: Path,
+    time_s: FloatArray,
+    columns: Mapping[str, FloatArray],
+    wanted: tuple[str, ...] | None,
+) -> None:
+    if time_s.size < FEWEST_ROWS:
+        raise InputError(
+            f"{file}: rows", expected=f"at least {FEWEST_ROWS}", found=f"{time_s.size}"
+        )
+    for name in wanted or ():
+        if name not in columns:
+            raise InputError(
+                f"{file}: {name}",
+                expected=f"columns {', '.join(wanted or ())}",
+                found=f"{', '.join(columns) or 'none of them'}",
+                remedy="call the column as the model does",
+            )
+        if columns[name].size != time_s.size:
+            raise InputError(
+                f"{file}: {name}",
+                expected=f"{time_s.size} values, as many as of time",
+                found=f"{columns[name].size}",
+            )
+
+
+def _period(file: Path, clock: str, time_s: FloatArray) -> float:
+    """Return the sample period of a uniform clock; refuse another with its row."""
+    where, n = f"{file}: {clock}", time_s.size
+    bad = np.flatnonzero(~np.isfinite(time_s))
+    if bad.size:
+        raise InputError(
+            where, expected="finite times", found=f"{time_s[bad[0]]} in row {bad[0] + 1}"
+        )
+    with np.errstate(over="ignore"):
+        steps = np.diff(time_s)
+    usual = float(np.median(steps))
+    for wrong, found in (
+        (steps < 0.0, "a step back"),
+        (steps == 0.0, "a repeated time"),
+        (steps > GAP * usual, "a gap"),
+    ):
+        rows = np.flatnonzero(wrong)
+        if rows.size:
+            row = int(rows[0])
+            raise InputError(
+                where,
+                expected="times that rise by one sample period",
+                found=f"{found} in row {row + 2} ({time_s[row]:.9g} to {time_s[row + 1]:.9g} s)",
+                remedy="give the pieces as records of their own" if found == "a gap" else "",
+            )
+    period_s = float(time_s[-1] - time_s[0]) / (n - 1)
+    off = np.abs(time_s - (time_s[0] + period_s * np.arange(n))) / period_s
+    row = int(np.argmax(off))
+    if off[row] > LARGEST_JITTER:
+        raise InputError(
+            where,
+            expected=f"a uniform clock within {LARGEST_JITTER:g} of its period, {period_s:.6g} s",
+            found=f"row {row + 1} off by {off[row]:.3g} periods",
+            remedy="resample the record to a uniform clock",
+        )
+    return _rounded(period_s, n, float(off[row]))
+
+
+def _rounded(period_s: float, n: int, jitter: float) -> float:
+    """Return the roundest period that a clock allows: records of one sampler share it then.
+
+    A clock that was written with few decimals would give each record a period of its own.
+    """
+    allowed = max(jitter, LEAST_JITTER) * period_s / (n - 1)
+    for digits in range(1, MOST_DIGITS):
+        rounded = float(f"{period_s:.{digits}g}")
+        if abs(rounded - period_s) <= allowed:
+            return rounded
+    return period_s

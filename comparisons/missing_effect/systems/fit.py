@@ -1,0 +1,388 @@
+"""Fit of an extended system: Levenberg–Marquardt on the linearised runs, starts of runs estimated.
+
+The size of each output's errors is fitted with the parameters (the concentrated likelihood), so
+that outputs of different units weigh as their own errors ask for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.dynamics import SLOTS
+from comparisons.missing_effect.systems.metric import Metric
+from comparisons.missing_effect.systems.places import rms
+from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.simulate import Path, answers, path_of
+from comparisons.missing_effect.systems.structure import Run, Structure
+
+__all__ = ["Fit", "fit_runs", "own_starts", "scales_of", "settled"]
+
+MOST_ITERATIONS = 40
+# Log-units: a step that wins less ends the search.
+SETTLED = 0.02
+SETTLED_SHARE = 1e-5
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
+FASTER, SLOWER = 0.2, 6.0
+RELATIVE_STEP = 1e-5
+# Scale of a state before it has been simulated once, for the integrator's tolerance alone.
+UNKNOWN_SCALE = 1e-3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A structure fitted to runs.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    theta : ndarray
+        Parameters, timing offsets, effects.
+    starts : tuple of ndarray
+        State of the model and of its effects at the start of each run.
+    scale : ndarray of shape (n_X,)
+        Size of each state.
+    cost : float
+        Negative log-likelihood, the sizes of errors at their best, and what the starts cost.
+    errors : tuple of ndarray of shape (n, n_y)
+        Measured minus simulated, of each run.
+    paths : tuple of Path
+        The runs.
+    failed : bool
+        Whether no run of it could be simulated.
+    """
+
+    structure: Structure
+    theta: FloatArray
+    starts: tuple[FloatArray, ...]
+    scale: FloatArray
+    cost: float
+    errors: tuple[FloatArray, ...]
+    paths: tuple[Path, ...]
+    failed: bool = False
+
+    @property
+    def n_parameters(self) -> int:
+        """Numbers fitted, the starts of runs not counted."""
+        return int(self.structure.free.size)
+
+    def params(self) -> dict[str, float]:
+        """Return the model's parameters by name."""
+        return dict(zip(self.structure.model.param_names, self.theta.tolist(), strict=False))
+
+
+def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
+    """Return the state at the start, with the states of effects in balance.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    run : Run
+        A run.
+    x0 : ndarray of shape (n_x,) or longer
+        State of the model.
+    """
+    n_x = len(structure.model.states)
+    out = [x0[:n_x]]
+    for placed in structure.effects:
+        if not placed.effect.own_state:
+            continue
+        at = placed.place.at
+        if placed.effect.kind in (Kind.INPUT_LAG, Kind.INPUT_PLAY):
+            out.append(run.pieces[at, :1, 0])
+        elif placed.effect.kind == Kind.OUTPUT_LAG:
+            out.append(run.outputs[:1, at])
+        else:
+            out.append(np.zeros(1))
+    return np.concatenate(out)
+
+
+def scales_of(structure: Structure, paths: Sequence[Path]) -> FloatArray:
+    """Return the rms of each state over runs, 1e-3 at least of nothing.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    paths : sequence of Path
+        Simulated runs.
+    """
+    good = [path.states for path in paths if not path.failed]
+    if not good:
+        return np.full(structure.n_states, UNKNOWN_SCALE)
+    joined = np.concatenate(good)
+    return np.array([rms(joined[:, i]) for i in range(joined.shape[1])])
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where a search stands: θ, starts, runs, errors, cost."""
+
+    theta: FloatArray
+    starts: tuple[FloatArray, ...]
+    paths: tuple[Path, ...]
+    errors: tuple[FloatArray, ...]
+    cost: float
+
+
+def fit_runs(
+    structure: Structure,
+    runs: Sequence[Run],
+    metric: Metric,
+    theta: FloatArray,
+    starts: Sequence[FloatArray],
+    scale: FloatArray | None = None,
+    *,
+    only_starts: bool = False,
+    rows: int | None = None,
+    most: int = MOST_ITERATIONS,
+) -> Fit:
+    """Fit a structure to runs.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    runs : sequence of Run
+        What is fitted.
+    metric : Metric
+        Colour of the errors; their sizes are fitted.
+    theta : ndarray
+        Where to begin.
+    starts : sequence of ndarray
+        State of the model at the start of each run, where to begin.
+    scale : ndarray, optional
+        Size of each state.
+    only_starts : bool
+        Whether θ stays as it is.
+    rows : int, optional
+        Score so many rows of each run alone.
+    most : int
+        Most iterations.
+    """
+    search = _Search(structure, tuple(runs), metric, only_starts, rows)
+    begun = tuple(own_starts(structure, run, x0) for run, x0 in zip(runs, starts, strict=True))
+    known = scale is not None and scale.size == structure.n_states
+    size = scale if known and scale is not None else np.full(structure.n_states, UNKNOWN_SCALE)
+    low, high = structure.bounds
+    point = search.at(np.clip(theta, low, high), begun, size, first=not known)
+    if not known:
+        size = scales_of(structure, point.paths)
+        point = search.at(point.theta, begun, size)
+    point = search.run(point, size, most)
+    return Fit(
+        structure,
+        point.theta,
+        point.starts,
+        scales_of(structure, point.paths),
+        point.cost,
+        point.errors,
+        point.paths,
+        not np.isfinite(point.cost),
+    )
+
+
+@dataclass(frozen=True)
+class _Search:
+    structure: Structure
+    runs: tuple[Run, ...]
+    metric: Metric
+    only_starts: bool
+    rows: int | None
+
+    def at(
+        self,
+        theta: FloatArray,
+        starts: tuple[FloatArray, ...],
+        scale: FloatArray,
+        *,
+        first: bool = False,
+    ) -> _Point:
+        paths = tuple(
+            path_of(self.structure, run, theta, start, scale, first=first)
+            for run, start in zip(self.runs, starts, strict=True)
+        )
+        errors = tuple(
+            run.outputs - path.outputs for run, path in zip(self.runs, paths, strict=True)
+        )
+        cost = np.inf
+        if not any(path.failed for path in paths):
+            prior = sum(
+                float(np.sum(self._prior(run, start) ** 2))
+                for run, start in zip(self.runs, starts, strict=True)
+            )
+            cost = 0.5 * prior - self.metric.log_likelihood(self._scored(errors))
+        return _Point(theta, starts, paths, errors, cost)
+
+    def _scored(self, errors: Sequence[FloatArray]) -> list[FloatArray]:
+        return [e[: self.rows] for e in errors]
+
+    def _prior(self, run: Run, start: FloatArray) -> FloatArray:
+        return (start[: run.x0_mean.size] - run.x0_mean) / run.x0_sd
+
+    @property
+    def _which(self) -> NDArray[np.int64]:
+        return np.zeros(0, dtype=np.int64) if self.only_starts else self.structure.free
+
+    def run(self, point: _Point, scale: FloatArray, most: int) -> _Point:
+        """Search from a point."""
+        if not np.isfinite(point.cost):
+            return point
+        damping, first = FIRST_DAMPING, point.cost
+        for _ in range(most):
+            normal, slope = self._normal(point, scale)
+            better = None
+            while damping < MOST_DAMPING:
+                step = self._step(point, normal, slope, damping)
+                trial = self.at(*self._moved(point, step), scale)
+                if trial.cost < point.cost:
+                    better = trial
+                    break
+                damping *= SLOWER
+                if np.max(np.abs(step) * np.sqrt(np.diag(normal))) < np.sqrt(SETTLED) / 10.0:
+                    break
+            if better is None:
+                return point
+            won, point = point.cost - better.cost, better
+            damping = max(damping * FASTER, LEAST_DAMPING)
+            if won < max(SETTLED, SETTLED_SHARE * (first - point.cost)):
+                return point
+        return point
+
+    def _normal(self, point: _Point, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the normal matrix and the downhill slope, the starts of runs behind θ."""
+        which = self._which
+        m, n_x = which.size, len(self.structure.model.states)
+        size = m + n_x * len(self.runs)
+        normal, slope = np.zeros((size, size)), np.zeros(size)
+        metric = self.metric.with_size_of(self._scored(point.errors))
+        steps = parameter_steps(self.structure, point.theta)[which]
+        for r, run in enumerate(self.runs):
+            J = answers(self.structure, run, point.theta, point.paths[r], scale, which, steps)[
+                : self.rows, :, : m + n_x
+            ]
+            white = metric.whitened(J).reshape(-1, m + n_x)
+            error = metric.whitened(point.errors[r][: self.rows]).ravel()
+            at = np.r_[np.arange(m), m + n_x * r + np.arange(n_x)]
+            normal[np.ix_(at, at)] += white.T @ white
+            slope[at] += white.T @ error
+            own = at[m:]
+            normal[own, own] += 1.0 / run.x0_sd**2
+            slope[own] -= self._prior(run, point.starts[r]) / run.x0_sd
+        return normal, slope
+
+    def _step(
+        self, point: _Point, normal: FloatArray, slope: FloatArray, damping: float
+    ) -> FloatArray:
+        """Return a damped step within reach; what would leave its reach stops there.
+
+        The others are solved for again beside what stops, or they would make up for a step that
+        is not taken.
+        """
+        m = self._which.size
+        low, high = self._reach(point.theta)
+        step = np.zeros(slope.size)
+        diagonal = np.diag(normal)
+        free = np.isfinite(diagonal) & (diagonal > 0.0)
+        for _ in range(m + 1):
+            moving = np.flatnonzero(free)
+            if moving.size == 0:
+                return step
+            unit = 1.0 / np.sqrt(diagonal[moving])
+            matrix = normal[np.ix_(moving, moving)] * np.outer(unit, unit)
+            matrix[np.diag_indices(moving.size)] += damping
+            held = np.flatnonzero(~free)
+            pull = slope[moving] - normal[np.ix_(moving, held)] @ step[held]
+            step[moving] = np.linalg.lstsq(matrix, pull * unit, rcond=1e-14)[0] * unit
+            at = moving[moving < m]
+            at = at[(step[at] < low[at]) | (step[at] > high[at])]
+            if not at.size:
+                return step
+            step[at] = np.clip(step[at], low[at], high[at])
+            free[at] = False
+        return step
+
+    def _reach(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far each number may step: to its bounds, and shapes by a half of themselves.
+
+        Over a threshold or a width the linearised run holds for a short way only.
+        """
+        which, structure = self._which, self.structure
+        low, high = (bound[which] - theta[which] for bound in structure.bounds)
+        first = len(structure.model.params) + len(structure.model.inputs)
+        for e, placed in enumerate(structure.effects):
+            for slot in range(int(placed.effect.linear), len(placed.effect.numbers)):
+                for c in np.flatnonzero(which == first + SLOTS * e + slot):
+                    size = 0.5 * abs(float(theta[which[c]])) + 0.02
+                    low[c], high[c] = max(low[c], -size), min(high[c], size)
+        return low, high
+
+    def _moved(self, point: _Point, step: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        m, n_x = self._which.size, len(self.structure.model.states)
+        low, high = self.structure.bounds
+        theta = point.theta.copy()
+        theta[self._which] += step[:m]
+        theta = np.clip(theta, low, high)
+        starts = []
+        for r, start in enumerate(point.starts):
+            moved = start.copy()
+            moved[:n_x] += step[m + n_x * r : m + n_x * (r + 1)]
+            starts.append(moved)
+        return theta, tuple(starts)
+
+
+def parameter_steps(structure: Structure, theta: FloatArray) -> FloatArray:
+    """Return steps of θ for differences: a small share of its size, or of its range.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    theta : ndarray
+        Where.
+    """
+    low, high = structure.bounds
+    reach = np.minimum(high - low, 1e3 * np.maximum(np.abs(low), np.abs(high)))
+    return RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
+
+
+def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = None) -> Fit:
+    """Return a fit on other runs: only their starts are estimated.
+
+    Parameters
+    ----------
+    fit : Fit
+        Fitted to others.
+    runs : sequence of Run
+        The runs.
+    metric : Metric
+        Colour of the errors.
+    rows : int, optional
+        Estimate the starts from so many rows alone.
+    """
+    return fit_runs(
+        fit.structure,
+        runs,
+        metric,
+        fit.theta,
+        [run.x0_mean for run in runs],
+        fit.scale,
+        only_starts=True,
+        rows=rows,
+    )
+
+
+def with_effects_started(fit: Fit, structure: Structure, slots: FloatArray) -> FloatArray:
+    """Return θ of a structure with one more effect, from a fit without it."""
+    return np.concatenate([fit.theta, slots])
+
+
+def refreshed(fit: Fit, **changes: object) -> Fit:
+    """Return a fit with fields replaced."""
+    return replace(fit, **changes)  # type: ignore[arg-type]

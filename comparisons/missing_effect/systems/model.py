@@ -1,0 +1,248 @@
+"""A user's own simulation model: states, inputs, parameters, right-hand side and outputs."""
+
+from __future__ import annotations
+
+import keyword
+import math
+from collections import namedtuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+from classic_ml.errors import InputError
+
+__all__ = ["BetweenSamples", "Model", "P"]
+
+BetweenSamples = Literal["auto", "held", "linear", "cubic", "band"]
+
+
+@dataclass(frozen=True)
+class P:
+    """A parameter of a model: where its search starts, its bounds and its unit.
+
+    Parameters
+    ----------
+    start, low, high : float
+        In the parameter's own unit; ``low <= start <= high``.
+    unit : str
+        For example ``"kg"``; ``"1"`` without one.
+    """
+
+    start: float
+    low: float
+    high: float
+    unit: str = "1"
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A simulation model dx/dt = f(t, x, u, p), y = g(t, x, u, p), as a value.
+
+    Parameters
+    ----------
+    states, inputs, outputs : mapping of str to str
+        Name and unit of each; names are Python identifiers, since ``rhs`` reads ``x.name``.
+    params : mapping of str to P
+        Parameters with start, bounds and unit.
+    rhs : callable
+        ``rhs(t, x, u, p)`` returns dx/dt, one number a state in their order; arithmetic, ``math``,
+        numpy functions and ``if`` are compiled.
+    output : callable
+        ``output(t, x, u, p)`` returns the measured quantities, one number an output.
+    exact : sequence of str
+        States whose equation is a definition, such as dq/dt = v: nothing is ever added there.
+    input_between_samples : {"auto", "held", "linear", "cubic", "band"}
+        How inputs run between samples; ``"auto"`` keeps what foretells the check part best.
+    x0 : mapping of str to float, (float, float) or "first"
+        What is known of the state at the start of a record: a value, a value with its standard
+        deviation, or the first sample of the output of that name. The start is always estimated.
+    balance : mapping of str to (str, str)
+        ``{"v": ("M", "N")}`` says that the equation of v is M dv/dt = a sum of forces in N, so
+        that effects in it are told in N.
+    name : str
+        How it is called in reports.
+
+    Raises
+    ------
+    InputError
+        When names, bounds or functions do not fit together.
+    """
+
+    states: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    params: Mapping[str, P]
+    rhs: Callable[..., Any]
+    output: Callable[..., Any]
+    exact: tuple[str, ...] = ()
+    input_between_samples: BetweenSamples = "auto"
+    x0: Mapping[str, Any] = field(default_factory=dict)
+    balance: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    name: str = "model"
+
+    def __post_init__(self) -> None:
+        for part in ("states", "inputs", "outputs", "params", "x0", "balance"):
+            value = getattr(self, part)
+            if not isinstance(value, Mapping):
+                raise _refused(part, "a mapping of names", f"{type(value).__name__}")
+            object.__setattr__(self, part, MappingProxyType(dict(value)))
+        object.__setattr__(self, "exact", tuple(self.exact))
+        _check_names(self)
+        _check_params(self)
+        _check_options(self)
+        _check_functions(self)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states, in order."""
+        return tuple(self.states)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return tuple(self.inputs)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+        return tuple(self.outputs)
+
+    @property
+    def param_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(self.params)
+
+    def evaluate(
+        self, t: float, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return dx/dt and y at one point, by the functions as they were written.
+
+        Parameters
+        ----------
+        t : float
+            Time, in seconds.
+        x, u, p : tuple of float
+            States, inputs and parameters, in their order.
+        """
+        given = self.groups(x, u, p)
+        return as_numbers(self.rhs(t, *given)), as_numbers(self.output(t, *given))
+
+    def groups(
+        self, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]
+    ) -> tuple[Any, Any, Any]:
+        """Return states, inputs and parameters under their names, as the functions take them.
+
+        Parameters
+        ----------
+        x, u, p : tuple of float
+            In their order.
+        """
+        named = (("x", self.state_names), ("u", self.input_names), ("p", self.param_names))
+        kinds: list[Any] = [namedtuple(kind, names) for kind, names in named]
+        return kinds[0](*x), kinds[1](*u), kinds[2](*p)
+
+
+def as_numbers(value: Any) -> tuple[float, ...]:
+    """Return what a function of a model gave as numbers: a bare number is a tuple of one."""
+    if isinstance(value, (tuple, list)):
+        return tuple(float(v) for v in value)
+    return (float(value),)
+
+
+def _check_names(model: Model) -> None:
+    seen: set[str] = set()
+    for part in ("states", "inputs", "outputs", "params"):
+        names = list(getattr(model, part))
+        if not names and part in ("states", "outputs"):
+            raise _refused(part, "at least one", "none")
+        for name in names:
+            good = isinstance(name, str) and name.isidentifier() and not name.startswith("_")
+            if not good or keyword.iskeyword(name):
+                raise _refused(part, "names that are Python identifiers", f"{name!r}")
+            if part != "outputs" and name in seen:
+                raise _refused(part, "each name once", f"{name!r} twice")
+            if part != "outputs":
+                seen.add(name)
+    both = set(model.inputs) & set(model.outputs)
+    if both:
+        raise _refused("outputs", "no name that is an input as well", f"{sorted(both)[0]!r}")
+    for part in ("states", "inputs", "outputs"):
+        for name, unit in getattr(model, part).items():
+            if not isinstance(unit, str) or not unit:
+                raise _refused(f"{part}: {name}", "a unit as text, '1' without one", f"{unit!r}")
+
+
+def _check_params(model: Model) -> None:
+    for name, parameter in model.params.items():
+        if not isinstance(parameter, P):
+            raise _refused(f"params: {name}", "P(start, low, high, unit)", f"{parameter!r}")
+        numbers = (parameter.start, parameter.low, parameter.high)
+        if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in numbers):
+            raise _refused(f"params: {name}", "finite start, low and high", f"{numbers}")
+        if not parameter.low <= parameter.start <= parameter.high or (
+            parameter.low == parameter.high
+        ):
+            raise _refused(
+                f"params: {name}",
+                "low <= start <= high and low < high",
+                f"start {parameter.start:g}, low {parameter.low:g}, high {parameter.high:g}",
+            )
+
+
+def _check_options(model: Model) -> None:
+    for name in model.exact:
+        if name not in model.states:
+            raise _refused("exact", f"states out of {_listed(model.states)}", f"{name!r}")
+    choices = get_args(BetweenSamples)
+    if model.input_between_samples not in choices:
+        raise _refused(
+            "input_between_samples", _listed(choices), f"{model.input_between_samples!r}"
+        )
+    for name, start in model.x0.items():
+        if name not in model.states:
+            raise _refused("x0", f"states out of {_listed(model.states)}", f"{name!r}")
+        if start == "first":
+            continue
+        pair = start if isinstance(start, tuple) else (start, 1.0)
+        good = len(pair) == 2 and all(
+            isinstance(v, (int, float)) and math.isfinite(v) for v in pair
+        )
+        if not good or pair[1] <= 0.0:
+            raise _refused(
+                f"x0: {name}", "'first', a value, or (value, standard deviation)", f"{start!r}"
+            )
+    for name, entry in model.balance.items():
+        good = isinstance(entry, tuple) and len(entry) == 2
+        if name not in model.states or not good or entry[0] not in model.params:
+            raise _refused(
+                f"balance: {name}", "{state: (parameter, unit of the sum)}", f"{entry!r}"
+            )
+
+
+def _check_functions(model: Model) -> None:
+    """Try both functions once, as Python, at the starts."""
+    for part in ("rhs", "output"):
+        if not callable(getattr(model, part)):
+            raise _refused(part, "a function of (t, x, u, p)", f"{getattr(model, part)!r}")
+    x, u = (0.1,) * len(model.states), (0.1,) * len(model.inputs)
+    p = tuple(float(parameter.start) for parameter in model.params.values())
+    try:
+        dx, y = model.evaluate(0.0, x, u, p)
+    except Exception as error:
+        raise _refused(
+            "rhs and output",
+            "functions of (t, x, u, p) that give numbers",
+            f"{type(error).__name__}: {error}",
+        ) from error
+    for part, got, names in (("rhs", dx, model.states), ("output", y, model.outputs)):
+        if len(got) != len(names):
+            raise _refused(part, f"{len(names)} numbers ({_listed(names)})", f"{len(got)}")
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(str(name) for name in names)
+
+
+def _refused(where: str, expected: str, found: str) -> InputError:
+    return InputError(f"model: {where}", expected=expected, found=found)

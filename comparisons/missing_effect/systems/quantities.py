@@ -1,0 +1,173 @@
+"""Numbers of effects in physical units, and their standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.dynamics import SLOTS
+from comparisons.missing_effect.systems.fit import Fit, parameter_steps
+from comparisons.missing_effect.systems.metric import Metric
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Placed
+from comparisons.missing_effect.systems.results import FittedNumber
+from comparisons.missing_effect.systems.shapes import Kind, Map, Term
+from comparisons.missing_effect.systems.simulate import answers
+from comparisons.missing_effect.systems.structure import Run
+
+__all__ = ["covariance", "numbers_of"]
+
+POWER_SIGNS = ("", "", "²", "³")
+# Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
+SANDWICH_BLOCKS = 40
+POWERS = {Term.LINEAR: 1, Term.SQUARE: 2, Term.CUBE: 3, Term.DRAG: 2, Term.SIZE: 1, Term.GAP: 1}
+
+
+def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
+    """Return the covariance of θ, zero for what is not fitted: a sandwich over blocks of rows.
+
+    Parameters
+    ----------
+    fit : Fit
+        Fitted to the runs.
+    runs : sequence of Run
+        All training runs.
+    metric : Metric
+        Raw; sizes are taken from the errors.
+    """
+    which = fit.structure.free
+    m, n_x = which.size, len(fit.structure.model.states)
+    size = m + n_x * len(runs)
+    if fit.failed:
+        return np.full((fit.theta.size, fit.theta.size), np.nan)
+    own = metric.with_size_of(fit.errors)
+    steps = parameter_steps(fit.structure, fit.theta)[which]
+    normal, scores = np.zeros((size, size)), []
+    blocks = max(4, SANDWICH_BLOCKS // len(runs))
+    for r, run in enumerate(runs):
+        J = answers(fit.structure, run, fit.theta, fit.paths[r], fit.scale, which, steps)
+        J = own.whitened(J[:, :, : m + n_x])
+        error = own.whitened(fit.errors[r])
+        at = np.r_[np.arange(m), m + n_x * r + np.arange(n_x)]
+        for rows in np.array_split(np.arange(run.n_samples), blocks):
+            part = J[rows].reshape(-1, m + n_x)
+            normal[np.ix_(at, at)] += part.T @ part
+            score = np.zeros(size)
+            score[at] = part.T @ error[rows].ravel()
+            scores.append(score)
+        normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
+    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True)
+    bread = np.array(scores)
+    spread = bread.T @ bread * len(scores) / max(len(scores) - 1, 1)
+    small = (inverse @ spread @ inverse)[:m, :m]
+    whole = np.zeros((fit.theta.size, fit.theta.size))
+    whole[np.ix_(which, which)] = small
+    return whole
+
+
+def numbers_of(
+    fit: Fit, placed: Placed, cov: FloatArray, clock: FloatArray
+) -> tuple[FittedNumber, ...]:
+    """Return the numbers of one effect in physical units.
+
+    Parameters
+    ----------
+    fit : Fit
+        With the effect.
+    placed : Placed
+        The effect.
+    cov : ndarray
+        Covariance of θ.
+    clock : ndarray of shape (4,)
+        Of a run: sample period, and middle and half length of the records' span.
+    """
+    structure = fit.structure
+    model = structure.model
+    index = [e.key for e in structure.effects].index(placed.key)
+    at = len(model.params) + len(model.inputs) + SLOTS * index
+    out: list[tuple[str, float, float, str]] = []
+    for slot, number in enumerate(placed.effect.numbers):
+        factor, unit = _factor(model, placed, slot, clock)
+        if slot == 0 and placed.effect.resists:
+            factor = -factor
+        value, variance = float(fit.theta[at + slot]), float(cov[at + slot, at + slot])
+        out.append((number.name, factor * value, abs(factor) * float(np.sqrt(variance)), unit))
+    if placed.effect.linear and placed.effect.kind in (Kind.TERM, Kind.HYSTERESIS):
+        out = _balanced(fit, placed, cov, out, at)
+    return tuple(FittedNumber(n, float(v), float(e), u) for n, v, e, u in out)
+
+
+def _balanced(
+    fit: Fit,
+    placed: Placed,
+    cov: FloatArray,
+    numbers: list[tuple[str, float, float, str]],
+    at: int,
+) -> list[tuple[str, float, float, str]]:
+    """Tell an amplitude as a force where the user said which parameter multiplies dx/dt."""
+    model = fit.structure.model
+    name = model.state_names[placed.place.at]
+    if name not in model.balance:
+        return numbers
+    parameter, unit = model.balance[name]
+    i = model.param_names.index(parameter)
+    mass = fit.theta[i]
+    first, value, _, old = numbers[0]
+    slope = np.zeros(fit.theta.size)
+    amplitude = fit.theta[at]
+    slope[i] = value
+    slope[at] = value * mass / amplitude if amplitude else 0.0
+    stderr = float(np.sqrt(max(float(slope @ cov @ slope), 0.0)))
+    derivative = f"{model.states[name]}/s"
+    per = old.removeprefix(derivative)
+    return [(first, value * mass, stderr, f"{unit}{per}"), *numbers[1:]]
+
+
+def _factor(model: Model, placed: Placed, slot: int, clock: FloatArray) -> tuple[float, str]:
+    """Return the factor to physical units, and the unit, of one number."""
+    kind, code = placed.effect.kind, placed.effect.code
+    _, own, _ = placed.scales
+    period_s, half_s = float(clock[1]), float(clock[3])
+    if kind in (Kind.TERM, Kind.HYSTERESIS):
+        return _term_factor(model, placed, slot)
+    if kind in (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.OUTPUT_LAG):
+        return period_s, "s"
+    if kind == Kind.DRIFT:
+        return 1.0 / half_s, "1/s"
+    if kind == Kind.RECORDING:
+        return (period_s, "s") if slot == 0 else (period_s**2, "s²")
+    unit = _channel_unit(model, placed)
+    if kind == Kind.OUTPUT_MAP and code in (Map.SQUARE, Map.CUBE):
+        power = 1 if code == Map.SQUARE else 2
+        return own**-power, f"1/({unit})" + ("²" if power == 2 else "")
+    return (own, unit) if slot == 0 else (1.0, "1")
+
+
+def _term_factor(model: Model, placed: Placed, slot: int) -> tuple[float, str]:
+    """Return factor and unit of a number of a term in an equation."""
+    kind, code, place = placed.effect.kind, placed.effect.code, placed.place
+    into, own, other = placed.scales
+    units = [*model.states.values(), *model.inputs.values()]
+    signal = units[place.signal] if place.signal >= 0 else ""
+    enters = f"{units[place.at]}/s"
+    if kind == Kind.HYSTERESIS:
+        return (into, enters) if slot == 0 else (own * other, f"{signal}·s")
+    if slot > 0:
+        return (own, signal) if slot == 1 else (1.0, "1")
+    if code == Term.PRODUCT:
+        return into / (own * other), f"{enters}/({signal}·{units[place.other]})"
+    power = POWERS.get(Term(code), 0)
+    grouped = signal if signal.isalpha() else f"({signal})"
+    per = "" if not power else f"/{grouped}" + POWER_SIGNS[power]
+    return into / own**power, enters + per
+
+
+def _channel_unit(model: Model, placed: Placed) -> str:
+    kind, at = placed.effect.kind, placed.place.at
+    if kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
+        return list(model.outputs.values())[at]
+    if kind in (Kind.STATE_LIMIT, Kind.OVERFLOW):
+        return list(model.states.values())[at]
+    return list(model.inputs.values())[at]

@@ -1,0 +1,196 @@
+"""The experiments of a diagnosis: what is fitted, what is held out of it, what is only shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.roles import measured_as, rate_of
+from comparisons.missing_effect.systems.structure import Run
+
+__all__ = ["Records", "check_run", "runs_of"]
+
+# The last third of each record is held out of the naming.
+FITTED_SHARE = 2.0 / 3.0
+# Rows that are fitted and held out while structures are compared, all records together: what a
+# round of sixty candidates takes well under a minute for. The parameters come from all rows.
+MOST_FITTED, MOST_HELD_OUT = 9_000, 4_500
+FEWEST_HELD_OUT = 40
+# Of a training record: its last third must be a stretch that can be simulated.
+FEWEST_ROWS = 3 * FEWEST_HELD_OUT
+# Rows whose cubic tells a measured displacement and its speed at the start, and the factor by which
+# its errors are widened: a cubic is no more than a fair description of so short a stretch.
+FIRST_ROWS, FIRST_ROWS_DOUBT = 20, 3.0
+
+
+@dataclass(frozen=True)
+class Records:
+    """Stretches of the training records.
+
+    Parameters
+    ----------
+    model : Model
+        What they are for.
+    whole : tuple of Experiment
+        The training records.
+    fitted, held_out : tuple of Experiment
+        Their first two thirds and last third, as far as naming uses them.
+    span : (float, float)
+        From the first to the last clock, in seconds.
+    """
+
+    model: Model
+    whole: tuple[Experiment, ...]
+    fitted: tuple[Experiment, ...]
+    held_out: tuple[Experiment, ...]
+    span: tuple[float, float]
+
+    @classmethod
+    def of(cls, model: Model, experiments: Sequence[Experiment]) -> Records:
+        """Cut training records; refuse an empty list or unlike rates.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+        experiments : sequence of Experiment
+            Training records, of whatever lengths.
+
+        Raises
+        ------
+        InputError
+            When there is none, or rates differ.
+        """
+        if not experiments:
+            raise InputError("fit", expected="at least one experiment", found="none")
+        whole = tuple(e.of(model) for e in experiments)
+        periods = sorted({e.sample_period_s for e in whole})
+        if periods[-1] > periods[0] * (1.0 + 1e-6):
+            raise InputError(
+                "fit",
+                expected="one sample rate",
+                found=f"periods from {periods[0]:g} to {periods[-1]:g} s",
+                remedy="resample the experiments to one rate",
+            )
+        for e in whole:
+            if e.n_samples < FEWEST_ROWS:
+                raise InputError(
+                    e.told("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{e.n_samples}"
+                )
+        total = sum(e.n_samples for e in whole)
+        fitted, held_out = [], []
+        for e in whole:
+            cut = int(FITTED_SHARE * e.n_samples)
+            share = e.n_samples / total
+            most = max(int(MOST_FITTED * share), FEWEST_HELD_OUT)
+            most_out = max(int(MOST_HELD_OUT * share), FEWEST_HELD_OUT)
+            fitted.append(e.rows(0, min(cut, most)))
+            held_out.append(e.rows(cut, e.n_samples).rows(0, most_out))
+        span = (
+            min(e.first_s for e in whole),
+            max(e.first_s + e.n_samples * e.sample_period_s for e in whole),
+        )
+        return cls(model, whole, tuple(fitted), tuple(held_out), span)
+
+
+def runs_of(
+    records: Records, experiments: Sequence[Experiment], between: str, *, begun: bool
+) -> tuple[Run, ...]:
+    """Return stretches as runs.
+
+    Parameters
+    ----------
+    records : Records
+        The training records.
+    experiments : sequence of Experiment
+        Some of their stretches.
+    between : str
+        How inputs run between samples.
+    begun : bool
+        Whether they begin where the record does, so that what the model knows of its start holds.
+    """
+    return tuple(
+        Run.of(records.model, e, between, records.span, known_start(records.model, e, begun=begun))
+        for e in experiments
+    )
+
+
+def check_run(records: Records, experiment: Experiment, between: str, scale: FloatArray) -> Run:
+    """Return a check record as a run whose unknown starts are as large as in training.
+
+    Parameters
+    ----------
+    records : Records
+        The training records.
+    experiment : Experiment
+        The check record.
+    between : str
+        How inputs run between samples.
+    scale : ndarray of shape (n_x,)
+        rms of each state in training: a few samples alone would give a hidden state any value.
+    """
+    mean, sd = known_start(records.model, experiment, begun=True)
+    sd = np.where(np.isfinite(sd), sd, scale[: sd.size])
+    return Run.of(records.model, experiment, between, records.span, (mean, sd))
+
+
+def known_start(
+    model: Model, experiment: Experiment, *, begun: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return what is known of the state at the start: values, and infinite errors where nothing.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    experiment : Experiment
+        The stretch.
+    begun : bool
+        Whether it begins where the record does.
+    """
+    mean, sd = np.zeros(len(model.states)), np.full(len(model.states), np.inf)
+    measured = measured_as(model)
+    for i, j in rate_of(model).items():
+        if i in measured:
+            mean[[i, j]], sd[[i, j]] = _first_rows(experiment, measured[i])
+    for i, name in enumerate(model.state_names):
+        start = model.x0.get(name)
+        if start == "first" or (i in measured and not begun):
+            if not np.isfinite(sd[i]):
+                mean[i] = experiment.channels[measured.get(i, name)][0]
+        elif start is not None and begun:
+            mean[i], sd[i] = start if isinstance(start, tuple) else (start, np.inf)
+        elif isinstance(start, tuple):
+            mean[i] = start[0]
+        elif start is not None:
+            mean[i] = start
+    return mean, sd
+
+
+def _first_rows(experiment: Experiment, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return value and slope of an output at the first row, and their errors: a cubic.
+
+    Where a displacement is measured, its first rows know the speed; a free search would use the
+    speed at the start to make up for what the model lacks, and carry that into every other record.
+    """
+    n = min(FIRST_ROWS, experiment.n_samples)
+    rows = np.arange(n, dtype=np.float64)
+    cubic = np.vander(rows, 4, increasing=True)
+    values = experiment.channels[name][:n]
+    coefficients = np.linalg.lstsq(cubic, values, rcond=None)[0]
+    left = values - cubic @ coefficients
+    # A reading of a few bits can repeat itself exactly; its step is then the least error.
+    steps = np.abs(np.diff(experiment.channels[name]))
+    noise = max(
+        float(np.sqrt(left @ left / (n - 4))), float(np.min(steps[steps > 0.0])) / np.sqrt(12.0)
+    )
+    spread = FIRST_ROWS_DOUBT * noise * np.sqrt(np.diag(np.linalg.inv(cubic.T @ cubic)))
+    per = experiment.sample_period_s
+    mean = np.array([coefficients[0], coefficients[1] / per])
+    return mean, np.array([spread[0], spread[1] / per])

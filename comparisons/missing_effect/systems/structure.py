@@ -1,0 +1,218 @@
+"""The model with its effects as data for the kernels, and the vector of all that is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.compiled import compiled
+from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS
+from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Placed
+from comparisons.missing_effect.systems.recording import all_pass
+from comparisons.missing_effect.systems.shapes import Kind
+
+__all__ = ["FIRST_TOLERANCE", "MOST_OFFSET", "Run", "Structure"]
+
+# A timing offset of an input beyond one sample is a delay, and has to be named.
+MOST_OFFSET = 1.0
+# Tolerance before the noise is known. On a resonance at nine samples a period the runs are then
+# off by 2e-4 of their swing.
+FIRST_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A model and the effects in it.
+
+    Parameters
+    ----------
+    model : Model
+        As the user wrote it.
+    effects : tuple of Placed
+        In order.
+    between : str
+        How inputs run between samples.
+    tolerance : float
+        Relative tolerance of the integrator, well below the noise of the outputs.
+    offsets_free : bool
+        Whether the timing offsets of the inputs are fitted. They show in the fast part of the
+        errors alone: they come from fits in a whitening metric and are held in raw ones.
+    """
+
+    model: Model
+    effects: tuple[Placed, ...] = ()
+    between: str = "cubic"
+    tolerance: float = FIRST_TOLERANCE
+    offsets_free: bool = True
+
+    def with_effect(self, effect: Placed) -> Structure:
+        """Return the model with one more effect."""
+        return replace(self, effects=(*self.effects, effect))
+
+    def without(self, effect: Placed) -> Structure:
+        """Return the model with one effect less."""
+        return replace(self, effects=tuple(e for e in self.effects if e.key != effect.key))
+
+    @property
+    def n_states(self) -> int:
+        """States of the model and of the effects."""
+        return len(self.model.states) + sum(e.effect.own_state for e in self.effects)
+
+    @property
+    def n_theta(self) -> int:
+        """Length of θ."""
+        return len(self.model.params) + len(self.model.inputs) + SLOTS * len(self.effects)
+
+    @property
+    def ints(self) -> NDArray[np.int64]:
+        """Layout for the kernels."""
+        model = self.model
+        head = [
+            *compiled(model).addresses,
+            len(model.states),
+            len(model.inputs),
+            len(model.params),
+            len(model.outputs),
+            self.n_states - len(model.states),
+            len(self.effects),
+            4 if self.between == "band" else 1,
+        ]
+        rows, own = [], len(model.states)
+        for placed in self.effects:
+            effect, place = placed.effect, placed.place
+            rows += [effect.kind, effect.code, place.at, place.signal, place.other, own]
+            own += effect.own_state
+        out = np.array([*head, *rows], dtype=np.int64)
+        assert out.size == HEAD + ROW * len(self.effects)
+        return out
+
+    @property
+    def floats(self) -> FloatArray:
+        """Scales for the kernels, three an effect."""
+        return np.array([value for e in self.effects for value in e.scales], dtype=np.float64)
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of θ; equal where a number is held or a slot empty."""
+        low = [parameter.low for parameter in self.model.params.values()]
+        high = [parameter.high for parameter in self.model.params.values()]
+        low += [-MOST_OFFSET] * len(self.model.inputs)
+        high += [MOST_OFFSET] * len(self.model.inputs)
+        for placed in self.effects:
+            numbers = placed.effect.numbers
+            low += [n.low for n in numbers] + [0.0] * (SLOTS - len(numbers))
+            high += [n.high for n in numbers] + [0.0] * (SLOTS - len(numbers))
+        return np.array(low), np.array(high)
+
+    @property
+    def free(self) -> NDArray[np.int64]:
+        """Which numbers of θ are fitted."""
+        held = [False] * len(self.model.params)
+        held += [not self.offsets_free] * len(self.model.inputs)
+        for placed in self.effects:
+            numbers = placed.effect.numbers
+            held += [n.held for n in numbers] + [True] * (SLOTS - len(numbers))
+        return np.flatnonzero(~np.array(held))
+
+    @property
+    def recording(self) -> int | None:
+        """Where in θ the recording filter's α and β are; None without one."""
+        at = len(self.model.params) + len(self.model.inputs)
+        for placed in self.effects:
+            if placed.effect.kind == Kind.RECORDING:
+                return at
+            at += SLOTS
+        return None
+
+    def recorded(self, outputs: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return outputs, or columns of them, behind the recording filter."""
+        at = self.recording
+        return outputs if at is None else all_pass(outputs, theta[at], theta[at + 1])
+
+    def start(self) -> FloatArray:
+        """Return θ at the user's starts, without effects."""
+        values = [parameter.start for parameter in self.model.params.values()]
+        return np.array([*values, *[0.0] * len(self.model.inputs)], dtype=np.float64)
+
+    def slots(self, start: tuple[float, ...]) -> FloatArray:
+        """Return the slots of one effect, filled from a start."""
+        out = np.zeros(SLOTS)
+        out[: len(start)] = start
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One stretch of an experiment as the kernels take it.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The stretch.
+    outputs : ndarray of shape (n, n_y)
+        Measured outputs.
+    pieces : ndarray of shape (n_u, m, 4)
+        Inputs between samples.
+    clock : ndarray of shape (4,)
+        Clock of the first sample, sample period, middle and half length of all records' span.
+    x0_mean, x0_sd : ndarray of shape (n_x,)
+        What is known of the model's states at the start.
+    """
+
+    experiment: Experiment
+    outputs: FloatArray
+    pieces: FloatArray
+    clock: FloatArray
+    x0_mean: FloatArray
+    x0_sd: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        experiment: Experiment,
+        between: str,
+        span: tuple[float, float],
+        x0: tuple[FloatArray, FloatArray],
+    ) -> Run:
+        """Return a run with its inputs laid between samples."""
+        made = [input_pieces(experiment.channels[name], between)[0] for name in model.input_names]
+        pieces = np.stack(made) if made else np.zeros((0, 1, 4))
+        middle, half = 0.5 * (span[0] + span[1]), max(0.5 * (span[1] - span[0]), 1e-12)
+        clock = np.array([experiment.first_s, experiment.sample_period_s, middle, half])
+        outputs = np.ascontiguousarray(experiment.columns(model.output_names))
+        return cls(experiment, outputs, np.ascontiguousarray(pieces), clock, *x0)
+
+    def pieces_for(self, structure: Structure, theta: FloatArray) -> FloatArray:
+        """Return the inputs between samples as the system had them, the recording filter undone.
+
+        Parameters
+        ----------
+        structure : Structure
+            Model and effects.
+        theta : ndarray
+            Parameters, offsets, effects.
+        """
+        at = structure.recording
+        if at is None or theta[at] == 0.0 or not self.pieces.shape[0]:
+            return self.pieces
+        names = structure.model.input_names
+        inputs = self.experiment.columns(names)
+        true = all_pass(inputs, theta[at], theta[at + 1], inverse=True)
+        made = [input_pieces(true[:, j], structure.between)[0] for j in range(len(names))]
+        return np.ascontiguousarray(np.stack(made))
+
+    @property
+    def n_samples(self) -> int:
+        """Rows."""
+        return int(self.outputs.shape[0])
+
+    @property
+    def sample_period_s(self) -> float:
+        """In seconds."""
+        return self.experiment.sample_period_s

@@ -1,0 +1,159 @@
+"""The diagnosis of a user's model on the terminal."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from comparisons.missing_effect.systems.shown import fate_of, scale_of
+from comparisons.missing_effect.systems.words import (
+    number_words,
+    plain_name,
+    system_words,
+)
+from comparisons.rounding import bracketed, significant
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.systems.results import SystemDiagnosis
+
+__all__ = ["system_text"]
+
+WIDTH = 100
+# Of a long ranking the best are printed; --json holds all.
+ROWS_PRINTED = 8
+LARGE_GAIN = 1e7
+_LEFT = ("effect", "where it acts", "candidate", "fate", "parameter", "unit", "record", "output")
+
+
+def system_text(d: SystemDiagnosis) -> str:
+    """Return all that is known as text; tables may be wider than 100 columns.
+
+    Parameters
+    ----------
+    d : SystemDiagnosis
+        The diagnosis.
+    """
+    parts = [
+        [f"VERDICT: {d.verdict}", *_wrapped(system_words(d))],
+        _effects(d),
+        _parameters(d),
+        _errors(d),
+        _candidates(d),
+        _untried(d),
+        [line for remark in d.remarks for line in _wrapped(remark)],
+    ]
+    return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _effects(d: SystemDiagnosis) -> list[str]:
+    if not d.missing:
+        return []
+    rows = [("effect", "where it acts", "number", "value")]
+    for item in d.missing:
+        first = ("a term without a name" if item.unnamed else plain_name(item.effect), item.label)
+        numbers = [(n.name, number_words(n)) for n in item.numbers] or [("", "")]
+        rows += [(*(first if i == 0 else ("", "")), *pair) for i, pair in enumerate(numbers)]
+    lines = ["What is missing", _aligned(rows)]
+    for item in d.missing:
+        lines += _wrapped(f"{item.label}: {item.equation}. {item.says}", "  ")
+        if item.confirm:
+            lines += _wrapped(f"  It would be confirmed by {item.confirm}.", "  ")
+    return lines
+
+
+def _parameters(d: SystemDiagnosis) -> list[str]:
+    if not d.parameters and not d.offsets:
+        return []
+    rows = [("parameter", "before", "after", "unit", "")]
+    for row in d.parameters:
+        note = "at its bound" if row.at_bound else ""
+        before, after = (
+            bracketed(row.before, row.before_stderr),
+            bracketed(row.after, row.after_stderr),
+        )
+        rows.append((row.name, before, after, row.unit, note))
+    lines = ["Parameters; errors in the last digits", _aligned(rows)] if d.parameters else []
+    if d.offsets:
+        told = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in d.offsets)
+        lines += _wrapped(
+            f"Inputs between samples: {d.after.structure.between}; timing offsets: {told}."
+        )
+    return lines
+
+
+def _errors(d: SystemDiagnosis) -> list[str]:
+    rows = [("record", "output", "before", "after", "smaller", "")]
+    for run in (*d.training, *d.checks):
+        for j, output in enumerate(run.outputs):
+            before, after = float(run.before_rms[j]), float(run.after_rms[j])
+            scale = scale_of(d.model.outputs[output], (before, after))
+            ratio = f"{significant(before / after, 3)}×" if after > 0.0 else "n/a"
+            rows.append(
+                (
+                    run.experiment.name,
+                    output,
+                    scale.told(before, 4),
+                    scale.told(after, 4),
+                    ratio if math.isfinite(before) else "n/a",
+                    "check" if run.held_out else "fitted",
+                )
+            )
+    return ["rms errors of simulations", _aligned(rows)]
+
+
+def _candidates(d: SystemDiagnosis) -> list[str]:
+    heads = ("round", "candidate", "promised", "score", "fitted", "held out", "z", "fate")
+    rows: list[tuple[str, ...]] = [heads]
+    more = 0
+    for number, step in enumerate(d.rounds, start=1):
+        for c in step.candidates[:ROWS_PRINTED]:
+            e = c.evidence
+            gains = [math.nan] * 4 if e is None else [e.score, e.train, e.later, e.z]
+            cells = (str(number), c.placed.label(d.model), _gain(c.probe.gain))
+            rows.append((*cells, *map(_gain, gains), fate_of(d, step, c)))
+        more += max(len(step.candidates) - ROWS_PRINTED, 0)
+    if len(rows) == 1:
+        return []
+    lines = ["Who was tried", _aligned(rows)]
+    if more:
+        lines.append(f"and {more} more (--json holds all)")
+    lines += _wrapped(
+        "Promised: what a first-order test of the errors foretells; score, fitted, held out: gains "
+        "in log-units of the fitted candidate; z of the held-out gain."
+    )
+    return lines
+
+
+def _untried(d: SystemDiagnosis) -> list[str]:
+    if not d.unavailable:
+        return []
+    told = [
+        line
+        for name, why in d.unavailable.items()
+        for line in _wrapped(f"  {plain_name(name)}: {why}", "    ")
+    ]
+    return ["What these records cannot show", *told]
+
+
+def _gain(log_units: float) -> str:
+    if not math.isfinite(log_units):
+        return "–"
+    return f"{log_units:.1f}" if abs(log_units) < LARGE_GAIN else f"{log_units:.2g}"
+
+
+def _aligned(lines: Sequence[tuple[str, ...]]) -> str:
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    return "\n".join(
+        "  "
+        + "  ".join(
+            cell.ljust(width) if head in _LEFT else cell.rjust(width)
+            for head, cell, width in zip(lines[0], line, widths, strict=True)
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _wrapped(prose: str, later: str = "") -> list[str]:
+    return textwrap.wrap(prose, WIDTH, subsequent_indent=later, break_on_hyphens=False)

@@ -1,0 +1,176 @@
+"""What the diagnosis of a user's model says, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from comparisons.missing_effect.systems.shown import scale_of
+from comparisons.rounding import round_to_error, significant
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.systems.results import (
+        CheckRun,
+        FittedNumber,
+        FoundEffect,
+        SystemDiagnosis,
+    )
+
+__all__ = ["number_words", "plain_name", "system_words"]
+
+_LEADS = {
+    "nothing_missing": "Nothing is missing that these records show: no effect tried explains more "
+    "of the errors than chance does.",
+    "unexplained_structure": "The model could not be simulated along these records, so that "
+    "nothing can be said of what it lacks.",
+}
+# Alias labels beyond these are told in the table and in the JSON.
+MOST_ALIASES = 4
+
+
+def system_words(d: SystemDiagnosis) -> str:
+    """Say the verdict in two to five sentences.
+
+    Parameters
+    ----------
+    d : SystemDiagnosis
+        The diagnosis.
+    """
+    if not d.missing:
+        said = [_LEADS.get(d.verdict, "No effect was added.")]
+        if d.verdict == "nothing_missing":
+            said.append(_left_words(d))
+        return " ".join(filter(None, said))
+    said = [_missing_words(d), _fall_words(d), _alias_words(d), _doubt_words(d), _bound_words(d)]
+    return " ".join(filter(None, said))
+
+
+def plain_name(name: str) -> str:
+    """Return the name of an effect as it is read: without underscores."""
+    return name.replace("_", " ")
+
+
+def number_words(number: FittedNumber) -> str:
+    """Return a number of an effect, rounded to its error, with its unit."""
+    text = round_to_error(number.value, number.stderr)
+    if number.stderr <= 0.0:
+        text = f"{significant(number.value)} (held)"
+    if number.unit == "1":
+        return text
+    return f"({text}) {number.unit}" if "±" in text and "e" not in text else f"{text} {number.unit}"
+
+
+def _missing_words(d: SystemDiagnosis) -> str:
+    told = [_effect_words(item) for item in d.missing]
+    listed = told[0] if len(told) == 1 else "; ".join(told[:-1]) + f"; and {told[-1]}"
+    return f"The model '{d.model.name}' lacks {listed}."
+
+
+def _effect_words(item: FoundEffect) -> str:
+    name = "a term without a name" if item.unnamed else plain_name(item.effect)
+    place = _place_words(item)
+    first = f", {item.numbers[0].name} {number_words(item.numbers[0])}" if item.numbers else ""
+    return f"{name}{place}{first}"
+
+
+def _place_words(item: FoundEffect) -> str:
+    place = item.place
+    where = next(
+        (
+            words.format(place[key])
+            for key, words in (
+                ("equation", " in the equation of {}"),
+                ("input", " at the input {}"),
+                ("sensor", " at the sensor of {}"),
+                ("parameter", " in the parameter {}"),
+                ("state", " of the state {}"),
+                ("channels", " in the recording of {}"),
+            )
+            if key in place
+        ),
+        "",
+    )
+    acts = "·".join(place[key] for key in ("signal", "times") if key in place)
+    # An input or a state that acts on itself needs no second name.
+    on = f", acting on {acts}" if acts and "equation" in place else ""
+    into = f", spilling into {place['into']}" if "into" in place else ""
+    return f"{where}{on}{into}"
+
+
+def _fall_words(d: SystemDiagnosis) -> str:
+    """Say how the error falls on records that were not fitted, or on the fitted ones."""
+    runs = d.checks or d.training
+    told = []
+    for j, output in enumerate(d.model.outputs):
+        before, after = (_pooled(runs, j, before=which) for which in (True, False))
+        if not (np.isfinite(before) and np.isfinite(after)):
+            return f"The simulation of {output} failed on these records."
+        scale = scale_of(d.model.outputs[output], (before, after))
+        told.append(
+            f"{output} from {scale.told(before)} to {scale.told(after)} ({_times(before, after)})"
+        )
+    kind = "the check records, of which nothing was fitted," if d.checks else "the fitted records"
+    return f"With it the rms error on {kind} goes: {'; '.join(told)}."
+
+
+def _pooled(runs: tuple[CheckRun, ...], j: int, *, before: bool) -> float:
+    errors = [(r.measured - (r.before if before else r.after))[r.settle :, j] for r in runs]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def _times(before: float, after: float) -> str:
+    if after <= 0.0 or before <= 0.0:
+        return "no error left" if after <= 0.0 else "more"
+    ratio = before / after
+    return f"{significant(ratio, 3)} times smaller" if ratio >= 1.0 else "not smaller"
+
+
+def _alias_words(d: SystemDiagnosis) -> str:
+    told = []
+    for item in d.missing:
+        others = [label for label in item.alias_labels if label != item.label]
+        if not others:
+            continue
+        shown = ", ".join(others[:MOST_ALIASES])
+        more = len(others) - MOST_ALIASES
+        told.append(
+            f"these records cannot tell {item.label} from {shown}"
+            + (f" and {more} more" if more > 0 else "")
+        )
+    if not told:
+        return ""
+    text = "; ".join(told)
+    confirm = next(item.confirm for item in d.missing if len(item.alias_labels) > 1)
+    what = f"; what would: {confirm}" if confirm else ""
+    return f"{text[0].upper()}{text[1:]}{what}."
+
+
+def _doubt_words(d: SystemDiagnosis) -> str:
+    names = [plain_name(item.effect) for item in d.missing if item.provisional]
+    if not names:
+        return ""
+    verb = "is" if len(names) == 1 else "are"
+    listed = " and ".join(names).capitalize()
+    return f"{listed} {verb} provisional: a term without a name does as well."
+
+
+def _bound_words(d: SystemDiagnosis) -> str:
+    names = [row.name for row in d.parameters if row.at_bound]
+    if not names:
+        return ""
+    verb = "sits at its bound" if len(names) == 1 else "sit at their bounds"
+    return f"{', '.join(names)} {verb}: widen them or doubt the fit."
+
+
+def _left_words(d: SystemDiagnosis) -> str:
+    runs = d.checks or d.training
+    told, new = [], []
+    for j, (output, unit) in enumerate(d.model.outputs.items()):
+        left = _pooled(runs, j, before=True)
+        scale = scale_of(unit, (left,))
+        told.append(f"{scale.told(left)} in {output}")
+        new += [scale.told(v) for v in d.floor[j : j + 1]]
+    kind = "check" if d.checks else "fitted"
+    noise = f"; what is new in each sample is {', '.join(new)}" if new else ""
+    return f"The rms error on the {kind} records is {', '.join(told)}{noise}."

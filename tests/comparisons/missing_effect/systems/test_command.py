@@ -1,0 +1,173 @@
+"""`sindy-surge diagnose --model` and the runner of scripts: files, exit codes, refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from driven_mass import CUBIC, MODEL, files
+
+from comparisons.cli import main
+from comparisons.missing_effect.systems.files import load_model, read_experiment
+from comparisons.missing_effect.systems.script import run_script
+
+
+def run(*arguments: object) -> int:
+    return main(["diagnose", *(str(argument) for argument in arguments)])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    return files(tmp_path_factory.mktemp("made"))
+
+
+def test_the_command_names_what_a_model_lacks(
+    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, train, check = made
+    numbers, page = tmp_path / "numbers.json", tmp_path / "page.html"
+    options = ("--json", numbers, "--report", page, "--max-effects", 1)
+    assert run("--model", model, "--fit", train, "--check", check, *options) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert said.out.endswith(f"numbers: {numbers}\nreport: {page}\n")
+    assert "cubic" in page.read_text("utf-8")
+    document = json.loads(numbers.read_text("utf-8"))
+    assert said.out.startswith(f"VERDICT: {document['verdict']}")
+    (item,) = document["missing"]
+    assert item["effect"] == "cubic_stiffness"
+    (number,) = item["parameters"]
+    assert abs(abs(number["value"]) - CUBIC) < 4.0 * number["stderr"]
+    errors = document["test_rmse"]["check"]
+    assert errors["after"] < 0.02 * errors["before"]
+    assert {row["record"] for row in document["where"]["time"]} == {"check"}
+    assert "diagnoses" not in document
+
+
+def test_scripts_write_all_diagnoses_below_the_first(
+    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model_file, train, check = made
+    model = load_model(model_file)
+    fit, other = read_experiment(train, model), read_experiment(check, model)
+    numbers = tmp_path / "n.json"
+    cases: dict[str, Any] = {"first": (model, [fit], [other]), "second": (model, other, fit)}
+    assert run_script(cases, ["--json", str(numbers), "--max-effects", "1"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    document = json.loads(numbers.read_text("utf-8"))
+    assert set(document["diagnoses"]) == {"first", "second"}
+    assert set(document["test_rmse"]) == {"check", "train"}
+    first = document["diagnoses"]["first"]
+    assert document["missing"] == first["missing"]
+    assert set(first["test_rmse"]) == {"check"}
+    for name in cases:
+        assert f"{name}\n\nVERDICT" in said.out
+
+
+def test_a_script_tells_a_mistake_in_one_sentence(
+    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model_file, train, _ = made
+    model = load_model(model_file)
+    fit = read_experiment(train, model)
+    for cases, options, words in (
+        ({"one": (model, fit, ())}, ["--json", str(tmp_path / "no" / "n.json")], "existing folder"),
+        ({"one": (model, fit, ())}, ["--report", str(tmp_path / "r.txt")], ".html"),
+        ({"one": (model, (), ())}, [], "at least one experiment"),
+        ({}, [], "at least one"),
+    ):
+        assert run_script(cases, options) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert words in said.err
+        assert said.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(SystemExit) as stop:
+        run_script({}, ["--max-effects", "7"])
+    assert stop.value.code == 2
+
+
+OWN = ("--model", "model.py", "--fit", "train.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "expected SERIES of a compressor, or --model"),
+        (("--fit", "train.csv"), "--fit: expected a --model"),
+        (("series.csv", "--check", "check.csv"), "--check: expected a --model"),
+        (("--model", "model.py"), "--fit: expected at least one record"),
+        (("--model", "model.py", "--check", "check.csv"), "--fit: expected at least one record"),
+        (("train.csv", *OWN), "train.csv: expected records after --fit or --check"),
+        ((*OWN, "--degree", 2), "--degree: expected no option of the compressor"),
+        ((*OWN, "--base", "polynomial"), "--base: expected no option of the compressor"),
+        ((*OWN, "--limits"), "--limits: expected no option of the compressor"),
+        ((*OWN, "--separate"), "--separate: expected no option of the compressor"),
+        ((*OWN, "--save", "m.json"), "--save: expected no option of the compressor"),
+        ((*OWN, "--check", "train.csv"), "train.csv: expected each record once"),
+        ((*OWN, "--json", "train.csv"), "train.csv: expected a file of its own"),
+        ((*OWN, "--json", "model.py"), "model.py: expected a file of its own"),
+        ((*OWN, "--json", "n.json", "--report", "n.txt"), "ending in .html"),
+        ((*OWN, "--json", "no/n.json"), "an existing folder"),
+        (("--model", "no.py", "--fit", "train.csv"), "no.py: expected a Python file"),
+        (("--model", "model.py", "--fit", "no.csv"), "no.csv: expected a record"),
+        (("--model", "broken.py", "--fit", "train.csv"), "broken.py, line 2: expected Python"),
+        ((*OWN, "--check", "short.csv"), "short.csv: rows: expected at least 40"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(
+    made: tuple[Path, Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[object, ...],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record = made[1].read_text("utf-8")
+    content = {
+        "model.py": MODEL,
+        "broken.py": "x = 1\ny = nothing\n",
+        "train.csv": record,
+        "short.csv": "\n".join(record.splitlines()[:20]),
+    }
+    for name, text in content.items():
+        (tmp_path / name).write_text(text, "utf-8")
+    assert run(*options) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("sindy-surge: ")
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert {path.name: path.read_text("utf-8") for path in tmp_path.iterdir()} == content
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("s.csv", "--max-effects", 4), "a whole number from 1 to 3: '4'"),
+        ((*OWN, "--max-effects", 7), "a whole number from 1 to 6: '7'"),
+        ((*OWN, "--max-effects", 0), "a whole number from 1 to 6: '0'"),
+    ],
+)
+def test_more_effects_are_allowed_to_a_model(
+    capsys: pytest.CaptureFixture[str], options: tuple[object, ...], words: str
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        run(*options)
+    assert stop.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_function_that_cannot_be_compiled_is_the_users_mistake(
+    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model.py"
+    model.write_text(MODEL.replace("return x.q\n", "return eval('x.q')\n"), "utf-8")
+    assert run("--model", model, "--fit", made[1]) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith("sindy-surge: model: output: expected arithmetic")
+    assert said.err.count("\n") == 1

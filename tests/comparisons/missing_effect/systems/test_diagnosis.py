@@ -1,0 +1,178 @@
+"""The workflow on systems of three kinds: it names what was hidden, and nothing where nothing is.
+
+A false name asks for a chance below 1e-4 over the whole search, so that over the few seeds here
+none may come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import system_models as make
+import system_truths as truth
+
+from comparisons.missing_effect.systems.diagnosis import MOST_EFFECTS, diagnose_model
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.results import SystemDiagnosis
+
+TRAIN, CHECK = 1200, 600
+# The rms of a record's error may be above its noise by this: what the fit has not learned.
+ABOVE_NOISE = 1.15
+NOISE = 0.01
+
+Maker = Callable[..., dict[str, np.ndarray]]
+SYSTEMS: dict[str, tuple[Callable[..., Model], Maker]] = {
+    "thermal": (make.thermal, truth.thermal),
+    "tanks": (make.tanks, truth.tanks),
+    "pipe": (make.pipe, truth.pipe),
+    "circuit": (make.circuit, truth.circuit),
+    "body": (make.body, truth.body),
+}
+
+
+def diagnosed(
+    kind: str, seed: int = 1, most_effects: int = MOST_EFFECTS, **hidden: Any
+) -> SystemDiagnosis:
+    """A model of a system beside two records of it with something hidden."""
+    model, made = SYSTEMS[kind]
+    fit = make.experiment(kind, made(seed, TRAIN, noise=NOISE, **hidden), "training")
+    check = make.experiment(kind, made(seed + 50, CHECK, noise=NOISE, **hidden), "check")
+    return diagnose_model(model(), fit, check, most_effects=most_effects)
+
+
+def noise_of(diagnosis: SystemDiagnosis) -> np.ndarray:
+    """The noise on the check record: a share of each output's spread."""
+    spread = np.std(diagnosis.checks[0].measured, axis=0)
+    return np.asarray(NOISE * spread / np.sqrt(1.0 + NOISE**2))
+
+
+# What is hidden, the name in the set, its place, its numbers.
+HIDDEN: dict[str, tuple[str, dict[str, float], str, str, dict[str, float]]] = {
+    "turbulent pipe": (
+        "pipe",
+        {"drag": 0.3},
+        "quadratic_drag",
+        "dflow/dt",
+        {"c_2": 0.3},
+    ),
+    "drive with a threshold": (
+        "circuit",
+        {"drive_gap": 1.0},
+        "dead_zone",
+        "v",
+        {"threshold": 1.0},
+    ),
+    "slow thermometer": (
+        "thermal",
+        {"sensor_lag_s": 10.0},
+        "further_lag",
+        "T_b",
+        {"time_constant": 10.0},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", HIDDEN)
+def test_what_was_hidden_is_named(case: str) -> None:
+    kind, hidden, name, place, numbers = HIDDEN[case]
+    # Only the pipe is searched for a second effect that is not there.
+    most = MOST_EFFECTS if kind == "pipe" else 1
+    found = diagnosed(kind, most_effects=most, **hidden)
+    assert found.verdict in ("named", "alias_set"), [m.label for m in found.missing]
+    assert len(found.missing) == 1, [m.label for m in found.missing]
+    first = found.missing[0]
+    assert name in first.alias_set
+    assert any(name in label and place in label for label in first.alias_labels)
+    if first.effect == name:
+        for number in first.numbers:
+            if number.name in numbers:
+                wanted = numbers[number.name]
+                assert abs(number.value - wanted) < max(4.0 * number.stderr, 5e-3 * wanted), number
+                assert number.stderr < 0.05 * wanted
+    check = found.checks[0]
+    assert np.all(check.after_rms < ABOVE_NOISE * noise_of(found))
+    assert np.any(check.before_rms > 1.5 * noise_of(found))
+    assert found.names == (first.effect,)
+
+
+@pytest.fixture(scope="module")
+def at_its_limit() -> SystemDiagnosis:
+    """A drive that gives no more than ± 10 V."""
+    return diagnosed("circuit", most_effects=1, drive_limit=10.0)
+
+
+def test_a_drive_at_its_limit_is_named(at_its_limit: SystemDiagnosis) -> None:
+    assert at_its_limit.verdict == "named"
+    assert at_its_limit.names == ("saturation",)
+    assert at_its_limit.missing[0].place["input"] == "v"
+    assert at_its_limit.missing[0].numbers[0].value == pytest.approx(10.0, rel=5e-3)
+    check = at_its_limit.checks[0]
+    assert check.after_rms[0] < 0.1 * check.before_rms[0]
+
+
+@pytest.mark.xfail(reason="the offset of the model that lacked it stays", strict=True)
+def test_beside_a_limit_the_parameters_are_right(at_its_limit: SystemDiagnosis) -> None:
+    """The resistance within its errors of the truth, the check error at the noise."""
+    row = at_its_limit.parameter("R")
+    assert abs(row.after - truth.CIRCUIT["R"]) < 4.0 * row.after_stderr
+    check = at_its_limit.checks[0]
+    assert np.all(check.after_rms < ABOVE_NOISE * noise_of(at_its_limit))
+
+
+@pytest.mark.xfail(
+    reason="the held way and an offset stand in for a part of the delay", strict=True
+)
+def test_a_delay_is_named_as_one() -> None:
+    """Six seconds between the heater's switch and its heat."""
+    found = diagnosed("thermal", most_effects=1, delay_s=6.0)
+    assert found.missing[0].effect == "transport_delay"
+    number = found.missing[0].numbers[0]
+    assert number.value == pytest.approx(6.0, abs=max(4.0 * number.stderr, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [("thermal", 11), ("tanks", 12), ("pipe", 11), ("circuit", 12)],
+)
+def test_a_complete_model_lacks_nothing(kind: str, seed: int) -> None:
+    found = diagnosed(kind, seed)
+    assert found.verdict == "nothing_missing", [m.label for m in found.missing]
+    assert found.missing == ()
+    check = found.checks[0]
+    assert np.all(check.after_rms < ABOVE_NOISE * noise_of(found))
+    known = {"thermal": truth.THERMAL, "tanks": truth.TANKS, "pipe": truth.PIPE}
+    for row in found.parameters:
+        wanted = known.get(kind, truth.CIRCUIT)[row.name]
+        assert row.after == pytest.approx(wanted, rel=0.03)
+
+
+def test_the_order_of_experiments_and_units_leave_the_name() -> None:
+    """Two records turned round, current in mA and the capacitor's voltage in mV."""
+    records = [
+        make.experiment("circuit", truth.circuit(seed, n, drive_gap=1.0), f"run {seed}")
+        for seed, n in ((1, 500), (2, 400))
+    ]
+    one = diagnose_model(make.circuit(), records, most_effects=1)
+    in_milli = make.circuit(
+        states={"current": "A", "v_C": "mV"},
+        outputs={"i": "mA"},
+        rhs=lambda t, x, u, p: (
+            (u.v - p.R * x.current - x.v_C / 1000.0) / p.L,
+            1000.0 * x.current / p.C,
+        ),
+        output=lambda t, x, u, p: 1000.0 * x.current,
+    )
+    scaled = [
+        make.experiment("circuit", {**r.channels, "i": 1000.0 * r.channels["i"]}, r.name)
+        for r in records
+    ]
+    other = diagnose_model(in_milli, scaled[::-1], most_effects=1)
+    assert other.verdict == one.verdict
+    assert set(other.missing[0].alias_labels) == set(one.missing[0].alias_labels)
+    number, wanted = other.missing[0].numbers[0], one.missing[0].numbers[0]
+    assert number.unit == wanted.unit
+    assert number.value == pytest.approx(wanted.value, abs=0.5 * wanted.stderr)
+    assert one.missing[0].effect == "dead_zone"

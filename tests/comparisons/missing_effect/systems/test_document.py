@@ -1,0 +1,257 @@
+"""A diagnosis of a user's model as JSON and as text: keys, numbers and units."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from driven_mass import CUBIC, NOISE_M, files
+
+from comparisons.json_output import to_strict_json
+from comparisons.missing_effect.systems import document as documents
+from comparisons.missing_effect.systems.diagnosis import diagnose_model
+from comparisons.missing_effect.systems.files import load_model, read_experiment
+from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
+from comparisons.missing_effect.systems.terminal import system_text
+from comparisons.missing_effect.systems.words import system_words
+
+KEYS = {
+    "schema",
+    "verdict",
+    "words",
+    "missing",
+    "gap",
+    "time_constant_s",
+    "where",
+    "candidates",
+    "parameters",
+    "timing_offsets",
+    "input_between_samples",
+    "test_rmse",
+    "training_rmse",
+    "unavailable",
+    "remarks",
+    "model",
+}
+
+
+def diagnosed(folder: Path, cubic: float) -> SystemDiagnosis:
+    model_file, train, check = files(folder, cubic)
+    model = load_model(model_file)
+    runs = [read_experiment(path, model) for path in (train, check)]
+    return diagnose_model(model, runs[0], runs[1], most_effects=1)
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> SystemDiagnosis:
+    return diagnosed(tmp_path_factory.mktemp("hidden"), CUBIC)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> SystemDiagnosis:
+    """Records of the very system that the model describes."""
+    return diagnosed(tmp_path_factory.mktemp("whole"), 0.0)
+
+
+def refuse(word: str) -> float:
+    raise AssertionError(word)
+
+
+def read_back(d: SystemDiagnosis) -> dict[str, Any]:
+    text = to_strict_json(documents.system_document(d))
+    # json reads NaN and Infinity, which are no JSON.
+    found: dict[str, Any] = json.loads(text, parse_constant=refuse)
+    return found
+
+
+def types_of(value: Any) -> set[type]:
+    if isinstance(value, Mapping):
+        return set().union(*map(types_of, value.values()), {type(k) for k in value})
+    if isinstance(value, (list, tuple)):
+        return set().union(*map(types_of, value))
+    return {type(value)}
+
+
+def test_the_document_is_strict_json_of_plain_types(
+    hidden: SystemDiagnosis, whole: SystemDiagnosis
+) -> None:
+    for d in (hidden, whole):
+        document = documents.system_document(d)
+        assert types_of(document) <= {str, float, int, bool, type(None)}
+        found = read_back(d)
+        assert set(found) == KEYS
+        assert found["schema"] == "sindy-surge/diagnose/1"
+        assert found["time_constant_s"] == {"before": None, "after": None, "by_alias": {}}
+        assert found["where"] == {"time": [], "frequency": [], "flow": []}
+        assert found["model"]["outputs"] == {"y": "m"}
+
+
+def test_the_effect_its_place_and_its_number_are_written(hidden: SystemDiagnosis) -> None:
+    found = read_back(hidden)
+    assert found["verdict"] in ("named", "alias_set")
+    (item,) = found["missing"]
+    assert item["effect"] == "cubic_stiffness"
+    assert item["place"] == {"equation": "dv/dt", "signal": "q"}
+    (number,) = item["parameters"]
+    assert abs(abs(number["value"]) - CUBIC) < 4.0 * number["stderr"]
+    assert number["unit"].startswith("N/")
+    fates = [row["fate"] for row in found["candidates"]]
+    assert fates.count("added") == 1
+    top = found["candidates"][0]
+    assert top["fitted"]
+    assert top["accepted"]
+    tried = [row for row in found["candidates"] if row["fitted"]]
+    assert all((row["score"] is None) == (not row["fitted"]) for row in found["candidates"])
+    scores = [row["score"] for row in tried]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_the_gap_is_the_error_on_check_records(hidden: SystemDiagnosis) -> None:
+    found = read_back(hidden)
+    gap, errors = found["gap"], found["test_rmse"]["check"]
+    assert gap["unit"] == errors["unit"] == "m"
+    for which in ("before", "after"):
+        assert gap[f"{which}_rms"] == pytest.approx(errors[which], rel=1e-12)
+    assert gap["after_rms"] == pytest.approx(NOISE_M, rel=0.1)
+    assert gap["floor_rms"] == pytest.approx(NOISE_M, rel=0.1)
+    assert gap["before_rms"] > 50.0 * NOISE_M
+    assert 0.99 < gap["shrink"] <= 1.01
+    assert set(found["training_rmse"]) == {"train"}
+
+
+def test_nothing_missing_is_said_with_the_error_that_is_left(whole: SystemDiagnosis) -> None:
+    found = read_back(whole)
+    assert found["verdict"] == "nothing_missing"
+    assert found["missing"] == []
+    assert found["gap"]["shrink"] == 0.0
+    errors = found["test_rmse"]["check"]
+    assert errors["unit"] == "mm"
+    assert errors["before"] == errors["after"] == pytest.approx(1e3 * NOISE_M, rel=0.1)
+    assert "Nothing is missing" in found["words"]
+    assert " mm in y" in found["words"]
+
+
+def test_words_name_effect_place_fall_and_other_names(hidden: SystemDiagnosis) -> None:
+    said = system_words(hidden)
+    for words in ("cubic stiffness", "dv/dt", "acting on q", "times smaller", "of which nothing"):
+        assert words in said
+    (item,) = hidden.missing
+    doubted = replace(
+        item,
+        provisional=True,
+        alias_labels=(item.label, "dead_zone(q) in dv/dt"),
+        confirm="a slow pull",
+    )
+    said = system_words(replace(hidden, missing=(doubted,)))
+    assert "cannot tell cubic_stiffness(q) in dv/dt from dead_zone(q) in dv/dt" in said
+    assert "what would: a slow pull" in said
+    assert "provisional" in said
+    assert said.count(". ") < 5
+
+
+def test_the_text_holds_every_part(hidden: SystemDiagnosis) -> None:
+    told = replace(hidden, unavailable={"dry_friction": "needs a sign"}, remarks=("A remark.",))
+    text = system_text(told)
+    for part in (
+        f"VERDICT: {hidden.verdict}",
+        "cubic stiffness",
+        "Parameters",
+        "rms errors",
+        "Who was tried",
+        "dry friction: needs a sign",
+        "A remark.",
+        "fitted",
+        "check",
+    ):
+        assert part in text
+
+
+def two_outputs(d: SystemDiagnosis, unit: str, factor: float) -> SystemDiagnosis:
+    """The same errors in y, and twice these in a second output of another unit and size."""
+    (run,) = d.checks
+
+    def both(values: np.ndarray, times: float) -> np.ndarray:
+        return np.hstack([values, factor * (run.measured + times * (values - run.measured))])
+
+    made = CheckRun(
+        run.experiment,
+        True,
+        run.settle,
+        ("y", "z"),
+        both(run.measured, 1.0),
+        both(run.before, 2.0),
+        both(run.after, 2.0),
+    )
+    outputs = {"y": "m", "z": unit}
+    model = replace(
+        d.model, outputs=outputs, output=lambda t, x, u, p: (x.q, factor * x.q), name="two"
+    )
+    floor = (d.floor[0], 2.0 * factor * d.floor[0])
+    return replace(d, model=model, checks=(made, made), floor=floor)
+
+
+def test_several_outputs_are_joined_over_their_swing(hidden: SystemDiagnosis) -> None:
+    single = documents.system_document(hidden)["gap"]
+    (run,) = hidden.checks
+    swing = float(np.std(run.measured[run.settle :]))
+    for factor in (1.0, 1e-3):
+        d = two_outputs(hidden, "V", factor)
+        gap = documents.system_document(d)["gap"]
+        assert gap["unit"] == "1 (share of swing)"
+        for key in ("before_rms", "after_rms", "floor_rms"):
+            # One and two shares: the root mean square is √2.5 of the first.
+            assert gap[key] == pytest.approx(np.sqrt(2.5) * single[key] / swing, rel=1e-6)
+        assert gap["shrink"] == pytest.approx(single["shrink"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "told", "times"),
+    [
+        ("V", 1e-3, "mV", 1e3),
+        ("V", 10.0, "V", 1.0),
+        ("m/s", 1e-3, "mm/s", 1e3),
+        ("N·m", 1e-3, "mN·m", 1e3),
+        ("mV", 1e-3, "mV", 1.0),
+        ("m²", 1e-3, "m²", 1.0),
+        ("m^3", 1e-3, "m^3", 1.0),
+        ("1", 1e-3, "1", 1.0),
+    ],
+)
+def test_splits_and_units_of_the_errors(
+    hidden: SystemDiagnosis, unit: str, factor: float, told: str, times: float
+) -> None:
+    d = two_outputs(hidden, unit, factor)
+    errors = documents.test_rmse(d)
+    # The two check records have one name: none is lost.
+    assert set(errors) == {"y_check", "z_check", "y_check (2)", "z_check (2)"}
+    single = documents.test_rmse(hidden)["check"]
+    assert errors["y_check"]["before"] == pytest.approx(single["before"])
+    assert errors["y_check"]["unit"] == single["unit"] == "m"
+    found = errors["z_check"]
+    assert found["unit"] == told
+    assert found["after"] == pytest.approx(times * float(d.checks[0].after_rms[1]))
+
+
+def test_errors_of_several_diagnoses_are_merged_without_a_loss(
+    hidden: SystemDiagnosis, whole: SystemDiagnosis
+) -> None:
+    merged = documents.merged_test_rmse({"hard": hidden, "plain": whole})
+    assert merged["check"] == documents.test_rmse(hidden)["check"]
+    assert merged["plain_check"] == documents.test_rmse(whole)["check"]
+
+
+def test_a_simulation_that_failed_is_null_and_no_error(hidden: SystemDiagnosis) -> None:
+    (run,) = hidden.checks
+    failed = replace(run, before=np.full_like(run.before, np.nan))
+    d = replace(hidden, checks=(failed,))
+    found = read_back(d)
+    assert found["gap"]["before_rms"] is None
+    assert found["gap"]["shrink"] is None
+    assert found["test_rmse"]["check"]["before"] is None
+    assert "n/a" in system_text(d)
+    assert "failed" in system_words(d)

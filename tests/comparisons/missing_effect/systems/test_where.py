@@ -1,0 +1,193 @@
+"""Where a run and its simulation part: what is planted in a residual shows where it is."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from made_systems import machine, made_diagnosis, run_of
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.results import CheckRun
+from comparisons.missing_effect.systems.where import where_of, worst_output
+
+PERIOD_S = 0.01
+N = 8000
+CLEAN = 2.0 * np.sin(2.0 * np.pi * 0.37 * PERIOD_S * np.arange(N)) + np.sin(
+    2.0 * np.pi * 0.83 * PERIOD_S * np.arange(N) + 1.0
+)
+
+
+def parted(planted: FloatArray, noise: FloatArray, *, settle: int = 0) -> CheckRun:
+    """Return a run in which the model before lacks what is planted, and noise is left after."""
+    measured = CLEAN + planted + noise
+    e = Experiment("run", PERIOD_S, {"y": measured, "u": np.roll(CLEAN, 30)}, first_s=100.0)
+    after = CLEAN + planted
+    return CheckRun(e, True, settle, ("y",), measured[:, None], CLEAN[:, None], after[:, None])
+
+
+def white(seed: int, size: float = 0.02) -> FloatArray:
+    return size * np.random.default_rng(seed).standard_normal(N)
+
+
+@pytest.mark.parametrize("frequency_hz", [0.9, 7.3, 31.0])
+def test_a_sine_shows_in_its_band_with_its_power(frequency_hz: float) -> None:
+    sine = 0.3 * np.sin(2.0 * np.pi * frequency_hz * PERIOD_S * np.arange(N))
+    where = where_of(parted(sine, white(1)))
+    power = [(row.high_hz - row.low_hz) * row.before_psd for row in where.frequency]
+    top = where.frequency[int(np.argmax(power))]
+    assert top.low_hz - 0.1 < frequency_hz < top.high_hz + 0.1
+    assert sum(power) == pytest.approx(0.5 * 0.3**2 + 0.02**2, rel=0.05)
+    left = np.array([row.after_psd for row in where.frequency])
+    assert left.max() < 4.0 * np.median(left)
+    measured = np.array([row.measured_psd for row in where.frequency])
+    assert where.frequency[int(np.argmax(measured))].high_hz < 1.2
+
+
+def test_bands_cover_the_spectrum_once_and_widen() -> None:
+    rows = where_of(parted(white(2), white(3))).frequency
+    assert rows[0].low_hz == 0.0
+    assert rows[-1].high_hz == pytest.approx(0.5 / PERIOD_S)
+    assert all(a.high_hz == b.low_hz for a, b in pairwise(rows))
+    assert 12 <= len(rows) <= 26
+    assert rows[-2].high_hz - rows[-2].low_hz > 5.0 * (rows[1].high_hz - rows[1].low_hz)
+
+
+def test_a_slow_drift_shows_in_the_lowest_band() -> None:
+    where = where_of(parted(0.5 * np.linspace(-1.0, 1.0, N), white(4)))
+    power = [(row.high_hz - row.low_hz) * row.before_psd for row in where.frequency]
+    assert power[0] > 0.9 * sum(power)
+
+
+def test_a_quadratic_shows_over_the_signal_and_is_gone_after() -> None:
+    beyond = rows = 0
+    for seed in range(10):
+        # The system has it; the model after has it as well.
+        check = parted(0.1 * CLEAN**2, white(seed))
+        e = replace(check.experiment, channels={**check.experiment.channels, "y": CLEAN})
+        where = where_of(replace(check, experiment=e, after=check.after), output="y")
+        assert where.simulated
+        over_u = where_of(replace(check, experiment=e), (_effect_on("u"),), output="y")
+        assert over_u.signal == "u"
+        assert not over_u.simulated
+        for row in where.flow:
+            beyond += abs(row.after_mean) > 3.0 * row.after_stderr
+            rows += 1
+        # y = x + 0.1 x² for the planted x of each range.
+        at = np.array([row.at for row in where.flow])
+        x = (np.sqrt(1.0 + 0.4 * at) - 1.0) / 0.2
+        mean = np.array([row.before_mean for row in where.flow])
+        assert mean == pytest.approx(0.1 * x**2, abs=0.015)
+    assert beyond < 0.04 * rows
+
+
+def test_noise_alone_gives_no_slope_over_the_own_output() -> None:
+    z = []
+    for seed in range(20):
+        check = parted(np.zeros(N), white(seed, 1.0))
+        where = where_of(check)
+        z += [row.before_mean / row.before_stderr for row in where.flow]
+        residual = (check.measured - check.before)[:, 0]
+        # Over the measured output the same residual has a slope that is anything but chance.
+        assert np.corrcoef(residual, check.measured[:, 0])[0, 1] > 0.4
+    assert np.mean(np.abs(z) > 2.0) < 0.12
+    assert abs(np.mean(z)) < 4.0 / math.sqrt(len(z))
+
+
+def test_the_standard_error_knows_that_neighbours_go_together() -> None:
+    from scipy.signal import lfilter
+
+    z, naive = [], []
+    for seed in range(20):
+        slow = lfilter([1.0], [1.0, -0.9], white(seed))
+        where = where_of(parted(np.zeros(N), slow))
+        z += [row.after_mean / row.after_stderr for row in where.flow]
+        naive += [row.after_mean / (np.std(slow) / math.sqrt(row.n)) for row in where.flow]
+    assert 0.8 < np.std(z) < 1.5
+    assert np.std(naive) > 1.5 * np.std(z)
+
+
+def test_a_friction_parts_the_two_ways() -> None:
+    friction = 0.2 * np.sign(np.gradient(CLEAN))
+    where = where_of(parted(friction, white(5)), (_effect_on("none"),))
+    inner = where.flow[4:-4]
+    assert [row.before_rising for row in inner] == pytest.approx([0.2] * len(inner), abs=0.03)
+    assert [row.before_falling for row in inner] == pytest.approx([-0.2] * len(inner), abs=0.03)
+    assert max(abs(row.after_rising) for row in inner) < 0.01
+
+
+def test_ranges_lie_on_both_sides_and_hold_every_row() -> None:
+    rows = where_of(parted(white(6), white(7), settle=100)).flow
+    assert 15 <= len(rows) <= 20
+    assert rows[0].high < 0.0 < rows[-1].low
+    assert sum(row.n for row in rows) == N - 100
+    assert min(row.n for row in rows) >= 8
+    assert all(row.low <= row.at <= row.high for row in rows)
+
+
+def test_a_burst_shows_in_its_blocks_alone() -> None:
+    burst = np.zeros(N)
+    burst[3000:3400] = 0.5
+    where = where_of(parted(burst, white(8), settle=40))
+    loud = [row for row in where.time if row.before_rms > 0.1]
+    assert loud[0].from_s < 130.0 < loud[0].to_s
+    assert loud[-1].from_s < 134.0 < loud[-1].to_s
+    assert max(row.after_rms for row in where.time) < 0.03
+    assert len(where.time) == 40
+    assert where.time[0].from_s == pytest.approx(100.4)
+    assert where.time[-1].to_s == pytest.approx(180.0)
+
+
+def test_the_output_missed_most_is_taken_by_its_swing() -> None:
+    run = run_of("a", held_out=True)
+    before = run.measured - np.array([1e-4, 0.5, 1e-6])
+    changed = replace(run, before=before)
+    assert worst_output(changed) == "current"
+    assert where_of(changed).output == "current"
+    assert where_of(changed, output="strain").output == "strain"
+
+
+def test_the_signal_of_an_effect_is_laid_under_where_it_is_measured() -> None:
+    run, model = run_of("a", held_out=True), machine()
+    first, second = made_diagnosis().missing
+    # q is measured as "position", v not at all.
+    found = where_of(run, (first,), output="current", model=model)
+    assert (found.signal, found.simulated) == ("position", False)
+    assert where_of(run, (second,), output="current", model=model).signal == "current"
+    assert where_of(run, (second, first), output="current", model=model).signal == "position"
+
+
+def test_what_is_no_number_is_none_in_json() -> None:
+    check = parted(white(9), white(10))
+    gone = replace(check, before=np.full((N, 1), np.nan))
+    document = where_of(gone).to_json()
+    assert set(document) == {"time", "frequency", "flow"}
+    json.dumps(document, allow_nan=False)
+    assert all(row["before_rms"] is None for row in document["time"])
+    assert all(row["after_rms"] is not None for row in document["time"])
+    for row in (*document["time"], *document["frequency"], *document["flow"]):
+        assert (row["record"], row["output"]) == ("run", "y")
+    assert {row["signal"] for row in document["flow"]} == {"y"}
+
+
+def test_a_signal_that_stands_still_has_one_range() -> None:
+    check = parted(white(11), white(12))
+    e = replace(check.experiment, channels={**check.experiment.channels, "u": np.ones(N)})
+    (row,) = where_of(replace(check, experiment=e), (_effect_on("u"),)).flow
+    assert (row.low, row.high, row.n) == (1.0, 1.0, N)
+    assert math.isnan(row.before_rising)
+
+
+def test_an_output_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InputError, match="one of y"):
+        where_of(parted(white(13), white(14)), output="z")
+
+
+def _effect_on(signal: str):  # type: ignore[no-untyped-def]
+    return replace(made_diagnosis().missing[0], place={"equation": "dv/dt", "signal": signal})
