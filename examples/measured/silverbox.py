@@ -29,13 +29,13 @@ model = Model(
 )
 
 
-def main() -> int:
+def rows(name: str, start: int, stop: int) -> Experiment:
     record = loadmat(benchmark_file("Silverbox", "SNLS80mV.mat"))
+    channels = {"u": record["V1"][0, start:stop], "y": record["V2"][0, start:stop]}
+    return Experiment(name, PERIOD_S, channels, settle=50)
 
-    def rows(name: str, start: int, stop: int) -> Experiment:
-        channels = {"u": record["V1"][0, start:stop], "y": record["V2"][0, start:stop]}
-        return Experiment(name, PERIOD_S, channels, settle=50)
 
+def main() -> int:
     # The official split: three quarters of the multisine for training, the rest and the arrow.
     train = rows("training", 40650, 105712)
     tests = [

@@ -202,7 +202,7 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         _fixed((0.0, WIDTH_START)),
         both_signs,
         "a slow motion in both directions: the force to keep it up",
-        simple_form_of=("stribeck_friction",),
+        simple_form_of=("stribeck_friction", "softening_damping"),
     ),
     SystemEffect(
         "stribeck_friction",

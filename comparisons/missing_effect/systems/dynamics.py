@@ -30,7 +30,7 @@ HEAD = 9
 ROW = 6
 # A spilling vessel gives off what exceeds its rim within this many samples; a play follows its
 # drive within as few. Fast enough to be instantaneous at the sample rate, and no faster.
-SPILL_SAMPLES = 2.0
+SPILL_SAMPLES = 0.25
 PLAY_SAMPLES = 0.5
 
 IntArray = NDArray[np.int64]

@@ -29,6 +29,7 @@ SETTLED_SHARE = 1e-5
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e9
 FASTER, SLOWER = 0.2, 6.0
 RELATIVE_STEP = 1e-5
+HELD_STEP = 0.5
 # Scale of a state before it has been simulated once, for the integrator's tolerance alone.
 UNKNOWN_SCALE = 1e-3
 
@@ -349,7 +350,16 @@ def parameter_steps(structure: Structure, theta: FloatArray) -> FloatArray:
     """
     low, high = structure.bounds
     reach = np.minimum(high - low, 1e3 * np.maximum(np.abs(low), np.abs(high)))
-    return RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
+    steps = RELATIVE_STEP * np.maximum(np.maximum(np.abs(theta), 1e-3 * reach), 1e-12)
+    if structure.between == "held":
+        # Within a sample a held input does not change: its shift shows over half a sample.
+        first = len(structure.model.params)
+        at = first + len(structure.model.inputs)
+        steps[first:at] = HELD_STEP
+        for e, placed in enumerate(structure.effects):
+            if placed.effect.kind == Kind.INPUT_DELAY:
+                steps[at + SLOTS * e] = HELD_STEP
+    return np.asarray(steps)
 
 
 def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = None) -> Fit:

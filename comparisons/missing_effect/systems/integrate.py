@@ -21,7 +21,7 @@ __all__ = ["integrated"]
 METHODS = ("LSODA", "RADAU")
 # Longest step, in points of the grid (four a sample): the integrator must not stride over a pulse
 # of the input after a quiet stretch.
-LONGEST_STEP = 8.0
+LONGEST_STEP = 3.0
 # Steps a point, beyond which a run is given up.
 MOST_STEPS = 50
 MOST_MEGABYTES = 4000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from comparisons.missing_effect.systems.structure import Run
 
 __all__ = ["covariance", "numbers_of"]
 
+# Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
+# number in such directions from which on it is not told.
+LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3
 POWER_SIGNS = ("", "", "²", "³")
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
@@ -37,7 +41,8 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     metric : Metric
         Raw; sizes are taken from the errors.
     """
-    which = fit.structure.free
+    # Offsets are held in the raw fit, but they are not known exactly.
+    which = replace(fit.structure, offsets_free=True).free
     m, n_x = which.size, len(fit.structure.model.states)
     size = m + n_x * len(runs)
     if fit.failed:
@@ -58,13 +63,25 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
             score[at] = part.T @ error[rows].ravel()
             scores.append(score)
         normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
-    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True)
     bread = np.array(scores)
     spread = bread.T @ bread * len(scores) / max(len(scores) - 1, 1)
-    small = (inverse @ spread @ inverse)[:m, :m]
+    small = _sandwich(normal, spread)[:m, :m]
     whole = np.zeros((fit.theta.size, fit.theta.size))
     whole[np.ix_(which, which)] = small
     return whole
+
+
+def _sandwich(normal: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return the sandwich; infinite variances where the rows do not tell a number at all."""
+    unit = np.sqrt(np.diag(normal))
+    unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(normal * np.outer(unit, unit))
+    told = values > LEAST_INFORMATION * values[-1]
+    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T * np.outer(unit, unit)
+    out = np.asarray(inverse @ spread @ inverse)
+    blind = np.flatnonzero(np.sum(vectors[:, ~told] ** 2, axis=1) > BLIND_SHARE)
+    out[blind, blind] = np.inf
+    return out
 
 
 def numbers_of(
@@ -92,6 +109,9 @@ def numbers_of(
         factor, unit = _factor(model, placed, slot, clock)
         if slot == 0 and placed.effect.resists:
             factor = -factor
+        if placed.effect.kind == Kind.DRIFT:
+            # Told as a share of the parameter as it is now, not as it was without the drift.
+            factor *= placed.scales[0] / max(abs(float(fit.theta[placed.place.at])), 1e-300)
         value, variance = float(fit.theta[at + slot]), float(cov[at + slot, at + slot])
         out.append((number.name, factor * value, abs(factor) * float(np.sqrt(variance)), unit))
     if placed.effect.linear and placed.effect.kind in (Kind.TERM, Kind.HYSTERESIS):
@@ -115,11 +135,10 @@ def _balanced(
     i = model.param_names.index(parameter)
     mass = fit.theta[i]
     first, value, _, old = numbers[0]
-    slope = np.zeros(fit.theta.size)
     amplitude = fit.theta[at]
-    slope[i] = value
-    slope[at] = value * mass / amplitude if amplitude else 0.0
-    stderr = float(np.sqrt(max(float(slope @ cov @ slope), 0.0)))
+    slope = np.array([value, value * mass / amplitude if amplitude else 0.0])
+    variance = float(slope @ cov[np.ix_([i, at], [i, at])] @ slope)
+    stderr = float(np.sqrt(max(variance, 0.0)))
     derivative = f"{model.states[name]}/s"
     per = old.removeprefix(derivative)
     return [(first, value * mass, stderr, f"{unit}{per}"), *numbers[1:]]

@@ -16,6 +16,7 @@ __all__ = ["all_pass"]
 
 # Rows by which a record is prolonged, point-symmetric about its ends, before it is transformed.
 PADDING = 400
+LEAST_BRIDGE = 100
 
 
 def all_pass(values: FloatArray, alpha: float, beta: float, *, inverse: bool = False) -> FloatArray:
@@ -39,7 +40,7 @@ def all_pass(values: FloatArray, alpha: float, beta: float, *, inverse: bool = F
     before = 2.0 * values[:1] - values[pad:0:-1]
     after = 2.0 * values[-1:] - values[-2 : -pad - 2 : -1]
     joined = np.concatenate([before, values, after])
-    size = next_fast_len(joined.shape[0], real=True)
+    size = next_fast_len(joined.shape[0] + LEAST_BRIDGE, real=True)
     # The gap to the next fast length is bridged, so that the ends do not meet with a step.
     bridge = np.linspace(0.0, 1.0, size - joined.shape[0] + 2)[1:-1]
     bridge = bridge.reshape(-1, *(1,) * (values.ndim - 1))

@@ -32,7 +32,7 @@ VANISHING = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
 # hundredth of the best and more than chance.
 MOST_FITTED = 6
 # Steps of the first lap, those that go on by either count, and steps to the end.
-FIRST_LAP, FINALISTS, MOST_ITERATIONS = 3, 3, 15
+FIRST_LAP, FINALISTS, MOST_ITERATIONS = 3, 4, 15
 # Steps in a whitening metric, whose valleys are narrow and bent.
 MOST_WHITENED = 20
 LEAST_PROMISE, LEAST_PROMISE_SHARE = 6.0, 0.01
@@ -101,6 +101,15 @@ class Candidate:
         value = float(self.fit.theta[-SLOTS])
         smallest = self.placed.effect.kind in VANISHING
         return smallest and value <= numbers[0].low * (1.0 + 1e-6)
+
+    @property
+    def outgrown(self) -> bool:
+        """Whether a shape ended at its upper bound: what is there is something wider."""
+        if self.fit is None or not self.placed.effect.simple_form_of:
+            return False
+        shapes = self.fit.theta[-SLOTS:][1 : len(self.placed.effect.numbers)]
+        bounds = [number.high for number in self.placed.effect.numbers[1:]]
+        return any(value >= high * (1.0 - 1e-6) for value, high in zip(shapes, bounds, strict=True))
 
 
 @dataclass(frozen=True)
@@ -183,23 +192,23 @@ class Bench:
         short = self.laid(now, FITTED_BETWEEN, HELD_OUT_BETWEEN)
         rows = [e[: run.n_samples] for e, run in zip(self.fit.errors, short.train, strict=True)]
         metric = metric_of(rows)
-        best, (raw_now, white_now) = now, self._misfits(now, metric)
-        least = (raw_now, white_now)
+        raw, white, theta = self._misfits(now, metric)
+        best, least = now, (raw, white)
         for between in INTERPOLATIONS:
             if between == now:
                 continue
-            raw, white = self._misfits(between, metric)
+            raw, white, timed = self._misfits(between, metric)
             falls = raw < BETTER_BETWEEN * least[0]
             stays = raw < least[0] / BETTER_BETWEEN and white < least[1] - BETTER_WHITE
             if falls or stays:
-                best, least = between, (raw, white)
+                best, least, theta = between, (raw, white), timed
         if best == now:
             return self
-        moved = self.refitted(replace(self.fit.structure, between=best), self.fit.theta)
+        moved = self.refitted(replace(self.fit.structure, between=best), theta)
         # What is better on a stretch must not be worse on the whole.
         return moved if moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN else self
 
-    def _misfits(self, between: str, metric: Metric) -> tuple[float, float]:
+    def _misfits(self, between: str, metric: Metric) -> tuple[float, float, FloatArray]:
         """Return the raw error of a stretch of held-out rows, outputs joined by their geometric
         mean, and what it costs in a metric, each by a fit of its own.
         """
@@ -214,13 +223,13 @@ class Bench:
             held, short.train, self.raw, theta, white.starts, white.scale, most=STEPS_BETWEEN
         )
         if raw.failed or white.failed:
-            return np.inf, np.inf
+            return np.inf, np.inf, theta
         costs = [
             -own.log_likelihood(settled(fit, short.later, own).errors)
             for fit, own in ((raw, self.raw), (white, metric))
         ]
         n = sum(run.n_samples for run in short.later) * len(self.raw.sigma)
-        return float(np.exp(costs[0] / n)), costs[1]
+        return float(np.exp(costs[0] / n)), costs[1], theta
 
 
 @dataclass(frozen=True)
@@ -339,7 +348,14 @@ def _promising(raw: Sequence[Probe], white: Sequence[Probe]) -> list[Probe]:
         least = max(LEAST_PROMISE, LEAST_PROMISE_SHARE * best)
         named = [p for p in probes if p.gain > least and not p.placed.effect.unnamed]
         terms = [p for p in probes if p.gain > least and p.placed.effect.unnamed]
-        for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 3]):
+        bare = [p for p in probes if not p.placed.effect.numbers]
+        for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 3], *bare):
+            kept.setdefault((probe.placed.key, probe.placed.effect.code), probe)
+    # The plain form of whatever is promising races beside it.
+    wanted = {(p.placed.name, p.placed.place) for p in kept.values()}
+    for probe in white:
+        forms = {(name, probe.placed.place) for name in probe.placed.effect.simple_form_of}
+        if forms & wanted:
             kept.setdefault((probe.placed.key, probe.placed.effect.code), probe)
     return list(kept.values())
 
@@ -357,6 +373,14 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     by_size = sorted(begun, key=lambda p: begun[p].cost)[:FINALISTS]
     by_own = sorted(begun, key=lambda p: -own[p])[:FINALISTS]
     ahead = [p for p in begun if p in by_size or p in by_own]
+    forms = {(p.placed.name, p.placed.place) for p in ahead}
+    plain = [
+        p
+        for p in begun
+        if p not in ahead
+        and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
+    ]
+    ahead += plain
     return {
         p: fit_runs(
             begun[p].structure,
@@ -374,10 +398,24 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
 def _begun(bench: Bench, probe: Probe) -> Fit:
     """Fit a few steps from where the score test points."""
     structure = bench.fit.structure.with_effect(probe.placed)
-    linear = probe.placed.effect.linear
-    slots = structure.slots((0.0, *probe.start[1:]) if linear else probe.start)
-    theta = np.concatenate([bench.fit.theta, slots])
-    return fit_runs(structure, bench.train, bench.raw, theta, bench.fit.starts, most=FIRST_LAP)
+    effect = probe.placed.effect
+    slots = structure.slots((0.0, *probe.start[1:]) if effect.linear else probe.start)
+    begun = [bench.fit.theta]
+    if not effect.numbers:
+        # What makes another reading of everything: the model without it may be far off.
+        begun.append(np.concatenate([structure.start(), bench.fit.theta[structure.start().size :]]))
+    fits = [
+        fit_runs(
+            structure,
+            bench.train,
+            bench.raw,
+            np.concatenate([theta, slots]),
+            bench.fit.starts,
+            most=FIRST_LAP if effect.numbers else MOST_ITERATIONS,
+        )
+        for theta in begun
+    ]
+    return min(fits, key=lambda fit: fit.cost)
 
 
 def _whitened(bench: Bench, fit: Fit, metric: Metric) -> Fit:
@@ -503,7 +541,8 @@ def _winner(
     aliases = [c for c, same in zip(pool, near, strict=True) if same or c is simple]
     if not best.placed.effect.unnamed:
         aliases = [c for c in aliases if not c.placed.effect.unnamed]
-    aliases.sort(key=lambda c: (_numbers(c), -c.score))
+        aliases = [c for c in aliases if c is best or not c.outgrown]
+    aliases.sort(key=lambda c: (c is not simple, _numbers(c), -c.score))
     return aliases[0], tuple(aliases), rivalled
 
 
@@ -522,7 +561,8 @@ def _simple_form(best: Candidate, pool: Sequence[Candidate]) -> Candidate | None
     for candidate in pool:
         same = candidate.placed.place == best.placed.place
         plain = best.placed.name in candidate.placed.effect.simple_form_of
-        if same and plain and candidate.score > SIMPLE_SHARE * best.score:
+        fair = candidate.score > SIMPLE_SHARE * best.score and not candidate.outgrown
+        if same and plain and fair:
             return candidate
     return None
 

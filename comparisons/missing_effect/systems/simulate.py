@@ -18,7 +18,6 @@ from comparisons.missing_effect.systems.dynamics import (
     extended_rhs,
 )
 from comparisons.missing_effect.systems.integrate import integrated
-from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.structure import Run, Structure
 
 __all__ = [
@@ -494,9 +493,8 @@ def _filter_forcing(
         run.clock,
         run.outputs.shape[1],
     )
-    at = structure.recording
-    assert at is not None
-    bare = all_pass(path.outputs, theta[at], theta[at + 1], inverse=True)
+    own = run.pieces_for(structure, theta)
+    bare = _outputs(path.states, theta, ints, floats, own, run.clock, run.outputs.shape[1])
     through = structure.recorded(bare, above) - structure.recorded(bare, below)
     direct = structure.recorded(direct, theta) + through
     return forcing[:, :, 0] / (2.0 * FILTER_STEP), direct / (2.0 * FILTER_STEP)

@@ -101,8 +101,11 @@ class Structure:
         """Lower and upper bounds of θ; equal where a number is held or a slot empty."""
         low = [parameter.low for parameter in self.model.params.values()]
         high = [parameter.high for parameter in self.model.params.values()]
-        low += [-MOST_OFFSET] * len(self.model.inputs)
-        high += [MOST_OFFSET] * len(self.model.inputs)
+        # Beside a delay of the same input an offset says the same once more.
+        late = {e.place.at for e in self.effects if e.effect.kind == Kind.INPUT_DELAY}
+        offsets = [0.0 if j in late else MOST_OFFSET for j in range(len(self.model.inputs))]
+        low += [-offset for offset in offsets]
+        high += offsets
         for placed in self.effects:
             numbers = placed.effect.numbers
             low += [n.low for n in numbers] + [0.0] * (SLOTS - len(numbers))
@@ -113,7 +116,8 @@ class Structure:
     def free(self) -> NDArray[np.int64]:
         """Which numbers of θ are fitted."""
         held = [False] * len(self.model.params)
-        held += [not self.offsets_free] * len(self.model.inputs)
+        late = {e.place.at for e in self.effects if e.effect.kind == Kind.INPUT_DELAY}
+        held += [not self.offsets_free or j in late for j in range(len(self.model.inputs))]
         for placed in self.effects:
             numbers = placed.effect.numbers
             held += [n.held for n in numbers] + [True] * (SLOTS - len(numbers))

@@ -145,7 +145,6 @@ def test_parameters_offset_and_starts(between: str) -> None:
     assert max(off.values()) < (KINKED if between == "linear" else SMOOTH), off
 
 
-@pytest.mark.xfail(reason="differences of a held input are taken within a step", strict=True)
 def test_the_offset_of_a_held_input_is_felt() -> None:
     """Steps of the input move with the offset, though no instant between them does."""
     model = make.body()
@@ -198,7 +197,6 @@ def test_a_nonlinear_model_with_two_effects_and_two_outputs() -> None:
     assert max(off.values()) < SMOOTH, off
 
 
-@pytest.mark.xfail(reason="the filter is undone on its own outputs, which rings", strict=True)
 def test_the_recording_filter() -> None:
     """In a nonlinear model, since a linear one commutes with it: its columns are all but zero."""
     model = make.body(

@@ -113,7 +113,6 @@ def test_a_drive_at_its_limit_is_named(at_its_limit: SystemDiagnosis) -> None:
     assert check.after_rms[0] < 0.1 * check.before_rms[0]
 
 
-@pytest.mark.xfail(reason="the offset of the model that lacked it stays", strict=True)
 def test_beside_a_limit_the_parameters_are_right(at_its_limit: SystemDiagnosis) -> None:
     """The resistance within its errors of the truth, the check error at the noise."""
     row = at_its_limit.parameter("R")
@@ -122,9 +121,6 @@ def test_beside_a_limit_the_parameters_are_right(at_its_limit: SystemDiagnosis) 
     assert np.all(check.after_rms < ABOVE_NOISE * noise_of(at_its_limit))
 
 
-@pytest.mark.xfail(
-    reason="the held way and an offset stand in for a part of the delay", strict=True
-)
 def test_a_delay_is_named_as_one() -> None:
     """Six seconds between the heater's switch and its heat."""
     found = diagnosed("thermal", most_effects=1, delay_s=6.0)

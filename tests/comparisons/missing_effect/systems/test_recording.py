@@ -73,12 +73,7 @@ def test_a_slow_packet_comes_late_by_the_group_delay(alpha: float, beta: float) 
     [
         801,
         1003,
-        pytest.param(
-            800,
-            marks=pytest.mark.xfail(
-                reason="1600 rows are a fast length: no gap is left to bridge", strict=True
-            ),
-        ),
+        800,
     ],
 )
 def test_a_constant_and_a_ramp_pass(n: int) -> None:
