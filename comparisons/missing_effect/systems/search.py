@@ -50,7 +50,7 @@ BETTER_TIMED = 0.95
 FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
 # An open term takes the place of a name only when it is better by this much.
 UNNAMED_GAP = 12.0
-UNNAMED_SHARE = 0.02
+UNNAMED_SHARE = 0.1
 # A plain form speaks for a refined one where it wins this share of what that wins.
 SIMPLE_SHARE = 0.9
 
