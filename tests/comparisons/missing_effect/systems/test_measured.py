@@ -40,7 +40,7 @@ def _folder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def silverbox(most_effects: int, **changes: object) -> SystemDiagnosis:
     made = script("silverbox")
-    train = made.rows("training", 40650, 40650 + 4500)
+    train = made.rows("training", 40650, 40650 + 3600)
     tests = [made.rows("multisine", 105712, 108712)]
     model = replace(made.model, **changes)
     return diagnose_model(model, train, tests, most_effects=most_effects)
@@ -82,7 +82,7 @@ def test_with_the_cubic_in_the_model_what_else_is_found_shows_on_unseen_rows() -
 def test_the_joint_has_dry_friction() -> None:
     """In closed loop: mass, viscous and dry friction as the inverse dynamics of the data say."""
     made = script("emps")
-    train = made.experiment("training", "DATA_EMPS.mat").rows(0, 7500)
+    train = made.experiment("training", "DATA_EMPS.mat").rows(0, 6000)
     d = diagnose_model(made.closed_loop, train, most_effects=1)
     found = d.missing[0]
     assert found.effect == "coulomb_friction"
