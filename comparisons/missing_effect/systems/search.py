@@ -50,7 +50,7 @@ BETTER_TIMED = 0.95
 FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
 # An open term takes the place of a name only when it is better by this much.
 UNNAMED_GAP = 12.0
-UNNAMED_SHARE = 0.1
+UNNAMED_SHARE = 0.02
 # A plain form speaks for a refined one where it wins this share of what that wins.
 SIMPLE_SHARE = 0.9
 
@@ -535,10 +535,10 @@ def _winner(
         # A name speaks wherever the records cannot tell it from a term without one.
         name = max(named, key=lambda c: c.score)
         best, rivalled = name, best.score - name.score > UNNAMED_GAP
-        pool = [best, *[c for c in accepted if c is not best]]
+        pool = [best, *[c for c in accepted if c is not best and not c.placed.effect.unnamed]]
         near = _near(weigher, pool)
     simple = _simple_form(best, pool)
-    aliases = [c for c, same in zip(pool, near, strict=True) if same or c is simple]
+    aliases = [c for c, same in zip(pool, near, strict=True) if same or c is simple or c is best]
     if not best.placed.effect.unnamed:
         aliases = [c for c in aliases if not c.placed.effect.unnamed]
         aliases = [c for c in aliases if c is best or not c.outgrown]
