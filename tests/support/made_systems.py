@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from comparisons.missing_effect.evidence import Evidence
+from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
@@ -24,7 +25,7 @@ from comparisons.missing_effect.systems.results import (
     SystemDiagnosis,
 )
 from comparisons.missing_effect.systems.score import Probe
-from comparisons.missing_effect.systems.search import Bench, Candidate, Round
+from comparisons.missing_effect.systems.search import Candidate, Round
 from comparisons.missing_effect.systems.structure import Structure
 
 PERIOD_S = 0.02

@@ -148,6 +148,18 @@ def both_signs(signal: FloatArray) -> str:
     return "" if share >= LEAST_SIDE_SHARE else "needs a signal that changes sign"
 
 
+def one_side(reading: FloatArray) -> str:
+    """Return why a reading cannot come from a sensor that shows one side only, or an empty text.
+
+    Parameters
+    ----------
+    reading : ndarray
+        Over its rms. Noise may take a few readings below zero.
+    """
+    beyond = float(np.mean(reading < -SIDE))
+    return "" if beyond <= LEAST_SIDE_SHARE else "needs a reading that stays on one side of zero"
+
+
 _FORCE = "a force, flow or current in this equation against the signal, both measured"
 _SENSOR = "a calibration of the sensor, in rest and over its range"
 _DRIVE = "the drive's answer to slow steps up and down, measured behind it"
@@ -368,7 +380,7 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         (),
         _outputs,
         _fixed(()),
-        _always,
+        one_side,
         _SENSOR,
         linear=False,
     ),
@@ -381,7 +393,7 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         (),
         _outputs,
         _fixed(()),
-        _always,
+        one_side,
         _SENSOR,
         linear=False,
     ),

@@ -9,6 +9,7 @@ import numpy as np
 
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
@@ -24,12 +25,7 @@ from comparisons.missing_effect.systems.results import (
     ParameterRow,
     SystemDiagnosis,
 )
-from comparisons.missing_effect.systems.search import (
-    Bench,
-    Round,
-    base_bench,
-    search_round,
-)
+from comparisons.missing_effect.systems.search import Round, search_round
 from comparisons.missing_effect.systems.structure import Run, Structure
 
 __all__ = ["MOST_EFFECTS", "diagnose_model"]
@@ -38,6 +34,8 @@ MOST_EFFECTS = 4
 # What an effect beyond the first must explain: of the squared whitened errors, or of the squared
 # raw errors on held-out rows.
 LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
+# Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
+FORETOLD_BADLY = 2.5
 # Share of a parameter's range that counts as at its bound.
 AT_BOUND = 1e-4
 
@@ -234,12 +232,21 @@ def _verdict(missing: Sequence[FoundEffect], base: Bench) -> str:
     if base.fit.failed:
         return "unexplained_structure"
     if not missing:
-        return "nothing_missing"
+        return "unexplained_structure" if _foretells_badly(base) else "nothing_missing"
     if missing[0].unnamed:
         return "unnamed_term"
     if any(item.provisional for item in missing):
         return "provisional"
     return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"
+
+
+def _foretells_badly(bench: Bench) -> bool:
+    """Tell whether the rows held out go far more wrong than those fitted.
+
+    What happens in them alone cannot be found: nothing is fitted to them.
+    """
+    fitted = np.sqrt(np.mean(np.concatenate(bench.fit.errors) ** 2, axis=0))
+    return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * fitted))
 
 
 def _parameters(
@@ -309,7 +316,16 @@ def _remarks(
 ) -> tuple[str, ...]:
     out = []
     if base.fit.failed:
-        out.append("The model could not be simulated from its starts: give other starts or bounds.")
+        out.append(
+            "The model could not be simulated from its starts, so that nothing can be said of what "
+            "it lacks: give other starts or bounds."
+        )
+    elif not missing and _foretells_badly(base):
+        out.append(
+            "The last third of the training rows, which is held out, goes wrong more than twice as "
+            "far as the rows fitted, and nothing fitted explains it: what is missing acts there "
+            "alone. Give records in which it acts earlier, or several."
+        )
     last = rounds[-1] if rounds else None
     if last is not None and last.winner is not None and len(rounds) > len(missing):
         label = last.winner.placed.label(base.records.model)

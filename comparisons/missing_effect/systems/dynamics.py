@@ -19,7 +19,16 @@ from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.compiled import call_at
 from comparisons.missing_effect.systems.shapes import map_value, term_value
 
-__all__ = ["HEAD", "ROW", "SLOTS", "extended_output", "extended_rhs"]
+__all__ = [
+    "HEAD",
+    "ROW",
+    "SLOTS",
+    "add_effect",
+    "extended_output",
+    "extended_rhs",
+    "prepare",
+    "scratch_for",
+]
 
 # Numbers of an effect in θ: its amplitude or first parameter, and shape parameters.
 SLOTS = 4
@@ -103,12 +112,94 @@ def _parameters(
 ) -> None:
     """Fill p with the model's parameters, drifting ones at the clock."""
     n_u, n_p, n_eff = ints[3], ints[4], ints[7]
-    p[:] = theta[:n_p]
+    for i in range(n_p):
+        p[i] = theta[i]
     for e in range(n_eff):
         row = HEAD + ROW * e
         if ints[row] == 7:
             along = (t + clock[0] - clock[2]) / clock[3]
             p[ints[row + 2]] += theta[n_p + n_u + SLOTS * e] * floats[3 * e] * along
+
+
+@njit(cache=True, error_model="numpy")
+def scratch_for(ints: IntArray) -> FloatArray:
+    """Return working space for these kernels: states, inputs, parameters, outputs, all slopes."""
+    n_x, n_u, n_p, n_y, n_own = ints[2], ints[3], ints[4], ints[5], ints[6]
+    return np.zeros(n_x + n_u + n_p + n_y + n_x + n_own)
+
+
+@njit(cache=True, error_model="numpy")
+def prepare(
+    t: float,
+    X: FloatArray,
+    theta: FloatArray,
+    ints: IntArray,
+    floats: FloatArray,
+    pieces: FloatArray,
+    clock: FloatArray,
+    dX: FloatArray,
+    scratch: FloatArray,
+) -> None:
+    """Fill the scratch with states, inputs and parameters as the model sees them.
+
+    In dX what own states of inputs do is filled, and zero elsewhere; parameters as of
+    `extended_rhs`.
+    """
+    n_x, n_u, n_p = ints[2], ints[3], ints[4]
+    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
+    # Loops, since numba takes ten times as long to copy a few numbers from slice to slice.
+    for i in range(X.size):
+        dX[i] = 0.0
+    for i in range(n_x):
+        x[i] = X[i]
+    _inputs(t, X, theta, ints, floats, pieces, u, dX, clock)
+    _parameters(t, theta, ints, floats, clock, p)
+    for e in range(ints[7]):
+        row = HEAD + ROW * e
+        if ints[row] == 8:
+            i = ints[row + 2]
+            a = theta[n_p + n_u + SLOTS * e]
+            x[i] = map_value(ints[row + 1], x[i], floats[3 * e + 1], a)
+
+
+@njit(cache=True, error_model="numpy")
+def add_effect(
+    e: int,
+    X: FloatArray,
+    theta: FloatArray,
+    ints: IntArray,
+    floats: FloatArray,
+    clock: FloatArray,
+    dX: FloatArray,
+    scratch: FloatArray,
+) -> None:
+    """Add to dX what effect e does, if it is a term, an overflow or a hysteresis.
+
+    Parameters as of `extended_rhs`; the scratch was filled by `prepare`.
+    """
+    n_x, row, at = ints[2], HEAD + ROW * e, ints[4] + ints[3] + SLOTS * e
+    kind, i, k = ints[row], ints[row + 2], ints[row + 3]
+    amount, a, b = theta[at], theta[at + 1], theta[at + 2]
+    if kind == 0:
+        # Inputs follow the states in the scratch as they do in the numbers of signals.
+        s = (X[k] if k < n_x else scratch[k]) / floats[3 * e + 1]
+        m = ints[row + 4]
+        other = 0.0
+        if ints[row + 1] == 9:
+            other = (X[m] if m < n_x else scratch[m]) / floats[3 * e + 2]
+        dX[i] += amount * floats[3 * e] * term_value(ints[row + 1], s, other, a, b)
+    elif kind == 9:
+        spilt = max(X[i] - amount * floats[3 * e + 1], 0.0) / (SPILL_SAMPLES * clock[1])
+        dX[i] -= spilt
+        if ints[row + 4] >= 0:
+            dX[ints[row + 4]] += a * spilt
+    elif kind == 10:
+        own = ints[row + 5]
+        s = X[k] / floats[3 * e + 1]
+        z = X[own]
+        # Bouc and Wen with n = 1 and β = γ = 1/2, which is Dahl's model.
+        dX[own] = (s - 0.5 * abs(s) * z - 0.5 * s * abs(z)) / (a * floats[3 * e + 2])
+        dX[i] += amount * floats[3 * e] * z
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,8 +211,10 @@ def extended_rhs(
     floats: FloatArray,
     pieces: FloatArray,
     clock: FloatArray,
-) -> FloatArray:
-    """Return dX/dt of the extended system.
+    dX: FloatArray,
+    scratch: FloatArray,
+) -> None:
+    """Fill dX with dX/dt of the extended system.
 
     Parameters
     ----------
@@ -137,53 +230,25 @@ def extended_rhs(
         Inputs between samples.
     clock : ndarray of shape (4,)
         Clock of the first sample, sample period, middle and half length of the records' span.
+    dX : ndarray of shape (n_x + n_own,)
+        Filled.
+    scratch : ndarray
+        From `scratch_for`: this is called millions of times, and must make no arrays.
     """
-    n_x, n_u, n_p, n_y = ints[2], ints[3], ints[4], ints[5]
-    n_eff = ints[7]
-    dX = np.zeros(X.size)
-    u, p, x = np.empty(n_u), np.empty(n_p), X[:n_x].copy()
-    _inputs(t, X, theta, ints, floats, pieces, u, dX, clock)
-    _parameters(t, theta, ints, floats, clock, p)
-    at = n_p + n_u
-    for e in range(n_eff):
-        row = HEAD + ROW * e
-        if ints[row] == 8:
-            i = ints[row + 2]
-            x[i] = map_value(ints[row + 1], x[i], floats[3 * e + 1], theta[at + SLOTS * e])
+    n_x, n_u, n_p = ints[2], ints[3], ints[4]
+    prepare(t, X, theta, ints, floats, pieces, clock, dX, scratch)
+    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     call_at(ints[0], t, x, u, p, dX)
-    for e in range(n_eff):
-        row = HEAD + ROW * e
-        kind, i, k = ints[row], ints[row + 2], ints[row + 3]
-        amount = theta[at + SLOTS * e]
-        a, b = theta[at + SLOTS * e + 1], theta[at + SLOTS * e + 2]
-        if kind == 0:
-            s = (X[k] if k < n_x else u[k - n_x]) / floats[3 * e + 1]
-            m = ints[row + 4]
-            other = 0.0
-            if ints[row + 1] == 9:
-                other = (X[m] if m < n_x else u[m - n_x]) / floats[3 * e + 2]
-            dX[i] += amount * floats[3 * e] * term_value(ints[row + 1], s, other, a, b)
-        elif kind == 9:
-            spilt = max(X[i] - amount * floats[3 * e + 1], 0.0) / (SPILL_SAMPLES * clock[1])
-            dX[i] -= spilt
-            if ints[row + 4] >= 0:
-                dX[ints[row + 4]] += a * spilt
-        elif kind == 10:
-            own = ints[row + 5]
-            s = X[k] / floats[3 * e + 1]
-            z = X[own]
-            # Bouc and Wen with n = 1 and β = γ = 1/2, which is Dahl's model.
-            dX[own] = (s - 0.5 * abs(s) * z - 0.5 * s * abs(z)) / (a * floats[3 * e + 2])
-            dX[i] += amount * floats[3 * e] * z
-    for e in range(n_eff):
+    for e in range(ints[7]):
+        add_effect(e, X, theta, ints, floats, clock, dX, scratch)
+    for e in range(ints[7]):
         row = HEAD + ROW * e
         if ints[row] == 6:
-            y = np.empty(n_y)
+            y = scratch[n_x + n_u + n_p : n_x + n_u + n_p + ints[5]]
             call_at(ints[1], t, x, u, p, y)
             own = ints[row + 5]
-            lag_s = max(theta[at + SLOTS * e], 1e-3) * clock[1]
+            lag_s = max(theta[n_p + n_u + SLOTS * e], 1e-3) * clock[1]
             dX[own] = (y[ints[row + 2]] - X[own]) / lag_s
-    return dX
 
 
 @njit(cache=True, error_model="numpy")
@@ -196,11 +261,14 @@ def extended_output(
     pieces: FloatArray,
     clock: FloatArray,
     y: FloatArray,
+    scratch: FloatArray,
 ) -> None:
     """Fill y with the outputs of the extended system; parameters as of `extended_rhs`."""
     n_x, n_u, n_p = ints[2], ints[3], ints[4]
-    u, p, x = np.empty(n_u), np.empty(n_p), X[:n_x].copy()
-    unused = np.empty(X.size)
+    x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
+    for i in range(n_x):
+        x[i] = X[i]
+    unused = scratch[n_x + n_u + n_p + ints[5] :]
     _inputs(t, X, theta, ints, floats, pieces, u, unused, clock)
     _parameters(t, theta, ints, floats, clock, p)
     call_at(ints[1], t, x, u, p, y)

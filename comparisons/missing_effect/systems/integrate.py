@@ -14,7 +14,11 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from classic_ml.records import FloatArray
-from comparisons.missing_effect.systems.dynamics import SLOTS, extended_rhs
+from comparisons.missing_effect.systems.dynamics import (
+    SLOTS,
+    extended_rhs,
+    scratch_for,
+)
 
 __all__ = ["integrated"]
 
@@ -68,9 +72,9 @@ def _slope(out: Any, t: float, state: Any, given: Any) -> None:
     at = 4 + n
     n_theta = ints[4] + ints[3] + SLOTS * ints[7]
     theta, floats = packed[at : at + n_theta], packed[at + n_theta :]
-    slope = extended_rhs(t, X, theta, ints, floats, pieces, packed[:4])
-    for i in range(n):
-        out[i] = slope[i]
+    scratch = carray(_numbers_at(given[8]), (given[9],))
+    dX = carray(out, (n,))
+    extended_rhs(t, X, theta, ints, floats, pieces, packed[:4], dX, scratch)
 
 
 def integrated(
@@ -129,6 +133,7 @@ def _solved(
     from CyRK.nb import numba_solver as cyrk
 
     # The callback gets one block of bytes: the addresses of everything else.
+    scratch = scratch_for(ints)
     given = np.array(
         [
             start.size,
@@ -139,6 +144,8 @@ def _solved(
             pieces.ctypes.data,
             pieces.shape[0],
             pieces.shape[1],
+            scratch.ctypes.data,
+            scratch.size,
         ],
         dtype=np.int64,
     )

@@ -14,18 +14,11 @@ import numpy as np
 
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.fit import Fit, own_starts, parameter_steps
+from comparisons.missing_effect.systems.linearised import FINE, along, forced, propagators
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import Place, Placed, SystemEffect, rms
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.simulate import (
-    FINE,
-    along,
-    answers,
-    filled,
-    forced,
-    output_answers,
-    propagators,
-)
+from comparisons.missing_effect.systems.simulate import answers, filled, output_answers
 from comparisons.missing_effect.systems.structure import Run
 
 __all__ = ["Probe", "Prober", "placed_effects"]

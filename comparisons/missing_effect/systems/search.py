@@ -15,44 +15,36 @@ import numpy as np
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.evidence import Evidence, Rows, alias_rows, evidence_of
 from comparisons.missing_effect.lag_data import LATER, TRAIN
+from comparisons.missing_effect.systems.bench import Bench, whitened_fit
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
-from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
+from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
-from comparisons.missing_effect.systems.records import Records, runs_of
 from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
+from comparisons.missing_effect.systems.structure import Structure
 
-__all__ = ["Bench", "Candidate", "Round", "base_bench", "search_round"]
+__all__ = ["Candidate", "Round", "search_round"]
 
 # Effects that are nothing at the lower bound of their first number.
 VANISHING = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
+# Effects that make an input or a reading come late.
+LATE = (Kind.INPUT_LAG, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
 # Candidates that are fitted: the most promising of each metric, as long as they promise a
 # hundredth of the best and more than chance.
 MOST_FITTED = 6
-# Steps of the first lap, those that go on by either count, and steps to the end.
-FIRST_LAP, FINALISTS, MOST_ITERATIONS = 3, 4, 15
-# Steps in a whitening metric, whose valleys are narrow and bent.
-MOST_WHITENED = 20
+# Steps from each of several starts, steps of the first lap, those that go on by either count, and
+# steps to the end.
+HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 3, 4, 15
 LEAST_PROMISE, LEAST_PROMISE_SHARE = 6.0, 0.01
 BLOCKS = 60
 LEAST_BLOCK_ROWS = 20
-INTERPOLATIONS = ("cubic", "linear", "band", "held")
-# Another way between samples is taken only when the raw held-out error falls to this share, or
-# when it stays within as much and the whitened one wins so many log-units.
-BETTER_BETWEEN, BETTER_WHITE = 0.995, 10.0
-# The integrator's tolerance as a share of what is new in each error over the output's swing.
-TOLERANCE_SHARE, LEAST_TOLERANCE = 0.15, 1e-9
-# Timing offsets that the whitened errors ask for may cost this much of the raw held-out error.
-BETTER_TIMED = 0.95
-# Rows of each record, and steps of the search, for the way between samples.
-FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
 # An open term takes the place of a name only when it is better by this much.
 UNNAMED_GAP = 12.0
 UNNAMED_SHARE = 0.02
-# A plain form speaks for a refined one where it wins this share of what that wins.
-SIMPLE_SHARE = 0.9
+# A plain form speaks for a refined one, and provisionally a name for a term without one that
+# corrects the same (cosine of the corrections), where it wins this share of what that wins.
+SIMPLE_SHARE, SAME_COSINE = 0.9, 0.98
 
 
 @dataclass(frozen=True)
@@ -113,126 +105,6 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A model that stands so far, and the records.
-
-    Parameters
-    ----------
-    records : Records
-        Training records.
-    train, later : tuple of Run
-        What is fitted and what is held out.
-    fit : Fit
-        The model, in the raw metric.
-    white : Fit, optional
-        The same model fitted in a whitening metric, where the next such fit begins.
-    """
-
-    records: Records
-    train: tuple[Run, ...]
-    later: tuple[Run, ...]
-    fit: Fit
-    white: Fit | None = None
-
-    @property
-    def raw(self) -> Metric:
-        """The raw metric."""
-        return raw_metric([run.outputs for run in self.train])
-
-    def held_out_rms(self) -> FloatArray:
-        """Return the rms error of each output on the held-out rows, starts estimated there."""
-        errors = np.concatenate(settled(self.fit, self.later, self.raw).errors)
-        return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
-
-    def refitted(self, structure: Structure, theta: FloatArray) -> Bench:
-        """Return the bench with another model, fitted in the raw metric; its offsets are held."""
-        bench = self.laid(structure.between)
-        held = replace(structure, offsets_free=False)
-        fit = fit_runs(held, bench.train, self.raw, theta, self.fit.starts)
-        return replace(bench, fit=fit)
-
-    def timed(self) -> Bench:
-        """Return the bench with the timing offsets that whitened errors ask for."""
-        if not self.records.model.inputs or self.fit.failed:
-            return self
-        metric = metric_of(self.fit.errors)
-        white = _whitened(self, self.fit, metric)
-        moved = self.refitted(self.fit.structure, _with_offsets(self.fit, white))
-        better = moved.held_out_size() < self.held_out_size() / BETTER_TIMED
-        return replace(moved if better else self, white=white)
-
-    def held_out_size(self) -> float:
-        """Return the held-out error, outputs joined by their geometric mean."""
-        sizes = self.held_out_rms()
-        return float(np.exp(np.mean(np.log(sizes)))) if np.all(np.isfinite(sizes)) else np.inf
-
-    def laid(self, between: str, fitted: int | None = None, held_out: int | None = None) -> Bench:
-        """Return the bench with inputs laid otherwise between samples, or with fewer rows."""
-        if between == self.fit.structure.between and fitted is None:
-            return self
-        train = [e.rows(0, fitted or e.n_samples) for e in self.records.fitted]
-        later = [e.rows(0, held_out or e.n_samples) for e in self.records.held_out]
-        return replace(
-            self,
-            train=runs_of(self.records, train, between, begun=True),
-            later=runs_of(self.records, later, between, begun=False),
-        )
-
-    def between_chosen(self) -> Bench:
-        """Return the bench with its inputs between samples as they foretell held-out rows best.
-
-        Another way is taken when the raw error on held-out rows falls by it; or when it stays and
-        the error in the metric of the model's own colour falls, since what happens within a
-        sample can be lost in the slow part of the raw error. A stretch of each record is enough.
-        """
-        chosen = self.records.model.input_between_samples != "auto"
-        if chosen or not self.records.model.inputs or self.fit.failed:
-            return self
-        now = self.fit.structure.between
-        short = self.laid(now, FITTED_BETWEEN, HELD_OUT_BETWEEN)
-        rows = [e[: run.n_samples] for e, run in zip(self.fit.errors, short.train, strict=True)]
-        metric = metric_of(rows)
-        raw, white, theta = self._misfits(now, metric)
-        best, least = now, (raw, white)
-        for between in INTERPOLATIONS:
-            if between == now:
-                continue
-            raw, white, timed = self._misfits(between, metric)
-            falls = raw < BETTER_BETWEEN * least[0]
-            stays = raw < least[0] / BETTER_BETWEEN and white < least[1] - BETTER_WHITE
-            if falls or stays:
-                best, least, theta = between, (raw, white), timed
-        if best == now:
-            return self
-        moved = self.refitted(replace(self.fit.structure, between=best), theta)
-        # What is better on a stretch must not be worse on the whole.
-        return moved if moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN else self
-
-    def _misfits(self, between: str, metric: Metric) -> tuple[float, float, FloatArray]:
-        """Return the raw error of a stretch of held-out rows, outputs joined by their geometric
-        mean, and what it costs in a metric, each by a fit of its own.
-        """
-        structure = replace(self.fit.structure, between=between)
-        short = self.laid(between, FITTED_BETWEEN, HELD_OUT_BETWEEN)
-        white = _whitened(
-            replace(short, fit=replace(self.fit, structure=structure)), self.fit, metric
-        )
-        held = replace(structure, offsets_free=False)
-        theta = _with_offsets(self.fit, white)
-        raw = fit_runs(
-            held, short.train, self.raw, theta, white.starts, white.scale, most=STEPS_BETWEEN
-        )
-        if raw.failed or white.failed:
-            return np.inf, np.inf, theta
-        costs = [
-            -own.log_likelihood(settled(fit, short.later, own).errors)
-            for fit, own in ((raw, self.raw), (white, metric))
-        ]
-        n = sum(run.n_samples for run in short.later) * len(self.raw.sigma)
-        return float(np.exp(costs[0] / n)), costs[1], theta
-
-
-@dataclass(frozen=True)
 class Round:
     """One round of the search.
 
@@ -266,43 +138,6 @@ class Round:
     share: float = 0.0
 
 
-def base_bench(records: Records) -> Bench:
-    """Fit the user's model as it is, and choose how its inputs run between samples.
-
-    Parameters
-    ----------
-    records : Records
-        Training records.
-    """
-    wanted = records.model.input_between_samples
-    between = "cubic" if wanted == "auto" else wanted
-    structure = Structure(records.model, (), between, offsets_free=False)
-    train = runs_of(records, records.fitted, between, begun=True)
-    later = runs_of(records, records.held_out, between, begun=False)
-    raw = raw_metric([run.outputs for run in train])
-    fit = fit_runs(structure, train, raw, structure.start(), [run.x0_mean for run in train])
-    bench = Bench(records, train, later, fit)
-    finer = replace(structure, tolerance=tolerance_for(fit, bench.raw))
-    return bench.refitted(finer, fit.theta).timed().between_chosen()
-
-
-def tolerance_for(fit: Fit, raw: Metric) -> float:
-    """Return a tolerance of the integrator well below what is new in the errors.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of the model as it is; its whitened errors bound the noise from above.
-    raw : Metric
-        Swing of each output.
-    """
-    if fit.failed:
-        return FIRST_TOLERANCE
-    noise = metric_of(fit.errors).sigma
-    least = min(new / swing for new, swing in zip(noise, raw.sigma, strict=True))
-    return float(np.clip(TOLERANCE_SHARE * least, LEAST_TOLERANCE, FIRST_TOLERANCE))
-
-
 def search_round(
     bench: Bench, effects: Sequence[SystemEffect], open_terms: Sequence[SystemEffect]
 ) -> Round:
@@ -322,9 +157,11 @@ def search_round(
     promising = _promising(raw, white)
     raw_fits = _raced(bench, promising)
     metric = _metric_of_best([bench.fit, *raw_fits.values()])
-    weigher = _Weigher.of(bench, metric, len(placed))
+    weigher = _Weigher.of(bench, metric, placed)
     tried = [
-        weigher.weighed(Candidate(probe.placed, probe), _whitened(bench, raw_fits[probe], metric))
+        weigher.weighed(
+            Candidate(probe.placed, probe), whitened_fit(bench, raw_fits[probe], metric)
+        )
         for probe in promising
         if probe in raw_fits
     ]
@@ -396,57 +233,40 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
 
 
 def _begun(bench: Bench, probe: Probe) -> Fit:
-    """Fit a few steps from where the score test points."""
+    """Fit a few steps from where the score test points, or from the best of several starts."""
     structure = bench.fit.structure.with_effect(probe.placed)
-    effect = probe.placed.effect
+
+    def lap(theta: FloatArray, starts: Sequence[FloatArray], most: int) -> Fit:
+        return fit_runs(structure, bench.train, bench.raw, theta, starts, most=most)
+
+    begun = _beginnings(bench, probe, structure)
+    most = FIRST_LAP if probe.placed.effect.numbers else MOST_ITERATIONS
+    if len(begun) == 1:
+        return lap(begun[0], bench.fit.starts, most)
+    heats = [lap(theta, bench.fit.starts, HEAT) for theta in begun]
+    best = min(heats, key=lambda fit: fit.cost)
+    return best if best.failed else lap(best.theta, best.starts, most)
+
+
+def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatArray]:
+    """Return where a fit of one more effect may begin."""
+    effect, theta = probe.placed.effect, bench.fit.theta
+    first = len(structure.model.params)
+    end = first + len(structure.model.inputs)
     slots = structure.slots((0.0, *probe.start[1:]) if effect.linear else probe.start)
-    begun = [bench.fit.theta]
+    out = [np.concatenate([theta, slots])]
     if not effect.numbers:
         # What makes another reading of everything: the model without it may be far off.
-        begun.append(np.concatenate([structure.start(), bench.fit.theta[structure.start().size :]]))
-    fits = [
-        fit_runs(
-            structure,
-            bench.train,
-            bench.raw,
-            np.concatenate([theta, slots]),
-            bench.fit.starts,
-            most=FIRST_LAP if effect.numbers else MOST_ITERATIONS,
-        )
-        for theta in begun
-    ]
-    return min(fits, key=lambda fit: fit.cost)
-
-
-def _whitened(bench: Bench, fit: Fit, metric: Metric) -> Fit:
-    """Fit a model in a whitening metric, timing offsets free.
-
-    The search begins where it costs least: at the raw fit, or at the model of the bench as it was
-    last whitened, with what the raw fit has in addition.
-    """
-    free = replace(bench.fit.structure, effects=fit.structure.effects, offsets_free=True)
-    starts = [(fit.theta, fit.starts)]
-    if bench.white is not None:
-        known = bench.white.theta
-        starts.append((np.concatenate([known, fit.theta[known.size :]]), bench.white.starts))
-    if len(starts) > 1:
-        costs = [
-            fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=0).cost
-            for theta, x0 in starts
-        ]
-        starts = [starts[int(np.argmin(costs))]]
-    theta, x0 = starts[0]
-    return fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=MOST_WHITENED)
-
-
-def _with_offsets(fit: Fit, timed: Fit) -> FloatArray:
-    """Return θ of a fit with the timing offsets of another."""
-    first = len(fit.structure.model.params)
-    theta = fit.theta.copy()
-    theta[first : first + len(fit.structure.model.inputs)] = timed.theta[
-        first : first + len(fit.structure.model.inputs)
-    ]
-    return theta
+        begun = structure.start()
+        out.append(np.concatenate([begun[:end], theta[end:], slots]))
+    elif effect.kind in LATE:
+        # What comes late through it, the model without it has put down to a timing offset.
+        out.append(np.concatenate([theta[:first], 0.0 * theta[first:end], theta[end:], slots]))
+    elif not effect.linear:
+        # A threshold in the run of a model that lacks it may be nowhere near the true one.
+        others = [start for start in probe.placed.starts if start != probe.start]
+        out += [np.concatenate([theta, structure.slots(start)]) for start in others]
+    return out
 
 
 def _metric_of_best(fits: Sequence[Fit]) -> Metric:
@@ -471,13 +291,14 @@ class _Weigher:
     base: Fit
     base_errors: FloatArray
     rows: Rows
-    n_places: int
+    names: tuple[str, ...]
 
     @classmethod
-    def of(cls, bench: Bench, metric: Metric, n_places: int) -> _Weigher:
-        base = _whitened(bench, bench.fit, metric)
+    def of(cls, bench: Bench, metric: Metric, placed: Sequence[Placed]) -> _Weigher:
+        base = whitened_fit(bench, bench.fit, metric)
         errors = _errors(bench, metric, base)
-        return cls(bench, metric, base, errors, _rows(bench, metric), n_places)
+        names = tuple(one.name for one in placed)
+        return cls(bench, metric, base, errors, _rows(bench, metric), names)
 
     def weighed(self, candidate: Candidate, fit: Fit) -> Candidate:
         """Return a candidate with its evidence."""
@@ -486,7 +307,7 @@ class _Weigher:
         errors = _errors(self.bench, self.metric, fit)
         added = fit.n_parameters - self.base.n_parameters
         evidence = evidence_of(
-            self.rows, self.base_errors, errors, added=added, searched=float(self.n_places)
+            self.rows, self.base_errors, errors, added=added, searched=float(len(self.names))
         )
         return replace(candidate, fit=fit, errors=errors, evidence=evidence)
 
@@ -528,7 +349,8 @@ def _winner(
     named = [
         c
         for c, same in zip(pool, near, strict=True)
-        if not c.placed.effect.unnamed and (same or best.score - c.score < margin)
+        if not c.placed.effect.unnamed
+        and (same or best.score - c.score < margin or _corrects_the_same(weigher, c, best))
     ]
     rivalled = False
     if best.placed.effect.unnamed and named:
@@ -542,7 +364,17 @@ def _winner(
     if not best.placed.effect.unnamed:
         aliases = [c for c in aliases if not c.placed.effect.unnamed]
         aliases = [c for c in aliases if c is best or not c.outgrown]
-    aliases.sort(key=lambda c: (c is not simple, _numbers(c), -c.score))
+    # Names that rounding alone parts stand in the order of the catalogue.
+    order = {name: i for i, name in enumerate(dict.fromkeys(weigher.names))}
+    top = max(c.score for c in aliases)
+    aliases.sort(
+        key=lambda c: (
+            c is not simple,
+            _numbers(c),
+            int((top - c.score) / UNNAMED_GAP),
+            order.get(c.placed.name, len(order)),
+        )
+    )
     return aliases[0], tuple(aliases), rivalled
 
 
@@ -550,6 +382,22 @@ def _near(weigher: _Weigher, pool: Sequence[Candidate]) -> list[bool]:
     """Tell which of a pool the records cannot tell from its best."""
     errors = [c.errors for c in pool if c.errors is not None]
     return alias_rows(weigher.rows, weigher.base_errors, errors, [c.score for c in pool])
+
+
+def _corrects_the_same(weigher: _Weigher, candidate: Candidate, best: Candidate) -> bool:
+    """Tell whether a candidate wins nearly as much as the best, by nearly the same correction.
+
+    Where the shape of a term is wrong for both, long records part them by many log-units without
+    a word on which of them is nearer to the physics.
+    """
+    if candidate.errors is None or best.errors is None:
+        return False
+    valid = weigher.rows.valid
+    one = (weigher.base_errors - candidate.errors)[valid]
+    two = (weigher.base_errors - best.errors)[valid]
+    size = float(np.linalg.norm(one) * np.linalg.norm(two))
+    fair = candidate.score > SIMPLE_SHARE * best.score
+    return fair and size > 0.0 and float(one @ two) > SAME_COSINE * size
 
 
 def _simple_form(best: Candidate, pool: Sequence[Candidate]) -> Candidate | None:

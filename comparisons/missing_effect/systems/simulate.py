@@ -1,7 +1,7 @@
 """A run of the extended system, and how it answers to changes.
 
-How a run answers to a change of parameters, start or structure is the linearised system along it:
-matrix exponentials (Magnus, fourth order) on two steps a sample.
+How a run answers to a change of parameters, start or structure is the linearised system along it
+(`linearised`).
 """
 
 from __future__ import annotations
@@ -13,31 +13,23 @@ from numba import njit
 from numpy.typing import NDArray
 
 from classic_ml.records import FloatArray
-from comparisons.missing_effect.systems.dynamics import (
-    extended_output,
-    extended_rhs,
-)
+from comparisons.missing_effect.systems.dynamics import extended_output, scratch_for
 from comparisons.missing_effect.systems.integrate import integrated
+from comparisons.missing_effect.systems.linearised import (
+    FINE,
+    along,
+    forced,
+    output_slopes,
+    parameter_forcing,
+    propagators,
+)
 from comparisons.missing_effect.systems.structure import Run, Structure
 
-__all__ = [
-    "FINE",
-    "Path",
-    "along",
-    "answers",
-    "filled",
-    "forced",
-    "output_answers",
-    "path_of",
-    "propagators",
-]
+__all__ = ["Path", "answers", "filled", "output_answers", "path_of"]
 
 IntArray = NDArray[np.int64]
 
-# Points a sample on which a run is kept.
-FINE = 4
 RUNAWAY = 1e4
-RELATIVE_STEP = 1e-6
 # Of the coefficients of the recording filter.
 FILTER_STEP = 1e-4
 
@@ -121,299 +113,10 @@ def _outputs(
     n_y: int,
 ) -> FloatArray:
     n = (states.shape[0] - 1) // FINE + 1
-    out = np.empty((n, n_y))
+    out, scratch = np.empty((n, n_y)), scratch_for(ints)
+    given = (theta, ints, floats, pieces, clock)
     for k in range(n):
-        extended_output(k * clock[1], states[FINE * k], theta, ints, floats, pieces, clock, out[k])
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _jacobian(
-    t: float,
-    X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    scale: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Fill out with ∂f/∂X by central differences."""
-    moved = X.copy()
-    for i in range(X.size):
-        step = RELATIVE_STEP * (abs(X[i]) + scale[i])
-        moved[i] = X[i] + step
-        above = extended_rhs(t, moved, theta, ints, floats, pieces, clock)
-        moved[i] = X[i] - step
-        below = extended_rhs(t, moved, theta, ints, floats, pieces, clock)
-        moved[i] = X[i]
-        for j in range(X.size):
-            out[j, i] = (above[j] - below[j]) / (2.0 * step)
-
-
-@njit(cache=True, error_model="numpy")
-def _expm(A: FloatArray) -> FloatArray:
-    """Return the exponential of a small matrix: scaling, Padé (3, 3), squaring."""
-    n = A.shape[0]
-    size = 0.0
-    for i in range(n):
-        row = 0.0
-        for j in range(n):
-            row += abs(A[i, j])
-        size = max(size, row)
-    if not size < 1e12:
-        return np.full((n, n), np.nan)
-    halvings = 0
-    while size > 0.25:
-        size *= 0.5
-        halvings += 1
-    B = np.asarray(A * 0.5**halvings)
-    B2 = _product(B, B)
-    B3 = _product(B2, B)
-    above, below = np.empty((n, n)), np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            even = B2[i, j] / 10.0 + (1.0 if i == j else 0.0)
-            odd = B[i, j] / 2.0 + B3[i, j] / 120.0
-            above[i, j], below[i, j] = even + odd, even - odd
-    E = np.asarray(np.linalg.solve(below, above), dtype=np.float64)
-    for _ in range(halvings):
-        E = _product(E, E)
-    return E
-
-
-@njit(cache=True, error_model="numpy")
-def _product(A: FloatArray, B: FloatArray) -> FloatArray:
-    n, m = A.shape[0], B.shape[1]
-    out = np.zeros((n, m))
-    for i in range(n):
-        for k in range(A.shape[1]):
-            a = A[i, k]
-            for j in range(m):
-                out[i, j] += a * B[k, j]
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def propagators(
-    states: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    scale: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the transition matrices over whole and second half steps, two steps a sample.
-
-    Parameters
-    ----------
-    states : ndarray of shape (4(n − 1) + 1, n_X)
-        The run.
-    theta, ints, floats, pieces, clock : ndarray
-        As of `dynamics.extended_rhs`.
-    scale : ndarray of shape (n_X,)
-        Size of each state, for the differences.
-    """
-    steps, n = (states.shape[0] - 1) // 2, states.shape[1]
-    whole, half = np.empty((steps, n, n)), np.empty((steps, n, n))
-    fine_s = clock[1] / FINE
-    first, middle, last = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    _jacobian(0.0, states[0], theta, ints, floats, pieces, clock, scale, first)
-    for k in range(steps):
-        t = 2 * k * fine_s
-        _jacobian(t + fine_s, states[2 * k + 1], theta, ints, floats, pieces, clock, scale, middle)
-        _jacobian(
-            t + 2 * fine_s, states[2 * k + 2], theta, ints, floats, pieces, clock, scale, last
-        )
-        step_s = 2 * fine_s
-        mean = (first + 4.0 * middle + last) / 6.0
-        twist = (_product(last, first) - _product(first, last)) / 12.0
-        whole[k] = _expm(mean * step_s + twist * step_s**2)
-        half[k] = _expm((middle + last) * (0.5 * fine_s))
-        first, last = last, first
-    return whole, half
-
-
-@njit(cache=True, error_model="numpy")
-def _parameter_forcing(
-    states: FloatArray,
-    theta: FloatArray,
-    which: IntArray,
-    steps: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-) -> FloatArray:
-    """Return ∂f/∂θ along a run, shape (fine points, n_X, number of parameters)."""
-    m, n = states.shape
-    out = np.empty((m, n, which.size))
-    moved = theta.copy()
-    for k in range(m):
-        t = k * clock[1] / FINE
-        for c in range(which.size):
-            i = which[c]
-            moved[i] = theta[i] + steps[c]
-            above = extended_rhs(t, states[k], moved, ints, floats, pieces, clock)
-            moved[i] = theta[i] - steps[c]
-            below = extended_rhs(t, states[k], moved, ints, floats, pieces, clock)
-            moved[i] = theta[i]
-            for j in range(n):
-                out[k, j, c] = (above[j] - below[j]) / (2.0 * steps[c])
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def forced(
-    whole: FloatArray, half: FloatArray, forcing: FloatArray, start: FloatArray, fine_s: float
-) -> FloatArray:
-    """Return the linearised answer of the state, at the samples.
-
-    Parameters
-    ----------
-    whole, half : ndarray of shape (2(n − 1), n_X, n_X)
-        Transition matrices of `propagators`.
-    forcing : ndarray of shape (4(n − 1) + 1, n_X, c)
-        What is added to dX/dt, one column a change.
-    start : ndarray of shape (n_X, c)
-        Change of the start.
-    fine_s : float
-        A quarter of the sample period, in seconds.
-
-    Returns
-    -------
-    ndarray of shape (n, n_X, c)
-    """
-    steps, n = whole.shape[0], whole.shape[1]
-    n_c = start.shape[1]
-    out = np.empty((steps // 2 + 1, n, n_c))
-    now, after = start.copy(), np.empty((n, n_c))
-    out[0] = now
-    third = 2.0 * fine_s / 6.0
-    for k in range(steps):
-        for i in range(n):
-            for c in range(n_c):
-                total = third * forcing[2 * k + 2, i, c]
-                for j in range(n):
-                    total += whole[k, i, j] * (now[j, c] + third * forcing[2 * k, j, c])
-                    total += half[k, i, j] * 4.0 * third * forcing[2 * k + 1, j, c]
-                after[i, c] = total
-        now, after = after, now
-        if k % 2 == 1:
-            out[k // 2 + 1] = now
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def along(
-    states: FloatArray,
-    own: float,
-    has_own: bool,
-    theta: FloatArray,
-    theta_base: FloatArray,
-    ints: IntArray,
-    ints_base: IntArray,
-    floats: FloatArray,
-    floats_base: FloatArray,
-    pieces: FloatArray,
-    pieces_base: FloatArray,
-    clock: FloatArray,
-    n_y: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return what a change adds to dX/dt and to the outputs along a run that lacks it.
-
-    Parameters
-    ----------
-    states : ndarray of shape (4(n − 1) + 1, n_X)
-        The run.
-    own : float
-        Where the state of a new effect begins, if it has one (``has_own``).
-    theta, theta_base, ints, ints_base, floats, floats_base, pieces, pieces_base : ndarray
-        Of the changed system and of the run's own.
-    clock : ndarray of shape (4,)
-        As of `dynamics.extended_rhs`.
-    n_y : int
-        Number of outputs.
-
-    Returns
-    -------
-    forcing : ndarray of shape (4(n − 1) + 1, n_X, 1)
-    direct : ndarray of shape (n, n_y)
-    """
-    m, n = states.shape
-    forcing = np.empty((m, n, 1))
-    direct = np.empty(((m - 1) // FINE + 1, n_y))
-    X = np.empty(n + 1 if has_own else n)
-    y, y_base = np.empty(n_y), np.empty(n_y)
-    fine_s = clock[1] / FINE
-    for k in range(m):
-        t = k * fine_s
-        X[:n] = states[k]
-        if has_own:
-            X[n] = own
-        dX = extended_rhs(t, X, theta, ints, floats, pieces, clock)
-        base = extended_rhs(t, states[k], theta_base, ints_base, floats_base, pieces_base, clock)
-        for i in range(n):
-            forcing[k, i, 0] = dX[i] - base[i]
-        if k % FINE == 0:
-            extended_output(t, X, theta, ints, floats, pieces, clock, y)
-            extended_output(
-                t, states[k], theta_base, ints_base, floats_base, pieces_base, clock, y_base
-            )
-            direct[k // FINE] = y - y_base
-        if has_own:
-            own += fine_s * dX[n]
-            # A hysteresis stays within its bounds; other states of effects are readings.
-            if ints[9 + 6 * (ints[7] - 1)] == 10:
-                own = min(max(own, -1.0), 1.0)
-    return forcing, direct
-
-
-@njit(cache=True, error_model="numpy")
-def _output_slopes(
-    states: FloatArray,
-    answers_: FloatArray,
-    theta: FloatArray,
-    which: IntArray,
-    steps: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    scale: FloatArray,
-    n_y: int,
-) -> FloatArray:
-    """Return how the outputs answer: through the state, and directly; (n, n_y, columns)."""
-    n, n_x, n_c = answers_.shape
-    out = np.zeros((n, n_y, n_c))
-    above, below = np.empty(n_y), np.empty(n_y)
-    moved_X, moved = np.empty(n_x), theta.copy()
-    for k in range(n):
-        t = k * clock[1]
-        moved_X[:] = states[FINE * k]
-        for i in range(n_x):
-            value = moved_X[i]
-            step = RELATIVE_STEP * (abs(value) + scale[i])
-            moved_X[i] = value + step
-            extended_output(t, moved_X, theta, ints, floats, pieces, clock, above)
-            moved_X[i] = value - step
-            extended_output(t, moved_X, theta, ints, floats, pieces, clock, below)
-            moved_X[i] = value
-            for j in range(n_y):
-                slope = (above[j] - below[j]) / (2.0 * step)
-                for c in range(n_c):
-                    out[k, j, c] += slope * answers_[k, i, c]
-        for c in range(which.size):
-            i = which[c]
-            moved[i] = theta[i] + steps[c]
-            extended_output(t, moved_X, moved, ints, floats, pieces, clock, above)
-            moved[i] = theta[i] - steps[c]
-            extended_output(t, moved_X, moved, ints, floats, pieces, clock, below)
-            moved[i] = theta[i]
-            for j in range(n_y):
-                out[k, j, c] += (above[j] - below[j]) / (2.0 * steps[c])
+        extended_output(k * clock[1], states[FINE * k], *given, out[k], scratch)
     return out
 
 
@@ -454,7 +157,7 @@ def answers(
     whole, half = propagators(path.states, theta, *given, scale)
     n_X, m = structure.n_states, which.size
     forcing = np.zeros((path.states.shape[0], n_X, m + n_X))
-    forcing[:, :, :m] = _parameter_forcing(path.states, theta, which, steps, *given)
+    forcing[:, :, :m] = parameter_forcing(path.states, theta, which, steps, *given)
     n_y = run.outputs.shape[1]
     direct = np.zeros((run.n_samples, n_y, m + n_X))
     filter_at = structure.recording
@@ -466,7 +169,7 @@ def answers(
         )
     start = np.hstack([np.zeros((n_X, m)), np.eye(n_X)])
     moved = forced(whole, half, forcing, start, run.sample_period_s / FINE)
-    slopes = _output_slopes(path.states, moved, theta, which, steps, *given, scale, n_y)
+    slopes = output_slopes(path.states, moved, theta, which, steps, *given, scale, n_y)
     return structure.recorded(slopes, theta) + direct
 
 
@@ -518,7 +221,7 @@ def output_answers(
         Changes of the state at the samples.
     """
     ints, floats = structure.ints, filled(structure.floats)
-    slopes = _output_slopes(
+    slopes = output_slopes(
         path.states,
         moved,
         theta,

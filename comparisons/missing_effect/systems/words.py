@@ -22,8 +22,7 @@ __all__ = ["number_words", "plain_name", "system_words"]
 _LEADS = {
     "nothing_missing": "Nothing is missing that these records show: no effect tried explains more "
     "of the errors than chance does.",
-    "unexplained_structure": "The model could not be simulated along these records, so that "
-    "nothing can be said of what it lacks.",
+    "unexplained_structure": "These records do not let say what is missing; the remarks tell why.",
 }
 # Alias labels beyond these are told in the table and in the JSON.
 MOST_ALIASES = 4

@@ -172,3 +172,36 @@ def test_the_order_of_experiments_and_units_leave_the_name() -> None:
     assert number.unit == wanted.unit
     assert number.value == pytest.approx(wanted.value, abs=0.5 * wanted.stderr)
     assert one.missing[0].effect == "dead_zone"
+
+
+def test_a_sensor_that_is_blind_to_the_sign_is_named() -> None:
+    """The linear model cannot be fitted at all: the effect is found from the user's starts."""
+    found = diagnosed("body", most_effects=1, sensor=np.abs)
+    assert found.missing[0].alias_set == ("absolute_value_sensor",)
+    assert np.all(found.checks[0].after_rms < ABOVE_NOISE * noise_of(found))
+
+
+def test_a_play_is_told_from_a_timing_offset() -> None:
+    """The model without it puts what comes late down to a timing offset; true: ± 2 N."""
+    found = diagnosed("body", most_effects=1, play=2.0)
+    assert found.missing[0].alias_set == ("backlash",)
+    play = found.missing[0].numbers[0]
+    assert abs(play.value - 2.0) < max(4.0 * play.stderr, 0.04)
+    assert np.all(found.checks[0].after_rms < 1.5 * noise_of(found))
+
+
+def test_a_vessel_that_spills_is_named_from_a_model_whose_levels_are_far_off() -> None:
+    found = diagnosed("tanks", most_effects=1, seed=2, rim=9.5)
+    first = found.missing[0]
+    assert first.alias_set == ("overflow",)
+    assert first.place == {"state": "upper", "signal": "upper"}
+    # The truth's edge takes half a sample, the model's a quarter: the rim differs by that much.
+    assert first.numbers[0].value == pytest.approx(9.5, abs=0.06)
+    assert [number.name for number in first.numbers] == ["rim"]
+
+
+def test_what_acts_in_the_held_out_rows_alone_is_not_called_nothing() -> None:
+    """With this seed the vessel spills in the last third of the record only."""
+    found = diagnosed("tanks", most_effects=1, seed=100, rim=9.5)
+    assert found.verdict == "unexplained_structure"
+    assert any("acts there alone" in remark for remark in found.remarks)

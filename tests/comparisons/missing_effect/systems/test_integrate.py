@@ -11,8 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
+from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.model import Model, P
-from comparisons.missing_effect.systems.simulate import FINE, Path, path_of
+from comparisons.missing_effect.systems.simulate import Path, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 
 TIGHT = 1e-9

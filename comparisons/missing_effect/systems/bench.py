@@ -1,0 +1,230 @@
+"""A model that stands so far, on its records: its inputs between samples, its timing offsets.
+
+Parameters are fitted in the raw metric, which is what a simulation is judged by; timing offsets in
+a whitening one, since what happens within a sample is lost in the slow part of the raw errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
+from comparisons.missing_effect.systems.records import Records, runs_of
+from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
+
+__all__ = ["Bench", "base_bench", "tolerance_for", "whitened_fit"]
+
+# Steps in a whitening metric, whose valleys are narrow and bent.
+MOST_WHITENED = 20
+INTERPOLATIONS = ("cubic", "linear", "band", "held")
+# Another way between samples is taken only when the raw held-out error falls to this share, or
+# when it stays within as much and the whitened one wins so many log-units.
+BETTER_BETWEEN, BETTER_WHITE = 0.995, 10.0
+# The integrator's tolerance as a share of what is new in each error over the output's swing.
+TOLERANCE_SHARE, LEAST_TOLERANCE = 0.15, 1e-9
+# Timing offsets that the whitened errors ask for may cost this much of the raw held-out error.
+BETTER_TIMED = 0.95
+# Rows of each record, and steps of the search, for the way between samples.
+FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A model that stands so far, and the records.
+
+    Parameters
+    ----------
+    records : Records
+        Training records.
+    train, later : tuple of Run
+        What is fitted and what is held out.
+    fit : Fit
+        The model, in the raw metric.
+    white : Fit, optional
+        The same model fitted in a whitening metric, where the next such fit begins.
+    """
+
+    records: Records
+    train: tuple[Run, ...]
+    later: tuple[Run, ...]
+    fit: Fit
+    white: Fit | None = None
+
+    @property
+    def raw(self) -> Metric:
+        """The raw metric."""
+        return raw_metric([run.outputs for run in self.train])
+
+    def held_out_rms(self) -> FloatArray:
+        """Return the rms error of each output on the held-out rows, starts estimated there."""
+        errors = np.concatenate(settled(self.fit, self.later, self.raw).errors)
+        return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+
+    def refitted(self, structure: Structure, theta: FloatArray) -> Bench:
+        """Return the bench with another model, fitted in the raw metric; its offsets are held."""
+        bench = self.laid(structure.between)
+        held = replace(structure, offsets_free=False)
+        fit = fit_runs(held, bench.train, self.raw, theta, self.fit.starts)
+        return replace(bench, fit=fit)
+
+    def timed(self) -> Bench:
+        """Return the bench with the timing offsets that whitened errors ask for."""
+        if not self.records.model.inputs or self.fit.failed:
+            return self
+        metric = metric_of(self.fit.errors)
+        white = whitened_fit(self, self.fit, metric)
+        moved = self.refitted(self.fit.structure, _with_offsets(self.fit, white))
+        better = moved.held_out_size() < self.held_out_size() / BETTER_TIMED
+        return replace(moved if better else self, white=white)
+
+    def held_out_size(self) -> float:
+        """Return the held-out error, outputs joined by their geometric mean."""
+        sizes = self.held_out_rms()
+        return float(np.exp(np.mean(np.log(sizes)))) if np.all(np.isfinite(sizes)) else np.inf
+
+    def laid(self, between: str, fitted: int | None = None, held_out: int | None = None) -> Bench:
+        """Return the bench with inputs laid otherwise between samples, or with fewer rows."""
+        if between == self.fit.structure.between and fitted is None:
+            return self
+        train = [e.rows(0, fitted or e.n_samples) for e in self.records.fitted]
+        later = [e.rows(0, held_out or e.n_samples) for e in self.records.held_out]
+        return replace(
+            self,
+            train=runs_of(self.records, train, between, begun=True),
+            later=runs_of(self.records, later, between, begun=False),
+        )
+
+    def between_chosen(self) -> Bench:
+        """Return the bench with its inputs between samples as they foretell held-out rows best.
+
+        Another way is taken when the raw error on held-out rows falls by it; or when it stays and
+        the error in the metric of the model's own colour falls, since what happens within a
+        sample can be lost in the slow part of the raw error. A stretch of each record is enough.
+        """
+        chosen = self.records.model.input_between_samples != "auto"
+        if chosen or not self.records.model.inputs or self.fit.failed:
+            return self
+        now = self.fit.structure.between
+        short = self.laid(now, FITTED_BETWEEN, HELD_OUT_BETWEEN)
+        rows = [e[: run.n_samples] for e, run in zip(self.fit.errors, short.train, strict=True)]
+        metric = metric_of(rows)
+        # Not where the model stands, which may have come from what it lacked, but the first of the
+        # ways has the advantage.
+        best, *others = INTERPOLATIONS
+        raw, white, theta = self._misfits(best, metric)
+        least = (raw, white)
+        for between in others:
+            raw, white, timed = self._misfits(between, metric)
+            falls = raw < BETTER_BETWEEN * least[0]
+            stays = raw < least[0] / BETTER_BETWEEN and white < least[1] - BETTER_WHITE
+            if falls or stays:
+                best, least, theta = between, (raw, white), timed
+        if best == now:
+            return self
+        moved = self.refitted(replace(self.fit.structure, between=best), theta)
+        # What is better on a stretch must not be worse on the whole.
+        return moved if moved.held_out_size() < self.held_out_size() / BETTER_BETWEEN else self
+
+    def _misfits(self, between: str, metric: Metric) -> tuple[float, float, FloatArray]:
+        """Return the raw error of a stretch of held-out rows, outputs joined by their geometric
+        mean, and what it costs in a metric, each by a fit of its own.
+        """
+        structure = replace(self.fit.structure, between=between)
+        short = self.laid(between, FITTED_BETWEEN, HELD_OUT_BETWEEN)
+        white = whitened_fit(
+            replace(short, fit=replace(self.fit, structure=structure)), self.fit, metric
+        )
+        held = replace(structure, offsets_free=False)
+        theta = _with_offsets(self.fit, white)
+        raw = fit_runs(
+            held, short.train, self.raw, theta, white.starts, white.scale, most=STEPS_BETWEEN
+        )
+        if raw.failed or white.failed:
+            return np.inf, np.inf, theta
+        costs = [
+            -own.log_likelihood(settled(fit, short.later, own).errors)
+            for fit, own in ((raw, self.raw), (white, metric))
+        ]
+        n = sum(run.n_samples for run in short.later) * len(self.raw.sigma)
+        return float(np.exp(costs[0] / n)), costs[1], theta
+
+
+def base_bench(records: Records) -> Bench:
+    """Fit the user's model as it is, and choose how its inputs run between samples.
+
+    Parameters
+    ----------
+    records : Records
+        Training records.
+    """
+    wanted = records.model.input_between_samples
+    between = "cubic" if wanted == "auto" else wanted
+    structure = Structure(records.model, (), between, offsets_free=False)
+    train = runs_of(records, records.fitted, between, begun=True)
+    later = runs_of(records, records.held_out, between, begun=False)
+    raw = raw_metric([run.outputs for run in train])
+    fit = fit_runs(structure, train, raw, structure.start(), [run.x0_mean for run in train])
+    bench = Bench(records, train, later, fit)
+    finer = replace(structure, tolerance=tolerance_for(fit, bench.raw))
+    return bench.refitted(finer, fit.theta).timed().between_chosen()
+
+
+def tolerance_for(fit: Fit, raw: Metric) -> float:
+    """Return a tolerance of the integrator well below what is new in the errors.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the model as it is; its whitened errors bound the noise from above.
+    raw : Metric
+        Swing of each output.
+    """
+    if fit.failed:
+        return FIRST_TOLERANCE
+    noise = metric_of(fit.errors).sigma
+    least = min(new / swing for new, swing in zip(noise, raw.sigma, strict=True))
+    return float(np.clip(TOLERANCE_SHARE * least, LEAST_TOLERANCE, FIRST_TOLERANCE))
+
+
+def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
+    """Fit a model in a whitening metric, timing offsets free.
+
+    The search begins where it costs least: at the raw fit, or at the model of the bench as it was
+    last whitened, with what the raw fit has in addition.
+
+    Parameters
+    ----------
+    bench : Bench
+        The model and the records.
+    fit : Fit
+        A model, in the raw metric.
+    metric : Metric
+        The whitening metric.
+    """
+    free = replace(bench.fit.structure, effects=fit.structure.effects, offsets_free=True)
+    starts = [(fit.theta, fit.starts)]
+    if bench.white is not None:
+        known = bench.white.theta
+        starts.append((np.concatenate([known, fit.theta[known.size :]]), bench.white.starts))
+    if len(starts) > 1:
+        costs = [
+            fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=0).cost
+            for theta, x0 in starts
+        ]
+        starts = [starts[int(np.argmin(costs))]]
+    theta, x0 = starts[0]
+    return fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=MOST_WHITENED)
+
+
+def _with_offsets(fit: Fit, timed: Fit) -> FloatArray:
+    """Return θ of a fit with the timing offsets of another."""
+    first = len(fit.structure.model.params)
+    theta = fit.theta.copy()
+    theta[first : first + len(fit.structure.model.inputs)] = timed.theta[
+        first : first + len(fit.structure.model.inputs)
+    ]
+    return theta
