@@ -36,6 +36,8 @@ MOST_EFFECTS = 4
 LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
+# Steps of a fit to a check record, for what training records cannot know; said below this share.
+REFIT_STEPS, WORTH_SAYING = 25, 0.8
 # Share of a parameter's range that counts as at its bound.
 AT_BOUND = 1e-4
 
@@ -156,6 +158,8 @@ def _concluded(
     ]
     missing = tuple(_found(after, after_cov, r, records) for r in won)
     model = records.model
+    checked = tuple(_checked(records, e, before, after, bool(missing)) for e in checks)
+    told = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
         model,
         _verdict(missing, base),
@@ -167,10 +171,10 @@ def _concluded(
         _parameters(model, before, before_cov, after, after_cov),
         _offsets(model, after, after_cov),
         tuple(_trained(records, e, before, after, r) for r, e in enumerate(records.whole)),
-        tuple(_checked(records, e, before, after) for e in checks),
+        checked,
         metric.sigma,
         rounds[-1].refused if rounds else {},
-        _remarks(base, rounds, missing),
+        (*_remarks(base, rounds, missing), *told),
     )
 
 
@@ -298,7 +302,9 @@ def _trained(
     )
 
 
-def _checked(records: Records, experiment: Experiment, before: Fit, after: Fit) -> CheckRun:
+def _checked(
+    records: Records, experiment: Experiment, before: Fit, after: Fit, refit: bool
+) -> CheckRun:
     """Simulate a check record; its start comes from its first rows, which are not scored."""
     settle = experiment.settle or _settle_rows(records.model)
     simulated = []
@@ -307,8 +313,26 @@ def _checked(records: Records, experiment: Experiment, before: Fit, after: Fit) 
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
         there = settled(fit, [run], raw, rows=settle)
         simulated.append(run.outputs - there.errors[0])
+    if refit and not there.failed:
+        own = fit_runs(
+            there.structure, [run], raw, there.theta, there.starts, there.scale, most=REFIT_STEPS
+        )
+        simulated.append(run.outputs - own.errors[0])
     measured = experiment.columns(records.model.output_names)
     return CheckRun(experiment, True, settle, records.model.output_names, measured, *simulated)
+
+
+def _refitted_words(run: CheckRun) -> list[str]:
+    """Say what of a check record's error no fit to other records can know."""
+    out = []
+    for name, after, own in zip(run.outputs, run.after_rms, run.refitted_rms, strict=True):
+        if own < WORTH_SAYING * after:
+            out.append(
+                f"{name} of {run.experiment.name}: with its parameters fitted to this very record "
+                f"the same model leaves {100.0 * own / after:.0f} % of the error. The rest is what "
+                "differs between the records, which the training records cannot tell."
+            )
+    return out
 
 
 def _remarks(

@@ -258,7 +258,7 @@ def _provisional(d: SystemDiagnosis) -> tuple[Block, ...]:
         return ()
     return (
         Words(
-            f"Provisional: {', '.join(names)}. A term without a name does as well here.",
+            f"Provisional: {', '.join(names)}. A term without a name does a little better here.",
             "caution",
         ),
     )

@@ -120,6 +120,8 @@ class CheckRun:
         Names.
     measured, before, after : ndarray of shape (n, n_y)
         Outputs.
+    refitted : ndarray of shape (n, n_y), optional
+        The model with what was added, its parameters fitted to this very record.
     """
 
     experiment: Experiment
@@ -129,6 +131,7 @@ class CheckRun:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
+    refitted: FloatArray | None = None
 
     @property
     def before_rms(self) -> FloatArray:
@@ -139,6 +142,13 @@ class CheckRun:
     def after_rms(self) -> FloatArray:
         """Return the rms error of each output of the model with what was added."""
         return _rms_columns((self.measured - self.after)[self.settle :])
+
+    @property
+    def refitted_rms(self) -> FloatArray:
+        """Return the same by a fit to this very record; what is above it no other record knows."""
+        if self.refitted is None:
+            return np.full(len(self.outputs), np.nan)
+        return _rms_columns((self.measured - self.refitted)[self.settle :])
 
 
 def _rms_columns(errors: FloatArray) -> FloatArray:

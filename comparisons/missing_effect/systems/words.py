@@ -151,7 +151,7 @@ def _doubt_words(d: SystemDiagnosis) -> str:
         return ""
     verb = "is" if len(names) == 1 else "are"
     listed = " and ".join(names).capitalize()
-    return f"{listed} {verb} provisional: a term without a name does as well."
+    return f"{listed} {verb} provisional: a term without a name does a little better."
 
 
 def _bound_words(d: SystemDiagnosis) -> str:

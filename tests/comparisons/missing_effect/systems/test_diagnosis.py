@@ -205,3 +205,16 @@ def test_what_acts_in_the_held_out_rows_alone_is_not_called_nothing() -> None:
     found = diagnosed("tanks", most_effects=1, seed=100, rim=9.5)
     assert found.verdict == "unexplained_structure"
     assert any("acts there alone" in remark for remark in found.remarks)
+
+
+def test_what_differs_between_the_records_is_told_apart_from_what_is_missing() -> None:
+    """The pipe of the check record is rougher: no fit to the training record can know."""
+    fit = make.experiment("pipe", truth.pipe(1, TRAIN, noise=NOISE, drag=0.3), "training")
+    smooth = make.experiment("pipe", truth.pipe(51, CHECK, noise=NOISE, drag=0.3), "smooth")
+    rougher = make.experiment("pipe", truth.pipe(51, CHECK, noise=NOISE, drag=0.45), "rougher")
+    found = diagnose_model(make.pipe(), fit, [smooth, rougher], most_effects=1)
+    assert found.checks[0].refitted_rms[0] <= found.checks[0].after_rms[0]
+    assert found.checks[1].refitted_rms[0] < 1.15 * noise_of(found)[0]
+    assert found.checks[1].after_rms[0] > 2.0 * found.checks[1].refitted_rms[0]
+    told = [remark for remark in found.remarks if "cannot tell" in remark]
+    assert [("rougher" in remark, "smooth" in remark) for remark in told] == [(True, False)]
