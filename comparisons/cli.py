@@ -12,6 +12,7 @@ from typing import TypeAlias
 from comparisons.diagnose_command import add_diagnose_parser
 from comparisons.orders_command import add_orders_parser
 from comparisons.structure_command import add_structure_parser
+from comparisons.study_command import add_study_parser
 from comparisons.total_system_command import add_total_system_parser
 
 __all__ = ["build_parser", "main"]
@@ -83,6 +84,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_work(commands)
     add_orders_parser(commands)
     add_structure_parser(commands)
+    add_study_parser(commands)
     add_total_system_parser(commands)
     return parser
 

@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from comparisons.lag_value import FittedLag
     from comparisons.reconstruction import Reconstruction
 
-__all__ = ["run_compare", "run_demo", "run_reconstruct", "run_reduce", "run_simulate"]
+__all__ = [
+    "command_line",
+    "run_compare",
+    "run_demo",
+    "run_reconstruct",
+    "run_reduce",
+    "run_simulate",
+]
 
 _T = TypeVar("_T")
 HTML = (".html", ".htm")
@@ -79,7 +86,7 @@ def run_reduce(arguments: argparse.Namespace) -> None:
             arguments.report,
             [section],
             title=f"Reduction of {test.name}",
-            command=_command_line(),
+            command=command_line(),
         )
     _print_reduction(reduction)
     print(f"series: {arguments.out}")
@@ -107,7 +114,7 @@ def run_compare(arguments: argparse.Namespace) -> None:
         title = ", ".join(Path(record.source).name for record in records)
         section = ReportSection(title=title, comparison=comparison, work=work)
         write_report(
-            arguments.report, [section], title=f"Comparison on {title}", command=_command_line()
+            arguments.report, [section], title=f"Comparison on {title}", command=command_line()
         )
     _print_comparison(comparison, work)
     for label, path in (
@@ -179,7 +186,7 @@ def run_demo(arguments: argparse.Namespace) -> None:
     """Run the whole way on simulated tests and write the report."""
     from comparisons.demo import run
 
-    done = run(arguments.out, arguments.seed, progress=_progress, command=_command_line())
+    done = run(arguments.out, arguments.seed, progress=_progress, command=command_line())
     for comparison, work in done.comparisons:
         _print_comparison(comparison, work)
     print(done.summary)
@@ -311,7 +318,7 @@ def _report_reconstructions(path: Path, runs: Sequence[Reconstruction]) -> None:
         ReportSection(title=Path(source).name, validation=tuple(group))
         for source, group in by_record.items()
     ]
-    write_report(path, sections, title="Reconstruction", command=_command_line())
+    write_report(path, sections, title="Reconstruction", command=command_line())
 
 
 def _progress(items: Iterable[_T]) -> Iterable[_T]:
@@ -321,5 +328,6 @@ def _progress(items: Iterable[_T]) -> Iterable[_T]:
     return tqdm(list(items), unit="fit", leave=False, disable=not sys.stderr.isatty())
 
 
-def _command_line() -> str:
+def command_line() -> str:
+    """Return the command as it was typed, for reports."""
     return " ".join(["sindy-surge", *sys.argv[1:]])

@@ -1,0 +1,1 @@
+"""Studies: many fits over a declared design, on one machine or many, into one tidy table."""

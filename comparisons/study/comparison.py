@@ -1,0 +1,432 @@
+"""Methods of a study side by side: paired over what they share, with errors over records.
+
+Two methods are compared on cells that differ in nothing but the method, so that what makes a
+record hard is hard for both and falls out of the difference; see `paired`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from comparisons.study.paired import (
+    SAME,
+    Cells,
+    Paired,
+    axes_in,
+    finite,
+    group_cells,
+    jackknife,
+    losses,
+    paired,
+)
+from comparisons.study.scores import SCORES, Score
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "GroupComparison",
+    "MethodRow",
+    "Paired",
+    "PairwiseDifferences",
+    "axes_in",
+    "compare_methods",
+    "losses",
+    "methods_in",
+    "pairwise",
+    "score_named",
+]
+
+LEVEL = "level with the best"
+# Below so many records neither an error nor its normal approximation is to be relied on.
+FEWEST_RECORDS = 5
+# A loss so many spreads beyond the median of the best method is no error of that method's kind.
+GROSS_SPREADS = 10.0
+# A method with fewer than this share of the cells of the fullest one is not ranked.
+RUNNING_SHARE = 0.5
+HEAVY_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class MethodRow:
+    """One method in a group of cells.
+
+    Parameters
+    ----------
+    method : str
+        Its name.
+    n_cells, n_failed, n_scored : int
+        Cells it was run on, that failed, and that have the score.
+    mean, mean_stderr : float
+        Mean of the score over its own cells (the bias, for an error that should be zero), and its
+        standard error clustered by record.
+    loss, loss_stderr : float
+        Mean loss over its own cells and its standard error: the mean for "smaller", its negative
+        for "larger", the mean absolute value for "zero", the distance of the mean for "target".
+    median : float
+        Median of the score; of its absolute value where zero is best.
+    rms : float
+        Root mean square of a score that should be zero, else NaN.
+    gross : float
+        Share of the scored cells whose loss is gross: infinite, or more than ten spreads beyond
+        the median of the method with the smallest median.
+    against, to_best : Paired
+        The method against the reference and against the best.
+    rank : int or None
+        By the difference to the reference; equal ones share a rank.
+    standing : str
+        "best", "level with the best", "worse", "error not known" or "not ranked".
+    trust : str
+        Why not to trust this row; may be empty.
+    """
+
+    method: str
+    n_cells: int
+    n_failed: int
+    n_scored: int
+    mean: float
+    mean_stderr: float
+    loss: float
+    loss_stderr: float
+    median: float
+    rms: float
+    gross: float
+    against: Paired
+    to_best: Paired
+    rank: int | None
+    standing: str
+    trust: str
+
+
+@dataclass(frozen=True)
+class GroupComparison:
+    """Methods side by side over the cells of one group.
+
+    Parameters
+    ----------
+    score : Score
+        What is compared.
+    where : tuple of tuple of str and object
+        Axes and their values; empty for all cells together.
+    reference, best : str
+        Method that the others are compared with; the first by rank, or empty.
+    rows : tuple of MethodRow
+        By rank, those without one last.
+    """
+
+    score: Score
+    where: tuple[tuple[str, Any], ...]
+    reference: str
+    best: str
+    rows: tuple[MethodRow, ...]
+
+    def row(self, method: str) -> MethodRow:
+        """Return the row of a method."""
+        return next(row for row in self.rows if row.method == method)
+
+
+@dataclass(frozen=True)
+class PairwiseDifferences:
+    """Every method against every other.
+
+    Parameters
+    ----------
+    score : Score
+        What is compared.
+    methods : tuple of str
+        Names, in the order of rows and columns.
+    pairs : tuple of tuple of Paired
+        ``pairs[i][j]``: method i against method j.
+    """
+
+    score: Score
+    methods: tuple[str, ...]
+    pairs: tuple[tuple[Paired, ...], ...]
+
+    @property
+    def difference(self) -> FloatArray:
+        """Mean loss of the row's method minus the column's, of shape (n, n)."""
+        return np.array([[p.difference for p in row] for row in self.pairs], dtype=np.float64)
+
+    @property
+    def stderr(self) -> FloatArray:
+        """Standard errors of the differences, of shape (n, n)."""
+        return np.array([[p.stderr for p in row] for row in self.pairs], dtype=np.float64)
+
+
+def compare_methods(
+    table: pd.DataFrame,
+    score: Score | str,
+    reference: str | None = None,
+    by: Sequence[str] = (),
+) -> tuple[GroupComparison, ...]:
+    """Compare the methods of a study with a reference, over pairs alone.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Results, one row a cell.
+    score : Score or str
+        What is compared, or its name in `SCORES`.
+    reference : str, optional
+        Method that the others are compared with; without it the one with the smallest mean loss
+        over the cells that all methods share.
+    by : sequence of str
+        Axes; each combination of their values is a group of its own.
+
+    Returns
+    -------
+    tuple of GroupComparison
+        In the order of the axes' values; empty for a table without rows.
+
+    Raises
+    ------
+    InputError
+        When a column is missing, two rows are the same cell, or the reference is no method.
+    """
+    chosen = score_named(score)
+    groups = group_cells(table, chosen, by)
+    names = methods_in(table)
+    if reference is not None and reference not in names:
+        raise InputError("reference", expected="one of " + ", ".join(names), found=repr(reference))
+    if not groups:
+        return ()
+    if reference is None:
+        whole = groups[0][1] if not by else group_cells(table, chosen, ())[0][1]
+        reference = _winner(whole, chosen)
+    return tuple(_compared(cells, chosen, reference, where) for where, cells in groups)
+
+
+def pairwise(table: pd.DataFrame, score: Score | str) -> PairwiseDifferences:
+    """Compare every method with every other over the cells that the two share.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Results, one row a cell.
+    score : Score or str
+        What is compared, or its name in `SCORES`.
+    """
+    chosen = score_named(score)
+    groups = group_cells(table, chosen, ())
+    if not groups:
+        return PairwiseDifferences(chosen, (), ())
+    cells = groups[0][1]
+    n = range(len(cells.methods))
+    pairs = tuple(tuple(paired(cells, chosen, i, j) for j in n) for i in n)
+    return PairwiseDifferences(chosen, cells.methods, pairs)
+
+
+def methods_in(table: pd.DataFrame) -> tuple[str, ...]:
+    """Return the names of the methods in alphabetical order."""
+    return tuple(sorted({str(name) for name in table["method"]}))
+
+
+def score_named(score: Score | str) -> Score:
+    """Return a score by its name, or as it is.
+
+    Parameters
+    ----------
+    score : Score or str
+        A score, or its name in `SCORES`.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    if isinstance(score, Score):
+        return score
+    if score not in SCORES:
+        raise InputError("score", expected="one of " + ", ".join(SCORES), found=repr(score))
+    return SCORES[score]
+
+
+def _winner(cells: Cells, score: Score) -> str:
+    """Return the method with the smallest mean loss over the cells that all in the running share.
+
+    A method that could score less than half of what another could is not in the running, else one
+    that fails nearly everywhere would leave next to no cells to choose by.
+    """
+    counts = cells.scored.sum(axis=0)
+    enough = counts >= max(1.0, RUNNING_SHARE * counts.max())
+    running = [j for j in np.lexsort((np.arange(counts.size), -counts)) if enough[j]]
+    if not running:
+        return cells.methods[0]
+    shared, kept = np.ones(cells.record.size, bool), []
+    for j in running:
+        if np.any(shared & cells.scored[:, j]):
+            shared &= cells.scored[:, j]
+            kept.append(int(j))
+    lost = losses(score, cells.values[shared])
+
+    def merit(j: int) -> tuple[float, float, str]:
+        if score.better == "target":
+            mean = abs(float(np.mean(cells.values[shared, j])) - score.target)
+        else:
+            mean = float(np.mean(lost[:, j]))
+        return mean, float(np.median(lost[:, j])), cells.methods[j]
+
+    return cells.methods[min(kept, key=merit)]
+
+
+def _compared(
+    cells: Cells, score: Score, reference: str, where: tuple[tuple[str, Any], ...]
+) -> GroupComparison:
+    n = len(cells.methods)
+    r = cells.methods.index(reference) if reference in cells.methods else None
+    against = [Paired() if r is None else paired(cells, score, j, r) for j in range(n)]
+    ranks = _ranks(against, float(np.max(np.abs(finite(losses(score, cells.values))), initial=0)))
+    ranked = [j for j in range(n) if ranks[j] == 1]
+    best = ranked[0] if ranked else None
+    to_best = [Paired() if best is None else paired(cells, score, j, best) for j in range(n)]
+    gross = _gross(cells, score)
+    rows = [
+        MethodRow(
+            cells.methods[j],
+            int(cells.ran[:, j].sum()),
+            int(cells.failed[:, j].sum()),
+            int(cells.scored[:, j].sum()),
+            *_levels(cells, score, j),
+            gross[j],
+            against[j],
+            to_best[j],
+            ranks[j],
+            _standing(ranks[j], j == best, to_best[j]),
+            "; ".join(_doubts(cells, j, r, reference, against[j], ranks[j])),
+        )
+        for j in range(n)
+    ]
+    rows.sort(key=lambda row: (row.rank is None, row.rank or 0, row.standing != "best", row.method))
+    name = "" if best is None else cells.methods[best]
+    return GroupComparison(score, where, reference, name, tuple(rows))
+
+
+def _levels(cells: Cells, score: Score, j: int) -> tuple[float, float, float, float, float, float]:
+    """Return mean, loss, each with its error, median and rms of a method's own cells."""
+    kept = cells.scored[:, j]
+    values = cells.values[kept, j]
+    if not values.size:
+        return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
+    zero = score.better == "zero"
+    with np.errstate(invalid="ignore", over="ignore"):
+        median = float(np.median(np.abs(values) if zero else values))
+    if not np.all(np.isfinite(values)):
+        return math.nan, math.nan, math.nan, math.nan, median, math.nan
+    largest = float(np.max(np.abs(values))) or 1.0
+    rms = largest * math.sqrt(float(np.mean((values / largest) ** 2))) if zero else math.nan
+    mean, error = jackknife(values, cells.record[kept])
+    if score.better == "target":
+        return mean, error, abs(mean - score.target), error, median, rms
+    loss = jackknife(losses(score, values), cells.record[kept])
+    return mean, error, *loss, median, rms
+
+
+def _gross(cells: Cells, score: Score) -> list[float]:
+    n = len(cells.methods)
+    if score.better == "target":
+        return [math.nan] * n
+    lost = [losses(score, cells.values[cells.scored[:, j], j]) for j in range(n)]
+    quartiles = [np.percentile(v, (50, 25, 75)) for v in map(finite, lost) if v.size]
+    limit = math.inf
+    if quartiles:
+        middle, low, high = min(tuple(map(float, q)) for q in quartiles)
+        spread = max(high - low, abs(middle))
+        limit = middle + GROSS_SPREADS * spread if spread > 0.0 else math.inf
+    return [float(np.mean((v > limit) | np.isinf(v))) if v.size else math.nan for v in lost]
+
+
+def _ranks(against: list[Paired], size: float) -> list[int | None]:
+    fullest = max((pair.n_pairs for pair in against), default=0)
+    known = [
+        j
+        for j, pair in enumerate(against)
+        if math.isfinite(pair.difference) and pair.n_pairs >= RUNNING_SHARE * fullest
+    ]
+    ranks: list[int | None] = [None] * len(against)
+    previous: int | None = None
+    for place, j in enumerate(sorted(known, key=lambda k: against[k].difference), start=1):
+        tied = (
+            previous is not None
+            and against[j].difference - against[previous].difference <= SAME * size
+        )
+        ranks[j] = ranks[previous] if tied and previous is not None else place
+        previous = j
+    return ranks
+
+
+def _standing(rank: int | None, is_best: bool, to_best: Paired) -> str:
+    if rank is None:
+        return "not ranked"
+    if is_best:
+        return "best"
+    if rank == 1:
+        return LEVEL
+    if not math.isfinite(to_best.stderr):
+        return "error not known"
+    return LEVEL if to_best.difference <= to_best.reach else "worse"
+
+
+def _doubts(
+    cells: Cells, j: int, r: int | None, reference: str, pair: Paired, rank: int | None
+) -> list[str]:
+    """Return why not to trust the row of a method."""
+    scored = cells.scored[:, j]
+    if not scored.any():
+        failed = int(cells.failed[:, j].sum())
+        return [f"no score on any of its {_cells(cells.ran[:, j])}, {failed} of them failed"]
+    if pair.n_pairs == 0:
+        return [f"shares no scored cell with the reference {reference}: not compared"]
+    doubts = []
+    if pair.n_infinite:
+        doubts.append(
+            f"{pair.n_infinite} of {pair.n_pairs} pairs hold an infinite score: there is no mean, "
+            "read the medians"
+        )
+    elif pair.n_records < 2:
+        doubts.append("one record alone: the error of the difference is not known")
+    if pair.n_records < FEWEST_RECORDS:
+        doubts.append(
+            f"{pair.n_records} independent record{'s' * (pair.n_records > 1)}, fewer "
+            f"than {FEWEST_RECORDS}"
+        )
+    doubts += _unlike(cells, j, r)
+    if rank is None and not pair.n_infinite:
+        doubts.append("too few pairs to be ranked")
+    if pair.n_records > 1 and pair.stderr == 0.0 and j != r and pair.difference != 0.0:
+        doubts.append("all records differ alike: the error of the difference is not known")
+    if pair.n_records > 1 and pair.heaviest > HEAVY_SHARE and j != r:
+        share = 100.0 * pair.heaviest
+        doubts.append(f"one record carries {share:.0f} % of the difference")
+    return doubts
+
+
+def _unlike(cells: Cells, j: int, r: int | None) -> list[str]:
+    """Return on which cells one of the two has no score."""
+    scored, ran = cells.scored[:, j], cells.ran[:, j]
+    if r is None or j == r:
+        lost = int((ran & ~scored).sum())
+        return [f"no score on {lost} of its {_cells(ran)}: survivors only"] if lost else []
+    other = cells.scored[:, r]
+    told = (
+        (ran & ~scored & other, "no score on {} that the reference could score: survivors only"),
+        (
+            scored & cells.ran[:, r] & ~other,
+            "the reference has no score on {} that this method could score",
+        ),
+        (~ran & other, "not run on {} of the reference"),
+    )
+    return [words.format(_cells(which)) for which, words in told if which.any()]
+
+
+def _cells(which: NDArray[np.bool_]) -> str:
+    count = int(which.sum())
+    return "1 cell" if count == 1 else f"{count} cells"

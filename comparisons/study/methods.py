@@ -1,0 +1,217 @@
+"""The estimators of a study: those of the comparison, and others that follow scikit-learn."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
+from classic_ml.series import CoefficientSeries
+from comparisons.study.sources import Made
+from comparisons.study.spec import Method
+
+__all__ = ["BUILT_IN", "check_methods", "scores_of"]
+
+BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
+# What an estimator must have after its fit to be compared as a lag model.
+LAG_ATTRIBUTES = (
+    "time_constant_s_",
+    "time_constant_stderr_s_",
+    "terms_",
+    "coef_",
+    "covariance_",
+    "characteristic",
+)
+CURVE_POINTS = 50
+NAN = float("nan")
+
+
+def check_methods(methods: Sequence[Method]) -> None:
+    """Refuse, before anything is computed, a class that cannot be had or made.
+
+    Parameters
+    ----------
+    methods : sequence of Method
+        Estimators of a study.
+
+    Raises
+    ------
+    InputError
+        Naming the method.
+    """
+    for method in methods:
+        if method.import_path:
+            made = _made(method, 1e-3)
+            for name in ("fit", "predict"):
+                if not callable(getattr(made, name, None)):
+                    raise InputError(
+                        f"method {method.name}",
+                        expected="a class with fit and predict, as scikit-learn has them",
+                        found=f"{method.import_path} without {name}",
+                    )
+
+
+def scores_of(
+    method: Method,
+    records: Sequence[CoefficientSeries],
+    made: Made,
+    fit: dict[str, Any],
+) -> dict[str, Any]:
+    """Fit one method to the records of a cell and return its scores.
+
+    Parameters
+    ----------
+    method : Method
+        The estimator.
+    records : sequence of CoefficientSeries
+        What it is fitted to.
+    made : Made
+        With the truth, where it is known.
+    fit : dict
+        Degree and hold.
+
+    Returns
+    -------
+    dict
+        ``state``, ``reason``, scores by name, ``seconds_fit``.
+    """
+    if method.import_path:
+        probe = _made(method, records[0].sample_period_s)
+        if not _may_be_lag(probe):
+            return _regressor_scores(method, records, made)
+    return _lag_scores(method, records, made, fit)
+
+
+def _made(method: Method, sample_period_s: float) -> Any:
+    """Make an estimator of another class; the sample period is passed where it takes one."""
+    module, _, name = method.import_path.partition(":")
+    try:
+        factory = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f"method {method.name}",
+            expected=f"a class at {method.import_path}",
+            found=str(error),
+            remedy="install its package where the workers run, or mend the path",
+        ) from error
+    parameters = dict(method.parameters)
+    try:
+        if "sample_period_s" in inspect.signature(factory).parameters:
+            parameters.setdefault("sample_period_s", sample_period_s)
+        return factory(**parameters)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"method {method.name}: parameters",
+            expected=f"what {method.import_path} takes",
+            found=str(error),
+        ) from error
+
+
+def _may_be_lag(estimator: Any) -> bool:
+    """Tell whether a class promises the contract of the lag estimators."""
+    return callable(getattr(estimator, "characteristic", None))
+
+
+def _lag_scores(
+    method: Method, records: Sequence[CoefficientSeries], made: Made, fit: dict[str, Any]
+) -> dict[str, Any]:
+    from comparisons.compare import compare_records
+    from comparisons.estimators import EstimatorSpec, default_estimators
+
+    if method.built_in:
+        specs = {spec.name: spec for spec in default_estimators(**fit)}
+        spec = specs[method.built_in]
+    else:
+        spec = EstimatorSpec(
+            method.name, method.name, lambda rows: _made(method, rows.sample_period_s)
+        )
+    begun = time.perf_counter()
+    comparison = compare_records(records, estimators=[spec], **fit)
+    seconds = time.perf_counter() - begun
+    result = comparison.results[0]
+    model = result.model
+    out: dict[str, Any] = {
+        "state": "ok" if result.state == "converged" else result.state,
+        "reason": "" if result.state == "converged" else result.advice,
+        "tau_ms": 1e3 * model.time_constant_s,
+        "tau_stderr_ms": 1e3 * model.time_constant_stderr_s,
+        "free_run_rms": result.free_run.rms,
+        "free_run_percent": result.free_run.fit_percent,
+        "one_step_rms": result.one_step.rms,
+        "held_out_rms": NAN if result.held_out is None else result.held_out.rms,
+        "held_out_percent": NAN if result.held_out is None else result.held_out.fit_percent,
+        "n_terms": float(len(model.terms)),
+        "seconds_fit": seconds,
+    }
+    if np.isfinite(made.tau_s):
+        low, high = model.ci95_s
+        out["tau_error_ms"] = 1e3 * (model.time_constant_s - made.tau_s)
+        if np.isfinite(low) and np.isfinite(high):
+            out["tau_covered"] = float(low <= made.tau_s <= high)
+    if made.beta:
+        out["curve_rms_error"] = _curve_error(model.quasi_steady, made, comparison.valid_phi)
+    return out
+
+
+def _curve_error(curve: Any, made: Made, valid_phi: tuple[float, float]) -> float:
+    """Return the rms difference of a characteristic to the truth over the trusted flows."""
+    phi = np.linspace(*valid_phi, CURVE_POINTS)
+    truth = np.polynomial.polynomial.polyval(phi, np.asarray(made.beta))
+    return float(np.sqrt(np.mean((np.asarray(curve(phi)) - truth) ** 2)))
+
+
+def _regressor_scores(
+    method: Method, records: Sequence[CoefficientSeries], made: Made
+) -> dict[str, Any]:
+    """Score any regressor by what it predicts: it has no characteristic, and perhaps no τ."""
+    from comparisons.fit_quality import score_fit
+    from comparisons.fit_rows import stack_rows
+
+    rows = stack_rows(records, "psi_p")
+    begun = time.perf_counter()
+    estimator = _fitted(_made(method, rows.sample_period_s), rows.X, rows.measured, rows.labels)
+    free = score_fit(rows.measured, _predicted(estimator, rows.X, rows.labels))
+    out: dict[str, Any] = {
+        "state": "ok",
+        "reason": "",
+        "free_run_rms": free.rms,
+        "free_run_percent": free.fit_percent,
+    }
+    if rows.train.any() and not rows.train.all():
+        train, test = rows.part(rows.train), rows.part(~rows.train)
+        trained = _fitted(
+            _made(method, rows.sample_period_s), train.X, train.measured, train.labels
+        )
+        labels = 2 * rows.labels + ~rows.train
+        held = score_fit(test.measured, _predicted(trained, rows.X, labels)[~rows.train])
+        out |= {"held_out_rms": held.rms, "held_out_percent": held.fit_percent}
+    out["seconds_fit"] = time.perf_counter() - begun
+    tau_s = float(getattr(estimator, "time_constant_s_", NAN))
+    if np.isfinite(tau_s):
+        out["tau_ms"] = 1e3 * tau_s
+        if np.isfinite(made.tau_s):
+            out["tau_error_ms"] = 1e3 * (tau_s - made.tau_s)
+    return out
+
+
+def _fitted(estimator: Any, X: FloatArray, y: FloatArray, labels: Any) -> Any:
+    if "segments" in inspect.signature(estimator.fit).parameters:
+        return estimator.fit(X, y, segments=labels)
+    return estimator.fit(X, y)
+
+
+def _predicted(estimator: Any, X: FloatArray, labels: Any) -> FloatArray:
+    if "segments" in inspect.signature(estimator.predict).parameters:
+        found = estimator.predict(X, segments=labels)
+    else:
+        found = estimator.predict(X)
+    values = np.asarray(found, dtype=np.float64).reshape(-1)
+    if values.size != X.shape[0]:
+        raise InputError("predict", expected=f"{X.shape[0]} values", found=f"{values.size}")
+    return values

@@ -1,0 +1,180 @@
+"""Records of a study: made or read, reduced, and what is true of them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.series import CoefficientSeries, read_series
+from comparisons.study.design import Point
+from comparisons.study.spec import Scalar
+
+if TYPE_CHECKING:
+    from classic_ml.readers.test_description import TestDescription
+    from classic_ml.records import Record
+
+__all__ = ["Made", "make_record", "prepare"]
+
+DEFAULT_DURATION_S = 20.0
+DEFAULT_PERIOD_S = 0.01
+
+
+@dataclass(frozen=True)
+class Made:
+    """A record before its reduction, and its truth.
+
+    Parameters
+    ----------
+    series : tuple of CoefficientSeries
+        Where it is made or read as coefficients.
+    raw : tuple of Record and TestDescription, or None
+        Where it is counts.
+    tau_s : float
+        True time constant in s; NaN where nobody knows it.
+    beta : tuple of float
+        True characteristic in powers of φ; empty where nobody knows it.
+    """
+
+    series: tuple[CoefficientSeries, ...]
+    raw: tuple[Record, TestDescription] | None
+    tau_s: float
+    beta: tuple[float, ...]
+
+
+def make_record(point: Point) -> Made:
+    """Make or read the record of a point.
+
+    Parameters
+    ----------
+    point : Point
+        Its source, seed and record settings.
+
+    Raises
+    ------
+    InputError
+        When the settings do not make a record.
+    """
+    makers = {"coefficients": _coefficients, "rig": _rig, "files": _files}
+    return makers[point.source](point.seed, point.table("record"))
+
+
+def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
+    """Reduce the record of a point, and cut and thin the series as it asks.
+
+    Parameters
+    ----------
+    made : Made
+        The record.
+    point : Point
+        Its reduction and series settings.
+    """
+    series = made.series
+    if made.raw is not None:
+        from classic_ml.reduction import ReductionSettings, reduce_record
+
+        settings = ReductionSettings(**point.table("reduction"))  # type: ignore[arg-type]
+        series = (reduce_record(*made.raw, settings).series,)
+    elif point.table("reduction"):
+        raise InputError(
+            "[reduction]", expected="a raw record to reduce", found="a file of coefficients"
+        )
+    changes = point.table("series")
+    return tuple(_altered(one, changes) for one in series)
+
+
+def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
+    from comparisons.rig.coefficient_tests import simulate_test
+
+    settings: dict[str, Any] = dict(given)
+    period_s = float(settings.pop("sample_period_s", DEFAULT_PERIOD_S))
+    n = round(float(settings.pop("duration_s", DEFAULT_DURATION_S)) / period_s)
+    percent = float(settings.pop("noise_percent", 1.0))
+    hidden = settings.pop("hide", None)
+    test = simulate_test(
+        hidden,
+        seed=seed,
+        n_samples=n,
+        sample_period_s=period_s,
+        noise_frac=percent / 100.0,
+        **settings,
+    )
+    series = tuple(
+        CoefficientSeries(
+            r.time_s,
+            r.phi,
+            r.psi_p,
+            np.ones(r.phi.size, dtype=np.int64) if r.segment is None else r.segment,
+            T25_K=r.T25_K,
+            Nc_frac=r.Nc_frac,
+            in_stall=r.in_stall,
+            source=f"record {i}",
+        )
+        for i, r in enumerate(test.records, start=1)
+    )
+    return Made(series, None, test.tau_s, test.beta)
+
+
+def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
+    from classic_ml.readers import read_raw
+    from comparisons.rig import SensorSettings, simulate, write_run
+    from comparisons.rig.cases import find_case
+
+    settings: dict[str, Any] = dict(given)
+    sensors = _part(settings, "sensors.")
+    factors = _part(settings, "factors.")
+    if "noise_percent" in settings:
+        percent = settings.pop("noise_percent")
+        sensors = {"noise_percent": percent, "reading_noise_percent": percent, **sensors}
+    case = find_case(settings.pop("case", "985"))
+    case = replace(case, **{name: getattr(case, name) * by for name, by in factors.items()})
+    run = simulate(case, seed=seed, sensors=SensorSettings(**sensors), **settings)
+    # Through the files, as a user's record comes: nothing but counts and description is passed on.
+    with tempfile.TemporaryDirectory() as folder:
+        write_run(run, Path(folder) / "run")
+        raw = read_raw(Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml")
+    return Made((), raw, case.tau_s, tuple(case.pressure_terms))
+
+
+def _part(settings: dict[str, Any], head: str) -> dict[str, Any]:
+    """Take the settings under a head out of others."""
+    names = [name for name in settings if name.startswith(head)]
+    return {name.removeprefix(head): settings.pop(name) for name in names}
+
+
+def _files(_: int, given: Mapping[str, Scalar]) -> Made:
+    from classic_ml.readers import read_raw
+
+    path = Path(str(given["path"]))
+    nan = float("nan")
+    if path.is_dir():
+        return Made((), read_raw(path / "raw.csv", path / "test.toml"), nan, ())
+    return Made((read_series(path),), None, nan, ())
+
+
+def _altered(series: CoefficientSeries, changes: Mapping[str, Scalar]) -> CoefficientSeries:
+    """Return a series cut, thinned or without its unfiltered signals."""
+    if not changes:
+        return series
+    every, first_s = int(changes.get("keep_every") or 1), changes.get("first_s")
+    if every < 1:
+        raise InputError("series.keep_every", expected="1 or more", found=str(every))
+    n = series.time_s.size
+    if first_s is not None:
+        n = int(np.count_nonzero(series.time_s - series.time_s[0] < float(first_s)))
+    dropped = ("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run")
+    kept = ("time_s", "phi", "psi_p", "segment", "psi", "T25_K", "Nc_frac", "in_stall")
+    columns: dict[str, Any] = {}
+    for name in (*kept, *dropped):
+        values = getattr(series, name)
+        if values is not None:
+            columns[name] = values[:n:every]
+    if changes.get("rows_only") or every > 1:
+        # The free run's marks rest on the rate of the record.
+        columns.update(dict.fromkeys(dropped))
+    return replace(series, **columns)

@@ -1,0 +1,124 @@
+"""``sindy-surge study``: a method-comparison study from a TOML file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+__all__ = ["add_study_parser"]
+
+
+def add_study_parser(commands: Any) -> None:
+    """Add the sub-command to a parser's commands.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers
+        Where it goes.
+    """
+    parser = commands.add_parser(
+        "study",
+        help="compare methods over a declared design: thousands of fits into one table",
+        description="Run every cell of a study: DIR/results.parquet with one row a fit, "
+        "DIR/report.html, the resolved specification and versions. Finished cells are kept in "
+        "DIR/journal.jsonl as they come; --resume runs the rest.",
+    )
+    parser.add_argument("spec", type=Path, metavar="SPEC.toml", help="what is compared over what")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with the study in DIR; finished cells stay"
+    )
+    parser.add_argument(
+        "--jobs",
+        type=_jobs,
+        default=0,
+        metavar="N",
+        help="worker processes on this machine (default: one a core; 1: none)",
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work instead"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="say how many cells there are, and stop"
+    )
+    parser.set_defaults(run=run_study_command)
+
+
+def _jobs(text: str) -> int:
+    try:
+        jobs = int(text)
+    except ValueError:
+        jobs = 0
+    if jobs < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, found {text!r}")
+    return jobs
+
+
+def run_study_command(arguments: argparse.Namespace) -> None:
+    """Run the study that the arguments name."""
+    from comparisons.study.design import count_cells, count_points
+    from comparisons.study.spec import read_spec
+
+    spec = read_spec(arguments.spec)
+    cells = count_cells(spec)
+    axes = ", ".join(spec.axes) or "none"
+    methods = ", ".join(method.name for method in spec.methods)
+    print(f"{spec.title}: {cells} cells ({count_points(spec)} points, methods {methods})")
+    print(f"axes: {axes}")
+    if arguments.dry_run:
+        return
+    table, files = _run(spec, cells, arguments)
+    _conclude(spec, table, files)
+
+
+def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any]:
+    from tqdm import tqdm
+
+    from comparisons.study.engines import engine_for
+    from comparisons.study.run import StudyFiles, run_study
+
+    jobs = arguments.jobs or os.cpu_count() or 1
+    engine = engine_for(jobs, arguments.scheduler)
+    with tqdm(
+        total=cells, unit="cell", disable=not sys.stderr.isatty(), smoothing=0.05
+    ) as progress:
+        table = run_study(
+            spec,
+            arguments.out,
+            engine=engine,
+            resume=arguments.resume,
+            workers=jobs,
+            told=progress.update,
+        )
+    return table, StudyFiles(arguments.out)
+
+
+def _conclude(spec: Any, table: Any, files: Any) -> None:
+    """Print the comparison and write the page."""
+    from comparisons.commands import command_line
+    from comparisons.study.comparison import methods_in
+    from comparisons.study.report import write_study_report
+    from comparisons.study.run import resolved
+    from comparisons.study.words import study_text
+
+    failed = int((table["state"] == "failed").sum())
+    if failed:
+        print(f"{failed} cells failed; their reasons are in the table")
+    reference = spec.reference if spec.reference in methods_in(table) else None
+    print()
+    print(study_text(table, spec.scores, reference=reference, by=spec.by))
+    write_study_report(
+        files.report,
+        table,
+        spec_words=resolved(spec),
+        scores=spec.scores,
+        reference=reference,
+        by=spec.by,
+        title=spec.title,
+        command=command_line(),
+    )
+    print(f"table:  {files.results}")
+    print(f"report: {files.report}")
