@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from comparisons.study.run import StudyFiles, run_study
 from comparisons.study.spec import StudySpec, spec_from
 from comparisons.study.work import run_task
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "study.toml"
 SUPPORT = str(Path(__file__).parents[2] / "support")
 GIVEN: dict[str, Any] = {
     "title": "small",
@@ -279,3 +281,12 @@ def test_a_task_is_the_same_in_any_process() -> None:
         for name in one:
             if not name.startswith("seconds"):
                 assert one[name] == other[name] or (one[name] != one[name])
+
+
+def test_the_example_runs(tmp_path: Path) -> None:
+    given = tomllib.loads(EXAMPLE.read_text("utf-8"))
+    given["seeds"] = 1
+    given["record"]["noise_percent"] = 1.0
+    table = run_study(spec_from(given), tmp_path / "out")
+    assert set(table["state"]) == {"ok"}
+    assert np.all(np.abs(table["tau_error_ms"]) < 2.0)
