@@ -49,12 +49,18 @@ def plain_pysindy(
     return result
 
 
-def _fit(
-    record: Record, truth: dict[str, float], derivative: str, with_psi: bool
-) -> dict[str, Any]:
+def make_model(derivative: str, with_psi: bool) -> tuple[Any, list[str]]:
+    """Return pysindy's model with its library, not fitted, and the names of the terms.
+
+    Parameters
+    ----------
+    derivative : str
+        Of `DERIVATIVES`.
+    with_psi : bool
+        Whether powers of ψ' are in the library.
+    """
     import pysindy
 
-    psi_p, phi = record.psi_p[:, None], record.phi[:, None]
     if derivative == "FD":
         differentiate = pysindy.FiniteDifference()
     else:
@@ -62,13 +68,27 @@ def _fit(
         differentiate = pysindy.SmoothedFiniteDifference(smoother_kws=smoother)
     library, names = _library(with_psi)
     optimizer = pysindy.STLSQ(threshold=1.0, normalize_columns=True)
-    model = pysindy.SINDy(optimizer, library, differentiate)
+    return pysindy.SINDy(optimizer, library, differentiate), names
+
+
+def fit_once(model: Any, record: Record) -> None:
+    """Fit a model at its one threshold."""
     with warnings.catch_warnings():
         # That a threshold removes every term, and pysindy's own book-keeping of axes.
         warnings.simplefilter("ignore")
-        begun = time.process_time()
-        model.fit(psi_p, t=PERIOD_S, u=phi)
-        cpu_s = time.process_time() - begun
+        model.fit(record.psi_p[:, None], t=PERIOD_S, u=record.phi[:, None])
+
+
+def _fit(
+    record: Record, truth: dict[str, float], derivative: str, with_psi: bool
+) -> dict[str, Any]:
+    model, names = make_model(derivative, with_psi)
+    begun = time.process_time()
+    fit_once(model, record)
+    cpu_s = time.process_time() - begun
+    psi_p, phi = record.psi_p[:, None], record.phi[:, None]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         rate = np.asarray(model.differentiation_method(psi_p, t=PERIOD_S))
         used = getattr(model.differentiation_method, "smoothed_x_", psi_p)
         columns = np.asarray(model.feature_library.transform(np.column_stack((used, phi))))

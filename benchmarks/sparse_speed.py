@@ -12,18 +12,18 @@ it held before, in float64 a sample; `!` marks growth that is more than linear.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import resident
+from resident import ONE_THREAD
 from surge_truths import PERIOD_S, TRUTHS, FloatArray, Record, make_record, response
 
 LENGTHS = (10_000, 100_000, 1_000_000)
@@ -35,7 +35,6 @@ NOISE = 0.02
 WARM_UP_SAMPLES = 3000
 # A tenth more memory a sample from one length to the next is still taken for linear.
 LINEAR = 1.1
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
@@ -139,31 +138,9 @@ SELECTION = "SparseLagRegressor.fit"
 
 def cost(call: Callable[[Record], None], record: Record) -> tuple[float, float | None]:
     """Run once; return processor seconds, and float64 a sample at the peak above the start."""
-    before = _reset_peak_bytes()
-    begun = time.process_time()
-    call(record)
-    seconds = time.process_time() - begun
-    peak = _status_bytes("VmHWM") if before is not None else None
-    if before is None or peak is None:
-        return seconds, None
-    return seconds, (peak - before) / 8 / record.phi.size
-
-
-def _reset_peak_bytes() -> int | None:
-    """Give free memory back and start the kernel's high-water mark afresh (Linux alone)."""
-    try:
-        ctypes.CDLL("libc.so.6").malloc_trim(0)
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        return None
-    return _status_bytes("VmRSS")
-
-
-def _status_bytes(field: str) -> int | None:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(field + ":"):
-            return 1024 * int(line.split()[1])
-    return None
+    spent = resident.cost(lambda: call(record))
+    grown = spent.peak_bytes
+    return spent.seconds, None if grown is None else grown / 8 / record.phi.size
 
 
 def row_of(what: str, n_samples: int, costs: list[tuple[float, float | None]]) -> Row:

@@ -92,6 +92,39 @@ def make_record(
     Record
         What was measured.
     """
+    return simulate_record(
+        truth, noise, seed, n_samples, colour=colour, late=late, pieces=pieces
+    ).measured
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A record with what it was before it was measured.
+
+    Parameters
+    ----------
+    measured : Record
+        What was measured.
+    phi, psi_p : ndarray of shape (n,)
+        Without noise, over the whole record.
+    """
+
+    measured: Record
+    phi: FloatArray
+    psi_p: FloatArray
+
+
+def simulate_record(
+    truth: str,
+    noise: float,
+    seed: int,
+    n_samples: int = 5000,
+    *,
+    colour: float = 0.0,
+    late: int = 0,
+    pieces: bool = False,
+) -> Simulated:
+    """Simulate and measure one record, and keep its truth; see `make_record`."""
     key = f"{truth}|{noise}|{n_samples}|{colour}|{late}|{pieces}"
     rng = np.random.default_rng([seed, zlib.crc32(key.encode())])
     n_fine = FINER * (n_samples + late)
@@ -101,11 +134,12 @@ def make_record(
     clean_psi_p = pressure[: FINER * n_samples : FINER]
     phi = clean_phi + noise * clean_phi.std() * _noise(n_samples, colour, rng)
     psi_p = clean_psi_p + noise * clean_psi_p.std() * _noise(n_samples, colour, rng)
-    if not pieces:
-        return Record(phi, psi_p)
-    labels = _in_stall(clean_phi, rng)
-    inside = labels > 0
-    return Record(phi[inside], psi_p[inside], labels[inside])
+    measured = Record(phi, psi_p)
+    if pieces:
+        labels = _in_stall(clean_phi, rng)
+        inside = labels > 0
+        measured = Record(phi[inside], psi_p[inside], labels[inside])
+    return Simulated(measured, clean_phi, clean_psi_p)
 
 
 def relaxation_wave(n: int, step_s: float, rng: np.random.Generator) -> FloatArray:

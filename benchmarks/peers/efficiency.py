@@ -58,3 +58,19 @@ def coverage(holds: FloatArray, control: FloatArray) -> tuple[float, float]:
     spread = expected.var()
     slope = float(np.mean((holds - holds.mean()) * expected) / spread) if spread > 0.0 else 0.0
     return mean_and_se(holds - slope * expected)
+
+
+def middle_half(values: FloatArray) -> float:
+    """Return the mean without the lowest and the highest quarter; nan of nothing.
+
+    A median alone moves in steps where the kernel counts CPU time in ticks, and a mean alone
+    follows the few fits beside which something else ran.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Times, or ratios of times.
+    """
+    quarter = values.size // 4
+    kept = np.sort(values)[quarter : values.size - quarter]
+    return float(kept.mean()) if kept.size else float("nan")

@@ -23,7 +23,7 @@ from typing import Any
 
 import environments
 import numpy as np
-from efficiency import efficiency
+from efficiency import efficiency, middle_half
 from lag_problem import NAMES, TAU_S, FloatArray, Problem
 
 HERE = Path(__file__).resolve().parent
@@ -228,7 +228,7 @@ def compare(peer: Peer, records: Records, got: Results, own: Results) -> Row:
     both = fitted & np.isfinite(own.parameters[:, 0])
     difference = got.parameters[both, 0] - own.parameters[both, 0]
     n_samples = records.y.shape[1]
-    cpu_s = _middle_half(got.cpu_s)
+    cpu_s = middle_half(got.cpu_s)
     return Row(
         peer.name,
         records.c,
@@ -243,7 +243,7 @@ def compare(peer: Peer, records: Records, got: Results, own: Results) -> Row:
         [se for _, se in paired[1:]],
         _root_mean_square(difference),
         cpu_s,
-        cpu_s / _middle_half(own.cpu_s),
+        cpu_s / middle_half(own.cpu_s),
         cpu_s / got.lfilter_s,
         _middle(got.peak_bytes) / 8.0 / n_samples,
         got.note,
@@ -252,16 +252,6 @@ def compare(peer: Peer, records: Records, got: Results, own: Results) -> Row:
 
 def _middle(values: FloatArray) -> float:
     return float(np.median(values)) if values.size else float("nan")
-
-
-def _middle_half(values: FloatArray) -> float:
-    """Return the mean without the lowest and the highest quarter.
-
-    A median alone moves in steps where the kernel counts CPU time in ticks, and a mean alone
-    follows the few fits beside which something else ran.
-    """
-    quarter = values.size // 4
-    return _mean(np.sort(values)[quarter : values.size - quarter])
 
 
 def _mean(values: FloatArray) -> float:
