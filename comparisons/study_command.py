@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 __all__ = ["add_study_parser"]
+
+# Reasons of failed cells that are printed; the report has all.
+MOST_REASONS = 5
 
 
 def add_study_parser(commands: Any) -> None:
@@ -30,6 +33,9 @@ def add_study_parser(commands: Any) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder")
     parser.add_argument(
         "--resume", action="store_true", help="go on with the study in DIR; finished cells stay"
+    )
+    parser.add_argument(
+        "--retry-failed", action="store_true", help="with --resume: run cells that failed once more"
     )
     parser.add_argument(
         "--jobs",
@@ -75,13 +81,16 @@ def run_study_command(arguments: argparse.Namespace) -> None:
 
 
 def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any]:
+    from joblib import cpu_count
     from tqdm import tqdm
 
     from comparisons.study.engines import engine_for
     from comparisons.study.run import StudyFiles, run_study
 
-    jobs = arguments.jobs or os.cpu_count() or 1
+    jobs = arguments.jobs or cpu_count()
     engine = engine_for(jobs, arguments.scheduler)
+    # A scheduler of jobs ends a process by SIGTERM: as Ctrl-C, workers end with it.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with tqdm(
         total=cells, unit="cell", disable=not sys.stderr.isatty(), smoothing=0.05
     ) as progress:
@@ -90,10 +99,25 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
             arguments.out,
             engine=engine,
             resume=arguments.resume,
+            retry_failed=arguments.retry_failed,
             workers=jobs,
-            told=progress.update,
+            told=_Teller(progress),
         )
     return table, StudyFiles(arguments.out)
+
+
+class _Teller:
+    """Moves a progress bar; what was finished before does not count for the time left."""
+
+    def __init__(self, progress: Any) -> None:
+        self._progress = progress
+        self._begun = False
+
+    def __call__(self, count: int) -> None:
+        if not self._begun:
+            self._progress.initial = count
+            self._begun = True
+        self._progress.update(count)
 
 
 def _conclude(spec: Any, table: Any, files: Any) -> None:
@@ -106,7 +130,10 @@ def _conclude(spec: Any, table: Any, files: Any) -> None:
 
     failed = int((table["state"] == "failed").sum())
     if failed:
-        print(f"{failed} cells failed; their reasons are in the table")
+        print(f"{failed} of {len(table)} cells failed; the table has the reason of each:")
+        reasons = table.loc[table["state"] == "failed", "reason"].value_counts()
+        for reason, count in list(reasons.items())[:MOST_REASONS]:
+            print(f"  {count} x {reason}")
     reference = spec.reference if spec.reference in methods_in(table) else None
     print()
     print(study_text(table, spec.scores, reference=reference, by=spec.by))

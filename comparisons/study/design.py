@@ -52,6 +52,14 @@ class Point:
         return "r-" + _key([self.source, seed, self.table("record")])
 
     @property
+    def draw(self) -> str:
+        """What is independent of other records: a file; of simulated ones the seed.
+
+        Records of one seed at other settings have the same compressor, flow and noise.
+        """
+        return self.record if self.source == "files" else f"s-{self.seed}"
+
+    @property
     def reduction(self) -> str:
         """Key of what was done to the record before any fit."""
         return "d-" + _key([self.table("reduction"), self.table("series")])
@@ -109,12 +117,24 @@ def _combinations(spec: StudySpec) -> Iterator[Mapping[str, Scalar]]:
     names = sorted(spec.settings, key=lambda name: not name.startswith("record."))
     if spec.design.kind == "random":
         rng = np.random.default_rng(spec.design.seed)
-        for _ in range(spec.design.points):
-            yield {name: _drawn(spec.settings[name], rng) for name in names}
+        drawn = [
+            {name: _drawn(spec.settings[name], rng) for name in names}
+            for _ in range(spec.design.points)
+        ]
+        # From lists the same point may be drawn twice; and points of one record go together.
+        distinct = {tuple(point.items()): point for point in drawn}
+        order: dict[tuple[Scalar, ...], int] = {}
+        for point in distinct.values():
+            order.setdefault(_record_values(point), len(order))
+        yield from sorted(distinct.values(), key=lambda point: order[_record_values(point)])
         return
     values = [v.values() if isinstance(v, Range) else v for v in (spec.settings[n] for n in names)]
     for combination in itertools.product(*values):
         yield dict(zip(names, combination, strict=True))
+
+
+def _record_values(point: Mapping[str, Scalar]) -> tuple[Scalar, ...]:
+    return tuple(value for name, value in point.items() if name.startswith("record."))
 
 
 def _drawn(values: tuple[Scalar, ...] | Range, rng: np.random.Generator) -> Scalar:

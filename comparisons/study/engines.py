@@ -10,12 +10,13 @@ from __future__ import annotations
 import importlib
 import warnings
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import Any, Protocol
 
 from classic_ml.errors import InputError
 from comparisons.study.design import Task
-from comparisons.study.work import Row, run_task
+from comparisons.study.work import Row, failed_row, rows_of, run_task
 
 __all__ = ["Engine", "Outcome", "dask_engine", "engine_for", "joblib_engine", "serial_engine"]
 
@@ -36,7 +37,7 @@ class Engine(Protocol):
 
 
 def serial_engine(tasks: Iterable[Task]) -> Iterator[Outcome]:
-    """Work in this process.
+    """Work in this process; each cell is given back as it ends.
 
     Parameters
     ----------
@@ -44,7 +45,8 @@ def serial_engine(tasks: Iterable[Task]) -> Iterator[Outcome]:
         The tasks.
     """
     for task in tasks:
-        yield task, run_task(task)
+        for row in rows_of(task):
+            yield task, [row]
 
 
 def joblib_engine(jobs: int) -> Engine:
@@ -68,7 +70,7 @@ def joblib_engine(jobs: int) -> Engine:
             except _worker_deaths():
                 # Nobody says whose fault it was: those that were out are tried one by one.
                 for task in list(out.values()):
-                    yield _alone(task)
+                    yield from _one_by_one(task)
                 continue
             return
 
@@ -107,11 +109,22 @@ def _worker_deaths() -> tuple[type[BaseException], ...]:
     return (TerminatedWorkerError, BrokenProcessPool)
 
 
+def _one_by_one(task: Task) -> Iterator[Outcome]:
+    """Try a task by itself, and what does not survive cell by cell."""
+    outcome = _alone(task)
+    if outcome[1] is not None or len(task.cells) == 1:
+        yield outcome
+        return
+    for cell in task.cells:
+        yield _alone(replace(task, cells=(cell,)))
+
+
 def _alone(task: Task) -> Outcome:
     """Try a task by itself, in a process that may die."""
     for _ in range(MOST_TRIES):
         try:
-            return next(iter(_parallel([task], 2)))
+            (outcome,) = _parallel([task], 2)
+            return outcome
         except _worker_deaths():
             continue
     return task, None
@@ -133,30 +146,33 @@ def dask_engine(address: str, timeout_s: float = CONNECT_S) -> Engine:
         When dask.distributed is not installed or nobody answers.
     """
     distributed = _distributed()
-    client = _connected(distributed, address, timeout_s)
+    # Once now, so that a wrong address is told before anything is begun.
+    _connected(distributed, address, timeout_s).close()
 
     def work(tasks: Iterable[Task]) -> Iterator[Outcome]:
+        client = _connected(distributed, address, timeout_s)
         try:
             waiting = iter(tasks)
             room = AHEAD * max(1, sum(client.nthreads().values()))
             pending = distributed.as_completed([], loop=client.loop)
             known: dict[str, Task] = {}
 
-            def hand_out(count: int) -> None:
-                for task in islice(waiting, count):
-                    future = client.submit(
-                        run_task, task, key=f"study-{id(known):x}-{task.number}", pure=False
-                    )
+            def hand_out(handed: Iterable[Task]) -> None:
+                for task in handed:
+                    future = client.submit(run_task, task, pure=False)
                     known[future.key] = task
                     pending.add(future)
 
-            hand_out(room)
+            hand_out(islice(waiting, room))
             while known:
                 future = next(pending)
                 task = known.pop(future.key)
                 outcome = _dask_outcome(distributed, task, future)
                 future.release()
-                hand_out(1)
+                if outcome[1] is None and len(task.cells) > 1:
+                    hand_out(replace(task, cells=(cell,)) for cell in task.cells)
+                    continue
+                hand_out(islice(waiting, 1))
                 yield outcome
         finally:
             client.close()
@@ -205,6 +221,9 @@ def _dask_outcome(distributed: Any, task: Task, future: Any) -> Outcome:
         return task, future.result()
     except distributed.KilledWorker:
         return task, None
+    except ImportError as error:
+        reason = f"a worker lacks what it needs: {error}"
+        return task, [failed_row(n, point, method.name, reason) for n, point, method in task.cells]
 
 
 def engine_for(jobs: int, scheduler: str | None) -> Engine:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -40,8 +40,8 @@ class Journal:
         rows : iterable of mapping
             Finished cells.
         """
-        text = "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows)
-        data = text.encode("utf-8")
+        text = "".join(json.dumps(row) + "\n" for row in rows)
+        data = text.encode("ascii")
         while data:
             data = data[os.write(self._file, data) :]
         os.fsync(self._file)
@@ -114,12 +114,17 @@ def read_rows(path: Path) -> Iterator[dict[str, Any]]:
             yield row
 
 
-def finished_cells(path: Path) -> frozenset[int]:
+def finished_cells(
+    path: Path, again: Callable[[Mapping[str, Any]], bool] = lambda _: False
+) -> frozenset[int]:
     """Return the numbers of the cells in a journal.
 
     Parameters
     ----------
     path : path
         The file.
+    again : callable
+        Tells of a row whether its cell is to be run again; the last row of a cell counts.
     """
-    return frozenset(row["cell"] for row in read_rows(path))
+    open_again = {row["cell"]: again(row) for row in read_rows(path)}
+    return frozenset(cell for cell, is_open in open_again.items() if not is_open)

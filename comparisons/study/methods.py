@@ -13,21 +13,13 @@ import numpy as np
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
+from comparisons.fit_rows import FitRows
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 
 __all__ = ["BUILT_IN", "check_methods", "scores_of"]
 
 BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
-# What an estimator must have after its fit to be compared as a lag model.
-LAG_ATTRIBUTES = (
-    "time_constant_s_",
-    "time_constant_stderr_s_",
-    "terms_",
-    "coef_",
-    "covariance_",
-    "characteristic",
-)
 CURVE_POINTS = 50
 NAN = float("nan")
 
@@ -85,6 +77,8 @@ def scores_of(
         probe = _made(method, records[0].sample_period_s)
         if not _may_be_lag(probe):
             return _regressor_scores(method, records, made)
+        # A class has a hold of its own, by which it is simulated.
+        fit = {**fit, "hold": getattr(probe, "hold", fit["hold"])}
     return _lag_scores(method, records, made, fit)
 
 
@@ -98,18 +92,18 @@ def _made(method: Method, sample_period_s: float) -> Any:
             f"method {method.name}",
             expected=f"a class at {method.import_path}",
             found=str(error),
-            remedy="install its package where the workers run, or mend the path",
+            remedy="install its package where the workers run, or put its folder into PYTHONPATH",
         ) from error
     parameters = dict(method.parameters)
     try:
         if "sample_period_s" in inspect.signature(factory).parameters:
             parameters.setdefault("sample_period_s", sample_period_s)
         return factory(**parameters)
-    except (TypeError, ValueError) as error:
+    except Exception as error:
         raise InputError(
             f"method {method.name}: parameters",
             expected=f"what {method.import_path} takes",
-            found=str(error),
+            found=f"{type(error).__name__}: {error}",
         ) from error
 
 
@@ -128,8 +122,16 @@ def _lag_scores(
         specs = {spec.name: spec for spec in default_estimators(**fit)}
         spec = specs[method.built_in]
     else:
+
+        def made_and_fitted(rows: FitRows, _: Sequence[CoefficientSeries]) -> Any:
+            made = _made(method, rows.sample_period_s)
+            return _fitted(made, rows.X, rows.measured, rows.labels)
+
         spec = EstimatorSpec(
-            method.name, method.name, lambda rows: _made(method, rows.sample_period_s)
+            method.name,
+            method.name,
+            lambda rows: _made(method, rows.sample_period_s),
+            fit_rows=made_and_fitted,
         )
     begun = time.perf_counter()
     comparison = compare_records(records, estimators=[spec], **fit)
@@ -201,17 +203,26 @@ def _regressor_scores(
 
 
 def _fitted(estimator: Any, X: FloatArray, y: FloatArray, labels: Any) -> Any:
+    """Fit a class of somebody else to copies: what it scales in place is scored as measured."""
     if "segments" in inspect.signature(estimator.fit).parameters:
-        return estimator.fit(X, y, segments=labels)
-    return estimator.fit(X, y)
+        fitted = estimator.fit(X.copy(), y.copy(), segments=labels.copy())
+    else:
+        fitted = estimator.fit(X.copy(), y.copy())
+    if fitted is None:
+        raise InputError("fit", expected="the estimator itself returned", found="None")
+    return fitted
 
 
 def _predicted(estimator: Any, X: FloatArray, labels: Any) -> FloatArray:
     if "segments" in inspect.signature(estimator.predict).parameters:
-        found = estimator.predict(X, segments=labels)
+        found = estimator.predict(X.copy(), segments=labels.copy())
     else:
-        found = estimator.predict(X)
+        found = estimator.predict(X.copy())
+    if np.iscomplexobj(found):
+        raise InputError("predict", expected="real values", found="complex ones")
     values = np.asarray(found, dtype=np.float64).reshape(-1)
+    if not np.all(np.isfinite(values)):
+        raise InputError("predict", expected="finite values", found="NaN or infinite ones")
     if values.size != X.shape[0]:
         raise InputError("predict", expected=f"{X.shape[0]} values", found=f"{values.size}")
     return values

@@ -49,7 +49,7 @@ class Paired:
     Parameters
     ----------
     n_pairs, n_records : int
-        Cells that both could score, and the records that they come from.
+        Cells that both could score, and the independent records that they come from.
     difference, stderr : float
         Mean loss minus that of the other, and its standard error clustered by record, in the unit
         of the score. NaN where a pair holds an infinite score; the error is NaN with one record.
@@ -158,8 +158,11 @@ def group_cells(
     if not by and len(table):
         rows[()] = list(range(len(table)))
     whole = _parts(table, score, columns)
+    # Records that were drawn together (one seed at several settings) are not independent.
+    unit = "draw" if "draw" in table.columns else "record"
+    drawn = dict(zip(map(str, table["record"]), map(str, table[unit]), strict=True))
     ordered = sorted(rows, key=lambda group: [_order(value) for value in group])
-    return [(tuple(zip(by, g, strict=True)), _wide(whole, rows[g])) for g in ordered]
+    return [(tuple(zip(by, g, strict=True)), _wide(whole, rows[g], drawn)) for g in ordered]
 
 
 def paired(cells: Cells, score: Score, i: int, j: int) -> Paired:
@@ -274,12 +277,15 @@ def _parts(
     return list(zip(shared, methods, states, values, strict=True))
 
 
-def _wide(whole: list[tuple[tuple[Any, ...], str, str, float]], rows: list[int]) -> Cells:
+def _wide(
+    whole: list[tuple[tuple[Any, ...], str, str, float]], rows: list[int], drawn: dict[str, str]
+) -> Cells:
     parts = [whole[i] for i in rows]
     # Sorted, so that sums do not depend on the order of the rows.
     keys = sorted({part[0] for part in parts}, key=lambda key: [_order(value) for value in key])
     methods = tuple(sorted({part[1] for part in parts}))
-    records = {name: g for g, name in enumerate(sorted({str(key[0]) for key in keys}))}
+    draws = [drawn[str(key[0])] for key in keys]
+    records = {name: g for g, name in enumerate(sorted(set(draws)))}
     place, column = ({name: i for i, name in enumerate(names)} for names in (keys, methods))
     shape = (len(keys), len(methods))
     values, ran, failed = np.full(shape, np.nan), np.zeros(shape, bool), np.zeros(shape, bool)
@@ -292,7 +298,7 @@ def _wide(whole: list[tuple[tuple[Any, ...], str, str, float]], rows: list[int])
                 found=f"two of method '{method}' on record '{key[0]}', reduction '{key[1]}'",
             )
         ran[at], failed[at], values[at] = True, state == FAILED, value
-    record = np.array([records[str(key[0])] for key in keys], dtype=np.intp)
+    record = np.array([records[name] for name in draws], dtype=np.intp)
     return Cells(methods, record, values, ran, failed)
 
 

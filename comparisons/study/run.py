@@ -8,7 +8,7 @@ import platform
 import sys
 import time
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -22,6 +22,7 @@ from comparisons.study.engines import Engine, Outcome, serial_engine
 from comparisons.study.journal import Journal, finished_cells, read_rows
 from comparisons.study.methods import check_methods
 from comparisons.study.scores import NUMBERS
+from comparisons.study.sources import defaults_of
 from comparisons.study.spec import SCHEMA, Range, StudySpec
 from comparisons.study.work import failed_row
 
@@ -32,7 +33,7 @@ __all__ = ["StudyFiles", "resolved", "run_study", "study_table"]
 
 DIED = "its worker died each time it was tried"
 PACKAGES = ("sindy-surge", "numpy", "scipy", "pandas", "scikit-learn", "pysindy", "numba", "joblib")
-TEXTS = ("record", "reduction", "method", "state", "reason")
+TEXTS = ("record", "draw", "reduction", "method", "state", "reason")
 TIMES = ("seconds_fit", "seconds_record", "seconds_reduction")
 
 Told = Callable[[int], object]
@@ -82,6 +83,7 @@ def run_study(
     *,
     engine: Engine = serial_engine,
     resume: bool = False,
+    retry_failed: bool = False,
     workers: int = 1,
     told: Told = lambda _: None,
 ) -> pd.DataFrame:
@@ -97,6 +99,8 @@ def run_study(
         Who works.
     resume : bool
         Go on with what is in the folder; without it a folder with a study is refused.
+    retry_failed : bool
+        Run the cells that failed once more; those whose worker died are run again anyway.
     workers : int
         Number of workers, for the share of their time that goes into fits.
     told : callable
@@ -112,19 +116,29 @@ def run_study(
     InputError
         When the folder holds another study, or a class cannot be had.
     """
+
+    def again(row: Mapping[str, Any]) -> bool:
+        return retry_failed or row["reason"] == DIED
+
     files = StudyFiles(folder)
     check_methods(spec.methods)
     _prepare_folder(spec, files, resume)
-    done = finished_cells(files.journal)
+    done = finished_cells(files.journal, lambda row: row["state"] == "failed" and again(row))
     told(len(done))
     begun, begun_at = time.perf_counter(), datetime.now(UTC)
     spent = dict.fromkeys(TIMES, 0.0)
     with Journal(files.journal) as journal:
-        for rows in _worked_off(engine(tasks_of(spec, done))):
-            journal.write(rows)
-            for name in TIMES:
-                spent[name] += sum(float(row[name]) for row in rows)
-            told(len(rows))
+        outcomes = engine(tasks_of(spec, done))
+        try:
+            for rows in _worked_off(outcomes):
+                journal.write(rows)
+                for name in TIMES:
+                    spent[name] += sum(float(row[name]) for row in rows)
+                told(len(rows))
+        finally:
+            # An engine that is a generator lets go of its workers when it is closed.
+            if isinstance(outcomes, Generator):
+                outcomes.close()
     table = study_table(spec, files)
     replace_whole(files.results, lambda path: table.to_parquet(path, index=False))
     run = {
@@ -168,6 +182,13 @@ def _prepare_folder(spec: StudySpec, files: StudyFiles, resume: bool) -> None:
                 remedy="name another folder for it",
             )
         return
+    if files.journal.exists():
+        raise InputError(
+            str(files.folder),
+            expected=f"{files.spec.name} beside {files.journal.name}",
+            found="a journal alone",
+            remedy="name another folder",
+        )
     if files.folder.exists() and not files.folder.is_dir():
         raise InputError(str(files.folder), expected="a folder", found="a file")
     files.folder.mkdir(parents=True, exist_ok=True)
@@ -217,6 +238,7 @@ def resolved(spec: StudySpec) -> dict[str, Any]:
         "reference": spec.reference,
         "by": list(spec.by),
         "cells": count_cells(spec),
+        "defaults": defaults_of(spec),
     }
 
 
@@ -253,11 +275,11 @@ def study_table(spec: StudySpec, files: StudyFiles) -> pd.DataFrame:
             value = row.get(name)
             column.append(np.nan if value is None else value)
     columns: dict[str, Any] = {"cell": np.array(cells, dtype=np.int64)}
-    for name in TEXTS[:3]:
+    for name in TEXTS[:4]:
         columns[name] = pd.Series(texts[name], dtype="str")
     columns["seed"] = np.array(seeds, dtype=np.int64)
     columns |= {name: _axis_column(values) for name, values in axes.items()}
-    for name in TEXTS[3:]:
+    for name in TEXTS[4:]:
         columns[name] = pd.Series(texts[name], dtype="str")
     columns |= {name: np.array(values) for name, values in numbers.items()}
     table = pd.DataFrame(columns).drop_duplicates("cell", keep="last")
@@ -285,8 +307,10 @@ def _write_provenance(files: StudyFiles, run: Mapping[str, Any]) -> None:
         "system": platform.system(),
         "machine": platform.machine(),
         "cores": os.cpu_count(),
-        "versions": {name: _version(name) for name in PACKAGES},
-        "runs": [*held.get("runs", []), run],
+        "runs": [
+            *held.get("runs", []),
+            {**run, "versions": {name: _version(name) for name in PACKAGES}},
+        ],
     }
     write_whole(files.provenance, json.dumps(document, indent=2) + "\n")
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Literal
 
 __all__ = ["NUMBERS", "SCORES", "Better", "Score"]
 
 Better = Literal["smaller", "larger", "zero", "target"]
-BETTERS: tuple[Better, ...] = get_args(Better)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields
 from typing import Any, cast
 
 from classic_ml.errors import InputError
+from comparisons.rig import CASES, HIDEABLE, SensorSettings
+from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
 
 __all__ = ["SOURCES", "TABLES", "Setting"]
 
@@ -28,12 +30,19 @@ class Setting:
         Whether the text "none" stands for nothing.
     required : bool
         Whether a study must give it.
+    least, above : float, optional
+        The value is this or more; or more than this.
+    choices : tuple of str
+        What it may be; empty for anything.
     """
 
     kind: type
     says: str
     optional: bool = False
     required: bool = False
+    least: float | None = None
+    above: float | None = None
+    choices: tuple[str, ...] = ()
 
     def checked(self, value: Any, where: str) -> float | int | str | bool | None:
         """Return a value of the right kind.
@@ -53,21 +62,28 @@ class Setting:
         if self.optional and value == NONE:
             return None
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if self.kind is float and is_number and math.isfinite(value):
+        if self.kind is float and is_number and math.isfinite(value) and self._within(value):
             return float(value)
-        if self.kind is not float and type(value) is self.kind:
+        if self.kind is not float and type(value) is self.kind and self._within(value):
             return cast("float | int | str | bool", value)
         words = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+        limits = "" if self.least is None else f" from {self.least:g} on"
+        limits += "" if self.above is None else f" above {self.above:g}"
+        kind = f"one of {', '.join(self.choices)}" if self.choices else words[self.kind] + limits
         either = " or 'none'" if self.optional else ""
-        raise InputError(
-            where, expected=f"{self.says}: {words[self.kind]}{either}", found=repr(value)
+        raise InputError(where, expected=f"{self.says}: {kind}{either}", found=repr(value))
+
+    def _within(self, value: Any) -> bool:
+        """Tell whether a value is within the limits or among the choices."""
+        if self.choices:
+            return value in self.choices
+        return (self.least is None or value >= self.least) and (
+            self.above is None or value > self.above
         )
 
 
 def _sensors() -> dict[str, Setting]:
     """Return the imperfections of the rig's instruments; each is a number or nothing."""
-    from comparisons.rig import SensorSettings
-
     out = {}
     for field in fields(SensorSettings):
         kind = {"int": int, "bool": bool}.get(str(field.type).split(" ")[0], float)
@@ -79,28 +95,30 @@ def _sensors() -> dict[str, Setting]:
 def _factors() -> dict[str, Setting]:
     """Return the dimensions of the rig that may be multiplied by a factor."""
     names = ("discharge_volume_m3", "inertia_per_m", "inlet_volume_m3", "exhaust_volume_m3")
-    return {f"factors.{name}": Setting(float, f"factor on {name}") for name in names}
+    return {f"factors.{name}": Setting(float, f"factor on {name}", above=0.0) for name in names}
 
 
-_HIDE = Setting(str, "name of a hidden effect", optional=True)
+_DURATION = Setting(float, "length of each record in s", above=0.0)
 SOURCES: Mapping[str, Mapping[str, Setting]] = {
     "coefficients": {
-        "hide": _HIDE,
-        "strength": Setting(float, "strength of the hidden effect, in sigma"),
-        "noise": Setting(str, "kind of noise"),
-        "noise_percent": Setting(float, "sigma in percent of the deviation of psi_p"),
-        "duration_s": Setting(float, "length of each record in s"),
-        "sample_period_s": Setting(float, "time between rows in s"),
-        "n_records": Setting(int, "number of records fitted together"),
-        "degree": Setting(int, "degree of the true characteristic, 2 or 3"),
+        "hide": Setting(str, "a hidden effect", optional=True, choices=(*EFFECTS, *OUTSIDE)),
+        "strength": Setting(float, "strength of the hidden effect, in sigma", least=0.0),
+        "noise": Setting(str, "kind of noise", choices=NOISES),
+        "noise_percent": Setting(float, "sigma in percent of the deviation of psi_p", least=0.0),
+        "duration_s": _DURATION,
+        "sample_period_s": Setting(float, "time between rows in s", above=0.0),
+        "n_records": Setting(int, "number of records fitted together", least=1),
+        "degree": Setting(int, "degree of the true characteristic, 2 or 3", least=2),
         "gaps": Setting(bool, "whether records fall into segments"),
     },
     "rig": {
-        "case": Setting(str, "rig case"),
-        "hide": _HIDE,
+        "case": Setting(str, "rig case", choices=tuple(CASES)),
+        "hide": Setting(str, "a hidden effect", optional=True, choices=tuple(HIDEABLE)),
         "hide_size": Setting(float, "size of the hidden effect", optional=True),
-        "duration_s": Setting(float, "length of the record in s"),
-        "noise_percent": Setting(float, "noise of tape and readings in percent of full scale"),
+        "duration_s": _DURATION,
+        "noise_percent": Setting(
+            float, "noise of tape and readings in percent of full scale", least=0.0
+        ),
         **_sensors(),
         **_factors(),
     },
@@ -112,23 +130,25 @@ TABLES: Mapping[str, Mapping[str, Setting]] = {
     "record": {},
     "reduction": {
         "filter_order": Setting(int, "order of the low-pass"),
-        "cutoff_hz": Setting(float, "corner of the low-pass in Hz"),
-        "phase": Setting(str, "zero, causal or none"),
-        "probes": Setting(str, "all, tip or hub"),
+        "cutoff_hz": Setting(float, "corner of the low-pass in Hz", above=0.0),
+        "phase": Setting(str, "phase of the low-pass", choices=("zero", "causal", "none")),
+        "probes": Setting(str, "probes averaged", choices=("all", "tip", "hub")),
         "threshold_lbm_s": Setting(float, "segmentation threshold in lbm/s", optional=True),
         "hysteresis_lbm_s": Setting(float, "half width of its band in lbm/s", optional=True),
-        "stall_rule": Setting(str, "threshold or hub-tip"),
+        "stall_rule": Setting(str, "stall rule", choices=("threshold", "hub-tip")),
         "inertia_factor": Setting(float, "factor on the duct's inertia"),
         "thermocouple_inversion": Setting(bool, "undo the thermocouples' lag"),
-        "near_stall_match": Setting(str, "pair, forward or none"),
+        "near_stall_match": Setting(
+            str, "what the near-stall match moves", choices=("pair", "forward", "none")
+        ),
     },
     "series": {
-        "keep_every": Setting(int, "keep every n-th row"),
-        "first_s": Setting(float, "keep so many seconds of each record"),
+        "keep_every": Setting(int, "keep every n-th row", least=1),
+        "first_s": Setting(float, "keep so many seconds of each record", above=0.0),
         "rows_only": Setting(bool, "drop the unfiltered signals, so that all fit the same rows"),
     },
     "fit": {
-        "degree": Setting(int, "degree of the classical characteristic"),
-        "hold": Setting(str, "zero or first"),
+        "degree": Setting(int, "degree of the classical characteristic", least=1),
+        "hold": Setting(str, "how φ acts between samples", choices=("zero", "first")),
     },
 }

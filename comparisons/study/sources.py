@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,16 +15,19 @@ import numpy as np
 from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries, read_series
 from comparisons.study.design import Point
-from comparisons.study.spec import Scalar
+from comparisons.study.spec import Scalar, StudySpec
 
 if TYPE_CHECKING:
     from classic_ml.readers.test_description import TestDescription
     from classic_ml.records import Record
 
-__all__ = ["Made", "make_record", "prepare"]
+__all__ = ["FIT_DEFAULTS", "Made", "defaults_of", "make_record", "prepare"]
 
 DEFAULT_DURATION_S = 20.0
 DEFAULT_PERIOD_S = 0.01
+DEFAULT_PERCENT = 1.0
+DEFAULT_CASE = "985"
+FIT_DEFAULTS: dict[str, Scalar] = {"fit.degree": 2, "fit.hold": "first"}
 
 
 @dataclass(frozen=True)
@@ -88,13 +93,37 @@ def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
     return tuple(_altered(one, changes) for one in series)
 
 
+def defaults_of(spec: StudySpec) -> dict[str, Scalar]:
+    """Return what the settings that a study does not give are taken as.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        The study.
+    """
+    from classic_ml.reduction import ReductionSettings
+    from comparisons.rig import SensorSettings, simulate
+
+    out: dict[str, Any] = dict(FIT_DEFAULTS)
+    if spec.source == "coefficients":
+        out |= {"record.duration_s": DEFAULT_DURATION_S, "record.noise_percent": DEFAULT_PERCENT}
+        out["record.sample_period_s"] = DEFAULT_PERIOD_S
+    else:
+        out |= {f"reduction.{k}": v for k, v in asdict(ReductionSettings()).items()}
+    if spec.source == "rig":
+        out["record.case"] = DEFAULT_CASE
+        out["record.duration_s"] = inspect.signature(simulate).parameters["duration_s"].default
+        out |= {f"record.sensors.{k}": v for k, v in asdict(SensorSettings()).items()}
+    return {name: value for name, value in out.items() if name not in spec.settings}
+
+
 def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
     from comparisons.rig.coefficient_tests import simulate_test
 
     settings: dict[str, Any] = dict(given)
     period_s = float(settings.pop("sample_period_s", DEFAULT_PERIOD_S))
     n = round(float(settings.pop("duration_s", DEFAULT_DURATION_S)) / period_s)
-    percent = float(settings.pop("noise_percent", 1.0))
+    percent = float(settings.pop("noise_percent", DEFAULT_PERCENT))
     hidden = settings.pop("hide", None)
     test = simulate_test(
         hidden,
@@ -131,13 +160,23 @@ def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
     if "noise_percent" in settings:
         percent = settings.pop("noise_percent")
         sensors = {"noise_percent": percent, "reading_noise_percent": percent, **sensors}
-    case = find_case(settings.pop("case", "985"))
+    case = find_case(settings.pop("case", DEFAULT_CASE))
     case = replace(case, **{name: getattr(case, name) * by for name, by in factors.items()})
     run = simulate(case, seed=seed, sensors=SensorSettings(**sensors), **settings)
     # Through the files, as a user's record comes: nothing but counts and description is passed on.
     with tempfile.TemporaryDirectory() as folder:
-        write_run(run, Path(folder) / "run")
-        raw = read_raw(Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml")
+        kept = Path(folder) / "run"
+        write_run(run, kept)
+        try:
+            raw = read_raw(kept / "raw.csv", kept / "test.toml")
+        except InputError as error:
+            # The folder has another name each time, and a reason is the same in every run.
+            raise InputError(
+                error.where.replace(f"{kept}{os.sep}", ""),
+                expected=error.expected,
+                found=error.found,
+                remedy=error.remedy,
+            ) from error
     return Made((), raw, case.tau_s, tuple(case.pressure_terms))
 
 
@@ -154,6 +193,8 @@ def _files(_: int, given: Mapping[str, Scalar]) -> Made:
     nan = float("nan")
     if path.is_dir():
         return Made((), read_raw(path / "raw.csv", path / "test.toml"), nan, ())
+    if (path.parent / "test.toml").is_file() and path.stem == "raw":
+        return Made((), read_raw(path, path.parent / "test.toml"), nan, ())
     return Made((read_series(path),), None, nan, ())
 
 

@@ -22,6 +22,7 @@ __all__ = ["SCHEMA", "Design", "Method", "Range", "Scalar", "StudySpec", "read_s
 
 SCHEMA = "sindy-surge/study/1"
 MOST_CELLS = 1_000_000
+MOST_SEED = 2**63
 DEFAULT_SCORES = ("tau_error_ms", "curve_rms_error", "held_out_rms")
 DEFAULT_METHODS = ("classic_ml", "sindy")
 TOP = ("schema", "title", "seeds", "first_seed", "scores", "reference", "by", "design", "method")
@@ -157,7 +158,7 @@ def read_spec(path: Path) -> StudySpec:
         Naming the file and the key at fault.
     """
     try:
-        text = path.read_text("utf-8")
+        text = path.read_text("utf-8-sig")
     except IsADirectoryError as error:
         raise InputError(str(path), expected="a TOML file", found="a folder") from error
     except UnicodeDecodeError as error:
@@ -186,6 +187,8 @@ def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:
     InputError
         Naming the key at fault.
     """
+    if not given:
+        raise InputError(where, expected="a study", found="an empty file")
     _known(given, (*TOP, *TABLES), where)
     schema = given.get("schema", SCHEMA)
     if schema != SCHEMA:
@@ -193,19 +196,26 @@ def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:
     design = _design(given.get("design", "grid"), where)
     tables = {name: _table(given.get(name, {}), f"{where}: [{name}]") for name in TABLES}
     source = tables["record"].pop("source", "coefficients")
-    if source not in SOURCES:
+    if not isinstance(source, str) or source not in SOURCES:
         raise InputError(
             f"{where}: record.source", expected="one of " + ", ".join(SOURCES), found=repr(source)
         )
     settings = _settings(tables, source, design, where)
     methods = _methods(given.get("method", []), where)
+    seeds = _seeds(given, where)
+    if source == "files" and len(seeds) > 1:
+        raise InputError(
+            f"{where}: seeds", expected="one, since files are what they are", found=f"{len(seeds)}"
+        )
+    if max(seeds) >= MOST_SEED:
+        raise InputError(f"{where}: seeds", expected=f"below {MOST_SEED}", found=f"{max(seeds)}")
     spec = StudySpec(
         _text(given.get("title", "Study"), f"{where}: title"),
         source,
         settings,
-        _seeds(given, where),
+        seeds,
         methods,
-        _among(given.get("scores", DEFAULT_SCORES), SCORES, f"{where}: scores"),
+        _some(given.get("scores", DEFAULT_SCORES), SCORES, f"{where}: scores"),
         _reference(given.get("reference"), methods, where),
         (),
         design,
@@ -231,8 +241,8 @@ def _table(value: Any, where: str) -> dict[str, Any]:
 
 
 def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise InputError(where, expected="a text", found=repr(value))
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise InputError(where, expected="a text of one line", found=repr(value))
     return value
 
 
@@ -267,7 +277,10 @@ def _seeds(given: Mapping[str, Any], where: str) -> tuple[int, ...]:
         if not seeds or len(set(seeds)) != len(seeds):
             raise InputError(f"{where}: seeds", expected="seeds, each once", found=repr(value))
         return seeds
-    return tuple(range(first, first + _whole(value, f"{where}: seeds", least=1)))
+    count = _whole(value, f"{where}: seeds", least=1)
+    if count > MOST_CELLS:
+        raise InputError(f"{where}: seeds", expected=f"at most {MOST_CELLS}", found=f"{count}")
+    return tuple(range(first, first + count))
 
 
 def _among(value: Any, names: Sequence[str] | Mapping[str, Any], where: str) -> tuple[str, ...]:
@@ -275,15 +288,25 @@ def _among(value: Any, names: Sequence[str] | Mapping[str, Any], where: str) -> 
     values = [value] if isinstance(value, str) else value
     if not isinstance(values, list | tuple) or any(v not in listed for v in values):
         raise InputError(
-            where, expected="out of " + (", ".join(listed) or "no axis"), found=repr(value)
+            where,
+            expected="out of " + (", ".join(listed) or "the axes, of which there are none"),
+            found=repr(value),
         )
     return tuple(dict.fromkeys(values))
+
+
+def _some(value: Any, names: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    found = _among(value, names, where)
+    if not found:
+        raise InputError(where, expected="one or more of " + ", ".join(names), found="none")
+    return found
 
 
 def _reference(value: Any, methods: Sequence[Method], where: str) -> str | None:
     if value is None:
         return None
-    return _among(_text(value, f"{where}: reference"), [m.name for m in methods], where)[0]
+    where = f"{where}: reference"
+    return _among(_text(value, where), [m.name for m in methods], where)[0]
 
 
 def _settings(

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import time
+from collections.abc import Iterator
 from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
 
 from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.study.design import Point, Task
 from comparisons.study.methods import scores_of
-from comparisons.study.sources import Made, make_record, prepare
+from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
 
-__all__ = ["failed_row", "run_task"]
+__all__ = ["failed_row", "rows_of", "run_task"]
 
 Row = dict[str, Any]
 Series = tuple[CoefficientSeries, ...]
-FIT_DEFAULTS = {"degree": 2, "hold": "first"}
 
 
 def run_task(task: Task) -> list[Row]:
@@ -33,11 +37,29 @@ def run_task(task: Task) -> list[Row]:
     list of dict
         One row a cell.
     """
-    from threadpoolctl import threadpool_limits
+    return list(rows_of(task))
 
-    with threadpool_limits(limits=1):
-        shop = _Workshop()
-        return [shop.row(*cell) for cell in task.cells]
+
+def rows_of(task: Task) -> Iterator[Row]:
+    """Yield the rows of a task as they come; see `run_task`.
+
+    Parameters
+    ----------
+    task : Task
+        Cells that share a record.
+    """
+    _load()
+    shop = _Workshop()
+    for cell in task.cells:
+        with threadpool_limits(limits=1):
+            row = shop.row(*cell)
+        yield row
+
+
+def _load() -> None:
+    """Import what brings libraries with threads of their own, before they are limited."""
+    import comparisons.compare
+    import comparisons.sparse_whole_run  # noqa: F401
 
 
 class _Workshop:
@@ -53,14 +75,24 @@ class _Workshop:
         """Return the row of one cell."""
         self._seconds = dict.fromkeys(self._seconds, 0.0)
         begun = time.perf_counter()
+        here = os.getcwd()
+        # Other people's classes may draw from numpy's shared generator: by its cell, so that
+        # nothing depends on who runs it and after what.
+        np.random.seed(number % 2**32)  # noqa: NPY002
         try:
-            made = self._made(point)
-            prepared = self._prepared(made, point)
-            fit = {**FIT_DEFAULTS, **point.table("fit")}
-            begun = time.perf_counter()
-            found = scores_of(method, prepared, made, fit)
-        except Exception as error:
+            # A class of somebody else may change what all share.
+            with np.errstate():
+                made = self._made(point)
+                prepared = self._prepared(made, point)
+                fit = {k.removeprefix("fit."): v for k, v in FIT_DEFAULTS.items()}
+                fit |= point.table("fit")
+                begun = time.perf_counter()
+                found = scores_of(method, prepared, made, fit)
+        except (Exception, SystemExit) as error:
+            # A cell that fails is a row, not a stopped study.
             found = {"state": "failed", "reason": _told(error)}
+        finally:
+            os.chdir(here)
         found.setdefault("seconds_fit", time.perf_counter() - begun)
         return {**_head(number, point, method.name), **found, **self._seconds}
 
@@ -96,17 +128,22 @@ def _given(made: Any) -> Any:
     return made
 
 
-def _told(error: Exception) -> str:
+def _told(error: BaseException) -> str:
+    name = type(error).__name__
+    try:
+        first = str(error).strip().splitlines()
+    except Exception:
+        return f"{name}: no message"
     if isinstance(error, InputError):
-        return str(error)
-    first = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {first[0] if first else 'no message'}"
+        return " ".join(first)
+    return f"{name}: {first[0] if first else 'no message'}"
 
 
 def _head(number: int, point: Point, method: str) -> Row:
     return {
         "cell": number,
         "record": point.record,
+        "draw": point.draw,
         "reduction": point.reduction,
         "method": method,
         "seed": point.seed,

@@ -39,7 +39,6 @@ LEAST_SIDE_SHARE = 0.02
 SIDE = 0.05
 # Quantiles of the size of a signal at which thresholds start.
 THRESHOLDS = (0.98, 0.85, 0.6)
-GAPS = (0.1, 0.3, 0.6)
 
 
 def _on(signals: Callable[[Model], Sequence[int]]) -> Places:

@@ -245,10 +245,27 @@ def extended_rhs(
         row = HEAD + ROW * e
         if ints[row] == 6:
             y = scratch[n_x + n_u + n_p : n_x + n_u + n_p + ints[5]]
+            # The sensor reads the state itself, and what its reading goes through comes first.
+            for i in range(n_x):
+                x[i] = X[i]
             call_at(ints[1], t, x, u, p, y)
+            _map_outputs(e, theta, ints, floats, y)
             own = ints[row + 5]
             lag_s = max(theta[n_p + n_u + SLOTS * e], 1e-3) * clock[1]
             dX[own] = (y[ints[row + 2]] - X[own]) / lag_s
+
+
+@njit(cache=True, error_model="numpy")
+def _map_outputs(
+    end: int, theta: FloatArray, ints: IntArray, floats: FloatArray, y: FloatArray
+) -> None:
+    """Put into y what stands in place of readings, by the effects before number ``end``."""
+    at = ints[4] + ints[3]
+    for e in range(end):
+        row = HEAD + ROW * e
+        if ints[row] == 5:
+            j = ints[row + 2]
+            y[j] = map_value(ints[row + 1], y[j], floats[3 * e + 1], theta[at + SLOTS * e])
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,7 +7,7 @@ that outputs of different units weigh as their own errors ask for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -386,13 +386,3 @@ def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = No
         only_starts=True,
         rows=rows,
     )
-
-
-def with_effects_started(fit: Fit, structure: Structure, slots: FloatArray) -> FloatArray:
-    """Return θ of a structure with one more effect, from a fit without it."""
-    return np.concatenate([fit.theta, slots])
-
-
-def refreshed(fit: Fit, **changes: object) -> Fit:
-    """Return a fit with fields replaced."""
-    return replace(fit, **changes)  # type: ignore[arg-type]

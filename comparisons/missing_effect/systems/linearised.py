@@ -391,7 +391,7 @@ def along(
         if has_own:
             own += fine_s * dX[n]
             # A hysteresis stays within its bounds; other states of effects are readings.
-            if ints[9 + 6 * (ints[7] - 1)] == 10:
+            if ints[HEAD + ROW * (ints[7] - 1)] == 10:
                 own = min(max(own, -1.0), 1.0)
     return forcing, direct
 

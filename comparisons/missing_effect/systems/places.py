@@ -135,9 +135,20 @@ class Placed:
     starts: tuple[tuple[float, ...], ...]
 
     @property
-    def key(self) -> tuple[str, Place]:
-        """What makes it the same as another: its name and its place."""
-        return self.effect.name, self.place
+    def key(self) -> tuple[str, Place, int, int]:
+        """What makes it the same as another: its name and place, and which of its forms it is."""
+        return self.effect.name, self.place, int(self.effect.kind), self.effect.code
+
+    @property
+    def held(self) -> tuple[bool, ...]:
+        """Which of its numbers stay where they start.
+
+        What an overflow loses runs nowhere: the share of it that arrives means nothing.
+        """
+        lost = self.effect.kind == Kind.OVERFLOW and self.place.other < 0
+        return tuple(
+            number.held or (lost and slot == 1) for slot, number in enumerate(self.effect.numbers)
+        )
 
     @property
     def name(self) -> str:

@@ -106,8 +106,7 @@ def numbers_of(
     at = len(model.params) + len(model.inputs) + SLOTS * index
     out: list[tuple[str, float, float, str]] = []
     for slot, number in enumerate(placed.effect.numbers):
-        if slot == 1 and placed.effect.kind == Kind.OVERFLOW and placed.place.other < 0:
-            # What is lost runs nowhere: a share of it means nothing.
+        if placed.held[slot] and not number.held:
             continue
         factor, unit = _factor(model, placed, slot, clock)
         if slot == 0 and placed.effect.resists:

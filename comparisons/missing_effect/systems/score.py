@@ -161,7 +161,7 @@ class Prober:
 
     def _kept(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
         """Return the columns, made once for all metrics."""
-        key = (placed.key, placed.effect.kind, placed.effect.code, start)
+        key = (placed.key, start)
         if not hasattr(self, "_made"):
             self._made: dict[object, list[FloatArray]] = {}
         if key not in self._made:

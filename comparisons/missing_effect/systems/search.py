@@ -187,13 +187,13 @@ def _promising(raw: Sequence[Probe], white: Sequence[Probe]) -> list[Probe]:
         terms = [p for p in probes if p.gain > least and p.placed.effect.unnamed]
         bare = [p for p in probes if not p.placed.effect.numbers]
         for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 3], *bare):
-            kept.setdefault((probe.placed.key, probe.placed.effect.code), probe)
+            kept.setdefault(probe.placed.key, probe)
     # The plain form of whatever is promising races beside it.
     wanted = {(p.placed.name, p.placed.place) for p in kept.values()}
     for probe in white:
         forms = {(name, probe.placed.place) for name in probe.placed.effect.simple_form_of}
         if forms & wanted:
-            kept.setdefault((probe.placed.key, probe.placed.effect.code), probe)
+            kept.setdefault(probe.placed.key, probe)
     return list(kept.values())
 
 
@@ -418,4 +418,4 @@ def _simple_form(best: Candidate, pool: Sequence[Candidate]) -> Candidate | None
 def _numbers(candidate: Candidate) -> int:
     """Return how much an effect brings: its numbers, and its own state."""
     effect = candidate.placed.effect
-    return sum(not number.held for number in effect.numbers) + effect.own_state
+    return sum(not held for held in candidate.placed.held) + effect.own_state

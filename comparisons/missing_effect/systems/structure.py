@@ -120,7 +120,7 @@ class Structure:
         held += [not self.offsets_free or j in late for j in range(len(self.model.inputs))]
         for placed in self.effects:
             numbers = placed.effect.numbers
-            held += [n.held for n in numbers] + [True] * (SLOTS - len(numbers))
+            held += [*placed.held, *[True] * (SLOTS - len(numbers))]
         return np.flatnonzero(~np.array(held))
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -104,6 +105,19 @@ def test_a_range_in_a_grid_is_laid_in_steps() -> None:
     assert values == pytest.approx([1.0, 10.0, 100.0])
 
 
+def test_points_drawn_twice_are_one_and_records_lie_together() -> None:
+    made = spec(
+        design={"random": 60, "seed": 3},
+        record={"noise_percent": [1.0, 2.0, 3.0]},
+        fit={"degree": [1, 2, 3, 4]},
+    )
+    points = list(points_of(made))
+    assert len({point.settings for point in points}) == len(points) == 12
+    records = [point.record for point in points]
+    assert len([k for k, _ in itertools.groupby(records)]) == len(set(records)) == 3
+    assert {point.draw for point in points} == {"s-0"}
+
+
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"seed": 3}, "the key 'seed'"),
     "unknown schema": ({"schema": "other/2"}, "other/2"),
@@ -133,7 +147,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "first seed beside a list": ({"seeds": [1], "first_seed": 2}, "a list of seeds"),
     "unknown score": ({"scores": ["beauty"]}, "beauty"),
     "unknown reference": ({"reference": "nobody"}, "nobody"),
-    "unknown axis": ({"by": ["record.noise_percent"]}, "no axis"),
+    "unknown axis": ({"by": ["record.noise_percent"]}, "of which there are none"),
     "unknown design": ({"design": "latin"}, "latin"),
     "random without points": ({"design": {"seed": 1}}, "random"),
     "unknown method": ({"method": [{"name": "magic"}]}, "magic"),
@@ -146,6 +160,19 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "path without a class": ({"method": [{"name": "m", "class": "package.module"}]}, "module"),
     "path with code": ({"method": [{"name": "m", "class": "os:system('x')"}]}, "os:system"),
     "table for a list": ({"method": {"name": "sindy"}}, "[[method]]"),
+    "negative noise": ({"record": {"noise_percent": -1.0}}, "-1.0"),
+    "no length": ({"record": {"duration_s": 0}}, "above 0"),
+    "keep none": ({"series": {"keep_every": 0}}, "from 1 on"),
+    "unknown effect": ({"record": {"hide": "gremlins"}}, "gremlins"),
+    "unknown case": ({"record": {"source": "rig", "case": "50"}}, "'50'"),
+    "unknown hold": ({"fit": {"hold": "second"}}, "zero, first"),
+    "list of sources": ({"record": {"source": ["rig", "files"]}}, "['rig', 'files']"),
+    "no scores": ({"scores": []}, "found none"),
+    "far too many seeds": ({"seeds": 10**11}, "100000000000"),
+    "a seed beyond 64 bits": ({"seeds": [2**70]}, "below"),
+    "title of two lines": ({"title": "one\ntwo"}, "one line"),
+    "files have no seeds": ({"record": {"source": "files", "path": "a"}, "seeds": 2}, "files"),
+    "nothing": ({}, "an empty file"),
     "files without a path": ({"record": {"source": "files"}}, "nothing"),
     "too many": ({"record": {"degree": [2, 3]}, "seeds": 10**6}, "1000000"),
 }
