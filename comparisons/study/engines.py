@@ -23,7 +23,7 @@ __all__ = ["Engine", "Outcome", "dask_engine", "engine_for", "joblib_engine", "s
 # Tasks handed out ahead of each worker: enough that none waits, few enough that memory stays flat.
 AHEAD = 2
 # Times that a task is tried alone after it was seen beside a worker's death.
-MOST_TRIES = 2
+MOST_TRIES = 1
 CONNECT_S = 10.0
 
 Outcome = tuple[Task, list[Row] | None]

@@ -238,7 +238,7 @@ def test_a_killed_command_loses_no_finished_cell(tmp_path: Path) -> None:
     """kill -9 of the command and of a worker; what goes on gives an undisturbed table."""
     declared = tmp_path / "study.toml"
     declared.write_text(
-        "seeds = 5\n[record]\nduration_s = 8.0\nnoise_percent = [1.0, 5.0]\n"
+        "seeds = 4\n[record]\nduration_s = 6.0\nnoise_percent = [1.0, 5.0]\n"
         '[[method]]\nname = "classic_ml_output_error"\n[[method]]\nname = "sindy"\n',
         "utf-8",
     )
@@ -258,7 +258,7 @@ def test_a_killed_command_loses_no_finished_cell(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     kept = {row["cell"]: row for row in read_rows(killed.journal)}
-    assert 0 < len(kept) < 20
+    assert 0 < len(kept) < 16
     assert not killed.results.exists()
     alone = [option if option != "2" else "1" for option in line]
     done = [[*alone, str(whole.folder)], [*line, str(killed.folder), "--resume"]]
