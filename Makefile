@@ -10,7 +10,7 @@ demo: $(STAMP)
 	$(BIN)/sindy-surge demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
