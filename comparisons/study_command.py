@@ -90,19 +90,22 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
     jobs = arguments.jobs or cpu_count()
     engine = engine_for(jobs, arguments.scheduler)
     # A scheduler of jobs ends a process by SIGTERM: as Ctrl-C, workers end with it.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with tqdm(
-        total=cells, unit="cell", disable=not sys.stderr.isatty(), smoothing=0.05
-    ) as progress:
-        table = run_study(
-            spec,
-            arguments.out,
-            engine=engine,
-            resume=arguments.resume,
-            retry_failed=arguments.retry_failed,
-            workers=jobs,
-            told=_Teller(progress),
-        )
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    bar = tqdm(total=cells, unit="cell", disable=not sys.stderr.isatty(), smoothing=0.05)
+    try:
+        with bar as progress:
+            table = run_study(
+                spec,
+                arguments.out,
+                engine=engine,
+                resume=arguments.resume,
+                retry_failed=arguments.retry_failed,
+                # Of a cluster's workers the provenance says nothing that was not seen.
+                workers=None if arguments.scheduler else jobs,
+                told=_Teller(progress),
+            )
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return table, StudyFiles(arguments.out)
 
 

@@ -399,6 +399,11 @@ def _doubts(
             f"than {FEWEST_RECORDS}"
         )
     doubts += _unlike(cells, j, r)
+    if cells.bad[:, j].any():
+        doubts.append(
+            f"{int(cells.bad[:, j].sum())} of its {_cells(cells.ran[:, j])} ended badly, as their "
+            "states say: their numbers are not to be used"
+        )
     if rank is None and not pair.n_infinite:
         doubts.append("too few pairs to be ranked")
     if pair.n_records > 1 and pair.stderr == 0.0 and j != r and pair.difference != 0.0:

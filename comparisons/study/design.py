@@ -143,8 +143,12 @@ def _drawn(values: tuple[Scalar, ...] | Range, rng: np.random.Generator) -> Scal
     return values[int(rng.integers(len(values)))]
 
 
-def tasks_of(spec: StudySpec, finished: frozenset[int] = frozenset()) -> Iterator[Task]:
+def tasks_of(
+    spec: StudySpec, finished: frozenset[int] = frozenset(), workers: int = 1
+) -> Iterator[Task]:
     """Yield tasks that cover the cells that are not finished.
+
+    A record is made again for another task only where there are too few to keep all workers busy.
 
     Parameters
     ----------
@@ -152,14 +156,18 @@ def tasks_of(spec: StudySpec, finished: frozenset[int] = frozenset()) -> Iterato
         The study.
     finished : frozenset of int
         Numbers of cells that need not be run.
+    workers : int
+        Who waits for them.
     """
+    left = count_cells(spec) - len(finished)
+    most = max(1, min(CELLS_A_TASK, -(-left // (2 * workers))))
     held: list[tuple[int, Point, Method]] = []
     number, key = 0, ""
     for group in _by_record(spec):
         for cell in group:
             if cell[0] in finished:
                 continue
-            if held and (cell[1].record != key or len(held) >= CELLS_A_TASK):
+            if held and (cell[1].record != key or len(held) >= most):
                 yield Task(number, tuple(held))
                 number, held = number + 1, []
             key = cell[1].record

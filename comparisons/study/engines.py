@@ -196,7 +196,7 @@ def _distributed() -> Any:
 def _connected(distributed: Any, address: str, timeout_s: float) -> Any:
     try:
         with warnings.catch_warnings():
-            # Workers of other versions are told apart by the table's provenance.
+            # Dask warns of other versions of packages that no cell uses.
             warnings.simplefilter("ignore")
             client = distributed.Client(address, timeout=timeout_s, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -154,7 +154,8 @@ def _lag_scores(
     if np.isfinite(made.tau_s):
         low, high = model.ci95_s
         out["tau_error_ms"] = 1e3 * (model.time_constant_s - made.tau_s)
-        if np.isfinite(low) and np.isfinite(high):
+        # What a fit says is not to be used states no interval either.
+        if result.state == "converged" and np.isfinite(low) and np.isfinite(high):
             out["tau_covered"] = float(low <= made.tau_s <= high)
     if made.beta:
         out["curve_rms_error"] = _curve_error(model.quasi_steady, made, comparison.valid_phi)

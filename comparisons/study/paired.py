@@ -35,7 +35,8 @@ __all__ = [
     "plain_values",
 ]
 
-FAILED = "failed"
+# States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
+FAILED, ENDED_WELL = "failed", ("ok", "converged")
 NEEDED = ("record", "reduction", "method", "state")
 STANDARD_ERRORS = 2.0
 # Losses closer than rounding in the last digits are the same loss.
@@ -96,6 +97,8 @@ class Cells:
         The score; NaN where there is none.
     ran, failed : ndarray of bool, shape (n, n_methods)
         Where a method was run, and where it failed.
+    bad : ndarray of bool, shape (n, n_methods)
+        Where a fit has numbers that it says itself are not to be used.
     """
 
     methods: tuple[str, ...]
@@ -103,6 +106,7 @@ class Cells:
     values: FloatArray
     ran: NDArray[np.bool_]
     failed: NDArray[np.bool_]
+    bad: NDArray[np.bool_]
 
     @property
     def scored(self) -> NDArray[np.bool_]:
@@ -288,7 +292,8 @@ def _wide(
     records = {name: g for g, name in enumerate(sorted(set(draws)))}
     place, column = ({name: i for i, name in enumerate(names)} for names in (keys, methods))
     shape = (len(keys), len(methods))
-    values, ran, failed = np.full(shape, np.nan), np.zeros(shape, bool), np.zeros(shape, bool)
+    values = np.full(shape, np.nan)
+    ran, failed, bad = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
     for key, method, state, value in parts:
         at = place[key], column[method]
         if ran[at]:
@@ -298,8 +303,9 @@ def _wide(
                 found=f"two of method '{method}' on record '{key[0]}', reduction '{key[1]}'",
             )
         ran[at], failed[at], values[at] = True, state == FAILED, value
+        bad[at] = state not in (FAILED, *ENDED_WELL)
     record = np.array([records[name] for name in draws], dtype=np.intp)
-    return Cells(methods, record, values, ran, failed)
+    return Cells(methods, record, values, ran, failed, bad)
 
 
 def plain_values(column: pd.Series[Any]) -> list[Any]:

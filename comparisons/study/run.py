@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["StudyFiles", "resolved", "run_study", "study_table"]
 
+# Workers to reckon with where their number is not known.
+CLUSTER = 16
 DIED = "its worker died each time it was tried"
 PACKAGES = ("sindy-surge", "numpy", "scipy", "pandas", "scikit-learn", "pysindy", "numba", "joblib")
 TEXTS = ("record", "draw", "reduction", "method", "state", "reason")
@@ -84,7 +86,7 @@ def run_study(
     engine: Engine = serial_engine,
     resume: bool = False,
     retry_failed: bool = False,
-    workers: int = 1,
+    workers: int | None = 1,
     told: Told = lambda _: None,
 ) -> pd.DataFrame:
     """Run the cells of a study that are not finished yet, and write its table.
@@ -102,7 +104,7 @@ def run_study(
     retry_failed : bool
         Run the cells that failed once more; those whose worker died are run again anyway.
     workers : int
-        Number of workers, for the share of their time that goes into fits.
+        Number of workers, for the share of their time that goes into fits; None: not known.
     told : callable
         Called with the number of cells finished each time some are.
 
@@ -128,7 +130,7 @@ def run_study(
     begun, begun_at = time.perf_counter(), datetime.now(UTC)
     spent = dict.fromkeys(TIMES, 0.0)
     with Journal(files.journal) as journal:
-        outcomes = engine(tasks_of(spec, done))
+        outcomes = engine(tasks_of(spec, done, workers or CLUSTER))
         try:
             for rows in _worked_off(outcomes):
                 journal.write(rows)

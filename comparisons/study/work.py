@@ -78,6 +78,7 @@ class _Workshop:
         here = os.getcwd()
         # Other people's classes may draw from numpy's shared generator: by its cell, so that
         # nothing depends on who runs it and after what.
+        drawn = np.random.get_state()  # noqa: NPY002
         np.random.seed(number % 2**32)  # noqa: NPY002
         try:
             # A class of somebody else may change what all share.
@@ -93,6 +94,7 @@ class _Workshop:
             found = {"state": "failed", "reason": _told(error)}
         finally:
             os.chdir(here)
+            np.random.set_state(drawn)  # noqa: NPY002
         found.setdefault("seconds_fit", time.perf_counter() - begun)
         return {**_head(number, point, method.name), **found, **self._seconds}
 

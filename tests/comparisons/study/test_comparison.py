@@ -215,6 +215,17 @@ def test_coverage_is_compared_by_the_distance_of_its_share_from_the_target() -> 
     assert np.isnan(bold.against.wins)
 
 
+def test_fits_that_ended_badly_keep_their_numbers_and_are_told() -> None:
+    table = made_study({"a": 0.0, "b": 1.0})
+    bad = where(table, "b") & (table["seed"] % 4 == 0)
+    table.loc[bad, "state"] = "at_upper_bound"
+    group = told(table, reference="a")
+    row = group.row("b")
+    assert row.n_scored == row.n_cells > bad.sum() > 0
+    assert f"{int(bad.sum())} of its {row.n_cells} cells ended badly" in row.trust
+    assert "badly" not in group.row("a").trust
+
+
 def test_failed_cells_leave_pairs_and_are_told() -> None:
     table = made_study({"a": 0.0, "b": -1.0})
     # b fails on the hardest half: by its own mean it would look far better than it is.

@@ -346,3 +346,34 @@ def test_a_journal_without_its_study_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "journal.jsonl").write_bytes(b"")
     with pytest.raises(InputError, match="a journal alone"):
         run_study(spec(), tmp_path)
+
+
+def test_raw_counts_and_files_go_through_a_study(tmp_path: Path) -> None:
+    """One record of the rig is reduced in two ways; its files give the same numbers again."""
+    from comparisons.rig import simulate, write_run
+
+    rig: dict[str, Any] = {
+        "seeds": [3],
+        "record": {"source": "rig", "case": "985", "hide": ["none", "sensitivity_drift"]},
+        "reduction": {"cutoff_hz": [30.0, 48.0]},
+        "method": [{"name": "classic_ml"}, {"name": "paper"}],
+    }
+    table = run_study(spec_from(rig), tmp_path / "rig")
+    plain = table[table["record.hide"] == "none"]
+    whole = plain[plain["method"] == "classic_ml"]
+    # The whole run is fitted to unfiltered signals: the filter leaves its τ, not the paper's.
+    assert np.all(np.abs(whole["tau_error_ms"]) < 2.0)
+    assert whole["tau_ms"].nunique() == 1
+    assert plain[plain["method"] == "paper"]["tau_ms"].nunique() == 2
+    # A fit that says itself that its τ is not to be used states no interval.
+    assert table.loc[table["state"] != "ok", "tau_covered"].isna().all()
+    write_run(simulate("985", seed=3), tmp_path / "raw")
+    files: dict[str, Any] = {
+        "record": {"source": "files", "path": str(tmp_path / "raw")},
+        "reduction": {"cutoff_hz": 30.0},
+        "method": [{"name": "paper"}],
+    }
+    read = run_study(spec_from(files), tmp_path / "files")
+    made = plain[(plain["method"] == "paper") & (plain["reduction.cutoff_hz"] == 30.0)]
+    assert read["tau_ms"].tolist() == made["tau_ms"].tolist()
+    assert read["tau_error_ms"].isna().all()

@@ -79,6 +79,13 @@ def test_tasks_cover_what_is_not_finished_and_keep_records_together() -> None:
     assert len(tasks) == sum(-(-count // CELLS_A_TASK) for count in left.values())
 
 
+def test_one_record_keeps_several_workers_busy_and_many_are_made_once() -> None:
+    one = spec(fit={"degree": list(range(1, 11))}, seeds=1)
+    assert len(list(tasks_of(one, workers=4))) >= 4
+    many = spec(fit={"degree": [1, 2, 3]}, seeds=20)
+    assert len(list(tasks_of(many, workers=4))) == 20
+
+
 def test_a_random_design_draws_the_same_points_for_its_seed_alone() -> None:
     def drawn(seed: int) -> list[Any]:
         made = spec(
