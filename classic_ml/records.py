@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.errors import InputError
+from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace
 
 __all__ = ["Channel", "Dropped", "FloatArray", "LedgerEntry", "Record"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Channel:
     name : str
         Channel name, unique in its record.
     values : ndarray of shape (n_samples,)
-        The samples; stored as a read-only float64 copy.
+        The samples, read-only; a copy unless they were read-only float64 before.
     unit : str
         SI unit (``"Pa"``, ``"K"``, ``"kg/s"``, ``"1"``), or ``"count"`` before calibration.
     """
@@ -79,7 +79,9 @@ class Channel:
     unit: str
 
     def __post_init__(self) -> None:
-        values = np.array(self.values, dtype=np.float64)
+        values = np.asarray(self.values, dtype=np.float64)
+        if values.flags.writeable:
+            values = values.copy()
         if values.ndim != 1:
             raise InputError(
                 f"channel {self.name}", expected="one value a sample", found=f"shape {values.shape}"
@@ -104,6 +106,8 @@ class Record:
         File or generator that the record came from.
     history : tuple of LedgerEntry
         One entry for each step applied so far.
+    workspace : Workspace
+        Where the steps put their results: in memory, or on disk for a record larger than that.
 
     Raises
     ------
@@ -116,6 +120,7 @@ class Record:
     start_s: float = 0.0
     source: str = ""
     history: tuple[LedgerEntry, ...] = ()
+    workspace: Workspace = field(default=IN_MEMORY, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
@@ -193,6 +198,28 @@ class Record:
         """Facility clock of each sample, in seconds."""
         return self.start_s + np.arange(self.n_samples) / self.sample_rate_hz
 
+    def time_at_s(self, row: int) -> float:
+        """Return the facility clock at one sample, as :attr:`time_s` has it."""
+        return float(self.start_s + row / self.sample_rate_hz)
+
+    def rows_between(self, from_s: float, to_s: float) -> slice:
+        """Return the rows from one time to another, each within half a sample.
+
+        Parameters
+        ----------
+        from_s, to_s : float
+            On the facility clock.
+
+        Returns
+        -------
+        slice
+            Rows of the record, an empty slice where there are none.
+        """
+        half = 0.5 * self.sample_period_s
+        first = _first_row(lambda row: self.time_at_s(row) >= from_s - half, self.n_samples)
+        stop = _first_row(lambda row: self.time_at_s(row) > to_s + half, self.n_samples)
+        return slice(first, max(first, stop))
+
     def after(
         self,
         entry: LedgerEntry,
@@ -220,3 +247,8 @@ class Record:
         kept = {name: channel for name, channel in self.channels.items() if name not in gone}
         kept.update({channel.name: channel for channel in add})
         return replace(self, channels=kept, history=(*self.history, entry))
+
+
+def _first_row(holds: Callable[[int], bool], n_rows: int) -> int:
+    """Return the first row for which a condition on the clock holds, by bisection."""
+    return bisect_left(range(n_rows), True, key=holds)

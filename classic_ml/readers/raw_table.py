@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 
-__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "ColumnCheck", "RawTable"]
+__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "ColumnCheck", "RawFile", "RawTable"]
 
 # Takes the name of the file and its column names, and raises InputError for a wrong column.
 ColumnCheck = Callable[[str, tuple[str, ...]], None]
@@ -18,6 +18,32 @@ ColumnCheck = Callable[[str, tuple[str, ...]], None]
 TIME_COLUMN = "time_s"
 # The same floor as a series file: less is not a record of anything.
 MINIMUM_ROWS = 100
+
+
+@dataclass(frozen=True)
+class RawFile:
+    """A raw record on disk, read a number of rows at a time.
+
+    Parameters
+    ----------
+    source : str
+        The file.
+    names : tuple of str
+        Column names as the file has them, ``time_s`` or what stands for it among them.
+    chunks : callable
+        ``chunks(rows)`` yields float64 arrays of shape (at most ``rows``, n_columns) in file
+        order, each time anew from the first row.
+    units : mapping of str to str
+        Units that the file itself states, by column; a column without one is not in it.
+    n_rows : int, optional
+        Rows, where the file says so without being read through.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    chunks: Callable[[int], Iterator[FloatArray]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    n_rows: int | None = None
 
 
 @dataclass(frozen=True)
