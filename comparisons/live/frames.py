@@ -1,0 +1,208 @@
+"""The binary format of a feed: frames with a number and a checksum."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.records import FloatArray
+from comparisons.live.rows import End, Header, Item, Rows, Tally
+
+__all__ = [
+    "FRAME_FORMAT",
+    "LONGEST_PAYLOAD",
+    "FrameDecoder",
+    "columns_frame",
+    "end_frame",
+    "rows_frame",
+]
+
+MAGIC = b"SSLV"
+VERSION = 1
+COLUMNS, ROWS, END = 0, 1, 2
+# magic, version, kind, zero, sequence number, rows, bytes of payload
+_HEAD = struct.Struct("<4sBBHIII")
+_CRC = struct.Struct("<I")
+# 1 MiB is seven seconds of twenty channels at 1 kHz as float64: no latency needs longer frames.
+LONGEST_PAYLOAD = 1 << 20
+_TYPES = {"f8": "<f8", "f4": "<f4", "i2": "<i2", "u2": "<u2", "i4": "<i4"}
+
+FRAME_FORMAT = f"""\
+binary: frames, all numbers little-endian. A frame is the four bytes {MAGIC.decode()}, one byte of
+version ({VERSION}), one byte of kind, two bytes of zero, the number of the frame within its
+connection, from 0, the number of rows and the number of bytes of payload (uint32 each), the payload
+(at most {LONGEST_PAYLOAD:,} bytes), and the CRC-32 of all that precedes it (uint32).
+Kind {COLUMNS} begins every connection: the payload is text, the columns as NAME:TYPE separated by
+commas, the types being f8 and f4 (floats) and i2, u2 and i4 (integers). Kind {ROWS} holds that many
+rows, each with its values in the order and of the types of the columns, without padding. Kind {END}
+has no payload and ends the run. A frame whose checksum is wrong is left out."""
+
+
+class FrameDecoder:
+    """Decode binary frames; after a damaged one, search for the next.
+
+    Parameters
+    ----------
+    tally : Tally
+        Where refused frames are counted.
+    """
+
+    def __init__(self, tally: Tally) -> None:
+        self._tally = tally
+        self._buffer = bytearray()
+        self._row: np.dtype[np.void] | None = None
+        self._next_number = 0
+        self._in_step = True
+
+    def feed(self, data: bytes) -> list[Item]:
+        """Return what is complete by now.
+
+        Parameters
+        ----------
+        data : bytes
+            The next bytes of the connection, cut anywhere.
+        """
+        self._buffer += data
+        items: list[Item] = []
+        while self._at_magic() and len(self._buffer) >= _HEAD.size:
+            _, version, kind, zero, number, n_rows, length = _HEAD.unpack_from(self._buffer)
+            if version != VERSION or kind > END or zero or length > LONGEST_PAYLOAD:
+                self._out_of_step()
+                continue
+            whole = _HEAD.size + length + _CRC.size
+            if len(self._buffer) < whole:
+                break
+            body = bytes(self._buffer[: whole - _CRC.size])
+            if _CRC.unpack_from(self._buffer, len(body))[0] != zlib.crc32(body):
+                self._out_of_step()
+                continue
+            del self._buffer[:whole]
+            self._in_step = True
+            self._count_missing(number)
+            items += self._item(kind, n_rows, body[_HEAD.size :])
+        return items
+
+    def close(self) -> None:
+        """Count a frame that the end of the connection cut off."""
+        if self._buffer:
+            self._tally.refuse("a frame cut off by the end of the connection")
+        self._buffer.clear()
+
+    def _at_magic(self) -> bool:
+        """Drop what stands before the next frame; False where there is none."""
+        start = self._buffer.find(MAGIC)
+        if start < 0:
+            # The magic itself may be cut by the end of what has come so far.
+            begun = (n for n in range(len(MAGIC) - 1, 0, -1) if self._buffer.endswith(MAGIC[:n]))
+            start = len(self._buffer) - next(begun, 0)
+        if start:
+            self._count_damage()
+            del self._buffer[:start]
+        return len(self._buffer) >= len(MAGIC)
+
+    def _out_of_step(self) -> None:
+        """Give up this frame, and look for the next one behind its first byte."""
+        self._count_damage()
+        del self._buffer[:1]
+
+    def _count_damage(self) -> None:
+        # Whatever was passed over between two whole frames counts once.
+        if self._in_step:
+            self._tally.refuse("damaged bytes between two frames")
+        self._in_step = False
+
+    def _count_missing(self, number: int) -> None:
+        if number > self._next_number:
+            self._tally.refuse("a frame missing by its number", number - self._next_number)
+        self._next_number = number + 1
+
+    def _item(self, kind: int, n_rows: int, payload: bytes) -> list[Item]:
+        if kind == END:
+            return [End()]
+        if kind == COLUMNS:
+            return self._columns(payload)
+        if self._row is None or self._row.itemsize * n_rows != len(payload):
+            self._tally.refuse("a frame that does not fit its columns")
+            return []
+        return self._rows(np.frombuffer(payload, dtype=self._row))
+
+    def _columns(self, payload: bytes) -> list[Item]:
+        columns = [
+            entry.strip().rpartition(":")
+            for entry in payload.decode("utf-8", errors="replace").split(",")
+        ]
+        names = tuple(name for name, _, _ in columns)
+        if not all(kind in _TYPES for _, _, kind in columns) or len(set(names)) < len(names):
+            self._tally.refuse("a frame of columns that cannot be read")
+            return []
+        self._row = np.dtype([(name, _TYPES[kind]) for name, _, kind in columns])
+        return [Header(names)]
+
+    def _rows(self, table: NDArray[np.void]) -> list[Item]:
+        values = _matrix(table)
+        good = np.isfinite(values).all(axis=1)
+        if not good.all():
+            self._tally.refuse("a row with a value that is no number", int(np.sum(~good)))
+        if not good.any():
+            return []
+        # repr of a float reads back to the same bits, so that the line stands for these values.
+        names = table.dtype.names or ()
+        cells = [map(repr, _exact(table[name][good]).tolist()) for name in names]
+        lines = tuple(",".join(row).encode("ascii") for row in zip(*cells, strict=True))
+        return [Rows(values[good], lines)]
+
+
+def _matrix(table: NDArray[np.void]) -> FloatArray:
+    names = table.dtype.names or ()
+    return np.column_stack([table[name].astype(np.float64) for name in names])
+
+
+def _exact(column: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Widen what Python would print shorter than the value is."""
+    return column.astype(np.float64) if column.dtype.kind == "f" else column
+
+
+def _frame(kind: int, number: int, n_rows: int, payload: bytes) -> bytes:
+    body = _HEAD.pack(MAGIC, VERSION, kind, 0, number, n_rows, len(payload)) + payload
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def columns_frame(columns: Mapping[str, str], number: int = 0) -> bytes:
+    """Return the frame that begins a connection.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        Type of each column: ``"f8"``, ``"f4"``, ``"i2"``, ``"u2"`` or ``"i4"``.
+    number : int
+        Number of the frame.
+    """
+    text = ",".join(f"{name}:{kind}" for name, kind in columns.items())
+    return _frame(COLUMNS, number, 0, text.encode("utf-8"))
+
+
+def rows_frame(columns: Mapping[str, str], values: FloatArray, number: int) -> bytes:
+    """Return a frame of rows.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        As in :func:`columns_frame`.
+    values : ndarray of shape (n, n_columns)
+        The rows, in the order of the columns.
+    number : int
+        Number of the frame.
+    """
+    table = np.empty(len(values), dtype=[(name, _TYPES[kind]) for name, kind in columns.items()])
+    for name, column in zip(columns, values.T, strict=True):
+        table[name] = column
+    return _frame(ROWS, number, len(values), table.tobytes())
+
+
+def end_frame(number: int) -> bytes:
+    """Return the frame that ends a run."""
+    return _frame(END, number, 0, b"")

@@ -1,0 +1,213 @@
+"""Feeds over sockets, which a sender may leave and come back to."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import stat
+import time
+from pathlib import Path
+
+from classic_ml.errors import InputError
+from comparisons.live.feed import CHUNK, POLL_S, Closed, Data, Feed, Opened
+
+__all__ = ["CallingFeed", "ListeningFeed", "parse_address"]
+
+# A sender that has been silent for so long gives way to another one that wants in.
+SILENT_S = 1.0
+
+
+class ListeningFeed(Feed):
+    """A server that one sender at a time connects to, as often as it likes.
+
+    Parameters
+    ----------
+    server : socket
+        Listening.
+    name : str
+        Its address, in words.
+    path : path, optional
+        File of a Unix socket, removed at the end.
+    """
+
+    def __init__(self, server: socket.socket, name: str, path: Path | None = None) -> None:
+        super().__init__()
+        server.setblocking(False)
+        self._server = server
+        self._name = name
+        self._path = path
+
+    @classmethod
+    def on_address(cls, host: str, port: int) -> ListeningFeed:
+        """Listen on a TCP address."""
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            server = socket.create_server((host, port), family=family, backlog=1)
+        except OSError as error:
+            raise InputError(
+                "--listen",
+                expected="an address that is free on this machine",
+                found=f"{host}:{port}: {error.strerror or error}",
+            ) from None
+        return cls(server, f"{host}:{server.getsockname()[1]}")
+
+    @classmethod
+    def on_path(cls, path: Path) -> ListeningFeed:
+        """Listen on a Unix socket that only this user can reach."""
+        if not hasattr(socket, "AF_UNIX"):
+            raise InputError(
+                "--unix", expected="a system with Unix sockets", found="none", remedy="use --listen"
+            )
+        server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            _remove_left_over(path)
+            mask = os.umask(0o177)
+            try:
+                server.bind(str(path))
+            finally:
+                os.umask(mask)
+            server.listen(1)
+        except OSError as error:
+            server.close()
+            raise InputError(
+                "--unix",
+                expected="a path where a socket can be made",
+                found=f"{path}: {error.strerror or error}",
+            ) from None
+        return cls(server, str(path), path)
+
+    @property
+    def waiting(self) -> str:
+        """What is waited for."""
+        return f"waiting for a sender on {self._name}"
+
+    def close(self) -> None:
+        """Stop listening."""
+        super().close()
+        self._thread.join(2.0 * POLL_S + 1.0)
+        self._server.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        connection: socket.socket | None = None
+        while not self._stop.is_set():
+            if connection is None:
+                select.select([self._server], [], [], POLL_S)
+                connection = self._accepted()
+                if connection is None:
+                    continue
+            self._put(Opened())
+            with connection:
+                connection, why = self._read(connection)
+            self._put(Closed(why))
+
+    def _read(self, connection: socket.socket) -> tuple[socket.socket | None, str]:
+        """Read until the connection ends; return the one that takes over, and why it ended."""
+        heard_s = time.monotonic()
+        self._drop.clear()
+        while not self._stop.is_set():
+            silent = time.monotonic() - heard_s > SILENT_S
+            watched = [connection, self._server] if silent else [connection]
+            ready = select.select(watched, [], [], POLL_S)[0]
+            if self._drop.is_set():
+                return None, "it was refused"
+            if connection in ready:
+                heard_s = time.monotonic()
+                try:
+                    data = connection.recv(CHUNK)
+                except OSError as error:
+                    return None, error.strerror or str(error)
+                if not data:
+                    return None, "the sender closed it"
+                self._put(Data(data, heard_s))
+            elif ready and (other := self._accepted()) is not None:
+                return other, "another sender took over"
+        return None, "the session ended"
+
+    def _accepted(self) -> socket.socket | None:
+        try:
+            return self._server.accept()[0]
+        except OSError:
+            # Nobody, or somebody who is gone again.
+            return None
+
+
+class CallingFeed(Feed):
+    """A client that connects to a server, and again whenever the connection is lost.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int
+        Port.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._address = (host, port)
+
+    @property
+    def waiting(self) -> str:
+        """What is waited for."""
+        return f"trying to reach {self._address[0]}:{self._address[1]}"
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                connection = socket.create_connection(self._address, timeout=2.0)
+            except OSError:
+                self._stop.wait(POLL_S)
+                continue
+            with connection:
+                self._put(Opened())
+                self._put(Closed(self._read(connection)))
+            # A server that hangs up at once is not to be called a thousand times a second.
+            self._stop.wait(POLL_S)
+
+    def _read(self, connection: socket.socket) -> str:
+        connection.settimeout(POLL_S)
+        self._drop.clear()
+        while not (self._stop.is_set() or self._drop.is_set()):
+            try:
+                data = connection.recv(CHUNK)
+            except TimeoutError:
+                continue
+            except OSError as error:
+                return error.strerror or str(error)
+            if not data:
+                return "the server closed it"
+            self._put(Data(data, time.monotonic()))
+        return "it was refused" if self._drop.is_set() else "the session ended"
+
+
+def _remove_left_over(path: Path) -> None:
+    """Remove the socket of a session that was killed; one that somebody listens on stays."""
+    if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        try:
+            trial.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Return host and port of "HOST:PORT" or "PORT", the host being 127.0.0.1 without one.
+
+    Parameters
+    ----------
+    text : str
+        As typed.
+
+    Raises
+    ------
+    ValueError
+        When there is no port from 0 to 65535.
+    """
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit() and int(port) <= 65_535):
+        raise ValueError(text)
+    return host.removeprefix("[").removesuffix("]") or "127.0.0.1", int(port)

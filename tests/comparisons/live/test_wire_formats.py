@@ -1,0 +1,202 @@
+"""Both formats of a feed: exact, indifferent to how the bytes are cut, and hard to upset."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from comparisons.live.frames import (
+    LONGEST_PAYLOAD,
+    FrameDecoder,
+    columns_frame,
+    end_frame,
+    rows_frame,
+)
+from comparisons.live.rows import End, Header, Item, Rows, Tally
+from comparisons.live.text_lines import LONGEST_LINE, TextDecoder
+
+COLUMNS = {"time_s": "f8", "P": "i2", "Q": "u2", "T": "f8"}
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def decoded(decoder: TextDecoder | FrameDecoder, pieces: list[bytes]) -> list[Item]:
+    items = [item for piece in pieces for item in decoder.feed(piece)]
+    decoder.close()
+    return items
+
+
+def values_of(items: list[Item]) -> np.ndarray:
+    rows = [item for item in items if isinstance(item, Rows)]
+    return np.concatenate([row.values for row in rows]) if rows else np.empty((0, 0))
+
+
+def lines_of(items: list[Item]) -> list[bytes]:
+    return [line for item in items if isinstance(item, Rows) for line in item.lines]
+
+
+def pieces_of(content: bytes, places: list[int]) -> list[bytes]:
+    cuts = sorted({p % (len(content) + 1) for p in places})
+    return [content[a:b] for a, b in zip([0, *cuts], [*cuts, len(content)], strict=True)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(FINITE, FINITE, FINITE), min_size=1, max_size=20),
+    st.lists(st.integers(0, 10_000), max_size=12),
+)
+def test_text_is_read_to_the_last_bit_however_it_is_cut(
+    rows: list[tuple[float, float, float]], places: list[int]
+) -> None:
+    text = "time_s,P,Q\n" + "".join(f"{a!r}, {b!r} ,{c!r}\r\n" for a, b, c in rows)
+    tally = Tally()
+    items = decoded(TextDecoder(tally), pieces_of(text.encode(), places))
+    assert items[0] == Header(("time_s", "P", "Q"))
+    assert np.array_equal(values_of(items), np.array(rows))
+    assert tally.total == 0
+    # The lines that are kept stand for the same numbers.
+    kept = [tuple(map(float, line.split(b","))) for line in lines_of(items)]
+    assert kept == rows
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.tuples(FINITE, st.integers(-(2**15), 2**15 - 1), st.integers(0, 2**16 - 1), FINITE),
+        min_size=1,
+        max_size=30,
+    ),
+    st.lists(st.integers(0, 10_000), max_size=12),
+)
+def test_frames_are_read_to_the_last_bit_however_they_are_cut(
+    rows: list[tuple[float, int, int, float]], places: list[int]
+) -> None:
+    table = np.array(rows, dtype=np.float64)
+    content = columns_frame(COLUMNS) + rows_frame(COLUMNS, table, 1) + end_frame(2)
+    tally = Tally()
+    items = decoded(FrameDecoder(tally), pieces_of(content, places))
+    assert items[0] == Header(tuple(COLUMNS))
+    assert isinstance(items[-1], End)
+    assert np.array_equal(values_of(items), table)
+    assert [tuple(map(float, line.split(b","))) for line in lines_of(items)] == rows
+    assert tally.total == 0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"1,2",
+        b"1,2,3,4",
+        b"1,,3",
+        b"1,nan,3",
+        b"1,inf,3",
+        b"1,1e999,3",
+        b"1,1_0,3",
+        b"1,0x10,3",
+        b"1,two,3",
+        b"1,2 2,3",
+        "1,٣,3".encode(),
+        b"\xff\x00\x80",
+        b"__import__('os').abort(),2,3",
+        b"GET / HTTP/1.1",
+    ],
+)
+def test_a_line_that_is_no_row_is_counted_and_the_others_stay(line: bytes) -> None:
+    tally = Tally()
+    content = b"time_s,P,Q\n1,2,3\n" + line + b"\n4,5,6\n"
+    items = decoded(TextDecoder(tally), [content])
+    assert np.array_equal(values_of(items), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    assert tally.total == 1
+
+
+def test_comments_empty_lines_and_a_header_sent_again_count_for_nothing() -> None:
+    tally = Tally()
+    content = b"\xef\xbb\xbftime_s,P\n# unit: s\n\n1,2\n\xef\xbb\xbftime_s,P\n3,4\n#end\n5,6\n"
+    items = decoded(TextDecoder(tally), [content])
+    assert items[0] == Header(("time_s", "P"))
+    assert np.array_equal(values_of(items), [[1.0, 2.0], [3.0, 4.0]])
+    assert isinstance(items[-1], End)
+    assert tally.total == 0
+
+
+def test_an_endless_line_is_not_kept_in_memory() -> None:
+    tally = Tally()
+    decoder = TextDecoder(tally)
+    decoder.feed(b"time_s,P\n")
+    for _ in range(100):
+        assert decoder.feed(b"1" * 40_000) == []
+        assert len(decoder._rest) <= LONGEST_LINE
+    items = decoder.feed(b"\n1,2\n")
+    assert np.array_equal(values_of(items), [[1.0, 2.0]])
+    assert dict(tally.refused) == {"a line longer than the limit": 1}
+
+
+def test_a_line_cut_off_by_the_end_of_the_connection_is_not_taken_for_a_row() -> None:
+    # "1,25" may have been "1,257".
+    tally = Tally()
+    items = decoded(TextDecoder(tally), [b"time_s,P\n0,1\n1,25"])
+    assert np.array_equal(values_of(items), [[0.0, 1.0]])
+    assert tally.total == 1
+
+
+def frames(n: int = 4) -> tuple[list[bytes], np.ndarray]:
+    number = np.arange(3.0 * n)
+    table = np.column_stack([number, number, number, np.ones(3 * n)])
+    parts = [rows_frame(COLUMNS, table[3 * i : 3 * i + 3], i + 1) for i in range(n)]
+    return [columns_frame(COLUMNS), *parts], table
+
+
+@pytest.mark.parametrize("place", [1, 4, 6, 8, 12, 16, 20, 25, -2])
+def test_a_damaged_frame_is_left_out_and_the_next_one_is_found(place: int) -> None:
+    parts, table = frames()
+    spoiled = bytearray(parts[2])
+    spoiled[place] ^= 0x41
+    tally = Tally()
+    items = decoded(FrameDecoder(tally), [*parts[:2], bytes(spoiled), *parts[3:], end_frame(5)])
+    assert np.array_equal(values_of(items), np.concatenate([table[:3], table[6:]]))
+    assert isinstance(items[-1], End)
+    assert tally.refused["damaged bytes between two frames"] == 1
+    assert tally.refused["a frame missing by its number"] == 1
+
+
+def test_noise_between_frames_is_passed_over() -> None:
+    parts, table = frames()
+    rng = np.random.default_rng(3)
+    noise = [rng.bytes(50) + b"SSLV" + rng.bytes(30) + b"SSL" for _ in parts]
+    tally = Tally()
+    content = b"".join(n + p for n, p in zip(noise, parts, strict=True))
+    items = decoded(FrameDecoder(tally), pieces_of(content, rng.integers(0, 2000, 40).tolist()))
+    assert np.array_equal(values_of(items), table)
+
+
+def test_a_frame_that_claims_too_much_is_not_waited_for() -> None:
+    parts, table = frames()
+    greedy = bytearray(parts[1])
+    greedy[16:20] = (LONGEST_PAYLOAD + 1).to_bytes(4, "little")
+    items = decoded(FrameDecoder(Tally()), [parts[0], bytes(greedy), *parts[1:]])
+    assert np.array_equal(values_of(items), table)
+
+
+def test_rows_before_their_columns_and_rows_that_do_not_fit_them_are_left_out() -> None:
+    parts, table = frames()
+    other = rows_frame({"time_s": "f8"}, np.zeros((2, 1)), 1)
+    tally = Tally()
+    items = decoded(FrameDecoder(tally), [parts[1], parts[0], other, parts[2]])
+    assert np.array_equal(values_of(items), table[3:6])
+    assert tally.refused["a frame that does not fit its columns"] == 2
+
+
+def test_a_row_with_a_value_that_is_no_number_is_left_out() -> None:
+    table = np.array([[0.0, 1, 1, 280.0], [1.0, 1, 1, np.nan], [2.0, 1, 1, 281.0]])
+    tally = Tally()
+    items = decoded(FrameDecoder(tally), [columns_frame(COLUMNS), rows_frame(COLUMNS, table, 1)])
+    assert values_of(items)[:, 0].tolist() == [0.0, 2.0]
+    assert tally.total == 1
+
+
+def test_a_cut_frame_counts_once() -> None:
+    parts, _ = frames()
+    tally = Tally()
+    decoded(FrameDecoder(tally), [parts[0], parts[1][:-3]])
+    assert dict(tally.refused) == {"a frame cut off by the end of the connection": 1}
