@@ -4,43 +4,57 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
+from classic_ml import workspace as places
 from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_csv import read_raw_csv
-from classic_ml.readers.raw_table import TIME_COLUMN, ColumnCheck, RawTable
+from classic_ml.readers.raw_files import open_raw
+from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, RawFile
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.readers.test_toml import read_test_description
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.workspace import IN_MEMORY, GrowingColumns, Workspace
 
-__all__ = ["RAW_READERS", "TestDescription", "read_raw", "read_test_description"]
+__all__ = ["TestDescription", "read_raw", "read_test_description"]
 
-# A further format is one more reader of this signature.
-RAW_READERS: dict[str, Callable[[Path, ColumnCheck], RawTable]] = {".csv": read_raw_csv}
+# More than this is the whole of any file, and some libraries count in 32 bits.
+MOST_ROWS = 2**31 - 1
 # A crystal clock keeps 1e-4; a record at another rate is off by far more.
 RATE_TOLERANCE = 1e-3
+# Beyond these no gas of a compressor is, nor a thermocouple that measures it.
+POSSIBLE_K = (50.0, 3000.0)
 
 
 def read_raw(
-    raw_path: str | os.PathLike[str], test_path: str | os.PathLike[str]
+    raw_path: str | os.PathLike[str],
+    test_path: str | os.PathLike[str],
+    *,
+    chunk_rows: int | None = None,
+    workspace: Workspace = IN_MEMORY,
+    progress: Callable[[int], object] | None = None,
 ) -> tuple[Record, TestDescription]:
     """Read a raw record and the description of its test, and check one against the other.
 
     Parameters
     ----------
     raw_path : str or path
-        Table of ``time_s`` and one column a channel: counts for pressures, K for temperatures.
+        Table of ``time_s`` and one column a channel, as test.toml describes it.
     test_path : str or path
         Its test.toml.
+    chunk_rows : int, optional
+        Rows that are read at once; no number depends on it.
+    workspace : Workspace
+        Where the columns of the record lie, and those of its reduction.
+    progress : callable, optional
+        Told the rows of each chunk when they have been read.
 
     Returns
     -------
     Record
-        The channels as they were recorded: ``"count"`` for pressures, ``"K"`` for temperatures.
+        The channels as they were recorded: ``"count"`` or ``"Pa"`` for pressures, ``"K"`` for
+        temperatures.
     TestDescription
         The description of the test.
 
@@ -49,62 +63,49 @@ def read_raw(
     InputError
         Naming the file, the channel and the row at fault.
     """
+    if chunk_rows is not None and chunk_rows < 1:
+        raise InputError("chunk_rows", expected="at least 1 row", found=f"{chunk_rows}")
     test = read_test_description(test_path)
-    file = Path(raw_path)
-    if not file.is_file():
+    stored = open_raw(raw_path, test)
+    # Room is taken for no more rows than the file can hold, whatever it claims.
+    claimed = stored.n_rows if (stored.n_rows or 0) <= os.path.getsize(raw_path) else None
+    columns = GrowingColumns(workspace, len(stored.names), claimed)
+    possible = _possible(stored, test)
+    for values in stored.chunks(min(chunk_rows or places.BLOCK_ROWS, MOST_ROWS)):
+        _check_readings(values, columns.n_rows, stored, test, possible)
+        columns.append(values)
+        if progress is not None:
+            progress(len(values))
+    if columns.n_rows < MINIMUM_ROWS:
         raise InputError(
-            str(file),
-            expected="a raw record",
-            found="a folder" if file.is_dir() else "no such file",
+            stored.source, expected=f"at least {MINIMUM_ROWS} rows", found=f"{columns.n_rows}"
         )
-    reader = RAW_READERS.get(file.suffix.lower())
-    if reader is None:
-        raise InputError(
-            str(file),
-            expected="a raw record ending in " + " or ".join(RAW_READERS),
-            found=f"the suffix '{file.suffix}'",
-        )
-    return _record(reader(file, partial(_check_names, test)), test), test
+    by_name = dict(zip(stored.names, columns.finished(), strict=True))
+    return _record(by_name, stored, test, workspace), test
 
 
-def _record(table: RawTable, test: TestDescription) -> Record:
-    time_s = table.column(TIME_COLUMN)
-    rate_hz = _check_clock(time_s, table.source, test)
+def _record(
+    columns: dict[str, FloatArray], stored: RawFile, test: TestDescription, workspace: Workspace
+) -> Record:
+    time_s = columns.pop(TIME_COLUMN)
+    rate_hz = _check_clock(time_s, stored.source, test, workspace)
     entry = LedgerEntry(
         "read",
         f"{time_s.size} rows of {len(test.channel_names)} channels, "
-        f"{time_s[0]:.3f} to {time_s[-1]:.3f} s at {rate_hz:g} Hz",
-        {"raw": table.source, "test": test.source, "rows": int(time_s.size)},
+        f"{time_s[0]:.3f} to {time_s[-1]:.3f} s at {rate_hz:g} Hz"
+        + (f"; the clock is {stored.clock}" if stored.clock else ""),
+        {"raw": stored.source, "test": test.source, "rows": int(time_s.size)},
     )
-    channels = [Channel(c.name, table.column(c.name), "count") for c in test.pressures]
-    channels += [Channel(c.name, table.column(c.name), "K") for c in test.temperatures]
-    for channel in channels:
-        _check_codes(channel, table.source, test)
-    return Record({c.name: c for c in channels}, rate_hz, float(time_s[0]), table.source, (entry,))
+    channels = [Channel(c.name, columns.pop(c.name), c.record_unit) for c in test.pressures]
+    channels += [Channel(c.name, columns.pop(c.name), "K") for c in test.temperatures]
+    by_name = {channel.name: channel for channel in channels}
+    return Record(by_name, rate_hz, float(time_s[0]), stored.source, (entry,), workspace)
 
 
-def _check_names(test: TestDescription, source: str, names: tuple[str, ...]) -> None:
-    known, present = set(test.channel_names), set(names) - {TIME_COLUMN}
-    missing = [name for name in test.channel_names if name not in present]
-    if missing:
-        raise InputError(
-            f"{source}: channel {missing[0]}",
-            expected=f"it in the table, as {test.source} describes it",
-            found="no such column" + (f" (nor {len(missing) - 1} more)" if missing[1:] else ""),
-            remedy="a dead probe is left out with its mate, in both files",
-        )
-    extra = [name for name in names if name in present - known]
-    if extra:
-        raise InputError(
-            f"{source}: channel {extra[0]}",
-            expected=f"a table [channels.{extra[0]}] in {test.source}",
-            found="none" + (f" (nor for {len(extra) - 1} more)" if extra[1:] else ""),
-            remedy="describe the channel or leave the column out",
-        )
-
-
-def _check_clock(time_s: FloatArray, source: str, test: TestDescription) -> float:
-    period_s = uniform_period_s(time_s, f"{source}: column {TIME_COLUMN}")
+def _check_clock(
+    time_s: FloatArray, source: str, test: TestDescription, workspace: Workspace
+) -> float:
+    period_s = uniform_period_s(time_s, f"{source}: column {TIME_COLUMN}", workspace=workspace)
     rate_hz = test.sample_rate_hz
     # The ends of a printed clock are each rounded by up to half a digit, worth half of what
     # a step may be off at the coarsest clock that is let through.
@@ -114,22 +115,52 @@ def _check_clock(time_s: FloatArray, source: str, test: TestDescription) -> floa
             f"{source}: column {TIME_COLUMN}",
             expected=f"{rate_hz:g} samples a second, as {test.source} [test] sample_rate_hz says",
             found=f"{1.0 / period_s:g}",
+            remedy=_other_clock(period_s * rate_hz),
         )
     return rate_hz
 
 
-def _check_codes(channel: Channel, source: str, test: TestDescription) -> None:
-    values = channel.values
-    if channel.unit == "count":
-        bad = np.flatnonzero((values < 0) | (values > test.adc.top_code))
+def _other_clock(periods: float) -> str:
+    """Return what a clock may be that runs so many sample periods from row to row."""
+    for factor, unit in ((1e3, "ms"), (1e6, "us"), (1e9, "ns")):
+        if abs(periods / factor - 1.0) < RATE_TOLERANCE:
+            return f'is it in {unit}? then write time_unit = "{unit}" in [file]'
+    return ""
+
+
+def _possible(stored: RawFile, test: TestDescription) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the greatest reading that each column can have."""
+    names = np.array(stored.names)
+    lowest, highest = np.full(names.size, -np.inf), np.full(names.size, np.inf)
+    codes = np.isin(names, [c.name for c in test.pressures if c.record_unit == "count"])
+    if codes.any():
+        lowest[codes], highest[codes] = 0.0, test.adc.top_code
+    couples = np.isin(names, [c.name for c in test.temperatures])
+    lowest[couples], highest[couples] = POSSIBLE_K
+    return lowest, highest
+
+
+def _check_readings(
+    values: FloatArray,
+    n_before: int,
+    stored: RawFile,
+    test: TestDescription,
+    possible: tuple[FloatArray, FloatArray],
+) -> None:
+    """Refuse codes that the converter does not have, and temperatures that nothing has."""
+    lowest, highest = possible
+    if not values.size or (
+        np.all(values.min(axis=0) >= lowest) and np.all(values.max(axis=0) <= highest)
+    ):
+        return
+    row, column = np.argwhere((values < lowest) | (values > highest))[0]
+    low_K, high_K = POSSIBLE_K
+    expected = f"absolute temperatures in K, {low_K:g} to {high_K:g}"
+    if lowest[column] == 0.0:
         expected = f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})"
-    else:
-        bad = np.flatnonzero(values <= 0.0)
-        expected = "absolute temperatures in K"
-    if bad.size:
-        raise InputError(
-            f"{source}: channel {channel.name}",
-            expected=expected,
-            found=f"{values[bad[0]]:g} in row {bad[0] + 1}",
-            remedy="check the unit of the column",
-        )
+    raise InputError(
+        f"{stored.source}: channel {stored.names[column]}",
+        expected=expected,
+        found=f"{values[row, column]:g} in row {n_before + row + 1}",
+        remedy="check the unit of the column",
+    )

@@ -1,33 +1,47 @@
-"""Raw records as CSV: a header, then one row a sample."""
+"""Raw records as CSV: a header, perhaps a row of units, then one row a sample."""
 
 from __future__ import annotations
 
-import warnings
+import csv
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_table import ColumnCheck, RawTable, check_names
+from classic_ml.readers.raw_table import RawFile, check_unique, rebatched
+from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
+from classic_ml.units import is_unit_label, kind_of_unit, unit_in_brackets
 
-__all__ = ["read_raw_csv"]
+__all__ = ["open_csv", "open_csv_leniently"]
+
+# Enough lines for pyarrow to be quick, little beside any memory.
+BLOCK_BYTES = 1 << 20
+# Rows that the slow look takes at once.
+SLOW_ROWS = 1024
 
 
-def read_raw_csv(file: Path, check_columns: ColumnCheck | None = None) -> RawTable:
-    """Read a CSV table of counts and temperatures.
+def open_csv(file: Path, layout: FileLayout | None = None) -> RawFile:
+    """Open a CSV table of numbers.
+
+    The rows are parsed block by block by pyarrow, which rounds as Python does. Where it stumbles,
+    a second, slow look goes on from there: it names the row and the channel at fault.
 
     Parameters
     ----------
     file : path
-        An existing file.
-    check_columns : callable, optional
-        Called with the file's name and its column names before the rows are read, so that a
-        column too many is refused as such, whatever is in it.
+        An existing file. A second line that holds units alone is taken as such, and so is a unit
+        in brackets at the end of a name.
+    layout : FileLayout, optional
+        Of no account here: a CSV table has no groups.
 
     Returns
     -------
-    RawTable
+    RawFile
         Its columns.
 
     Raises
@@ -36,73 +50,187 @@ def read_raw_csv(file: Path, check_columns: ColumnCheck | None = None) -> RawTab
         When the file is empty, not text, cut short, or holds something other than numbers.
     """
     names = _header(file)
-    check_names(str(file), names)
-    if check_columns is not None:
-        check_columns(str(file), names)
-    return RawTable(str(file), names, _body(file, names))
+    check_unique(str(file), names)
+    return _opened(file, names, lenient=False)
+
+
+def open_csv_leniently(file: Path, layout: FileLayout | None = None) -> RawFile:
+    """Open a CSV table to look at it: cells that are no numbers are NaN, doubled names numbered.
+
+    Parameters
+    ----------
+    file, layout
+        As for :func:`open_csv`.
+    """
+    names: list[str] = []
+    renamed: dict[str, str] = {}
+    for number, name in enumerate(_header(file), start=1):
+        shown = name or f"column {number}"
+        if not name:
+            renamed[shown] = "a column without a name"
+        elif shown in names:
+            shown = f"{name} (column {number})"
+            renamed[shown] = f"a second column named {name}"
+        names.append(shown)
+    return replace(_opened(file, tuple(names), lenient=True), unusable=renamed)
+
+
+def _opened(file: Path, names: tuple[str, ...], *, lenient: bool) -> RawFile:
+    units, header_rows = _units(file, names)
+
+    def pieces() -> Iterator[FloatArray]:
+        n_rows = 0
+        for piece in _quick(file, names, header_rows):
+            n_rows += len(piece)
+            yield piece
+        for piece in _slow(file, names, header_rows, n_rows, lenient):
+            n_rows += len(piece)
+            yield piece
+        if n_rows == 0:
+            raise InputError(str(file), expected="rows below the header", found="none")
+
+    return RawFile(str(file), names, lambda rows: rebatched(pieces(), rows), units)
 
 
 def _header(file: Path) -> tuple[str, ...]:
+    what = "a CSV table with a header"
+    with file.open("rb") as opened:
+        line = opened.readline().removeprefix(b"\xef\xbb\xbf")
+    if line.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(str(file), expected=what, found="UTF-16 text", remedy="save it as UTF-8")
+    if not line.strip():
+        raise InputError(str(file), expected=what, found="an empty file")
     try:
-        with file.open(encoding="utf-8", newline="") as lines:
-            first = lines.readline()
+        text = line.decode("utf-8")
     except UnicodeDecodeError:
-        first = "\0"
-    if not first.strip():
-        raise InputError(str(file), expected="a CSV table with a header", found="an empty file")
-    if "\0" in first:
-        raise InputError(str(file), expected="a CSV table with a header", found="binary data")
-    return tuple(name.strip().strip('"') for name in first.removeprefix("\ufeff").split(","))
-
-
-def _body(file: Path, names: tuple[str, ...]) -> FloatArray:
+        # Loggers on Windows write the degree sign so. Binary data have control characters too.
+        text = line.decode("cp1252", errors="replace")
+    if any(ord(letter) < 32 and letter not in "\t\r\n" for letter in text):
+        raise InputError(str(file), expected=what, found="binary data")
     try:
-        with file.open(encoding="utf-8", newline="") as lines, warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "loadtxt: input contained no data", UserWarning)
-            next(lines)
-            values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
-    except ValueError:
-        # The quick path does not name the channel where it failed; a second, slow look does.
-        raise _first_fault(file, names) from None
-    if values.size == 0:
-        raise InputError(str(file), expected="rows below the header", found="none")
-    if values.shape[1] != len(names) or not np.isfinite(values).all():
-        raise _first_fault(file, names)
-    return np.asarray(values, dtype=np.float64)
+        names = tuple(name.strip() for name in next(csv.reader([text.strip("\r\n")])))
+    except csv.Error:
+        raise InputError(
+            str(file), expected=what, found="a name of more than 131072 letters"
+        ) from None
+    if all(_number(name) is not None for name in names):
+        raise InputError(
+            str(file),
+            expected="a table with a header and a column time_s",
+            found="numbers in the first line",
+            remedy="write the names of the columns above them",
+        )
+    for separator in (";", "\t"):
+        if text.count(separator) > max(text.count(","), 0) and len(names) <= text.count(separator):
+            raise InputError(
+                str(file),
+                expected="columns separated by commas",
+                found=f"the separator is {separator!r}",
+                remedy="save it with commas between columns and points in numbers",
+            )
+    return names
 
 
-def _first_fault(file: Path, names: tuple[str, ...]) -> InputError:
+def _units(file: Path, names: tuple[str, ...]) -> tuple[dict[str, str], int]:
+    """Return the units that the file states, and the lines above the numbers."""
     with file.open(encoding="utf-8", errors="replace", newline="") as lines:
         next(lines)
-        rows = (line.rstrip("\r\n") for line in lines)
-        for number, text in enumerate((row for row in rows if row.strip()), start=1):
-            fault = _fault_in_row(file, names, number, text)
+        second = next((line for line in lines if line.strip()), "")
+    cells = [cell.strip() for cell in second.rstrip("\r\n").replace('"', "").split(",")]
+    bracketed = {name: unit_in_brackets(name) for name in names}
+    are_units = any(map(kind_of_unit, cells)) and all(map(is_unit_label, cells))
+    if len(cells) != len(names) or not are_units:
+        return {name: unit for name, unit in bracketed.items() if unit}, 1
+    return {name: cell for name, cell in zip(names, cells, strict=True) if cell}, 2
+
+
+def _quick(file: Path, names: tuple[str, ...], header_rows: int) -> Iterator[FloatArray]:
+    """Yield rows until the end, or until one is met that is not as it should be."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    try:
+        reader = arrow_csv.open_csv(
+            file,
+            read_options=arrow_csv.ReadOptions(
+                use_threads=False,
+                block_size=BLOCK_BYTES,
+                column_names=list(names),
+                skip_rows=header_rows,
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types={name: pa.float64() for name in names}, null_values=[]
+            ),
+        )
+        with reader:
+            for batch in reader:
+                yield _block(batch)
+    except (pa.ArrowException, UnicodeDecodeError):
+        return
+
+
+def _block(batch: Any) -> FloatArray:
+    columns = [column.to_numpy(zero_copy_only=False) for column in batch.columns]
+    return np.column_stack(columns) if columns else np.empty((0, 0))
+
+
+def _slow(
+    file: Path, names: tuple[str, ...], header_rows: int, skipped: int, lenient: bool
+) -> Iterator[FloatArray]:
+    """Yield the rows after the first ``skipped`` ones, as far as they are rows of numbers."""
+    with file.open(encoding="utf-8", errors="replace", newline="") as lines:
+        below = islice((line for line in lines if line.strip("\r\n")), header_rows, None)
+        rows = (line.rstrip("\r\n") for line in below if line.strip())
+        found: list[list[float]] = []
+        for number, text in enumerate(rows, start=1):
+            if number <= skipped:
+                continue
+            row, fault = _row(file, names, number, text, lenient)
             if fault is not None:
-                return fault
-    return InputError(str(file), expected="a table of numbers", found="something else")
+                yield np.array(found).reshape(-1, len(names))
+                raise fault
+            found.append(row)
+            if len(found) == SLOW_ROWS:
+                yield np.array(found)
+                found = []
+        yield np.array(found).reshape(-1, len(names))
 
 
-def _fault_in_row(file: Path, names: tuple[str, ...], number: int, text: str) -> InputError | None:
+def _row(
+    file: Path, names: tuple[str, ...], number: int, text: str, lenient: bool
+) -> tuple[list[float], InputError | None]:
+    """Return the numbers of one row, or what is wrong with it."""
     if "\ufffd" in text or "\0" in text:
-        return InputError(str(file), expected="a CSV table", found=f"binary data in row {number}")
+        fault = InputError(str(file), expected="a CSV table", found=f"binary data in row {number}")
+        return [], fault
     cells = [cell.strip().strip('"') for cell in text.split(",")]
     if len(cells) != len(names):
-        return InputError(
+        decimal = len(names) < len(cells) and number == 1
+        return [], InputError(
             str(file),
             expected=f"{len(names)} values in every row",
             found=f"{len(cells)} in row {number}",
-            remedy="the file was cut short or edited there",
+            remedy="are numbers written with a comma? write them with a point"
+            if decimal
+            else "the file was cut short or edited there",
         )
+    row = []
     for name, cell in zip(names, cells, strict=True):
-        try:
-            finite = np.isfinite(float(cell))
-        except ValueError:
-            finite = np.False_
-        if not finite:
-            return InputError(
+        value = _number(cell)
+        if value is None and not lenient:
+            return [], InputError(
                 f"{file}: channel {name}",
                 expected="a finite number in every row",
                 found=f"'{cell}' in row {number}" if cell else f"an empty cell in row {number}",
                 remedy="cut the record there or repair the channel",
             )
-    return None
+        row.append(np.nan if value is None else value)
+    return row, None
+
+
+def _number(cell: str) -> float | None:
+    try:
+        # Python takes 1_000 for a number.
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None

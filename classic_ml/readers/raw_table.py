@@ -1,4 +1,4 @@
-"""What every reader of raw records hands over: a checked table of numbers."""
+"""What every reader of raw records hands over: columns of numbers, a number of rows at a time."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import numpy as np
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 
-__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "ColumnCheck", "RawFile", "RawTable"]
-
-# Takes the name of the file and its column names, and raises InputError for a wrong column.
-ColumnCheck = Callable[[str, tuple[str, ...]], None]
+__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "RawFile", "check_unique", "in_one_line", "rebatched"]
 
 TIME_COLUMN = "time_s"
 # The same floor as a series file: less is not a record of anything.
 MINIMUM_ROWS = 100
+LONGEST_LABEL = 60
 
 
 @dataclass(frozen=True)
@@ -37,6 +35,11 @@ class RawFile:
         Units that the file itself states, by column; a column without one is not in it.
     n_rows : int, optional
         Rows, where the file says so without being read through.
+    clock : str
+        What the clock is, where it is no column of times: "from the sample rate", "seconds from
+        the first sample at 2024-05-01T12:00:00"; empty otherwise.
+    unusable : mapping of str to str
+        Columns that are none of this table, and why: text, another length, no vector.
     """
 
     source: str
@@ -44,76 +47,60 @@ class RawFile:
     chunks: Callable[[int], Iterator[FloatArray]]
     units: Mapping[str, str] = field(default_factory=dict)
     n_rows: int | None = None
+    clock: str = ""
+    unusable: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class RawTable:
-    """Columns of one raw record, in file order.
-
-    Parameters
-    ----------
-    source : str
-        The file.
-    names : tuple of str
-        Column names; ``time_s`` among them.
-    values : ndarray of shape (n_rows, n_columns)
-        The numbers, as float64 whatever the file stored: arithmetic on 16-bit counts overflows.
-
-    Raises
-    ------
-    InputError
-        When a name is doubled or missing, rows are too few, or a value is not finite.
-    """
-
-    source: str
-    names: tuple[str, ...]
-    values: FloatArray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", np.asarray(self.values, dtype=np.float64))
-        check_names(self.source, self.names)
-        if self.values.shape[0] < MINIMUM_ROWS:
-            raise InputError(
-                self.source,
-                expected=f"at least {MINIMUM_ROWS} rows",
-                found=f"{self.values.shape[0]}",
-            )
-        bad = np.argwhere(~np.isfinite(self.values))
-        if bad.size:
-            row, column = bad[0]
-            raise InputError(
-                f"{self.source}: channel {self.names[column]}",
-                expected="a finite number in every row",
-                found=f"{self.values[row, column]} in row {row + 1}"
-                + (f" and {len(bad) - 1} more" if len(bad) > 1 else ""),
-                remedy="cut the record there or repair the channel",
-            )
-
-    def column(self, name: str) -> FloatArray:
-        """Return one column."""
-        values: FloatArray = self.values[:, self.names.index(name)]
-        return values
-
-
-def check_names(source: str, names: tuple[str, ...]) -> None:
-    """Refuse doubled or empty column names and a table without a clock."""
-    for name in names:
+def check_unique(source: str, names: tuple[str, ...]) -> None:
+    """Refuse doubled or empty column names."""
+    seen: set[str] = set()
+    for number, name in enumerate(names, start=1):
         if not name:
-            raise InputError(source, expected="a name for every column", found="an empty one")
-        if names.count(name) > 1:
+            raise InputError(
+                source,
+                expected="a name for every column",
+                found=f"an empty one, that of column {number} of {len(names)}",
+                remedy="does every row end with a comma?",
+            )
+        if name in seen:
             raise InputError(
                 f"{source}: channel {name}",
                 expected="each column once",
                 found=f"it {names.count(name)} times",
             )
-    if TIME_COLUMN not in names:
-        raise InputError(
-            source,
-            expected=f"a table with a header and a column {TIME_COLUMN}",
-            found="the columns " + _shortened(names),
-        )
+        seen.add(name)
 
 
-def _shortened(names: tuple[str, ...]) -> str:
-    text = ", ".join(names)
-    return text if len(text) <= 120 else text[:117] + "..."
+def in_one_line(label: str) -> str:
+    """Return a label of a file as a sentence can hold it."""
+    return " ".join(label.split())[:LONGEST_LABEL]
+
+
+def rebatched(pieces: Iterator[FloatArray], rows: int) -> Iterator[FloatArray]:
+    """Yield the rows of pieces of any size in arrays of ``rows`` rows, the last of fewer.
+
+    Where the pieces end in an error, the rows before it come first.
+    """
+    kept: list[FloatArray] = []
+    n_kept = 0
+    fault: InputError | None = None
+    while True:
+        try:
+            piece = next(pieces, None)
+        except InputError as error:
+            piece, fault = None, error
+        if piece is None:
+            break
+        kept.append(piece)
+        n_kept += len(piece)
+        if n_kept < rows:
+            continue
+        joined = np.concatenate(kept) if len(kept) > 1 else kept[0]
+        whole = n_kept - n_kept % rows
+        for start in range(0, whole, rows):
+            yield joined[start : start + rows]
+        kept, n_kept = [joined[whole:]], n_kept - whole
+    if n_kept:
+        yield np.concatenate(kept)
+    if fault is not None:
+        raise fault

@@ -4,30 +4,36 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.files import replace_whole
+from classic_ml.readers.raw_columns import one_line
+from classic_ml.readers.raw_hdf5 import opened_hdf5
 from classic_ml.records import Dropped, FloatArray, LedgerEntry
 from classic_ml.series import (
     COLUMNS,
     COUNT_COLUMNS,
+    LONG_NAMES,
     MINIMUM_ROWS,
     REQUIRED_COLUMNS,
     TRUTH_COLUMNS,
     UNITS,
     CoefficientSeries,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
+from classic_ml.workspace import blocks
 
 __all__ = ["ledger_path", "read_series", "write_series"]
+
+# The columns of a file by name: numbers, or texts where they may be something else.
+_Columns = dict[str, NDArray[Any]]
 
 
 def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
@@ -62,17 +68,17 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
     if not file.is_file():
         raise InputError(str(file), expected="a series file", found="no such file")
     table, history = reader(file)
-    missing = [name for name in REQUIRED_COLUMNS if name not in table.columns]
+    missing = [name for name in REQUIRED_COLUMNS if name not in table]
     if missing:
         raise InputError(
             str(file),
             expected=f"the columns {', '.join(REQUIRED_COLUMNS)}",
             found=f"no column {', '.join(missing)}",
             remedy="rename 'time' to 'time_s', in seconds"
-            if missing == ["time_s"] and "time" in table.columns
+            if missing == ["time_s"] and "time" in table
             else "a raw record goes through `sindy-surge reduce` first",
         )
-    known = {name: _as_numbers(table, name, file) for name in COLUMNS if name in table.columns}
+    known = {name: _as_numbers(table[name], name, file) for name in COLUMNS if name in table}
     if known["time_s"].size < MINIMUM_ROWS:
         raise InputError(
             str(file),
@@ -80,7 +86,25 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
             found=f"{known['time_s'].size}",
         )
     known.setdefault("segment", np.ones(known["time_s"].size))
+    history += _other_record(known["time_s"], history, file)
     return CoefficientSeries(**known, source=str(file), history=history)  # type: ignore[arg-type]
+
+
+def _other_record(
+    time_s: FloatArray, history: tuple[LedgerEntry, ...], file: Path
+) -> tuple[LedgerEntry, ...]:
+    """Return a note where the ledger tells of a record of another length."""
+    read = next((entry.parameters for entry in history if entry.step == "read"), {})
+    rows = read.get("rows", time_s.size)
+    # What was not reduced from a raw record tells nothing of rows.
+    if rows == time_s.size or not {"raw", "test"} <= set(read):
+        return ()
+    ledger = ledger_path(file).name if file.suffix.lower() == ".csv" else "its ledger"
+    flag = (
+        f"{ledger} tells of {rows} rows, the series has {time_s.size}: it is that of another "
+        "record, or the series was cut"
+    )
+    return (LedgerEntry("read series", f"{time_s.size} rows", flags=(flag,)),)
 
 
 def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
@@ -129,8 +153,13 @@ def ledger_path(path: Path) -> Path:
 _TRUTH = {"true": 1.0, "false": 0.0}
 
 
-def _as_numbers(table: pd.DataFrame, name: str, file: Path) -> FloatArray:
-    column = table[name].to_numpy(dtype=object, na_value=np.nan)
+def _as_numbers(column: NDArray[Any], name: str, file: Path) -> FloatArray:
+    if column.dtype.kind in "fiub":
+        return column.astype(np.float64, copy=False)
+    if column.dtype.kind not in "OUST":
+        raise InputError(
+            f"{file}: column {name}", expected="real numbers", found=f"{column.dtype.name} values"
+        )
     if name in TRUTH_COLUMNS:
         column = np.array([_TRUTH.get(str(v).strip().lower(), v) for v in column], dtype=object)
     try:
@@ -151,19 +180,53 @@ def _is_number(value: object) -> bool:
     return True
 
 
-def _read_csv(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
+def _read_csv(file: Path) -> tuple[_Columns, tuple[LedgerEntry, ...]]:
+    _check_separator(file)
+    columns = _read_plain_csv(file)
+    if columns is None:
+        columns = _read_any_csv(file)
+    return columns, _read_ledger(ledger_path(file))
+
+
+def _read_plain_csv(file: Path) -> _Columns | None:
+    """Read a table of nothing but numbers under known names; None where there is more to it.
+
+    pyarrow rounds as Python does, so that both ways give the same numbers.
+    """
+    import pyarrow as pa
+    from pyarrow import csv
+
+    with file.open("rb") as content:
+        try:
+            names = content.readline().decode("ascii").rstrip("\r\n").split(",")
+        except UnicodeDecodeError:
+            return None
+        content.seek(0)
+        # A comment is none to pyarrow.
+        commented = any(b"#" in piece for piece in iter(lambda: content.read(1 << 20), b""))
+    if commented or len(set(names)) < len(names) or not set(names) <= set(COLUMNS):
+        return None
+    try:
+        table = csv.read_csv(
+            file,
+            read_options=csv.ReadOptions(use_threads=False, skip_rows=1, column_names=names),
+            convert_options=csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.float64()), null_values=[]
+            ),
+        )
+    except pa.ArrowException:
+        return None
+    return {name: table[name].to_numpy() for name in names}
+
+
+def _read_any_csv(file: Path) -> _Columns:
     import pandas as pd
 
-    _check_separator(file)
     try:
         # Without a header row pandas keeps doubled names apart, so that they can be refused.
         table = pd.read_csv(file, header=None, dtype=str, skipinitialspace=True, comment="#")
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise InputError(
-            str(file),
-            expected="a CSV table with a header",
-            found=str(error).strip().splitlines()[0],
-        ) from None
+    except (ValueError, OverflowError) as error:
+        raise _no_table(file, error) from None
     names = [str(name).strip() for name in table.iloc[0]]
     doubled = sorted({name for name in names if names.count(name) > 1})
     if doubled:
@@ -172,9 +235,32 @@ def _read_csv(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
             expected="each column once",
             found=f"{doubled[0]} {names.count(doubled[0])} times",
         )
-    table = table.iloc[1:].reset_index(drop=True)
-    table.columns = pd.Index(names)
-    return table, _read_ledger(ledger_path(file))
+    rows = table.iloc[1:]
+    return {
+        name: rows.iloc[:, number].to_numpy(dtype=object, na_value=np.nan)
+        for number, name in enumerate(names)
+    }
+
+
+def _no_table(file: Path, error: Exception) -> InputError:
+    """Return what is wrong with a file that pandas takes for no table, in a user's words."""
+    with file.open("rb") as content:
+        head = content.read(2)
+    what, remedy = "a CSV table with a header", ""
+    long_row = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+    if not head:
+        found = "an empty file"
+    elif head in (b"\xff\xfe", b"\xfe\xff"):
+        found, remedy = "UTF-16 text", "save it as UTF-8"
+    elif isinstance(error, UnicodeDecodeError):
+        found, remedy = "bytes that are no text in UTF-8", "save it as UTF-8"
+    elif long_row is not None and long_row.group(1) != "1":
+        columns, line, values = (int(number) for number in long_row.groups())
+        what = f"{columns} values in every row"
+        found, remedy = f"{values} in row {line - 1}", "the file was edited or damaged there"
+    else:
+        found = "something else"
+    return InputError(str(file), expected=what, found=found, remedy=remedy)
 
 
 def _check_separator(file: Path) -> None:
@@ -197,20 +283,35 @@ def _read_ledger(file: Path) -> tuple[LedgerEntry, ...]:
         return ()
     try:
         return _ledger_from_json(file.read_text("utf-8"))
-    except (ValueError, TypeError, KeyError) as error:
-        raise InputError(
-            str(file),
-            expected="the ledger that `sindy-surge reduce` wrote",
-            found=f"something else ({error})",
-            remedy="delete it or reduce the record again",
-        ) from None
+    except UnicodeDecodeError:
+        found = "bytes that are no text in UTF-8"
+    except json.JSONDecodeError as error:
+        found = f"no JSON: {error.msg} in line {error.lineno}"
+    except RecursionError:
+        found = "values nested too deeply"
+    except (ValueError, TypeError, KeyError, AttributeError):
+        found = "JSON of another kind"
+    raise InputError(
+        str(file),
+        expected="the ledger that `sindy-surge reduce` wrote",
+        found=found,
+        remedy="delete it or reduce the record again",
+    )
 
 
-def _read_netcdf(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
-    import pandas as pd
+def _read_attributes(_: str, item: Any) -> None:
+    """Open an item of an HDF5 file with all that hangs on it."""
+    dict(item.attrs)
+
+
+def _read_netcdf(file: Path) -> tuple[_Columns, tuple[LedgerEntry, ...]]:
     import xarray as xr
 
     try:
+        with opened_hdf5(file, "a netCDF-4 file") as content:
+            # What h5py stumbles over leaves a file of h5netcdf half open, which then complains of
+            # that on its own.
+            content.visititems(_read_attributes)
         with xr.open_dataset(
             file, engine="h5netcdf", decode_times=False, decode_timedelta=False
         ) as dataset:
@@ -219,13 +320,21 @@ def _read_netcdf(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
                 for name, variable in dataset.variables.items()
                 if variable.ndim == 1
             }
+            others = {str(n): v.shape for n, v in dataset.variables.items() if v.ndim > 1}
             text = str(dataset.attrs.get("history", "[]"))
-    except (OSError, ValueError, KeyError) as error:
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        # The libraries below raise whatever they stumble over in a damaged file.
         raise InputError(
             str(file),
             expected="a netCDF-4 file",
-            found=str(error).strip().splitlines()[0],
+            found=f"what cannot be read ({one_line(error)})",
         ) from None
+    for name in (name for name in REQUIRED_COLUMNS if name in others):
+        raise InputError(
+            f"{file}: column {name}", expected="one value a row", found=f"shape {others[name]}"
+        )
     lengths = {values.size for values in columns.values()}
     if len(lengths) > 1:
         raise InputError(
@@ -233,13 +342,13 @@ def _read_netcdf(file: Path) -> tuple[pd.DataFrame, tuple[LedgerEntry, ...]]:
         )
     try:
         history = _ledger_from_json(text)
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         # Other programs write free text into this conventional attribute.
         history = (LedgerEntry("read", f"history attribute of {file.name}: {text}"),)
-    return pd.DataFrame(columns), history
+    return columns, history
 
 
-_Reader = Callable[[Path], "tuple[pd.DataFrame, tuple[LedgerEntry, ...]]"]
+_Reader = Callable[[Path], tuple[_Columns, tuple[LedgerEntry, ...]]]
 _READERS: dict[str, _Reader] = {
     ".csv": _read_csv,
     ".nc": _read_netcdf,
@@ -249,32 +358,44 @@ _READERS: dict[str, _Reader] = {
 
 
 def _write_csv(series: CoefficientSeries, file: Path) -> None:
-    import pandas as pd
+    import pyarrow as pa
+    from pyarrow import csv
 
-    columns = {
-        name: values.astype(np.int64) if name in TRUTH_COLUMNS + COUNT_COLUMNS else values
-        for name, values in series.columns().items()
-    }
-    # repr-exact floats: a series survives the round trip bit for bit.
-    pd.DataFrame(columns).to_csv(file, index=False)
+    columns = series.columns()
+    whole = TRUTH_COLUMNS + COUNT_COLUMNS
+    types = {name: pa.int64() if name in whole else pa.float64() for name in columns}
+    # The shortest digits that read back as the same number: a series survives the round trip bit
+    # for bit. The header is written by hand, since pyarrow puts it into quotes.
+    options = csv.WriteOptions(include_header=False)
+    with file.open("wb") as out:
+        out.write((",".join(columns) + "\n").encode())
+        with csv.CSVWriter(out, pa.schema(types), write_options=options) as writer:
+            for rows in blocks(series.n_samples):
+                arrays = [pa.array(values[rows], types[name]) for name, values in columns.items()]
+                writer.write_batch(pa.record_batch(arrays, schema=pa.schema(types)))
+                series.workspace.release()
 
 
 def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
-    import xarray as xr
+    import h5netcdf
+    import h5py
 
-    variables = {
-        name: ("time_s", values.astype(np.int8) if name in TRUTH_COLUMNS else values)
-        for name, values in series.columns().items()
-        if name != "time_s"
-    }
-    dataset = xr.Dataset(
-        variables,
-        coords={"time_s": series.time_s},
-        attrs={"history": _ledger_json(series.history), "source": series.source},
-    )
-    for name in dataset.variables:
-        dataset[name].attrs["units"] = UNITS[str(name)]
-    dataset.to_netcdf(file, engine="h5netcdf")
+    columns = series.columns()
+    types = {name: np.int8 if name in TRUTH_COLUMNS else v.dtype for name, v in columns.items()}
+    with h5netcdf.File(file, "w") as out:
+        out.attrs["history"] = _ledger_json(series.history)
+        out.attrs["source"] = series.source
+        out.dimensions = {"time_s": series.n_samples}
+        for name, kind in types.items():
+            variable = out.create_variable(name, ("time_s",), kind)
+            variable.attrs["units"] = UNITS[name]
+            variable.attrs["long_name"] = LONG_NAMES[name]
+    # The rows are no matter of netCDF any more, whose own way takes twice the time.
+    with h5py.File(file, "r+") as out:
+        for rows in blocks(series.n_samples):
+            for name, values in columns.items():
+                out[name].write_direct(values[rows].astype(types[name], copy=False), None, rows)
+            series.workspace.release()
 
 
 def _ledger_json(history: tuple[LedgerEntry, ...]) -> str:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import pi
+from math import nan, pi
 from types import MappingProxyType
+
+from classic_ml.errors import InputError
+from classic_ml.units import COUNT
 
 __all__ = [
     "DEFAULT_THRESHOLD_LBM_S",
     "Compressor",
     "Converter",
+    "FileLayout",
     "NearStall",
     "PressureChannel",
     "ProbePair",
@@ -110,8 +114,43 @@ class NearStall:
 
 
 @dataclass(frozen=True)
+class FileLayout:
+    """How the raw record lies in its file, whatever the format.
+
+    Parameters
+    ----------
+    time : str
+        Column of the clock.
+    time_unit : str, optional
+        Its unit; without it the one that the file states, else seconds.
+    group : str, optional
+        Group, struct or table of the file that holds the channels; needed where several do.
+    clock : {"column", "from rate"}
+        Where the time of a row comes from: from the column, or from its number and the sample
+        rate.
+    start_s : float, optional
+        Facility clock at the first row, for a clock that is made or that tells the date.
+    other_columns : {"refuse", "ignore"}
+        What to do with a column that feeds no channel.
+    units : {"check", "from test.toml"}
+        Whether a unit that the file states must be the one of test.toml, or is passed over.
+    """
+
+    time: str = "time_s"
+    time_unit: str | None = None
+    group: str | None = None
+    clock: str = "column"
+    start_s: float | None = None
+    other_columns: str = "refuse"
+    units: str = "check"
+
+
+@dataclass(frozen=True)
 class PressureChannel:
     """One pressure probe: its place and its calibration.
+
+    A channel in counts has the zero and the calibrate reading of its transducer; one that is
+    recorded in a unit of pressure has none of them (``nan``) and may have a reference instead.
 
     Parameters
     ----------
@@ -129,6 +168,12 @@ class PressureChannel:
         Mean codes of the zero and the calibrate readings.
     calibrate_pressure_Pa : float
         Differential pressure that was applied for the calibrate reading.
+    unit : str
+        Unit in the file: ``"count"``, or a unit of pressure.
+    reference_Pa : float, optional
+        Absolute pressure that a reading of zero stands for, in a unit that leaves it open.
+    column : str
+        Column of the file; empty where it has the channel's name.
     """
 
     name: str
@@ -138,10 +183,23 @@ class PressureChannel:
     facing: str
     probe_slope: float
     probe_offset: float
-    zoc_reference_Pa: float
-    zero_count: float
-    calibrate_count: float
-    calibrate_pressure_Pa: float
+    zoc_reference_Pa: float = nan
+    zero_count: float = nan
+    calibrate_count: float = nan
+    calibrate_pressure_Pa: float = nan
+    unit: str = COUNT
+    reference_Pa: float | None = None
+    column: str = ""
+
+    @property
+    def record_unit(self) -> str:
+        """Unit in a record as read: ``"count"``, or ``"Pa"`` for every unit of pressure."""
+        return COUNT if self.unit == COUNT else "Pa"
+
+    @property
+    def file_column(self) -> str:
+        """Column of the file."""
+        return self.column or self.name
 
 
 @dataclass(frozen=True)
@@ -160,6 +218,10 @@ class TemperatureChannel:
         Indicated over total temperature, both absolute.
     time_constant_s : float
         Lag of the junction.
+    unit : str
+        Unit in the file.
+    column : str
+        Column of the file; empty where it has the channel's name.
     """
 
     name: str
@@ -167,6 +229,18 @@ class TemperatureChannel:
     rake: str
     recovery_factor: float
     time_constant_s: float
+    unit: str = "K"
+    column: str = ""
+
+    @property
+    def record_unit(self) -> str:
+        """Unit in a record as read: ``"K"``."""
+        return "K"
+
+    @property
+    def file_column(self) -> str:
+        """Column of the file."""
+        return self.column or self.name
 
 
 @dataclass(frozen=True)
@@ -211,8 +285,8 @@ class TestDescription:
         The machine.
     areas_m2 : mapping of int to float
         Flow area of planes 25 and 31.
-    adc : Converter
-        The converter behind the pressure channels.
+    converter : Converter or None
+        The converter behind the pressure channels; None where none of them is in counts.
     near_stall : NearStall
         The facility reading before the surge.
     pressures : tuple of PressureChannel
@@ -227,7 +301,9 @@ class TestDescription:
     window_s : tuple of float, optional
         Quasi-steady cycles, on the facility clock; None when they are to be found.
     limits : mapping of str to tuple of float
-        By channel, the readings that count, in Pa or K.
+        By channel, the readings that count, in Pa or K whatever the unit of the column.
+    file : FileLayout
+        How the record lies in its file.
     source : str
         The file.
     """
@@ -241,7 +317,7 @@ class TestDescription:
     design_corrected_speed_rpm: float
     compressor: Compressor
     areas_m2: Mapping[int, float]
-    adc: Converter
+    converter: Converter | None
     near_stall: NearStall
     pressures: tuple[PressureChannel, ...]
     temperatures: tuple[TemperatureChannel, ...]
@@ -249,6 +325,7 @@ class TestDescription:
     hysteresis_lbm_s: float = 0.0
     window_s: tuple[float, float] | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    file: FileLayout = FileLayout()
     source: str = "test.toml"
 
     def __post_init__(self) -> None:
@@ -260,6 +337,21 @@ class TestDescription:
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         values.update(areas_m2=dict(self.areas_m2), limits=dict(self.limits))
         return (_rebuild, (values,))
+
+    @property
+    def adc(self) -> Converter:
+        """The converter behind the channels that are in counts.
+
+        Raises
+        ------
+        InputError
+            When no channel is.
+        """
+        if self.converter is None:
+            raise InputError(
+                f"{self.source}: [adc]", expected="the converter of the counts", found="none"
+            )
+        return self.converter
 
     @property
     def rotor_velocity_m_s(self) -> float:

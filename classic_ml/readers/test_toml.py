@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +11,21 @@ from classic_ml.readers.test_description import (
     DEFAULT_THRESHOLD_LBM_S,
     Compressor,
     Converter,
+    FileLayout,
     NearStall,
     PressureChannel,
     TemperatureChannel,
     TestDescription,
 )
+from classic_ml.readers.toml_file import load_toml
 from classic_ml.readers.toml_tables import Table
+from classic_ml.units import (
+    COUNT,
+    kind_of_unit,
+    pressure_conversion,
+    temperature_conversion,
+    time_conversion,
+)
 
 if TYPE_CHECKING:
     import os
@@ -28,13 +36,16 @@ PLANES = (25, 31)
 # Fewer counts than this between the zero and the calibrate reading and the sensitivity is
 # not known to 1 %.
 MINIMUM_CALIBRATE_COUNTS = 100.0
+# No rake is calibrated by less than a twentieth of a metre of water, nor stands in such a vacuum.
+LEAST_CALIBRATE_PA, LEAST_REFERENCE_PA = 500.0, 1000.0
+# Corrected speeds near stall, as shares of the design speed, and the temperature they refer to.
+SPEED_SHARES, STANDARD_K = (0.1, 1.5), 288.15
 # A key has the name of the field that it fills; a channel's own name is that of its table.
-PRESSURE_KEYS = ("kind", "unit", *(f.name for f in fields(PressureChannel) if f.name != "name"))
-TEMPERATURE_KEYS = (
-    "kind",
-    "unit",
-    *(f.name for f in fields(TemperatureChannel) if f.name != "name"),
-)
+PRESSURE_KEYS = ("kind", *(f.name for f in fields(PressureChannel) if f.name != "name"))
+TEMPERATURE_KEYS = ("kind", *(f.name for f in fields(TemperatureChannel) if f.name != "name"))
+# What a channel in counts is calibrated by; one that is recorded as a pressure has none of it.
+COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
+FILE_KEYS = tuple(f.name for f in fields(FileLayout))
 COMPRESSOR_KEYS = tuple(f.name for f in fields(Compressor))
 NEAR_STALL_KEYS = tuple(f.name for f in fields(NearStall))
 SEGMENTATION_KEYS = ("threshold_lbm_s", "hysteresis_lbm_s")
@@ -72,7 +83,7 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
         design_corrected_speed_rpm=_speed(test, "design_corrected_speed_rpm"),
         compressor=_compressor(top),
         areas_m2=_areas(top),
-        adc=adc,
+        converter=adc,
         near_stall=_near_stall(top),
         pressures=pressures,
         temperatures=temperatures,
@@ -80,27 +91,19 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
         hysteresis_lbm_s=hysteresis,
         window_s=_window(top),
         limits=_limits(top, tuple(channels)),
+        file=_file(top),
         source=str(file),
     )
+    _check_speed(test, description)
     test.finish()
     top.finish()
+    _check_columns_apart(description)
     _check_pairs(description)
     return description
 
 
 def _load(file: Path) -> Table:
-    if not file.is_file():
-        raise InputError(
-            str(file),
-            expected="the description of the test (test.toml)",
-            found="a folder" if file.is_dir() else "no such file",
-        )
-    try:
-        return Table(str(file), "", tomllib.loads(file.read_text("utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            str(file), expected="a TOML file", found=str(error).strip().splitlines()[0]
-        ) from None
+    return Table(str(file), "", load_toml(file, "the description of the test (test.toml)"))
 
 
 def _speed(test: Table, key: str) -> float:
@@ -108,6 +111,21 @@ def _speed(test: Table, key: str) -> float:
     return test.number(
         key, least=100.0, most=2e5, unit="revolutions a minute", remedy="is it in Hz or rad/s?"
     )
+
+
+def _check_speed(test: Table, description: TestDescription) -> None:
+    """Refuse a design speed that the test comes nowhere near."""
+    inlet_K = description.near_stall.T25_K
+    corrected_rpm = description.rotor_speed_rpm * (STANDARD_K / inlet_K) ** 0.5
+    share = corrected_rpm / description.design_corrected_speed_rpm
+    if not SPEED_SHARES[0] <= share <= SPEED_SHARES[1]:
+        raise test.error(
+            "design_corrected_speed_rpm",
+            f"a speed in revolutions a minute of which {corrected_rpm:.4g}, the corrected speed of "
+            f"the test, is {SPEED_SHARES[0]:g} to {SPEED_SHARES[1]:g} times",
+            f"{description.design_corrected_speed_rpm:g}",
+            "is it in Hz or rad/s?",
+        )
 
 
 def _compressor(top: Table) -> Compressor:
@@ -134,7 +152,9 @@ def _compressor(top: Table) -> Compressor:
     return compressor
 
 
-def _converter(top: Table) -> Converter:
+def _converter(top: Table) -> Converter | None:
+    if "adc" not in top:
+        return None
     table = top.table("adc")
     converter = Converter(
         bits=table.whole("bits", least=4, most=32),
@@ -176,15 +196,26 @@ def _near_stall(top: Table) -> NearStall:
     table.finish()
     if reading.to_s <= reading.from_s:
         raise table.error("to_s", f"a time after from_s ({reading.from_s:g} s)", f"{reading.to_s}")
+    for kind in ("P25_Pa", "P31_Pa"), ("T25_K", "T31_K"):
+        before, behind = (getattr(reading, key) for key in kind)
+        if behind <= before:
+            raise table.error(
+                kind[1],
+                f"more than {kind[0]} ({before:g})",
+                f"{behind:g}",
+                "are the planes exchanged?",
+            )
     return reading
 
 
 def _channels(
-    channels: Table, adc: Converter
+    channels: Table, adc: Converter | None
 ) -> tuple[tuple[PressureChannel, ...], tuple[TemperatureChannel, ...]]:
     pressures: list[PressureChannel] = []
     temperatures: list[TemperatureChannel] = []
     for name in channels:
+        if not name.isprintable():
+            raise channels.error(name, "a name without control characters", "some")
         table = channels.table(name)
         if table.choice("kind", ("pressure", "temperature")) == "pressure":
             table = channels.table(name, PRESSURE_KEYS)
@@ -196,20 +227,43 @@ def _channels(
     return tuple(pressures), tuple(temperatures)
 
 
-def _pressure(name: str, table: Table, adc: Converter) -> PressureChannel:
-    table.choice("unit", ("count",))
+def _pressure(name: str, table: Table, adc: Converter | None) -> PressureChannel:
+    unit = table.text("unit")
+    unit = COUNT if unit == f"{COUNT}s" else unit
     channel = PressureChannel(
         name=name,
         plane=int(table.choice("plane", PLANES)),
         rake=table.text("rake"),
         immersion=str(table.choice("immersion", ("hub", "tip"))),
         facing=str(table.choice("facing", ("forward", "aft"))),
-        probe_slope=table.number("probe_slope", above=0.0),
+        probe_slope=table.number(
+            "probe_slope", least=0.2, most=5.0, remedy="it is near 1; is it in per cent?"
+        ),
         probe_offset=table.number("probe_offset", least=-0.5, most=0.5),
-        zoc_reference_Pa=table.number("zoc_reference_Pa", least=0.0),
+        unit=unit,
+        column=table.text("column") if "column" in table else "",
+    )
+    return _in_counts(channel, table, adc) if unit == COUNT else _in_pressure(channel, table)
+
+
+def _in_counts(channel: PressureChannel, table: Table, adc: Converter | None) -> PressureChannel:
+    """Add the calibration of a channel in counts."""
+    if adc is None:
+        raise InputError(
+            table.file,
+            expected=f"a table [adc], since {channel.name} is in counts",
+            found="none",
+        )
+    if "reference_Pa" in table:
+        raise table.error(
+            "reference_Pa", "none for a channel in counts", "one", "it has zoc_reference_Pa"
+        )
+    channel = replace(
+        channel,
+        zoc_reference_Pa=table.number("zoc_reference_Pa", least=0.0, unit="Pa"),
         zero_count=table.number("zero_count", least=0.0, most=adc.top_code),
         calibrate_count=table.number("calibrate_count", least=0.0, most=adc.top_code),
-        calibrate_pressure_Pa=table.number("calibrate_pressure_Pa"),
+        calibrate_pressure_Pa=table.number("calibrate_pressure_Pa", unit="Pa"),
     )
     if abs(channel.calibrate_count - channel.zero_count) < MINIMUM_CALIBRATE_COUNTS:
         raise table.error(
@@ -217,20 +271,91 @@ def _pressure(name: str, table: Table, adc: Converter) -> PressureChannel:
             f"at least {MINIMUM_CALIBRATE_COUNTS:g} counts from zero_count",
             f"{channel.calibrate_count:g} beside {channel.zero_count:g}",
         )
-    if channel.calibrate_pressure_Pa == 0.0:
-        raise table.error("calibrate_pressure_Pa", "a pressure other than zero", "0")
+    _check_pascal(channel, table)
     return channel
 
 
+def _check_pascal(channel: PressureChannel, table: Table) -> None:
+    """Refuse a reference or a calibrate pressure that nobody has, but in another unit."""
+    step_Pa, reference_Pa = channel.calibrate_pressure_Pa, channel.zoc_reference_Pa
+    if step_Pa == 0.0:
+        raise table.error("calibrate_pressure_Pa", "a pressure other than zero", "0")
+    for key, value, least in (
+        ("calibrate_pressure_Pa", step_Pa, LEAST_CALIBRATE_PA),
+        ("zoc_reference_Pa", reference_Pa, LEAST_REFERENCE_PA),
+    ):
+        # A transducer against vacuum has a reference of zero.
+        if value and abs(value) < least:
+            raise table.error(
+                key, f"a pressure in Pa, {least:g} and more", f"{value:g}", "is it in kPa or psi?"
+            )
+
+
+def _in_pressure(channel: PressureChannel, table: Table) -> PressureChannel:
+    """Check the unit of a channel that is recorded as a pressure, and add its reference."""
+    if kind_of_unit(channel.unit) != "pressure":
+        try:
+            pressure_conversion(channel.unit, table.where, 0.0)
+        except InputError as error:
+            expected = f'"{COUNT}", or {error.expected}'
+            raise table.error("unit", expected, error.found, error.remedy) from None
+    for key in COUNT_KEYS:
+        if key in table:
+            raise table.error(
+                key,
+                f'none for a channel in "{channel.unit}"',
+                "one",
+                'it belongs to a channel whose unit is "count"',
+            )
+    reference_Pa = (
+        table.number("reference_Pa", least=0.0, unit="Pa") if "reference_Pa" in table else None
+    )
+    pressure_conversion(channel.unit, table.where, reference_Pa)
+    return replace(channel, reference_Pa=reference_Pa)
+
+
 def _temperature(name: str, table: Table) -> TemperatureChannel:
-    table.choice("unit", ("K",))
+    unit = table.text("unit")
+    temperature_conversion(unit, table.where)
     return TemperatureChannel(
         name=name,
         plane=int(table.choice("plane", PLANES)),
         rake=table.text("rake"),
         recovery_factor=table.number("recovery_factor", least=0.5, most=1.1),
-        time_constant_s=table.number("time_constant_s", least=0.0, most=10.0),
+        time_constant_s=table.number(
+            "time_constant_s", least=0.0, most=2.0, unit="s", remedy="is it in ms?"
+        ),
+        unit=unit,
+        column=table.text("column") if "column" in table else "",
     )
+
+
+def _file(top: Table) -> FileLayout:
+    if "file" not in top:
+        return FileLayout()
+    table = top.table("file", FILE_KEYS)
+    usual = FileLayout()
+    layout = FileLayout(
+        time=table.text("time") if "time" in table else usual.time,
+        time_unit=table.text("time_unit") if "time_unit" in table else None,
+        group=table.text("group") if "group" in table else None,
+        clock=_choice_or(table, "clock", ("column", "from rate"), usual.clock),
+        start_s=table.number("start_s") if "start_s" in table else None,
+        other_columns=_choice_or(table, "other_columns", ("refuse", "ignore"), usual.other_columns),
+        units=_choice_or(table, "units", ("check", "from test.toml"), usual.units),
+    )
+    table.finish()
+    if layout.time_unit is not None:
+        time_conversion(layout.time_unit, f"{table.where} time_unit")
+    if layout.clock == "from rate":
+        for key in ("time", "time_unit"):
+            if key in table:
+                raise table.error(key, 'none beside clock = "from rate"', "one")
+    return layout
+
+
+def _choice_or(table: Table, key: str, choices: tuple[str, ...], default: str) -> str:
+    return str(table.choice(key, choices)) if key in table else default
 
 
 def _segmentation(top: Table) -> tuple[float | None, float]:
@@ -266,6 +391,20 @@ def _limits(top: Table, channels: tuple[str, ...]) -> dict[str, tuple[float, flo
         if name not in channels:
             raise table.error(name, "the name of a channel", "no such channel in [channels]")
     return {name: table.interval(name) for name in table}
+
+
+def _check_columns_apart(test: TestDescription) -> None:
+    """Refuse a column that would feed two channels: one of them would be a copy."""
+    taken = {} if test.file.clock == "from rate" else {test.file.time: "the clock"}
+    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
+    for channel in channels:
+        if channel.file_column in taken:
+            raise InputError(
+                f"{test.source}: [channels.{channel.name}] column",
+                expected="a column of its own",
+                found=f"'{channel.file_column}', which feeds {taken[channel.file_column]} too",
+            )
+        taken[channel.file_column] = channel.name
 
 
 def _check_pairs(test: TestDescription) -> None:

@@ -8,8 +8,12 @@ from math import isfinite
 from typing import Any
 
 from classic_ml.errors import InputError
+from classic_ml.readers.toml_file import shown
+from classic_ml.units import quantity_in
 
 __all__ = ["Table"]
+
+_KINDS = {"Pa": "pressure", "K": "temperature"}
 
 
 class Table:
@@ -37,6 +41,11 @@ class Table:
         self._asked: set[str] = set()
         self._keys = frozenset(keys)
 
+    @property
+    def where(self) -> str:
+        """The table, for errors: file and name."""
+        return f"{self.file}: [{self.path}]" if self.path else self.file
+
     def error(self, key: str, expected: str, found: str, remedy: str = "") -> InputError:
         """Return an InputError that names file, table and key."""
         table = f" [{self.path}]" if self.path else ""
@@ -61,7 +70,7 @@ class Table:
         self._asked.add(key)
         values = self._values[key]
         if not isinstance(values, Mapping):
-            raise self.error(key, f"a table [{path}]", repr(values))
+            raise self.error(key, f"a table [{path}]", shown(values))
         return Table(self.file, path, values, keys)
 
     def _get(self, key: str, expected: str) -> Any:
@@ -86,7 +95,8 @@ class Table:
     ) -> float:
         """Return a finite number inside its bounds (``above``, ``below`` exclusive).
 
-        ``unit`` and ``remedy`` go into the sentence that refuses another value.
+        ``unit`` and ``remedy`` go into the sentence that refuses another value. Where the unit is
+        Pa or K, a text such as "7.98 psia" or "-0.67 degF" is a number too.
         """
         self._asked.add(key)
         if default is not None and key not in self._values:
@@ -104,9 +114,10 @@ class Table:
         what = f"a number in {unit}" if unit else "a number"
         expected = f"{what} {' and '.join(bounds)}".strip()
         value = self._get(key, expected)
-        # TOML's true and false are ints to Python.
-        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-            raise self.error(key, expected, repr(value))
+        if isinstance(value, str) and unit in _KINDS:
+            value = quantity_in(value, _KINDS[unit], f"{self.where} {key}")
+        if not _is_finite(value):
+            raise self.error(key, expected, shown(value))
         outside = (
             (above is not None and value <= above)
             or (below is not None and value >= below)
@@ -123,7 +134,7 @@ class Table:
         if self._values.get(key) == word:
             return None
         if isinstance(self._values.get(key), str):
-            raise self.error(key, f'a number above 0 or "{word}"', repr(self._values[key]))
+            raise self.error(key, f'a number above 0 or "{word}"', shown(self._values[key]))
         return self.number(key, above=0.0, default=default)
 
     def whole(self, key: str, *, least: int, most: int) -> int:
@@ -131,14 +142,16 @@ class Table:
         expected = f"a whole number from {least} to {most}"
         value = self._get(key, expected)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self.error(key, expected, repr(value))
+            raise self.error(key, expected, shown(value))
         return int(value)
 
     def text(self, key: str) -> str:
         """Return a text that is not empty."""
         value = self._get(key, "a text")
         if not isinstance(value, str) or not value.strip():
-            raise self.error(key, "a text", repr(value))
+            raise self.error(key, "a text", shown(value))
+        if not value.isprintable():
+            raise self.error(key, "a text of one line, without control characters", shown(value))
         return value
 
     def choice(self, key: str, choices: Sequence[str | int]) -> str | int:
@@ -146,18 +159,16 @@ class Table:
         expected = " or ".join(repr(c) for c in choices).replace("'", '"')
         value = self._get(key, expected)
         if isinstance(value, bool) or value not in choices:
-            raise self.error(key, expected, repr(value).replace("'", '"'))
+            raise self.error(key, expected, shown(value).replace("'", '"'))
         return choices[list(choices).index(value)]
 
     def interval(self, key: str) -> tuple[float, float]:
         """Return a range [low, high]."""
         expected = "a range [low, high] of two numbers"
         value = self._get(key, expected)
-        numbers = isinstance(value, list) and all(
-            isinstance(v, int | float) and not isinstance(v, bool) and isfinite(v) for v in value
-        )
-        if not numbers or len(value) != 2 or value[0] >= value[1]:
-            raise self.error(key, expected, repr(value))
+        numbers = isinstance(value, list) and len(value) == 2 and all(map(_is_finite, value))
+        if not numbers or value[0] >= value[1]:
+            raise self.error(key, expected, shown(value))
         return float(value[0]), float(value[1])
 
     def finish(self) -> None:
@@ -172,3 +183,14 @@ class Table:
                     f"'{key}'",
                     f"is '{known[0]}' meant?" if known else "",
                 )
+
+
+def _is_finite(value: object) -> bool:
+    """Tell whether a value is a number; TOML's true and false are ints to Python."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return isfinite(value)
+    except OverflowError:
+        # A whole number beyond all floats.
+        return False

@@ -1,0 +1,227 @@
+"""Vectors of a file with groups: which of them are the record, and how they are read as rows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.errors import InputError
+from classic_ml.readers.raw_table import RawFile, check_unique, in_one_line
+from classic_ml.readers.test_description import FileLayout
+from classic_ml.records import FloatArray
+
+__all__ = ["Vector", "as_columns", "made_clock", "one_line"]
+
+# How many groups or sizes a sentence names.
+NAMED = 6
+LONGEST_CAUSE = 160
+# Times that were computed twice differ in their last digits.
+SAME_CLOCK = 1e-9
+
+Path = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A vector of numbers in a file.
+
+    Parameters
+    ----------
+    path : tuple of str
+        Its groups and its name.
+    size : int
+        Number of values.
+    read : callable
+        ``read(handle, start, stop)`` returns some of them, with the file that `as_columns` opens.
+    unit : str
+        Unit that the file states; empty without.
+    clock : str
+        For times that the reader has made or converted, what they count from.
+    own_clock : Vector, optional
+        Times that lie beside this channel alone; they must be those of the others.
+    """
+
+    path: Path
+    size: int
+    read: Callable[[Any, int, int], NDArray[Any]]
+    unit: str = ""
+    clock: str = ""
+    own_clock: Vector | None = None
+
+
+def as_columns(
+    source: str,
+    vectors: Sequence[Vector],
+    layout: FileLayout,
+    opened: Callable[[], AbstractContextManager[Any]],
+    left_aside: Mapping[Path, str] | None = None,
+) -> RawFile:
+    """Return the vectors of one length in one group as the columns of a record.
+
+    Parameters
+    ----------
+    source : str
+        The file.
+    vectors : sequence of Vector
+        All that it holds.
+    layout : FileLayout
+        The group to take, and the name of the clock: its length is that of the record; without it
+        the length that most vectors share.
+    opened : callable
+        Opens the file for `Vector.read`.
+    left_aside : mapping, optional
+        By path, what is no vector of numbers, and what it is instead.
+
+    Raises
+    ------
+    InputError
+        When the group is not there, holds nothing, or several hold channels and none is named.
+    """
+    inside, base = _in_group(source, vectors, layout)
+    size = _record_size(inside, layout)
+    columns = [vector for vector in inside if vector.size == size]
+    if layout.group is None:
+        base = _only_group(source, columns)
+    names = tuple("/".join(vector.path[len(base) :]) for vector in columns)
+    check_unique(source, names)
+    unusable = {
+        _relative(vector.path, base): f"{vector.size} values where the record has {size}"
+        for vector in vectors
+        if vector.size != size and vector.path[: len(base)] == base
+    }
+    for path, why in (left_aside or {}).items():
+        if path[: len(base)] == base:
+            unusable[_relative(path, base)] = why
+
+    def chunks(rows: int) -> Iterator[FloatArray]:
+        with opened() as handle:
+            for start in range(0, size, rows):
+                stop = min(start + rows, size)
+                yield _rows(source, columns, handle, start, stop)
+
+    return RawFile(
+        source,
+        names,
+        chunks,
+        {n: in_one_line(v.unit) for n, v in zip(names, columns, strict=True) if v.unit.strip()},
+        size,
+        next((v.clock for n, v in zip(names, columns, strict=True) if n == layout.time), ""),
+        unusable,
+    )
+
+
+def made_clock(path: Path, size: int, start_s: float, step_s: float, clock: str) -> Vector:
+    """Return the times of a file that states its first time and its step alone.
+
+    Parameters
+    ----------
+    path : tuple of str
+        What to call it.
+    size : int
+        Number of rows.
+    start_s, step_s : float
+        In seconds.
+    clock : str
+        Where they are from.
+    """
+    rate_hz = 1.0 / step_s
+
+    def read(_: Any, start: int, stop: int) -> FloatArray:
+        rows = np.arange(start, stop, dtype=np.float64)
+        # A step of 1e-3 is no double; its rate is, and gives the times of a printed clock.
+        return start_s + (rows / rate_hz if rate_hz == round(rate_hz) else rows * step_s)
+
+    return Vector(path, size, read, "s", clock)
+
+
+def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop: int) -> FloatArray:
+    block = np.empty((stop - start, len(columns)))
+    times: tuple[Vector, FloatArray] | None = None
+    for number, vector in enumerate(columns):
+        try:
+            block[:, number] = vector.read(handle, start, stop)
+            own = vector.own_clock
+            own_s = None if own is None else np.asarray(own.read(handle, start, stop), np.float64)
+        except Exception as error:
+            # The readers of binary formats raise whatever they stumble over.
+            raise InputError(
+                f"{source}: column {vector.path[-1]}",
+                expected=f"rows {start + 1} to {stop} that can be read",
+                found=one_line(error),
+                remedy="the file was cut short or spoiled",
+            ) from None
+        if own_s is None:
+            continue
+        if times is None:
+            times = vector, own_s
+        elif not np.allclose(times[1], own_s, rtol=SAME_CLOCK, atol=0.0, equal_nan=True):
+            raise InputError(
+                f"{source}: channels {times[0].path[-1]} and {vector.path[-1]}",
+                expected="the same times for both",
+                found=f"others between rows {start + 1} and {stop}",
+                remedy="resample them to one clock",
+            )
+    return block
+
+
+def one_line(error: BaseException) -> str:
+    """Return what an exception of a reader says, on one line."""
+    return (" ".join(str(error).split()) or type(error).__name__)[:LONGEST_CAUSE]
+
+
+def _relative(path: Path, base: Path) -> str:
+    return "/".join(path[len(base) :])
+
+
+def _in_group(
+    source: str, vectors: Sequence[Vector], layout: FileLayout
+) -> tuple[list[Vector], Path]:
+    if not vectors:
+        raise InputError(source, expected="channels", found="no vector of numbers in it")
+    if layout.group is None or layout.group.strip("/") == "":
+        return list(vectors), ()
+    wanted = layout.group.strip("/")
+    for depth in range(1, max(len(vector.path) for vector in vectors)):
+        base = {vector.path[:depth] for vector in vectors if len(vector.path) > depth}
+        for candidate in sorted(base):
+            if "/".join(candidate) == wanted:
+                return [v for v in vectors if v.path[:depth] == candidate], candidate
+    groups = sorted({"/".join(vector.path[:-1]) for vector in vectors})
+    raise InputError(
+        f"{source}: group {layout.group}",
+        expected="it in the file, as [file] group says",
+        found="only " + ", ".join(f"'{name or '/'}'" for name in groups[:NAMED]),
+    )
+
+
+def _record_size(vectors: Sequence[Vector], layout: FileLayout) -> int:
+    clocks = {v.size for v in vectors if v.path[-1] == layout.time or layout.time in _names(v)}
+    if len(clocks) == 1:
+        return clocks.pop()
+    shares = Counter(vector.size for vector in vectors)
+    return max(shares, key=lambda size: (shares[size], size))
+
+
+def _names(vector: Vector) -> set[str]:
+    return {"/".join(vector.path[depth:]) for depth in range(len(vector.path))}
+
+
+def _only_group(source: str, columns: Sequence[Vector]) -> Path:
+    groups = list(dict.fromkeys(vector.path[:-1] for vector in columns))
+    if len(groups) > 1:
+        names = [f"'{'/'.join(path) or '/'}'" for path in groups]
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        raise InputError(
+            source,
+            expected="the channels in one group",
+            found=f"channels in {', '.join(names[:NAMED])}{more}",
+            remedy=f'write group = "{"/".join(groups[-1])}" in [file] of test.toml for one of '
+            'them, or group = "/" for all, their columns named as "group/name"',
+        )
+    return groups[0]

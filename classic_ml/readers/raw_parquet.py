@@ -1,0 +1,155 @@
+"""Raw records as Parquet: one column a channel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from classic_ml.errors import InputError
+from classic_ml.readers.raw_columns import one_line
+from classic_ml.readers.raw_table import RawFile, check_unique, in_one_line, rebatched
+from classic_ml.readers.test_description import FileLayout
+from classic_ml.records import FloatArray
+
+__all__ = ["open_parquet"]
+
+_UNIT_KEYS = (b"units", b"unit")
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_INDEX = "__index_level_"
+BUFFER_BYTES = 1 << 20
+
+
+def open_parquet(file: Path, layout: FileLayout) -> RawFile:
+    """Open a Parquet file; its rows are read batch by batch, what pandas wrote of itself is not.
+
+    Parameters
+    ----------
+    file : path
+        An existing file. The metadata ``units`` or ``unit`` of a column state its unit; a column
+        of timestamps counts from the first sample; a missing value is NaN.
+    layout : FileLayout
+        Which column is the clock; an index without a name that pandas wrote is left aside unless
+        it is that.
+
+    Returns
+    -------
+    RawFile
+        The columns of numbers.
+
+    Raises
+    ------
+    InputError
+        When the file is spoiled or encrypted, or holds no column of numbers.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        # Neither buffered whole nor read by threads: a row group may be larger than memory.
+        opened = pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(
+            str(file), expected="a Parquet file", found=f"what cannot be read ({one_line(error)})"
+        ) from None
+    with opened:
+        schema, n_rows = opened.schema_arrow, opened.metadata.num_rows
+    fields = [
+        field
+        for field in schema
+        if (_is_numeric(field.type) or pa.types.is_timestamp(field.type))
+        and (field.name == layout.time or not field.name.startswith(_INDEX))
+    ]
+    if not fields:
+        raise InputError(str(file), expected="columns of numbers", found="none")
+    if n_rows == 0:
+        raise InputError(str(file), expected="rows", found="none")
+    names = tuple(field.name for field in fields)
+    check_unique(str(file), names)
+    units = {field.name: _unit(field) for field in fields}
+    origins = _first_stamps(file, [f.name for f in fields if pa.types.is_timestamp(f.type)])
+    unusable = {
+        f.name: "an index of pandas" if f.name.startswith(_INDEX) else f"a column of {f.type}"
+        for f in schema
+        if f.name not in names
+    }
+
+    def pieces(rows: int) -> Iterator[FloatArray]:
+        with pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES) as table:
+            try:
+                for batch in table.iter_batches(rows, columns=list(names), use_threads=False):
+                    columns = [
+                        _numbers(batch.column(number), field.type, origins.get(field.name))
+                        for number, field in enumerate(fields)
+                    ]
+                    yield np.column_stack(columns)
+            except (pa.ArrowException, OSError) as error:
+                raise InputError(
+                    str(file), expected="rows that can be read", found=one_line(error)
+                ) from None
+
+    return RawFile(
+        str(file),
+        names,
+        lambda rows: rebatched(pieces(rows), rows),
+        {name: unit for name, unit in units.items() if unit},
+        n_rows,
+        _clock(layout.time, origins, schema),
+        unusable,
+    )
+
+
+def _is_numeric(kind: Any) -> bool:
+    import pyarrow as pa
+
+    tests = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_decimal)
+    return any(test(kind) for test in (*tests, pa.types.is_duration))
+
+
+def _unit(field: Any) -> str:
+    import pyarrow as pa
+
+    if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
+        return "s"
+    metadata = {key.lower(): value for key, value in (field.metadata or {}).items()}
+    unit = next((metadata[k].decode("utf-8", "replace") for k in _UNIT_KEYS if k in metadata), "")
+    return in_one_line(unit)
+
+
+def _numbers(column: Any, kind: Any, origin: int | None) -> FloatArray:
+    """Return a column as doubles; stamps and durations in seconds."""
+    import pyarrow as pa
+
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        missing = column.is_null().to_numpy(zero_copy_only=False)
+        ticks = column.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+        # The difference first: a date in nanoseconds is no double.
+        seconds = (ticks - (origin or 0)) / _PER_SECOND[kind.unit]
+        return np.where(missing, np.nan, seconds)
+    if kind != pa.float64():
+        column = column.cast(pa.float64(), safe=False)
+    return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _first_stamps(file: Path, names: list[str]) -> dict[str, int]:
+    """Return the first value of each column of timestamps, in its own ticks."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not names:
+        return {}
+    with pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES) as table:
+        batch = next(table.iter_batches(1, columns=names, use_threads=False))
+    return {
+        name: batch.column(number).cast(pa.int64())[0].as_py() or 0
+        for number, name in enumerate(names)
+    }
+
+
+def _clock(time: str, origins: dict[str, int], schema: Any) -> str:
+    if time not in origins:
+        return ""
+    ticks = np.datetime64(origins[time], schema.field(time).type.unit)
+    return f"seconds from the first sample at {ticks}"

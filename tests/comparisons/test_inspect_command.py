@@ -1,0 +1,320 @@
+"""`sindy-surge inspect`: what is wrong with a file is found, and the draft is a test.toml."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from raw_data import RawTest, make_test, to_toml, write_csv
+
+from classic_ml.inspection import Inspection, inspect_file
+from classic_ml.inspection_with_test import preview
+from classic_ml.readers.draft import draft_test_toml
+from classic_ml.readers.test_toml import read_test_description
+from comparisons.cli import main
+
+Columns = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def made() -> RawTest:
+    return make_test(seconds=0.5)
+
+
+def inspected(folder: Path, columns: Columns) -> Inspection:
+    write_csv(folder / "raw.csv", columns)
+    return inspect_file(folder / "raw.csv")
+
+
+def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
+    """Against a second way to count them, on columns with every kind of fault."""
+    rng = np.random.default_rng(7)
+    n = 2000
+    time_s = np.arange(n) / 500.0
+    noise = rng.normal(size=n)
+    clipped = np.clip(noise, -1.2, 3.0)
+    clipped[800:809] = -1.2
+    stuck = rng.normal(size=n)
+    stuck[1000:1040] = stuck[1000]
+    spoiled = np.array(noise)
+    spoiled[[41, 700]] = np.nan, np.inf
+    columns = {
+        "time_s": time_s,
+        "noise": noise,
+        "clipped": clipped,
+        "stuck": stuck,
+        "spoiled": spoiled,
+        "still": np.full(n, 7.0),
+        "codes": np.minimum(rng.integers(0, 4200, n), 4095),
+    }
+    found = inspected(tmp_path, columns)
+    assert (found.rows, found.fault, len(found.channels)) == (n, "", 7)
+    for channel in found.channels:
+        values = columns[channel.name][np.isfinite(columns[channel.name])]
+        assert (channel.minimum, channel.maximum) == (values.min(), values.max())
+        assert channel.mean == pytest.approx(values.mean(), rel=1e-12)
+        assert channel.at_minimum == np.count_nonzero(values == values.min())
+        assert channel.not_finite == n - values.size
+    facts = {channel.name: channel for channel in found.channels}
+    assert facts["spoiled"].first_not_finite == 42
+    assert facts["still"].constant
+    assert facts["noise"].plateaus == ()
+    assert facts["clipped"].plateaus == ("minimum",)
+    assert facts["clipped"].run_at_minimum >= 9
+    assert facts["codes"].plateaus == ("maximum",)
+    assert facts["codes"].whole_numbers
+    assert (facts["stuck"].longest_run, facts["stuck"].longest_run_row) == (40, 1001)
+    clock = found.clock
+    assert clock is not None
+    assert clock.rate_hz == pytest.approx(500.0)
+    assert (clock.gaps, clock.repeats, clock.steps_back) == (0, 0, 0)
+
+
+def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) -> None:
+    steps = np.full(1999, 2e-3)
+    steps[[99, 700]] = 0.5, 0.01
+    steps[300] = 0.0
+    steps[[1200, 1300]] = -0.004
+    steps[50] = 2.2e-3
+    time_s = np.concatenate(([10.0], 10.0 + np.cumsum(steps)))
+    clock = inspected(tmp_path, {"Elapsed Time": time_s, "P": np.arange(2000.0) ** 2}).clock
+    assert clock is not None
+    assert (clock.name, clock.gaps, clock.repeats, clock.steps_back) == ("Elapsed Time", 2, 1, 2)
+    assert (clock.first_gap, clock.first_repeat, clock.first_step_back) == (101, 302, 1202)
+    assert clock.jitter == pytest.approx(0.1, rel=1e-6)
+    assert clock.rate_hz == pytest.approx(500.0, rel=1e-3)
+
+
+def test_what_is_found_does_not_depend_on_the_chunks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(2)
+    held = np.repeat(rng.integers(0, 9, 400), rng.integers(1, 9, 400))[:1000].astype(float)
+    time_s = np.arange(1000) / 100.0
+    time_s[500:] += 0.3
+    whole = inspected(
+        tmp_path, {"t": time_s, "held": held, "nan": np.where(held > 7, np.nan, held)}
+    )
+    monkeypatch.setattr("classic_ml.inspection.BLOCK_ROWS", 13)
+    pieces = inspect_file(tmp_path / "raw.csv")
+    assert [c.name for c in pieces.channels] == [c.name for c in whole.channels]
+    for one, other in zip(whole.channels, pieces.channels, strict=True):
+        assert one.mean == pytest.approx(other.mean, rel=1e-12)
+        same = [f for f in type(one).__dataclass_fields__ if f != "mean"]
+        assert [getattr(one, f) for f in same] == [getattr(other, f) for f in same]
+    assert whole.clock is not None
+    assert pieces.clock is not None
+    assert (whole.clock.gaps, whole.clock.first_gap) == (1, 501)
+    assert (pieces.clock.gaps, pieces.clock.first_gap) == (1, 501)
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
+    code = main(["inspect", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_a_record_is_shown_with_its_test(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = make_test(seconds=3.0)
+    raw, toml = made.write(tmp_path)
+    code, out, err = run(capsys, raw, "--test", toml, "--json", tmp_path / "found.json")
+    assert (code, err) == (0, "")
+    assert "3001 rows, 21 columns" in out
+    assert "1000 rows a second" in out
+    assert "near stall every forward probe is above its aft one" in out
+    assert "reduce would do this:" in out
+    assert re.search(r"window: .* cycles of 1\d\d ms that repeat each other", out)
+    found = json.loads((tmp_path / "found.json").read_text("utf-8"))
+    assert found["schema"] == "sindy-surge/inspect/1"
+    assert len(found["test"]["channels"]) == 21
+    for channel in found["test"]["channels"][1:]:
+        # Within 1 % of what the facility read, but for the wake behind the aft probes.
+        assert channel["near_stall"] == pytest.approx(channel["facility"], rel=0.15)
+        assert channel["minimum"] <= channel["near_stall"] <= channel["maximum"]
+    assert found["reduction"]["refusal"] == ""
+    assert 10 <= found["reduction"]["cycles"] <= 20
+    assert 0.3 < found["reduction"]["window_s"][0] < found["reduction"]["window_s"][1] <= 3.0
+
+
+def test_a_long_record_is_worked_on_in_files_to_the_same_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = make_test(seconds=2.0).write(tmp_path)
+    monkeypatch.setattr("classic_ml.inspection_with_test.MOST_ROWS_IN_MEMORY", 1000)
+    found = [preview(*paths, rows=rows) for rows in (0, 2001)]
+    assert found[0].refusal == ""
+    assert found[0] == found[1]
+
+
+def test_what_does_not_fit_the_test_is_told(
+    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = {n.replace("T25_A", "T25 A"): v for n, v in made.columns.items()}
+    forward, aft = "P25_B_hub_forward", "P25_B_hub_aft"
+    raw, toml = tmp_path / "raw.csv", tmp_path / "test.toml"
+    write_csv(raw, columns)
+    toml.write_text(to_toml(made.description), "utf-8")
+    code, out, _ = run(capsys, raw, "--test", toml)
+    assert code == 0
+    assert re.search(r"T25_A +T25_A +K .*no such column: perhaps T25 A", out)
+    assert "columns that feed nothing: T25 A" in out
+    assert "they do not go together:" in out
+    assert "reduce would refuse it:" in out
+    tables = {**made.description, "channels": dict(made.description["channels"])}
+    for one, other in ((forward, aft), (aft, forward)):
+        tables["channels"][one] = {**tables["channels"][one], "column": other}
+    toml.write_text(to_toml(tables), "utf-8")
+    write_csv(raw, made.columns)
+    code, out, _ = run(capsys, raw, "--test", toml)
+    assert code == 0
+    assert re.search(r"P25_B_hub: the aft probe is .* kPa above the forward one", out)
+    assert "reduce would refuse it:" in out
+
+
+BROKEN = {
+    "cut": (lambda t: t[: len(t) * 2 // 3].rsplit(",", 5)[0], r"reading ended: .* in row 3\d\d;"),
+    "words": (lambda t: t.replace("0.05,", "0.05,OVER", 1), "1 row not finite, from row 51"),
+    "doubled": (lambda t: t.replace("T25_A", "T25_B", 1), "a second column named T25_B"),
+    "no clock": (lambda t: t.replace("time_s", "P99", 1), "clock: P99"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_file_is_shown_as_far_as_it_goes(
+    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    raw, _ = made.write(tmp_path)
+    change, words = BROKEN[case]
+    raw.write_text(change(raw.read_text("utf-8")), "utf-8")
+    code, out, err = run(capsys, raw)
+    assert (code, err) == (0, "")
+    assert re.search(words, out)
+    assert "P25_A_tip_aft" in out
+
+
+def test_what_cannot_be_read_at_all_is_refused(
+    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "raw.h5").write_bytes(b"no HDF5")
+    for arguments, words in (
+        ([tmp_path / "raw.h5"], "bytes that begin like no such file"),
+        ([tmp_path / "none.csv"], "no such file"),
+        ([tmp_path / "raw.h5", "--group", "a", "--test", "t.toml"], "--group: expected it without"),
+    ):
+        code, out, err = run(capsys, *arguments)
+        assert (code, out) == (2, "")
+        assert words in err
+        assert err.count("\n") == 1
+
+
+def test_a_description_that_cannot_be_read_does_not_hide_the_file(
+    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw, toml = made.write(tmp_path)
+    toml.write_text("[test]\n", "utf-8")
+    code, out, _ = run(capsys, raw, "--test", toml)
+    assert code == 0
+    assert "the description of the test cannot be used:" in out
+    assert "P25_A_tip_aft" in out
+
+
+def test_a_group_is_chosen_and_a_series_is_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time_s = np.arange(400) / 100.0
+    with h5py.File(tmp_path / "two.h5", "w") as file:
+        for group, shift in (("one", 0.0), ("two", 5.0)):
+            file[f"{group}/time"] = time_s
+            file[f"{group}/P"] = np.sin(time_s) + shift
+            file[f"{group}/P"].attrs["units"] = "psia"
+    code, _, err = run(capsys, tmp_path / "two.h5")
+    assert code == 2
+    assert "channels in 'one', 'two'" in err
+    code, out, _ = run(capsys, tmp_path / "two.h5", "--group", "two")
+    assert code == 0
+    assert re.search(r"P +psia +4\.\d+ ", out)
+    phi = 0.3 + 0.1 * np.sin(9.0 * time_s)
+    write_csv(tmp_path / "s.csv", {"time_s": time_s, "phi": phi, "psi_p": 4.0 + phi**2})
+    code, out, _ = run(capsys, tmp_path / "s.csv")
+    assert "a series of φ and ψ', ready for compare: 1 segment, 400 of 400 rows" in out
+    write_csv(tmp_path / "s.csv", {"time_s": time_s, "phi": 0.0 * phi, "psi_p": 4.0 + phi**2})
+    code, out, _ = run(capsys, tmp_path / "s.csv")
+    assert "a series that cannot be used:" in out
+
+
+def filled_in(draft: str, made: RawTest) -> str:
+    """The draft with every commented key filled from the description that it is to become."""
+    table, lines = "", []
+    for line in draft.splitlines():
+        head = re.match(r"\[(?P<path>[^\]]+)\]", line)
+        key = re.match(r"# (?P<key>\w+) =", line)
+        if head:
+            table = head["path"]
+        if key:
+            values = made.description
+            for part in table.split("."):
+                values = values[part]
+        filled = f"{key['key']} = {json.dumps(values[key['key']])}" if key else line
+        lines.append(filled)
+    return "\n".join(lines)
+
+
+def test_the_draft_filled_in_is_the_description_of_the_test(
+    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Planes, rakes, facings, units and the rate are guessed; the rest is in comments."""
+    raw, toml = made.write(tmp_path)
+    draft = tmp_path / "draft.toml"
+    code, out, _ = run(capsys, raw, "--draft", draft)
+    assert code == 0
+    assert f"draft: {draft}" in out
+    tomllib.loads(draft.read_text("utf-8"))
+    draft.write_text(filled_in(draft.read_text("utf-8"), made), "utf-8")
+    found, expected = read_test_description(draft), read_test_description(toml)
+    assert {c.name: c for c in found.pressures} == {c.name: c for c in expected.pressures}
+    assert found.sample_rate_hz == expected.sample_rate_hz
+    assert [c.plane for c in found.temperatures] == [c.plane for c in expected.temperatures]
+    before = draft.read_bytes()
+    code, out, err = run(capsys, raw, "--draft", draft)
+    assert (code, out) == (2, "")
+    assert "nothing was overwritten" in err
+    assert draft.read_bytes() == before
+
+
+def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) -> None:
+    time_ms = np.arange(300.0) * 0.5
+    rng = np.random.default_rng(0)
+    columns = {
+        "Time [ms]": time_ms,
+        'PT25 "A" tip fwd [psia]': rng.normal(14.0, 0.1, 300),
+        "TT31-B (degF)": rng.normal(800.0, 1.0, 300),
+        "P31 rake C hub aft [kPa]": rng.normal(900.0, 1.0, 300),
+        "Ölstand\t2": rng.normal(size=300),
+    }
+    header = ",".join('"' + name.replace('"', '""') + '"' for name in columns)
+    rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True)]
+    (tmp_path / "raw.csv").write_text("\n".join([header, *rows]), "utf-8")
+    found = tomllib.loads(draft_test_toml(inspect_file(tmp_path / "raw.csv")))
+    assert found["test"]["sample_rate_hz"] == 2000.0
+    assert found["file"] == {"time": "Time [ms]", "time_unit": "ms", "other_columns": "ignore"}
+    one, two, three = found["channels"].values()
+    assert one == {
+        "column": 'PT25 "A" tip fwd [psia]',
+        "kind": "pressure",
+        "unit": "psia",
+        "plane": 25,
+        "rake": "A",
+        "immersion": "tip",
+        "facing": "forward",
+    }
+    assert (two["kind"], two["unit"], two["plane"], two["rake"]) == ("temperature", "degF", 31, "B")
+    assert (three["rake"], three["facing"], three["unit"]) == ("C", "aft", "kPa")
+    assert "adc" not in found
