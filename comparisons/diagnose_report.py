@@ -31,8 +31,6 @@ from comparisons.report.blocks import Block, Bullets, Head, Part, Picture, Table
 from comparisons.rounding import significant
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.effect import Parameter
     from comparisons.missing_effect.where import Where
@@ -115,17 +113,13 @@ def diagnosis_report(
 
 
 def _headline_picture(d: Diagnosis, before: Where | None, after: Where | None) -> Picture:
-    from comparisons.plots_missing_effect import draw_diagnosis, title
+    from comparisons.plots_missing_effect import draw_diagnosis
+    from comparisons.plots_missing_effect_words import diagnosis_words
 
-    gap = d.gap
-    numbers = f"held-out rms {significant(gap.before_rms, 3)}"
-    if d.missing:
-        numbers += f" before and {significant(gap.after_rms, 3)} after"
-    return _picture(
+    return Picture.of(
         "The diagnosis in one picture",
         draw_diagnosis(d, before, after),
-        f"{title(d)}; {numbers}, noise {significant(gap.floor_rms, 3)}; τ {tau_ms(d.tau_before_s)}"
-        + (f" before and {tau_ms(d.tau_after_s)} after." if d.missing else "."),
+        diagnosis_words(d),
         "Top: the held-out stretch on which the model before is worst, simulated from φ alone by "
         "fits to other rows; what is left of the error after should stay within the shaded band "
         "in 19 rows of 20. Below, left: how far the residual of a fit to all rows stands out in "
@@ -173,7 +167,7 @@ def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
     return (
         Words(opening_words(d), "quiet"),
         Bullets(before.words),
-        _picture(
+        Picture.of(
             "The residual of the model before",
             draw_where(residual_runs(d, d.before), before),
             " ".join(before.words),
@@ -181,6 +175,7 @@ def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
             "time with mean and rms of each block. Middle: its spectrum over the noise's, and its "
             "mean over the surge cycle. Below: its mean where φ was and which way it went, and its "
             "rms in each record. Red: beyond what chance reaches in all these looks together.",
+            told_above=True,
         ),
     )
 
@@ -281,26 +276,30 @@ def _shown(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Blo
         draw_contributions,
         draw_spectra,
     )
+    from comparisons.plots_missing_effect_words import (
+        characteristics_words,
+        contributions_words,
+        spectra_words,
+    )
 
     blocks: list[Block] = []
     parts = contributions(d)
     if parts:
         blocks.append(
-            _picture(
+            Picture.of(
                 "Characteristic before and after",
                 draw_characteristics(d),
-                "Quasi-steady characteristic over φ of the model before and after, and their "
-                "difference.",
+                characteristics_words(d),
                 "As a slow sweep would draw it: with two branches where there is hysteresis, at "
                 "both ends of the test where it drifts. The measured points lie off the curve by "
                 "the lag.",
             )
         )
         blocks.append(
-            _picture(
+            Picture.of(
                 "Contribution of each effect in time",
                 draw_contributions(d),
-                "; ".join(f"{part.effect}: rms {part.rms:.3g}" for part in parts) + ".",
+                contributions_words(d),
                 "The free run with everything, less the same with this effect's amplitude at zero "
                 "and all other numbers as they are; the band is the noise. A part of it the model "
                 "before could mimic with another τ and another curve: that part does not show in "
@@ -308,13 +307,12 @@ def _shown(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Blo
             )
         )
     if before is not None:
-        largest = max(before.frequency, key=lambda row: row.ratio)
+        last = after if d.missing else None
         blocks.append(
-            _picture(
+            Picture.of(
                 "Spectrum of the residual",
-                draw_spectra(before, after if d.missing else None),
-                f"Power of the residual over that of the noise, largest before in "
-                f"{largest.low_hz:.3g} to {largest.high_hz:.3g} Hz, {largest.ratio:.3g} times.",
+                draw_spectra(before, last),
+                spectra_words(before, last),
                 "At 1 there is nothing but noise. Peaks at surge and its harmonics follow φ; a "
                 "rise at the left is drift; a line far above surge is cells that turn.",
             )
@@ -369,9 +367,3 @@ def _ledger(d: Diagnosis) -> Block:
         (Head("effect"), Head("why", prose=True)),
         tuple(d.unavailable.items()),
     )
-
-
-def _picture(title: str, figure: Figure, alt: str, reading: str) -> Picture:
-    from comparisons.plots_style import figure_to_data_uri
-
-    return Picture(title, figure_to_data_uri(figure), alt, reading)

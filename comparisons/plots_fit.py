@@ -29,6 +29,7 @@ from comparisons.plots_style import (
     robust_limits,
 )
 from comparisons.residual_analysis import (
+    Correlation,
     autocorrelation,
     cross_correlation,
     dwelt_on,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from comparisons.reconstruction import Reconstruction
 
 __all__ = [
+    "correlations_of",
     "plot_characteristics",
     "plot_reconstruction",
     "plot_residual_structure",
@@ -409,18 +411,34 @@ def _plain_decades(ax: Axes) -> None:
     ax.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _correlations(own: Axes, with_phi: Axes, comparison: Comparison) -> None:
+def correlations_of(
+    comparison: Comparison,
+) -> list[tuple[EstimatorResult, Correlation, Correlation]]:
+    """Return for each estimator the autocorrelation of its one-step errors and that with φ.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Estimators side by side.
+    """
     rows = comparison.rows
-    styles = estimator_styles(result.name for result in comparison.results)
     # Beyond half a segment few products are left, and the estimates fall to zero by themselves.
     typical = int(np.median([run.stop - run.start for run in rows.runs]))
     n_lags = max(FEWEST_LAGS, min(MOST_LAGS, typical // 2))
-    limits = []
+    out = []
     for result in comparison.results:
-        style = styles[result.name]
         errors = result.errors_one_step
         itself = autocorrelation(errors, rows.runs, rows.sample_period_s, n_lags)
         cross = cross_correlation(errors, rows.phi, rows.runs, rows.sample_period_s, n_lags)
+        out.append((result, itself, cross))
+    return out
+
+
+def _correlations(own: Axes, with_phi: Axes, comparison: Comparison) -> None:
+    styles = estimator_styles(result.name for result in comparison.results)
+    limits = []
+    for result, itself, cross in correlations_of(comparison):
+        style = styles[result.name]
         limits.append((itself.limit99, cross.limit99))
         for ax, correlation in ((own, itself), (with_phi, cross)):
             ax.plot(

@@ -43,12 +43,17 @@ __all__ = [
     "plot_operating_points",
     "plot_series",
     "plot_surge_cycles",
+    "rows_drawn",
+    "where_defined",
+    "window_rows",
 ]
 
 CELL_HZ = 82.5  # rotating stall, from interstage wall pressures (paper, p. 3)
 FLOW_LABEL = "inlet corrected flow $W_{c25}$ [kg/s]"
 LOOP_ROWS = 20_000
 DECADES_SHOWN = 1e-9
+# Of a longer record only so much is drawn over time.
+LONGEST_S = 4.0
 
 
 def plot_operating_points(reduction: Reduction) -> Figure:
@@ -90,7 +95,7 @@ def plot_operating_points(reduction: Reduction) -> Figure:
             zorder=5,
             label=f"stall inception, {record.time_s[start]:.2f} s",
         )
-    keep = _window(reduction)
+    keep = window_rows(reduction)
     cycles.plot(flow[keep], ratio[keep], color=ACCENT, lw=0.7, alpha=0.8)
     whole.set_ylabel("pressure ratio $P_{31}/P_{25}$ [-]")
     legend_above(figure, whole)
@@ -142,7 +147,7 @@ def plot_surge_cycles(reduction: Reduction) -> Figure:
         stretches shaded.
     """
     record = reduction.record
-    keep = _window(reduction)
+    keep = window_rows(reduction)
     rows: list[tuple[str, FloatArray]] = [
         ("$W_{c25}$ [kg/s]", record["Wc25_kg_s"]),
         ("$P_{25}$ [kPa]", 1e-3 * record["P25_Pa"]),
@@ -190,7 +195,7 @@ def plot_inlet_spectra(reduction: Reduction) -> Figure:
     from classic_ml.spectra import power_spectrum
 
     record = reduction.record
-    keep = _window(reduction)
+    keep = window_rows(reduction)
     figure = new_figure(height_in=6.6)
     panels = figure.subplots(2, 1, sharex=True)
     signals = (
@@ -239,7 +244,7 @@ def plot_loops(series: CoefficientSeries, target: str = "psi_p", ax: Axes | None
         All rows in grey, the rows in the intervals to be fitted in colour.
     """
     ax = axes_of(ax, 5.4)
-    values = series.psi_p if target == "psi_p" else _where_defined(series)
+    values = series.psi_p if target == "psi_p" else where_defined(series)
     if values is None:
         raise InputError(series.source, expected=f"a column {target}", found="none")
     # A longer record would only blacken the paper.
@@ -264,7 +269,7 @@ def plot_loops(series: CoefficientSeries, target: str = "psi_p", ax: Axes | None
     return ax
 
 
-def plot_series(series: CoefficientSeries, longest_s: float = 4.0) -> Figure:
+def plot_series(series: CoefficientSeries, longest_s: float = LONGEST_S) -> Figure:
     """Draw φ and the coefficients in time, of a record of which no more is known.
 
     Parameters
@@ -282,15 +287,12 @@ def plot_series(series: CoefficientSeries, longest_s: float = 4.0) -> Figure:
     rows: list[tuple[str, FloatArray | None]] = [
         (r"$\varphi$ [-]", series.phi),
         (f"{coefficient_symbol('psi_p')} [-]", series.psi_p),
-        (f"{coefficient_symbol('psi')} [-]", _where_defined(series)),
+        (f"{coefficient_symbol('psi')} [-]", where_defined(series)),
         ("$T_{25}$ [K]", series.T25_K),
         ("$N_c$ [% design]", None if series.Nc_frac is None else 100.0 * series.Nc_frac),
     ]
     known = [(label, values) for label, values in rows if values is not None]
-    first = int(np.argmax(series.scored)) if series.scored.any() else 0
-    count = int(longest_s * series.sample_rate_hz) + 1
-    start = max(0, min(first, series.n_samples - count))
-    keep = slice(start, start + count)
+    keep = rows_drawn(series, longest_s)
     time_s, scored = series.time_s[keep], series.scored[keep]
     figure = new_figure(height_in=1.2 + 1.45 * len(known))
     panels = np.atleast_1d(np.asarray(figure.subplots(len(known), 1, sharex=True)))
@@ -306,8 +308,30 @@ def plot_series(series: CoefficientSeries, longest_s: float = 4.0) -> Figure:
     return figure
 
 
-def _where_defined(series: CoefficientSeries) -> FloatArray | None:
-    """Return ψ with a gap where it was interpolated: at small and at reversed flow."""
+def rows_drawn(series: CoefficientSeries, longest_s: float = LONGEST_S) -> slice:
+    """Return the rows that are drawn over time: from the first interval to be fitted on.
+
+    Parameters
+    ----------
+    series : CoefficientSeries
+        A reduced record.
+    longest_s : float
+        So much of it, in seconds.
+    """
+    first = int(np.argmax(series.scored)) if series.scored.any() else 0
+    count = int(longest_s * series.sample_rate_hz) + 1
+    start = max(0, min(first, series.n_samples - count))
+    return slice(start, start + count)
+
+
+def where_defined(series: CoefficientSeries) -> FloatArray | None:
+    """Return ψ with a gap where it was interpolated: at small and at reversed flow.
+
+    Parameters
+    ----------
+    series : CoefficientSeries
+        A reduced record.
+    """
     if series.psi is None:
         return None
     return np.where(psi_is_known(series.phi), series.psi, np.nan)
@@ -316,7 +340,7 @@ def _where_defined(series: CoefficientSeries) -> FloatArray | None:
 def _migration(ax: Axes, reduction: Reduction, flow: FloatArray) -> None:
     record = reduction.record
     from_s, to_s = reduction.window_s
-    keep = _window(reduction)
+    keep = window_rows(reduction)
     ratio = record["pressure_ratio"]
     ax.plot(flow, ratio, color=FAINT, lw=0.9, label="whole record")
     ax.plot(
@@ -329,7 +353,14 @@ def _migration(ax: Axes, reduction: Reduction, flow: FloatArray) -> None:
     )
 
 
-def _window(reduction: Reduction) -> NDArray[np.bool_]:
+def window_rows(reduction: Reduction) -> NDArray[np.bool_]:
+    """Return the rows of the quasi-steady cycles.
+
+    Parameters
+    ----------
+    reduction : Reduction
+        A reduced record.
+    """
     time_s = reduction.record.time_s
     from_s, to_s = reduction.window_s
     return np.asarray((time_s >= from_s) & (time_s <= to_s))

@@ -23,8 +23,6 @@ __all__ = ["plot_inclusion", "plot_path", "plot_structure_curve", "structure_rep
 
 POINTS_DRAWN = 4000
 BAND = 1.96
-# Where html_summary goes in the page: the report's own blocks are escaped, and this one is HTML.
-_SUMMARY_PLACE = "summary-of-the-structure"
 
 
 def plot_structure_curve(found: FoundStructure) -> Figure:
@@ -213,19 +211,15 @@ def structure_report(
         Version of this package; that of the installed one without it.
     """
     from comparisons.report import ReportSection, render_report
-    from sindy_surge.display import html_summary
 
     names = ", ".join(Path(record.source).name for record in found.records)
     section = ReportSection(title=names, extra=_parts(found))
-    page = render_report(
+    return render_report(
         [section],
         title=f"Structure of the characteristic of {names}",
         command=command,
         version=version,
     )
-    if found.refused:
-        return page
-    return page.replace(f'<p class="plain">{_SUMMARY_PLACE}</p>', html_summary(found.summary))
 
 
 def _parts(found: FoundStructure) -> tuple[Part, ...]:
@@ -240,7 +234,7 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
     if found.inclusion:
         inclusion = (_inclusion_picture(found), *inclusion)
     parts = [
-        Part("Structure", (opening, Words(_SUMMARY_PLACE))),
+        Part("Structure", (opening, *_summary(found))),
         Part("Characteristic", (_curve_picture(found),)),
         Part("Inclusion probabilities", inclusion),
     ]
@@ -250,17 +244,47 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
     return (*parts, Part("Equation as LaTeX and Python", equations))
 
 
+def _summary(found: FoundStructure) -> tuple[Block, ...]:
+    """Return the fields and tables that a terminal and a notebook show of the fit."""
+    from comparisons.report.blocks import Head, Table
+    from sindy_surge.summary import summary_fields, summary_tables
+
+    summary = found.summary
+    fields = Table(
+        summary.name,
+        (Head("quantity"), Head("value", prose=True)),
+        # A ledger has a line for each of its entries.
+        tuple(
+            (field.label if number == 0 else "", line)
+            for field in summary_fields(summary)
+            for number, line in enumerate(field.lines)
+        ),
+    )
+    tables = (
+        Table(
+            table.title,
+            tuple(
+                Head(text, numeric=column not in table.words, prose=text == "terms")
+                for column, text in enumerate(table.header)
+            ),
+            table.rows,
+            tuple("best" if row == table.marked else "" for row in range(len(table.rows))),
+        )
+        for table in summary_tables(summary)
+    )
+    return (fields, *tables)
+
+
 def _curve_picture(found: FoundStructure) -> Picture:
-    from comparisons.plots_style import figure_to_data_uri
     from comparisons.report.blocks import Picture
     from sindy_surge.equations import pretty_term
 
     phi, value, stderr = found.curve()
     symbol = pretty_term(found.target)
     widest = float(np.max(stderr[np.isfinite(stderr)], initial=0.0))
-    return Picture(
+    return Picture.of(
         f"Quasi-steady {symbol} over φ",
-        figure_to_data_uri(plot_structure_curve(found)),
+        plot_structure_curve(found),
         f"{symbol}_QS over φ from {phi[0]:.3g} to {phi[-1]:.3g}: {np.nanmin(value):.3g} to "
         f"{np.nanmax(value):.3g}, its largest standard error {widest:.2g}; below, the histogram of "
         "φ.",
@@ -272,14 +296,13 @@ def _curve_picture(found: FoundStructure) -> Picture:
 
 
 def _inclusion_picture(found: FoundStructure) -> Picture:
-    from comparisons.plots_style import figure_to_data_uri
     from comparisons.report.blocks import Picture
     from sindy_surge.equations import pretty_term
 
     shown, _ = _bars(found)
-    return Picture(
+    return Picture.of(
         "Inclusion probabilities",
-        figure_to_data_uri(plot_inclusion(found)),
+        plot_inclusion(found),
         "Share of resampled records that hold a term: "
         + ", ".join(f"{pretty_term(name)} {p:.2f}" for name, p in shown)
         + ".",
@@ -290,7 +313,6 @@ def _inclusion_picture(found: FoundStructure) -> Picture:
 
 
 def _path_picture(found: FoundStructure) -> Picture:
-    from comparisons.plots_style import figure_to_data_uri
     from comparisons.report.blocks import Picture
     from sindy_surge.equations import pretty_term
 
@@ -300,9 +322,9 @@ def _path_picture(found: FoundStructure) -> Picture:
             least[row.size] = min(row.held_out_rms, least.get(row.size, math.inf))
     chosen = [row for row in found.fit.path_ if row.chosen]
     taken = f" Chosen: {', '.join(map(pretty_term, chosen[0].terms))}." if chosen else ""
-    return Picture(
+    return Picture.of(
         "Structures by size",
-        figure_to_data_uri(plot_path(found)),
+        plot_path(found),
         "Least error on cycles left out, by number of terms: "
         + (", ".join(f"{n}: {least[n]:.3g}" for n in sorted(least)) or "not known")
         + f".{taken}",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from comparisons.compare import Comparison
@@ -36,11 +38,11 @@ from comparisons.report.words import (
 if TYPE_CHECKING:
     from comparisons.report.report import ReportSection
 
-__all__ = ["parts_of"]
+__all__ = ["makers_of"]
 
 
-def parts_of(section: ReportSection) -> tuple[Part, ...]:
-    """Return the parts of a section that hold something.
+def makers_of(section: ReportSection) -> tuple[Callable[[], Part], ...]:
+    """Return what makes each part of a section, in order; drawing takes some of them a second.
 
     Parameters
     ----------
@@ -48,22 +50,25 @@ def parts_of(section: ReportSection) -> tuple[Part, ...]:
         What it is about.
     """
     fits = tuple(fit for fit in (section.comparison, section.work) if fit is not None)
-    parts = (
-        Part("In short", _summary(section, fits)),
-        Part("Operating-point migration", migration_pictures(section)),
-        Part("Surge cycles in time", time_pictures(section)),
-        Part("Spectra before and after the filter", spectra_pictures(section)),
-        Part("Quasi-steady characteristics", _characteristics(section)),
-        Part("Reconstruction against measurement", _reconstructions(section, fits)),
-        Part("Time constant by trial", _trial(section)),
-        Part("Residuals", tuple(block for fit in fits for block in residual_pictures(fit))),
-        Part("Residual checks", tuple(checks_table(fit) for fit in fits)),
-        Part("Equations", _equations(fits)),
-        *section.extra,
-        Part("Ledger of the reduction", ledger_tables(section)),
-        Part("Settings", settings_tables(section)),
+    return (
+        lambda: Part("In short", _summary(section, fits)),
+        lambda: Part("Operating-point migration", migration_pictures(section)),
+        lambda: Part("Surge cycles in time", time_pictures(section)),
+        lambda: Part("Spectra before and after the filter", spectra_pictures(section)),
+        lambda: Part("Quasi-steady characteristics", _characteristics(section)),
+        lambda: Part("Reconstruction against measurement", _reconstructions(section, fits)),
+        lambda: Part("Time constant by trial", _trial(section)),
+        lambda: Part("Residuals", tuple(b for fit in fits for b in residual_pictures(fit))),
+        lambda: Part("Residual checks", tuple(checks_table(fit) for fit in fits)),
+        lambda: Part("Equations", _equations(fits)),
+        *(partial(_given, part) for part in section.extra),
+        lambda: Part("Ledger of the reduction", ledger_tables(section)),
+        lambda: Part("Settings", settings_tables(section)),
     )
-    return tuple(part for part in parts if part.blocks)
+
+
+def _given(part: Part) -> Part:
+    return part
 
 
 def _summary(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Block, ...]:

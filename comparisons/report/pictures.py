@@ -8,13 +8,10 @@ import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.compare import Comparison
-from comparisons.labels import estimator_label
-from comparisons.plots_style import figure_to_data_uri
-from comparisons.report.agreement import dwelling, dwelling_words
+from comparisons.report.agreement import dwelling_words
 from comparisons.report.blocks import Block, Picture, Words
 from comparisons.report.tables import validation_table
 from comparisons.report.words import coefficient_name
-from comparisons.rounding import significant
 from comparisons.truth import Truth
 
 if TYPE_CHECKING:
@@ -63,15 +60,14 @@ def time_pictures(section: ReportSection) -> tuple[Block, ...]:
         The section.
     """
     from comparisons.plots_record import plot_series, plot_surge_cycles
+    from comparisons.plots_record_words import series_words, surge_cycles_words
 
     if section.reduction is not None:
-        from_s, to_s = section.reduction.window_s
         return (
-            Picture(
+            Picture.of(
                 "Quasi-steady surge cycles",
-                figure_to_data_uri(plot_surge_cycles(section.reduction)),
-                "Inlet corrected flow, inlet and exit total pressure, inlet total temperature and "
-                f"corrected speed over time, from {from_s:.2f} to {to_s:.2f} s.",
+                plot_surge_cycles(section.reduction),
+                surge_cycles_words(section.reduction),
                 "As Fig 12, 13 and 16 to 19 of the paper. A cycle starts at stall: flow and exit "
                 "pressure collapse and the flow reverses; inlet temperature rises in stall and "
                 "falls as the machine recovers; corrected speed mirrors it. "
@@ -84,10 +80,10 @@ def time_pictures(section: ReportSection) -> tuple[Block, ...]:
     if fit is None:
         return ()
     pictures = [
-        Picture(
+        Picture.of(
             f"φ and the coefficients in time, {series.source}",
-            figure_to_data_uri(plot_series(series)),
-            f"Flow coefficient and pressure coefficient over time, {series.source}.",
+            plot_series(series),
+            series_words(series),
             "Blue: rows in the intervals to be fitted; grey: the rest. Of a long record only the "
             "first seconds from the first interval on are drawn. A gap in ψ marks flow too small "
             "or reversed, where it is not known.",
@@ -106,27 +102,21 @@ def spectra_pictures(section: ReportSection) -> tuple[Block, ...]:
         The section.
     """
     from comparisons.plots_record import plot_inlet_spectra
+    from comparisons.plots_record_words import filter_words, inlet_spectra_words
 
     if section.reduction is None:
         return ()
-    settings = section.reduction.settings
-    word = (
-        "no low-pass was used"
-        if settings.phase == "none"
-        else f"Butterworth of order {settings.filter_order} at {settings.cutoff_hz:g} Hz, phase "
-        f"“{settings.phase}”"
-    )
     return (
-        Picture(
+        Picture.of(
             "Inlet total pressure and corrected flow",
-            figure_to_data_uri(plot_inlet_spectra(section.reduction)),
-            f"Power spectra of inlet pressure and inlet flow before and after the filter ({word}).",
+            plot_inlet_spectra(section.reduction),
+            inlet_spectra_words(section.reduction),
             "As Fig 4 to 6 of the paper, over the quasi-steady window, first-order trend removed. "
-            f"Here: {word}. The comb at low frequency is the surge cycle and its harmonics; the "
-            "peak at 82.5 Hz and its harmonic are rotating stall cells, which a one-dimensional "
-            "model cannot use. In the flow the filter attenuates less, and above the cut-off it "
-            "can add: the flow is a square root of the filtered pressures, and that makes new "
-            "harmonics.",
+            f"Here: {filter_words(section.reduction)}. The comb at low frequency is the surge "
+            "cycle and its harmonics; the peak at 82.5 Hz and its harmonic are rotating stall "
+            "cells, which a one-dimensional model cannot use. In the flow the filter attenuates "
+            "less, and above the cut-off it can add: the flow is a square root of the filtered "
+            "pressures, and that makes new harmonics.",
         ),
     )
 
@@ -142,13 +132,13 @@ def characteristic_picture(fit: Comparison, truth: Truth | None) -> Picture:
         Of a simulated record.
     """
     from comparisons.plots_fit import plot_characteristics
+    from comparisons.plots_fit_words import characteristics_words
 
     known = "" if truth is None else f" Dotted black: {truth.label}."
-    return Picture(
+    return Picture.of(
         f"Quasi-steady {coefficient_name(fit)}",
-        _drawn(plot_characteristics(fit, truth)),
-        f"Quasi-steady {coefficient_name(fit)} over φ of {len(fit.results)} estimators with bands, "
-        f"over the histogram of φ; {dwelling(fit)}.",
+        plot_characteristics(fit, truth),
+        characteristics_words(fit, truth),
         "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. Shaded: where φ "
         "dwells, from its 5th to its 95th percentile; beyond it curves are faint. "
         + dwelling_words(fit)
@@ -165,15 +155,15 @@ def reconstruction_pictures(fit: Comparison) -> tuple[Block, ...]:
         Estimators side by side.
     """
     from comparisons.plots_fit import plot_reconstruction
+    from comparisons.plots_fit_words import reconstruction_words
 
     drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)][:RECORDS_DRAWN]
     best = fit.table[0]
     pictures = [
-        Picture(
+        Picture.of(
             f"Reconstructed {coefficient_name(fit)}, {fit.records[index].source}",
-            figure_to_data_uri(plot_reconstruction(fit, index)),
-            f"Measured {coefficient_name(fit)} and its free-run reconstruction over time; above "
-            f"the whole record with {best.label}, below some cycles with all estimators.",
+            plot_reconstruction(fit, index),
+            reconstruction_words(fit, index),
             f"As Fig 27 of the paper. Above: {best.label}, the least held-out error; below: all "
             "estimators around the border to the held-out cycles. A free run knows the measured "
             "flow, and of the measured coefficient only the first row of each segment. Shaded "
@@ -193,22 +183,21 @@ def residual_pictures(fit: Comparison) -> tuple[Block, ...]:
         Estimators side by side.
     """
     from comparisons.plots_fit import plot_residual_structure, plot_residuals
+    from comparisons.plots_fit_words import residual_structure_words, residuals_words
 
     name = coefficient_name(fit)
-    rms = ", ".join(f"{r.label} {significant(r.free_run.rms, 2)}" for r in fit.results)
     return (
-        Picture(
+        Picture.of(
             f"Free-run errors in time, {name}",
-            figure_to_data_uri(plot_residuals(fit)),
-            f"Measured minus reconstructed {name} over time, one strip an estimator; rms {rms}.",
+            plot_residuals(fit),
+            residuals_words(fit),
             "All strips have one scale. What repeats in every cycle is structure that the model "
             "lacks, not noise; a level that wanders over the cycles is drift.",
         ),
-        Picture(
+        Picture.of(
             f"Structure of the residuals, {name}",
-            figure_to_data_uri(plot_residual_structure(fit)),
-            f"Spectra of the free-run errors of the {name} beside the measured signal; "
-            "autocorrelation of the one-step errors and their correlation with φ.",
+            plot_residual_structure(fit),
+            residual_structure_words(fit),
             "Above: where an error's spectrum lies far below the grey signal the model explains "
             "that frequency; where it lies in the grey band it explains nothing. Below left: "
             "one-step errors should stay inside the grey band at 99 % of the lags; on data that "
@@ -229,24 +218,23 @@ def trial_picture(fit: Comparison, truth: Truth | None) -> tuple[Block, ...]:
     truth : Truth or None
         Marked where it is known.
     """
-    from comparisons.plots import plot_tau_trial
+    from comparisons.plots_fit_words import tau_trial_words
+    from comparisons.plots_tau_trial import plot_tau_trial
     from comparisons.tau_trial import trial_of
 
     trial = trial_of(fit)
-    low, high = (1e3 * edge for edge in trial.interval_s)
     where = (
         "the scored rows of the free run through the unfiltered signals"
         if fit.has_whole_run
         else "the fitted rows, from each segment's own start"
     )
+    true_s = truth.time_constant_s if truth else None
     return (
-        Picture(
+        Picture.of(
             "Reconstruction error over τ",
-            figure_to_data_uri(
-                plot_tau_trial(trial, truth.time_constant_s if truth else None, marked_as="truth")
-            ),
-            f"Error of the free run over the τ that is held, on {where}; least at "
-            f"{1e3 * trial.best_tau_s:.3g} ms, no worse from {low:.3g} to {high:.3g} ms.",
+            plot_tau_trial(trial, true_s, marked_as="truth"),
+            tau_trial_words(trial),
+            f"Scored on {where}. "
             "As the paper found its 18 ms, by trial. A flat bottom says that the record hardly "
             "tells τ; a least error far from an estimate says that the two answer different "
             "questions. `compare --tau` holds a value.",
@@ -263,6 +251,7 @@ def validation_picture(runs: tuple[Reconstruction, ...]) -> tuple[Block, ...]:
         Models and the records they were run on.
     """
     from comparisons.plots_fit import plot_validation
+    from comparisons.plots_fit_words import validation_words
 
     groups: dict[tuple[str, str], list[Reconstruction]] = {}
     for run in runs:
@@ -270,15 +259,11 @@ def validation_picture(runs: tuple[Reconstruction, ...]) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for (source, target), members in groups.items():
         symbol = "ψ'" if target == "psi_p" else "ψ"
-        scores = ", ".join(
-            f"{estimator_label(r.model.estimator)} {significant(r.score.rms, 2)}" for r in members
-        )
         blocks.append(
-            Picture(
+            Picture.of(
                 f"Validation on {source}: {symbol}",
-                figure_to_data_uri(plot_validation(tuple(members))),
-                f"Measured {symbol} of {source} and free runs of models fitted elsewhere; rms "
-                f"{scores}.",
+                plot_validation(tuple(members)),
+                validation_words(tuple(members)),
                 "Nothing was fitted to this record. Above the model with the least error over the "
                 "whole record, below all models in its middle. Shaded: φ beyond where it dwelt in "
                 "the fit (5th to 95th percentile), where the reconstruction rests on extrapolated "
@@ -292,16 +277,13 @@ def validation_picture(runs: tuple[Reconstruction, ...]) -> tuple[Block, ...]:
 
 def _operating_points(reduction: Reduction) -> tuple[Block, ...]:
     from comparisons.plots_record import plot_hub_and_tip, plot_operating_points
+    from comparisons.plots_record_words import hub_and_tip_words, operating_points_words
 
-    ratio = reduction.record["pressure_ratio"]
-    flow = reduction.record["Wc25_kg_s"]
     blocks: list[Block] = [
-        Picture(
+        Picture.of(
             "Face average",
-            figure_to_data_uri(plot_operating_points(reduction)),
-            "Pressure ratio over inlet corrected flow: the whole record, with the pressure ratio "
-            f"between {ratio.min():.1f} and {ratio.max():.1f} and the flow between "
-            f"{flow.min():.0f} and {flow.max():.0f} kg/s, and the quasi-steady cycles alone.",
+            plot_operating_points(reduction),
+            operating_points_words(reduction),
             "As Fig 9 (left) and Fig 11 (right) of the paper. The star marks the highest pressure "
             "ratio before the first stall. From there the machine reverses, blows down at reversed "
             "flow and settles into cycles that need not return to the first stall point: the "
@@ -311,10 +293,10 @@ def _operating_points(reduction: Reduction) -> tuple[Block, ...]:
     figure = plot_hub_and_tip(reduction)
     if figure is not None:
         blocks.append(
-            Picture(
+            Picture.of(
                 "Tip and hub",
-                figure_to_data_uri(figure),
-                "Pressure ratio over the corrected flow of the tip probes and of the hub probes.",
+                figure,
+                hub_and_tip_words(reduction),
                 "As Fig 14 and 15 of the paper. Flow at the tip reverses further than at the hub: "
                 "the reversal is not axisymmetric, and an average of both hides it.",
             )
@@ -331,26 +313,17 @@ def _unstalled_words(reduction: Reduction) -> str:
 
 def _loops(series: CoefficientSeries, target: str) -> Picture:
     from comparisons.plots_record import plot_loops
+    from comparisons.plots_record_words import loops_words
 
     symbol = "ψ'" if target == "psi_p" else "ψ"
-    return Picture(
+    return Picture.of(
         f"{symbol} over φ, {series.source}",
-        _drawn(plot_loops(series, target)),
-        f"Instantaneous {symbol} over the flow coefficient, {series.source}.",
+        plot_loops(series, target),
+        loops_words(series, target),
         "The record came as coefficients, so that pressure ratio and flow are not known. A loop "
         "that is open is lag: at one φ the coefficient is higher on the way down than on the way "
         "up, or the other way round. Blue: intervals that are fitted.",
     )
-
-
-def _drawn(ax: object) -> str:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    figure = ax.get_figure() if isinstance(ax, Axes) else None
-    if not isinstance(figure, Figure):
-        raise TypeError("the axes belong to no figure")
-    return figure_to_data_uri(figure)
 
 
 def _left_out(records: tuple[CoefficientSeries, ...]) -> tuple[Words, ...]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from classic_ml.files import check_target, write_whole
 from comparisons.compare import Comparison
@@ -67,7 +67,12 @@ class ReportSection:
 
 
 def render_report(
-    sections: Sequence[ReportSection], *, title: str, command: str, version: str | None = None
+    sections: Sequence[ReportSection],
+    *,
+    title: str,
+    command: str,
+    version: str | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> str:
     """Return a report as one self-contained HTML page.
 
@@ -81,6 +86,8 @@ def render_report(
         The command line that made it.
     version : str, optional
         Version of this package; that of the installed one without it.
+    progress : callable
+        Wraps the iteration over the parts, to show how far the drawing is.
 
     Returns
     -------
@@ -88,24 +95,22 @@ def render_report(
         HTML with its style and its images in it. All text is escaped: names of files and
         channels, and what ledgers say, are data.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    from comparisons.report.parts import parts_of
+    from comparisons.report.page import render_page
+    from comparisons.report.parts import makers_of
 
     chosen = version_of("sindy-surge") if version is None else version
-    environment = Environment(
-        loader=PackageLoader("comparisons.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.jinja").render(
+    makers = [(place, make) for place, one in enumerate(sections) for make in makers_of(one)]
+    parts: list[list[Part]] = [[] for _ in sections]
+    for place, make in progress(makers):
+        part = make()
+        if part.blocks:
+            parts[place].append(part)
+    return render_page(
+        [(section.title, own) for section, own in zip(sections, parts, strict=True)],
         title=title,
         command=command,
         version=chosen,
         versions=_versions(chosen),
-        sections=[(section.title, parts_of(section)) for section in sections],
     )
 
 
@@ -116,6 +121,7 @@ def write_report(
     title: str,
     command: str,
     version: str | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> None:
     """Write a report, whole or not at all.
 
@@ -123,7 +129,7 @@ def write_report(
     ----------
     path : str or path
         Target, ending in ``.html``.
-    sections, title, command, version
+    sections, title, command, version, progress
         See :func:`render_report`.
 
     Raises
@@ -133,7 +139,8 @@ def write_report(
     """
     target = Path(path)
     check_target(target, (".html", ".htm"))
-    write_whole(target, render_report(sections, title=title, command=command, version=version))
+    page = render_report(sections, title=title, command=command, version=version, progress=progress)
+    write_whole(target, page)
 
 
 def _versions(version: str) -> Table:

@@ -42,7 +42,10 @@ def summary_table(fit: Comparison) -> Table:
     fit : Comparison
         Estimators side by side.
     """
-    heads = tuple(Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1]) for f in FIELDS)
+    heads = tuple(
+        Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1], "best" if f.numeric else "")
+        for f in FIELDS
+    )
     rows = tuple(
         _with_name(cells, row.label, row.estimator)
         for cells, row in zip(comparison_cells(fit), fit.table, strict=True)

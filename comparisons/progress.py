@@ -1,0 +1,88 @@
+"""How far a long work is: bars on a terminal, nothing where stderr is none."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+from typing import Any, TypeVar
+
+__all__ = ["shown_over", "shown_steps"]
+
+_T = TypeVar("_T")
+# So often a bar is drawn anew while a step lasts, in seconds: a clock that stands looks like death.
+_TICK_S = 0.5
+
+
+def shown_over(
+    items: Iterable[_T], *, unit: str = "step", words: str = "", total: int | None = None
+) -> Iterable[_T]:
+    """Show how far an iteration is.
+
+    Parameters
+    ----------
+    items : iterable
+        What is worked through.
+    unit : str
+        What one of them is.
+    words : str
+        What is done.
+    total : int, optional
+        How many there are, where they come one by one; without it they are counted first.
+    """
+    if total is None:
+        items = list(items)
+        total = len(items)
+    with _bar(total=total, unit=unit) as bar:
+        bar.set_description_str(words)
+        for item in items:
+            yield item
+            bar.update()
+
+
+@contextmanager
+def shown_steps(steps: int) -> Iterator[Callable[[str], None]]:
+    """Give a function that says which step begins.
+
+    Parameters
+    ----------
+    steps : int
+        How many there are at most.
+    """
+    with _bar(total=steps, unit="step") as bar:
+        begun = False
+
+        def told(words: str) -> None:
+            nonlocal begun
+            if begun:
+                bar.update()
+            begun = True
+            bar.set_description_str(words)
+
+        yield told
+
+
+@contextmanager
+def _bar(total: int, unit: str) -> Iterator[Any]:
+    """Draw a bar whose clock goes on while a step lasts, and take it away at the end."""
+    from tqdm import tqdm
+
+    shown = sys.stderr.isatty()
+    with tqdm(total=total, unit=unit, leave=False, disable=not shown) as bar:
+        if not shown:
+            yield bar
+            return
+        ended = Event()
+
+        def tick() -> None:
+            while not ended.wait(_TICK_S):
+                bar.refresh()
+
+        ticking = Thread(target=tick, daemon=True)
+        ticking.start()
+        try:
+            yield bar
+        finally:
+            ended.set()
+            ticking.join()

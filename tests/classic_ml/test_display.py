@@ -1,0 +1,212 @@
+"""What a terminal and a notebook show of fits, records, series and reductions."""
+
+from __future__ import annotations
+
+import html
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from lag_data import BETA, PERIOD_S, flow, lagged
+from raw_data import make_test
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from classic_ml import LagRegressor
+from classic_ml.display import Displayed, Field, Grid, Sheet
+from classic_ml.records import Dropped, LedgerEntry, Record
+from classic_ml.reduction import reduce_record
+from classic_ml.series import CoefficientSeries
+from classic_ml.sheets import record_sheet, reduction_sheet, series_sheet
+
+EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)></style>&amp;"
+SHEET = Sheet(
+    "Something",
+    (Field("state", "well: as it should be", "good"), Field("names", ("a", "b"))),
+    (
+        Grid("Numbers", ("name", "value"), (("first", "1.2 ± 0.3"), ("second", "10")), marked=1),
+        Grid("Ledger", ("step", "did"), (("read", "4001 rows"),), frozenset({0, 1}), folded=True),
+    ),
+)
+
+
+class Markup(HTMLParser):
+    """Tags and words of a document; an unbalanced tag is an error."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag != "br":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words.append(data)
+
+
+def fitted(seed: int = 0) -> LagRegressor:
+    rng = np.random.default_rng(seed)
+    phi = flow(1500, rng)
+    psi_p = lagged(phi, "zero") + 0.003 * rng.standard_normal(phi.size)
+    return LagRegressor(PERIOD_S, noise="output-error").fit(phi[:, None], psi_p)
+
+
+@pytest.fixture(scope="module")
+def model() -> LagRegressor:
+    return fitted()
+
+
+def test_text_and_html_tell_the_same() -> None:
+    words = Markup(SHEET.html()).words
+    told = [SHEET.title, *(line for f in SHEET.fields for line in (f.label, *f.lines))]
+    told += [cell for row in SHEET.grids[0].rows for cell in row]
+    for line in told:
+        assert line in words
+        assert line in SHEET.text()
+    # A folded table is a line in a terminal and opens in a notebook.
+    assert "4001 rows" not in SHEET.text()
+    assert "4001 rows" in words
+    assert SHEET.html().count("<details>") == 1
+    assert SHEET.html().count('class="chosen"') == 1
+
+
+def test_every_string_is_escaped_and_every_head_has_a_scope() -> None:
+    sheet = Sheet(
+        EVIL,
+        (Field(EVIL, EVIL, "advice"), Field("b", (EVIL, EVIL))),
+        (
+            Grid(EVIL, (EVIL, EVIL), ((EVIL, EVIL),)),
+            Grid(EVIL, (EVIL,), ((EVIL,),), folded=True),
+        ),
+    )
+    text = sheet.html()
+    markup = Markup(text)
+    assert {tag for tag, _ in markup.tags}.isdisjoint({"script", "img", "a", "link"})
+    assert text.count("<style>") == text.count("</style>") == 1
+    assert html.escape(EVIL) in text
+    assert markup.words.count(EVIL) == 13
+    assert all(attrs.get("scope") in ("row", "col") for tag, attrs in markup.tags if tag == "th")
+    assert not any(name.startswith("on") for _, attrs in markup.tags for name in attrs)
+    assert "url(" not in text
+
+
+def test_a_fit_shows_its_lag_and_terms_to_their_errors(model: LagRegressor) -> None:
+    shown = model._repr_html_()
+    words = Markup(shown).words
+    value, error = re.search(r"([\d.]+) ± ([\d.]+) ms", shown).groups()  # type: ignore[union-attr]
+    assert float(value) == pytest.approx(1e3 * model.time_constant_s_, abs=float(error))
+    assert float(error) == pytest.approx(1e3 * model.time_constant_stderr_s_, rel=0.1)
+    # As many decimals for the value as for its error.
+    assert len(value.partition(".")[2]) == len(error.partition(".")[2])
+    assert abs(float(value) - 18.0) < 4.0 * float(error)
+    for name, beta, stderr in zip(
+        model.terms_, BETA, np.sqrt(np.diag(model.covariance_)), strict=True
+    ):
+        told = words[words.index(name) + 1]
+        number, _, spread = told.partition(" ± ")
+        assert abs(float(number) - beta) < 4.5 * stderr
+        assert float(spread) == pytest.approx(stderr, rel=0.1)
+    assert "converged" in shown
+    tau = rf"{value}\({error.removeprefix('0.')}\) ms · dy/dt \+ y = 0\.30"
+    assert re.search(tau, str(model))
+    assert str(model) == model._repr_mimebundle_()["text/plain"]
+    assert model._repr_mimebundle_()["text/html"] == shown
+
+
+def test_before_a_fit_scikit_learn_shows_it_and_repr_rebuilds_it(model: LagRegressor) -> None:
+    bare = LagRegressor(degree=3)
+    assert str(bare) == repr(bare) == "LagRegressor(degree=3)"
+    assert "sk-container" in bare._repr_html_()
+    assert repr(clone(model)) == repr(model)
+    with config_context(display="text"):
+        assert list(model._repr_mimebundle_()) == ["text/plain"]
+        assert not hasattr(model, "_repr_html_")
+    pipeline = make_pipeline(StandardScaler(), LagRegressor())
+    assert "sk-container" in pipeline._repr_html_()
+
+
+def test_a_fit_that_holds_its_lag_or_has_none_says_so() -> None:
+    rng = np.random.default_rng(1)
+    phi = flow(600, rng)
+    psi_p = lagged(phi, "zero") + 0.003 * rng.standard_normal(phi.size)
+    held = LagRegressor(PERIOD_S, time_constant_s=0.018).fit(phi[:, None], psi_p)
+    assert "18.00 ms (held)" in str(held)
+    static = LagRegressor(PERIOD_S).fit(phi[:, None], np.ones(phi.size))
+    assert "rank_deficient" in str(static)
+    assert 'class="state advice"' in static._repr_html_()
+    assert re.search(r"time constant τ +not known", str(static))
+
+
+def test_a_record_shows_its_channels_without_reading_them() -> None:
+    arrays = {"P25": (np.arange(50.0), "Pa"), EVIL: (np.ones(50), "1")}
+    record = Record.from_arrays(arrays, sample_rate_hz=200.0, start_s=3.0, source=EVIL)
+    sheet = record_sheet(record)
+    assert "50 at 200 Hz" in sheet.text()
+    assert "3.000 to 3.245 s" in sheet.text()
+    assert ("P25", "Pa") in sheet.grids[0].rows
+    assert "<script" not in sheet.html()
+
+
+def test_a_series_shows_ranges_with_units_and_folds_its_ledger() -> None:
+    n = 400
+    phi = np.linspace(-0.05, 0.25, n)
+    entry = LedgerEntry("cut", EVIL, {"rows": 3}, (Dropped("rows", 3, "late"),), ("odd",))
+    series = CoefficientSeries(
+        np.arange(n) / 1000.0,
+        phi,
+        1.0 + phi,
+        np.where(np.arange(n) < 100, 0, 1),
+        T25_K=np.linspace(300.0, 310.0, n),
+        Nc_frac=np.linspace(0.98, 0.97, n),
+        source="run.csv",
+        history=(entry,),
+    )
+    text = series_sheet(series).text()
+    for told in (
+        "400 at 1000 Hz",
+        "300 rows in 1 segment",
+        "-0.0500 to 0.250",
+        "0.950 to 1.25",
+        "300 to 310 K",
+        "97.0 to 98.0 % of design",
+        "1 step; 1 thing left out, 1 flag",
+    ):
+        assert told in text
+    assert "<script" not in series_sheet(series).html()
+    assert "late" in series_sheet(series).html()
+
+
+def test_a_reduction_shows_its_switches_and_flags() -> None:
+    reduction = reduce_record(*make_test(cells_lbm_s=8.0, noise_counts=1.5).load())
+    text = reduction_sheet(reduction).text()
+    assert "order 3 at 48 Hz, phase “zero”" in text
+    from_s, to_s = reduction.window_s
+    assert f"{from_s:.3f} to {to_s:.3f} s" in text
+    flat = " ".join(text.split())
+    for entry in reduction.record.history:
+        for flag in entry.flags:
+            assert " ".join(flag.split()) in flat
+
+
+def test_a_value_prints_and_shows_its_sheet() -> None:
+    class Value(Displayed):
+        def _sheet(self) -> Sheet:
+            return SHEET
+
+    assert str(Value()) == SHEET.text()
+    assert Value()._repr_html_() == SHEET.html()
+    assert Value()._repr_mimebundle_() == {"text/plain": SHEET.text(), "text/html": SHEET.html()}

@@ -1,0 +1,179 @@
+"""Long work shows how far it is on a terminal, and is silent where stderr is none."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from comparison_data import made_series
+from raw_data import make_test
+
+from classic_ml.series import write_series
+from comparisons.cli import main
+from comparisons.progress import shown_over, shown_steps
+
+pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
+termios = pytest.importorskip("termios", reason="no pseudo-terminals here")
+
+
+class Terminal:
+    """What was written to a pseudo-terminal."""
+
+    def __init__(self) -> None:
+        self.text = ""
+
+
+@contextmanager
+def terminal(patch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    """Put a pseudo-terminal in the place of stderr, and read what is written to it."""
+    seen = Terminal()
+    master, slave = pty.openpty()
+    termios.tcsetwinsize(slave, (24, 100))
+    pieces: list[bytes] = []
+
+    def read() -> None:
+        while True:
+            try:
+                piece = os.read(master, 65536)
+            except OSError:
+                return
+            if not piece:
+                return
+            pieces.append(piece)
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    with os.fdopen(slave, "w", encoding="utf-8") as stream, patch.context() as inner:
+        inner.setattr(sys, "stderr", stream)
+        assert sys.stderr.isatty()
+        yield seen
+    reader.join(5.0)
+    os.close(master)
+    seen.text = b"".join(pieces).decode("utf-8", "replace")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("series")
+    write_series(made_series(n=900, n_segments=3), folder / "series.csv")
+    return folder
+
+
+def arguments(folder: Path, command: str) -> list[str]:
+    series = str(folder / "series.csv")
+    return {
+        "compare": ["compare", series],
+        "orders": ["orders", series, "--degrees", "1", "2", "--lags", "0"],
+        "structure": ["structure", series, "--bootstrap", "0", "--max-terms", "3"],
+        "diagnose": ["diagnose", series, "--max-effects", "1"],
+    }[command]
+
+
+# What each bar says, and how many steps it counts.
+BARS = {
+    "compare": (r"\d/\d", "fit"),
+    "orders": (r"\d/8", "model"),
+    "structure": (r"\d/3", "choosing terms"),
+    "diagnose": (r"\d/4", "trying effects"),
+}
+
+
+@pytest.mark.parametrize("command", BARS)
+def test_a_bar_is_drawn_on_a_terminal_and_taken_away(
+    files: Path, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counted, words = BARS[command]
+    with terminal(monkeypatch) as seen:
+        assert main(arguments(files, command)) == 0
+    assert re.search(counted, seen.text)
+    assert words in seen.text
+    # The last thing that happens to the line is that it is cleared.
+    assert seen.text.endswith("\r")
+    assert "|" not in seen.text.rsplit("\r", 2)[-2].strip()
+    # What the command has to say is not mixed with it.
+    assert "\r" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", BARS)
+def test_nothing_is_drawn_where_stderr_is_a_pipe(
+    files: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments(files, command)) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out
+
+
+def test_the_search_for_breakpoints_of_the_work_characteristic_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from comparisons.work_command import fit_work
+
+    record, test = make_test(cells_lbm_s=8.0, noise_counts=1.5).load()
+    counted: list[object] = []
+
+    def count(items: object) -> Iterator[object]:
+        for item in items:  # type: ignore[attr-defined]
+            counted.append(item)
+            yield item
+
+    quiet = fit_work(record, test)
+    told = fit_work(record, test, progress=count)
+    assert len(counted) > 3
+    assert told.breakpoints == quiet.breakpoints
+
+
+@pytest.mark.parametrize("total", [None, 3])
+def test_an_iteration_is_counted_and_gives_what_it_was_given(
+    monkeypatch: pytest.MonkeyPatch, total: int | None
+) -> None:
+    with terminal(monkeypatch) as seen:
+        given = list(shown_over(iter("abc"), unit="letter", words="reading", total=total))
+    assert given == ["a", "b", "c"]
+    assert "reading" in seen.text
+    assert "0/3" in seen.text
+    assert "letter" in seen.text
+
+
+def test_a_clock_goes_on_while_a_step_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
+    from comparisons import progress
+
+    monkeypatch.setattr(progress, "_TICK_S", 0.01)
+    before = threading.active_count()
+    with terminal(monkeypatch) as seen, shown_steps(2) as begin:
+        begin("one long step")
+        threading.Event().wait(0.3)
+    assert seen.text.count("one long step") > 3
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("fails", [lambda: list(shown_over([1, 2])), lambda: None])
+def test_a_stream_that_is_no_terminal_stays_empty(
+    monkeypatch: pytest.MonkeyPatch, fails: Callable[[], object]
+) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    fails()
+    with shown_steps(3) as begin:
+        begin("one")
+        begin("two")
+    assert stream.getvalue() == ""
+
+
+def test_a_bar_goes_away_when_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> None:
+        with shown_steps(3) as begin:
+            begin("that fails")
+            raise RuntimeError("no")
+
+    with terminal(monkeypatch) as seen, pytest.raises(RuntimeError):
+        work()
+    assert "that fails" in seen.text
+    assert seen.text.endswith("\r")

@@ -1,0 +1,116 @@
+"""What a notebook shows of comparisons, models, diagnoses and studies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from comparison_data import made_comparison, made_series
+from made_diagnosis import VERDICTS, made_diagnosis
+from made_pages import EVIL
+from made_systems import machine
+from made_systems import made_diagnosis as made_system
+
+from comparisons.missing_effect.extended_lag import ExtendedLag
+from comparisons.missing_effect.quantities import tau_ms
+from comparisons.study.comparison import compare_methods, pairwise
+from comparisons.table import FIELDS, comparison_cells
+
+
+def shown(value: Any) -> tuple[str, str]:
+    """Return text and HTML, the second without what may run or load anything."""
+    text, html = str(value), value._repr_html_()
+    assert value._repr_mimebundle_() == {"text/plain": text, "text/html": html}
+    for tag in ("<script", "<img", "<link", "<svg", 'onerror="', "url("):
+        assert tag not in html
+    assert html.startswith('<div class="sindy-surge"><style>')
+    assert html.count("<style>") == html.count("</style>") == 1
+    assert len(html) < 40_000
+    return text, html
+
+
+def test_a_comparison_shows_the_table_of_the_terminal() -> None:
+    comparison = made_comparison(made_series(source=EVIL), cautions=(EVIL,))
+    text, html = shown(comparison)
+    for field in FIELDS:
+        assert field.heading in text
+    for row in comparison_cells(comparison):
+        assert row[2] in text
+        assert row[4] in html
+    assert "2395 in 6 segments, 1000 Hz" in text
+    model = comparison.results[0].model
+    text, _ = shown(model)
+    assert "18.01 ± 0.22 ms" in text
+    assert "1.20 ± 0.05" in text
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str) -> None:
+    d = made_diagnosis(verdict)
+    d = replace(d, data=replace(d.data, sources=(EVIL, "b.csv")))
+    text, html = shown(d)
+    assert verdict.replace("_", " ") in text.splitlines()[0]
+    good = verdict in ("named", "nothing_missing", "alias_set")
+    assert ('class="state"' in html) == good
+    assert tau_ms(d.tau_after_s, d.tau_stderr_s) in text
+    assert f"{d.gap.after_rms / d.gap.floor_rms:.2f}" in text
+    for item in d.missing:
+        assert " or ".join(item.alias_set) in text
+
+
+def test_a_lag_model_with_effects_shows_their_numbers_with_units() -> None:
+    model = ExtendedLag.from_fit(made_diagnosis("alias_set"))
+    text, _ = shown(model)
+    assert "transport_delay" in text
+    (added,) = model.effects
+    assert "φ(t − d)" in text
+    assert f"{1e3 * added.values[0]:.1f}" in text
+    assert "ms" in text
+    assert "coefficient ± std error" in text
+
+
+def test_a_model_of_a_users_own_shows_signals_and_parameters_with_units() -> None:
+    text, _ = shown(machine(EVIL))
+    for told in ("q [m]", "v [m/s]", "strain [-]", "0.1 to 2", "N·s/m", "input"):
+        assert told in text
+
+
+@pytest.mark.parametrize("nothing", [True, False])
+def test_a_diagnosis_of_a_users_model_shows_every_record(nothing: bool) -> None:
+    d = made_system(name=EVIL, runs={f"a{EVIL}": "training", "b": "check"}, nothing=nothing)
+    d = replace(d, remarks=(EVIL,))
+    text, html = shown(d)
+    assert d.verdict.replace("_", " ") in text.splitlines()[0]
+    for run in ("b (check)", f"a{EVIL} (training)"):
+        assert run in text
+    for item in d.missing:
+        assert item.equation in text
+    assert ("before" in html) == (not nothing)
+    assert "at its bound" in text
+
+
+def test_methods_of_a_study_are_shown_with_errors_and_units() -> None:
+    import pandas as pd
+
+    rows = [
+        {
+            "record": f"r{k}",
+            "reduction": "d",
+            "method": name,
+            "state": "ok",
+            "reason": "",
+            "tau_error_ms": 5.0 + place + 0.1 * k * (-1) ** (k + place),
+        }
+        for k in range(8)
+        for place, name in enumerate(("mine", EVIL))
+    ]
+    table = pd.DataFrame(rows)
+    (group,) = compare_methods(table, "tau_error_ms")
+    text, html = shown(group)
+    assert "[ms]" in text
+    assert "±" in text
+    assert html.count('class="chosen"') == 1
+    matrix = pairwise(table, "tau_error_ms")
+    text, _ = shown(matrix)
+    assert f"{matrix.difference[0, 1]:.1f}"[:3] in text

@@ -1,0 +1,172 @@
+"""Reports of every kind from small objects, with names as anybody may choose them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+from comparison_data import made_comparison, made_series
+from raw_data import make_test
+
+from classic_ml.reduction import Reduction, reduce_record
+from comparisons.report import Part, ReportSection, Words, render_report
+from comparisons.structure_fit import FoundStructure
+from comparisons.truth import Truth
+
+__all__ = ["EVIL", "PAGES", "made_page"]
+
+# Each would run, style or load something in a page that does not escape it.
+EVIL = (
+    "<script>document.title='run'</script>\"'><img src=x onerror=\"document.title='run'\">"
+    "</style></title></pre><svg onload=document.title='run'>{{7*7}}{% raw %}&lt;b&gt; $\\frac{1"
+)
+
+
+def made_page(kind: str, name: str = "record.csv") -> str:
+    """Return a report.
+
+    Parameters
+    ----------
+    kind : str
+        One of PAGES.
+    name : str
+        Stands for every name that a user or a file brings: records, tests, channels, methods.
+    """
+    return PAGES[kind](name)
+
+
+def _compare(name: str) -> str:
+    from comparisons.reconstruction import reconstruct_record
+
+    comparison = made_comparison(
+        made_series(source=name), cautions=(f"{name}: P25_A: 40 rows clipped",)
+    )
+    phi = np.linspace(0.0, 1.0, 50)
+    section = ReportSection(
+        name,
+        comparison,
+        truth=Truth(0.018, phi, 0.3 + 1.2 * phi - 1.5 * phi**2, f"truth of {name}"),
+        validation=(reconstruct_record(comparison.results[0].model, made_series(5, name)),),
+        extra=(Part(name, (Words(name, "code"),)),),
+    )
+    return render_report([section], title=name, command=f"sindy-surge compare {name}")
+
+
+@cache
+def _reduction() -> Reduction:
+    return reduce_record(*make_test(cells_lbm_s=8.0, noise_counts=1.5).load())
+
+
+def _reduce(name: str) -> str:
+    own = _reduction()
+    series = replace(own.series, source=name)
+    section = ReportSection(name, reduction=replace(own, series=series))
+    return render_report([section], title=name, command=f"sindy-surge reduce {name}")
+
+
+def _diagnose(name: str) -> str:
+    from made_diagnosis import Told, made_diagnosis
+
+    from comparisons.diagnose_report import diagnosis_report
+    from comparisons.missing_effect.shown import where_of
+
+    d = made_diagnosis("alias_set")
+    d = replace(d, data=replace(d.data, sources=(name, f"{name} 2")), unavailable={name: name})
+    return diagnosis_report(
+        d,
+        where_of(d, d.before),
+        where_of(d, d.after),
+        limits=Told(name),
+        command=f"sindy-surge diagnose {name}",
+    )
+
+
+def _system(name: str) -> str:
+    from made_systems import made_diagnosis
+
+    from comparisons.missing_effect.systems.report import system_report
+
+    d = made_diagnosis(name=name, runs={name: "training", f"{name} 2": "check"})
+    d = replace(d, remarks=(name,), unavailable={name: name})
+    return system_report({name: d}, f"sindy-surge diagnose --model {name}")
+
+
+@cache
+def _found() -> FoundStructure:
+    from comparisons.structure_fit import find_structure
+
+    return find_structure([made_series(n=1200, n_segments=3)], n_bootstrap=5, max_terms=4)
+
+
+def _structure(name: str) -> str:
+    from comparisons.structure_report import structure_report
+
+    found = _found()
+    records = tuple(replace(record, source=name) for record in found.records)
+    return structure_report(replace(found, records=records), command=f"structure {name}")
+
+
+def _study(name: str) -> str:
+    from comparisons.study.report import render_study_report
+
+    rng = np.random.default_rng(2)
+    rows = [
+        {
+            "cell": 3 * k + place,
+            "record": f"{name} {k}",
+            "reduction": f"d-{k}",
+            "method": method,
+            "seed": k,
+            f"record.{name}": (0.0, 1.0, 5.0)[k % 3],
+            "record.case": (name, "b")[k % 2],
+            "state": "failed" if place == 2 and k == 3 else "ok",
+            "reason": name if place == 2 and k == 3 else "",
+            "tau_error_ms": 5.0 + 0.5 * place + rng.normal(),
+            "seconds_fit": 0.1 * 4.0**place * rng.uniform(0.9, 1.1),
+            "seconds_record": 2.0,
+            "seconds_reduction": 0.5,
+        }
+        for k in range(12)
+        for place, method in enumerate(("classic_ml", "sindy", f"mine {name}"))
+    ]
+    spec = {"title": name, "record": {name: [name, 1.0]}}
+    return render_study_report(
+        pd.DataFrame(rows),
+        spec,
+        ["tau_error_ms"],
+        by=("record.case",),
+        title=name,
+        command=f"sindy-surge study {name}",
+    )
+
+
+def _reproduce(name: str) -> str:
+    from comparisons.paper.claims_base import Claim
+    from comparisons.paper.command import claims_sections
+    from comparisons.paper.figures_common import PaperFigure, one_panel
+
+    figure, ax = one_panel()
+    ax.plot([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
+    claims = [
+        Claim(1, f"p. 3 {name}", f"The filter cuts at 48 Hz {name}", 48.0, 47.9, True, name, "Hz"),
+        Claim(2, "p. 5", "The time constant is 18 ms", 18.0, 29.1, False, "by trial", "ms"),
+        Claim(3, "p. 6", "Cells turn", "half speed", name, True, "spectrum", ""),
+    ]
+    drawn = [PaperFigure(3, name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
+    return render_report(
+        claims_sections(claims, drawn), title=name, command=f"sindy-surge reproduce {name}"
+    )
+
+
+PAGES: dict[str, Callable[[str], str]] = {
+    "compare": _compare,
+    "reduce": _reduce,
+    "diagnose": _diagnose,
+    "system": _system,
+    "structure": _structure,
+    "study": _study,
+    "reproduce": _reproduce,
+}
