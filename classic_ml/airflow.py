@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from classic_ml.errors import InputError
+from classic_ml.flow_kernels import invert_flow, pair_flow
+from classic_ml.order_statistics import lowest
 from classic_ml.readers.test_description import Compressor, ProbePair, TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.workspace import ColumnWriter, blocks
 
 __all__ = [
     "LBM_KG",
@@ -21,6 +25,7 @@ __all__ = [
     "mach_from_corrected_flow",
     "physical_flow",
     "plane_averages",
+    "plane_flows",
     "true_mach",
 ]
 
@@ -125,28 +130,20 @@ def mach_from_corrected_flow(
     """
     gamma = compressor.gamma
     exponent = (gamma + 1.0) / (2.0 * (gamma - 1.0))
-    target = np.abs(np.asarray(corrected_kg_s)) / _flow_constant(area_m2, compressor)
+    constant_kg_s = _flow_constant(area_m2, compressor)
+    share = np.asarray(corrected_kg_s, dtype=np.float64) / constant_kg_s
     choked = (2.0 / (gamma + 1.0)) ** exponent
-    if np.any(target > choked):
+    largest = max(np.max(share, initial=0.0), -np.min(share, initial=0.0))
+    if largest > choked:
         raise InputError(
             "corrected flow",
-            expected=f"at most {choked * _flow_constant(area_m2, compressor):.4g} kg/s through "
-            f"{area_m2:g} m²",
-            found=f"{np.max(target) * _flow_constant(area_m2, compressor):.4g} kg/s",
+            expected=f"at most {choked * constant_kg_s:.4g} kg/s through {area_m2:g} m²",
+            found=f"{largest * constant_kg_s:.4g} kg/s",
             remedy="check the area and the calibration of the probes",
         )
-    mach = target.copy()
-    # m ← target·(1 + (γ−1)/2 m²)^e converges from below; Newton on the logarithm finishes it in
-    # a few steps everywhere but at the choke itself, where the slope is zero.
-    for _ in range(60):
-        bracket = 1.0 + 0.5 * (gamma - 1.0) * mach**2
-        residual = mach / bracket**exponent - target
-        slope = (1.0 - mach**2) / bracket ** (exponent + 1.0)
-        step = residual / np.maximum(slope, 1e-6)
-        mach = np.clip(mach - step, 0.0, 1.0)
-        if np.max(np.abs(step), initial=0.0) < 1e-14:
-            break
-    return np.asarray(np.sign(corrected_kg_s) * mach)
+    mach = np.empty(share.shape)
+    invert_flow(np.ravel(share), gamma, mach.reshape(-1))
+    return mach
 
 
 def physical_flow(
@@ -179,6 +176,8 @@ def present_pairs(record: Record, test: TestDescription, plane: int) -> tuple[Pr
 def local_flows(record: Record, test: TestDescription) -> Record:
     """Compute corrected flow and total pressure at every probe pair (Eq 1 to 3).
 
+    A reduction needs their averages alone: see :func:`plane_flows`.
+
     Parameters
     ----------
     record : Record
@@ -190,40 +189,74 @@ def local_flows(record: Record, test: TestDescription) -> Record:
     -------
     Record
         With ``Wc25_A_tip_kg_s``, ``Pt25_A_tip_Pa`` and so on for every pair in the record.
+
+    Raises
+    ------
+    InputError
+        When an absolute pressure is not positive.
     """
-    added: list[Channel] = []
-    reversed_share: dict[str, str | int | float | bool] = {}
-    for plane, area in test.areas_m2.items():
-        for pair in present_pairs(record, test, plane):
-            forward, aft = record[pair.forward.name], record[pair.aft.name]
-            _check_absolute(record, pair)
-            calculated = calculated_mach(forward, aft, test.compressor.gamma)
-            mach = true_mach(calculated, pair.forward.probe_slope, pair.forward.probe_offset)
-            flow = corrected_flow(mach, area, test.compressor)
-            total = np.maximum(forward, aft)
-            added.append(Channel(f"Wc{pair.name}_kg_s", flow, "kg/s"))
-            added.append(Channel(f"Pt{pair.name}_Pa", total, "Pa"))
-            reversed_share[f"reversed_{pair.name}"] = round(float(np.mean(flow < 0.0)), 4)
-    entry = LedgerEntry(
+    pairs = _all_pairs(record, test)
+    names = [f"{kind}{p.name}_{u}" for p in pairs for kind, u in (("Wc", "kg_s"), ("Pt", "Pa"))]
+    columns = {name: record.workspace.writer(record.n_samples) for name in names}
+    n_reversed = dict.fromkeys((pair.name for pair in pairs), 0)
+    for rows in blocks(record.n_samples):
+        for pair in pairs:
+            flow, total, n_rows = _pair_flow(record, test, pair, rows)
+            columns[f"Wc{pair.name}_kg_s"].append(flow)
+            columns[f"Pt{pair.name}_Pa"].append(total)
+            n_reversed[pair.name] += n_rows
+        record.workspace.release()
+    added = [_channel(name, column) for name, column in columns.items()]
+    return record.after(_flows_entry(n_reversed, record.n_samples), add=added)
+
+
+def _all_pairs(record: Record, test: TestDescription) -> list[ProbePair]:
+    return [pair for plane in test.areas_m2 for pair in present_pairs(record, test, plane)]
+
+
+def _channel(name: str, column: ColumnWriter) -> Channel:
+    """Return a column as a channel, its unit told by the name."""
+    unit = {"s": "kg/s", "Pa": "Pa", "K": "K"}[name.rpartition("_")[2]]
+    return Channel(name, column.finished(), unit)
+
+
+def _flows_entry(n_reversed: Mapping[str, int], n_rows: int) -> LedgerEntry:
+    return LedgerEntry(
         "local flows",
-        f"Eq 1 to 3 at {len(added) // 2} probe pairs; the share of rows with reversed flow is in "
+        f"Eq 1 to 3 at {len(n_reversed)} probe pairs; the share of rows with reversed flow is in "
         "the parameters",
-        reversed_share,
+        {f"reversed_{name}": round(n / max(n_rows, 1), 4) for name, n in n_reversed.items()},
     )
-    return record.after(entry, add=added)
 
 
-def _check_absolute(record: Record, pair: ProbePair) -> None:
-    for probe in (pair.forward, pair.aft):
-        values = record[probe.name]
-        if np.min(values) <= 0.0:
-            row = int(np.argmin(values))
-            raise InputError(
-                f"{record.source}: channel {probe.name}",
-                expected="a positive absolute pressure",
-                found=f"{values[row]:g} Pa at {record.time_s[row]:.3f} s",
-                remedy="check zoc_reference_Pa and the zero and calibrate readings",
-            )
+def _pair_flow(
+    record: Record, test: TestDescription, pair: ProbePair, rows: slice
+) -> tuple[FloatArray, FloatArray, int]:
+    """Return corrected flow and total pressure in some rows, and in how many it is reversed."""
+    forward, aft = record[pair.forward.name][rows], record[pair.aft.name][rows]
+    flow, total = np.empty(forward.size), np.empty(forward.size)
+    slope, offset = pair.forward.probe_slope, pair.forward.probe_offset
+    constant = _flow_constant(test.areas_m2[pair.forward.plane], test.compressor)
+    gamma = test.compressor.gamma
+    reversed_, refused = pair_flow(forward, aft, gamma, slope, offset, constant, flow, total)
+    if refused:
+        raise _not_absolute(record, test)
+    return flow, total, int(reversed_)
+
+
+def _not_absolute(record: Record, test: TestDescription) -> InputError:
+    """Tell of the least reading of the first channel that is not above zero throughout."""
+    probes = [probe for pair in _all_pairs(record, test) for probe in (pair.forward, pair.aft)]
+    for probe in probes:
+        low, row = lowest(record[probe.name], workspace=record.workspace)
+        if low <= 0.0:
+            break
+    return InputError(
+        f"{record.source}: channel {probe.name}",
+        expected="a positive absolute pressure",
+        found=f"{low:g} Pa at {record.time_at_s(row):.3f} s",
+        remedy="check zoc_reference_Pa and the zero and calibrate readings",
+    )
 
 
 def plane_averages(record: Record, test: TestDescription, probes: str = "all") -> Record:
@@ -253,52 +286,95 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
     InputError
         When an immersion that is wanted has no pair left, or plane 25 no thermocouple.
     """
-    wanted = ("tip", "hub") if probes == "all" else (probes,)
-    added: list[Channel] = []
-    for plane in test.areas_m2:
-        pairs = present_pairs(record, test, plane)
-        by_place = {i: [p.name for p in pairs if p.immersion == i] for i in ("tip", "hub")}
-        used = [
-            i for i in wanted if by_place[i] or any(p.immersion == i for p in test.pairs(plane))
-        ]
-        _check_places(record, plane, used, by_place)
-        flow = {
-            i: _mean(record[f"Wc{n}_kg_s"] for n in by_place[i]) for i in by_place if by_place[i]
-        }
-        total = {i: _mean(record[f"Pt{n}_Pa"] for n in by_place[i]) for i in used}
-        corrected = _mean(flow[i] for i in used)
-        pressure = _mean(total[i] for i in used)
-        added.append(Channel(f"Wc{plane}_kg_s", corrected, "kg/s"))
-        added += [Channel(f"Wc{plane}_{i}_kg_s", values, "kg/s") for i, values in flow.items()]
-        added.append(Channel(f"P{plane}_Pa", pressure, "Pa"))
-        couples = [c.name for c in test.thermocouples(plane) if c.name in record]
-        if couples:
-            temperature = _mean(record[name] for name in couples)
-            added.append(Channel(f"T{plane}_K", temperature, "K"))
-            added.append(
-                Channel(f"W{plane}_kg_s", physical_flow(corrected, pressure, temperature), "kg/s")
-            )
-        elif plane == 25:
-            raise InputError(
-                f"{record.source}: plane 25",
-                expected="at least one thermocouple that can be used",
-                found="none",
-                remedy="without T25 there is neither φ nor ψ'",
-            )
+
+    def flow_and_total(pair: ProbePair, rows: slice) -> tuple[FloatArray, FloatArray]:
+        return record[f"Wc{pair.name}_kg_s"][rows], record[f"Pt{pair.name}_Pa"][rows]
+
+    return _averaged(record, test, probes, flow_and_total)
+
+
+def plane_flows(record: Record, test: TestDescription, probes: str = "all") -> Record:
+    """Compute what :func:`plane_averages` makes of :func:`local_flows`, without keeping the latter.
+
+    Parameters
+    ----------
+    record : Record
+        Calibrated pressures in Pa, and temperatures in K.
+    test : TestDescription
+        Places and probe constants.
+    probes : {"all", "tip", "hub"}
+        Immersions to use.
+
+    Returns
+    -------
+    Record
+        With the plane averages, equal to the last bit, and the ledger entries of both steps.
+
+    Raises
+    ------
+    InputError
+        As both do.
+    """
+    n_reversed = {pair.name: 0 for pair in _all_pairs(record, test)}
+
+    def flow_and_total(pair: ProbePair, rows: slice) -> tuple[FloatArray, FloatArray]:
+        flow, total, n_rows = _pair_flow(record, test, pair, rows)
+        n_reversed[pair.name] += n_rows
+        return flow, total
+
+    averaged = _averaged(record, test, probes, flow_and_total)
+    entry = averaged.history[-1]
+    flows = _flows_entry(n_reversed, record.n_samples)
+    return replace(averaged, history=(*record.history, flows, entry))
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """What is averaged over one plane."""
+
+    plane: int
+    pairs: Mapping[str, tuple[ProbePair, ...]]
+    used: tuple[str, ...]
+    couples: tuple[str, ...]
+
+    def names(self) -> list[str]:
+        """Return the names of the averages."""
+        p = self.plane
+        flows = [f"Wc{p}_kg_s", *(f"Wc{p}_{i}_kg_s" for i in self.pairs)]
+        return [*flows, f"P{p}_Pa", *([f"T{p}_K", f"W{p}_kg_s"] if self.couples else [])]
+
+
+def _averaged(
+    record: Record,
+    test: TestDescription,
+    probes: str,
+    flow_and_total: Callable[[ProbePair, slice], tuple[FloatArray, FloatArray]],
+) -> Record:
+    planes = [_plane(record, test, plane, probes) for plane in test.areas_m2]
+    n = record.n_samples
+    columns = {name: record.workspace.writer(n) for plane in planes for name in plane.names()}
+    for rows in blocks(n):
+        for plane in planes:
+            for name, values in _plane_block(record, plane, rows, flow_and_total).items():
+                columns[name].append(values)
+        record.workspace.release()
     entry = LedgerEntry(
         "plane averages",
         f"arithmetic mean over rakes and immersions ({probes}), Eq 4 at each plane",
         {
             "probes": probes,
-            **{f"pairs_{p}": len(present_pairs(record, test, p)) for p in test.areas_m2},
+            **{f"pairs_{p.plane}": sum(map(len, p.pairs.values())) for p in planes},
         },
     )
-    return record.after(entry, add=added)
+    return record.after(entry, add=[_channel(name, c) for name, c in columns.items()])
 
 
-def _check_places(
-    record: Record, plane: int, used: list[str], by_place: dict[str, list[str]]
-) -> None:
+def _plane(record: Record, test: TestDescription, plane: int, probes: str) -> _Plane:
+    """Choose what is averaged over a plane, or refuse where there is too little."""
+    wanted = ("tip", "hub") if probes == "all" else (probes,)
+    pairs = present_pairs(record, test, plane)
+    by_place = {i: tuple(p for p in pairs if p.immersion == i) for i in ("tip", "hub")}
+    used = [i for i in wanted if by_place[i] or any(p.immersion == i for p in test.pairs(plane))]
     missing = [i for i in used if not by_place[i]]
     if missing or not used:
         raise InputError(
@@ -307,7 +383,46 @@ def _check_places(
             found="none",
             remedy="the history of the record says which were left out and why",
         )
+    couples = tuple(c.name for c in test.thermocouples(plane) if c.name in record)
+    if plane == 25 and not couples:
+        raise InputError(
+            f"{record.source}: plane 25",
+            expected="at least one thermocouple that can be used",
+            found="none",
+            remedy="without T25 there is neither φ nor ψ'",
+        )
+    return _Plane(plane, {i: p for i, p in by_place.items() if p}, tuple(used), couples)
 
 
-def _mean(values: Iterable[FloatArray]) -> FloatArray:
-    return np.asarray(np.mean(np.stack(list(values)), axis=0))
+def _plane_block(
+    record: Record,
+    plane: _Plane,
+    rows: slice,
+    flow_and_total: Callable[[ProbePair, slice], tuple[FloatArray, FloatArray]],
+) -> dict[str, FloatArray]:
+    """Return the averages of one plane over some rows."""
+    p = plane.plane
+    flow: dict[str, FloatArray] = {}
+    total: dict[str, FloatArray] = {}
+    for immersion, pairs in plane.pairs.items():
+        flows, totals = zip(*(flow_and_total(pair, rows) for pair in pairs), strict=True)
+        flow[immersion], total[immersion] = _mean(flows), _mean(totals)
+    corrected = _mean([flow[i] for i in plane.used])
+    pressure = _mean([total[i] for i in plane.used])
+    values = {f"Wc{p}_kg_s": corrected, f"P{p}_Pa": pressure}
+    values |= {f"Wc{p}_{i}_kg_s": flow[i] for i in flow}
+    if plane.couples:
+        temperature = _mean([record[name][rows] for name in plane.couples])
+        values[f"T{p}_K"] = temperature
+        values[f"W{p}_kg_s"] = physical_flow(corrected, pressure, temperature)
+    return values
+
+
+def _mean(values: Sequence[FloatArray]) -> FloatArray:
+    if len(values) == 1:
+        return values[0]
+    added = values[0] + values[1]
+    for further in values[2:]:
+        added += further
+    added /= len(values)
+    return added

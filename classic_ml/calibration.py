@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
-from classic_ml.readers.test_description import Converter, PressureChannel, TestDescription
+from classic_ml.flow_kernels import change_scale
+from classic_ml.order_statistics import mean
+from classic_ml.rates import rate_in
+from classic_ml.readers.test_description import (
+    Converter,
+    PressureChannel,
+    ProbePair,
+    TemperatureChannel,
+    TestDescription,
+)
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.workspace import blocks, evaluated
 
 __all__ = [
     "calibrate",
+    "calibrate_and_match",
     "check_facing",
     "invert_thermocouples",
     "match_near_stall",
     "near_stall_rows",
     "pressure_from_counts",
+    "probe_pressure_Pa",
     "volts",
 ]
 
@@ -24,6 +39,10 @@ MINIMUM_NEAR_STALL_ROWS = 20
 # The match mends the drift of an amplifier. A reading that is off by more has another unit,
 # or its zero and calibrate readings belong to another channel.
 PLAUSIBLE_BIAS = 0.2
+# No thermocouple is off by an eighth; 698 K written in °F is off by a seventh.
+PLAUSIBLE_BIAS_K = 0.12
+# What a probe in the wake of its mate reads, over the total pressure, up to sonic flow.
+LEAST_IN_WAKE = 0.5
 
 
 def volts(counts: FloatArray | float, adc: Converter) -> FloatArray:
@@ -34,7 +53,7 @@ def volts(counts: FloatArray | float, adc: Converter) -> FloatArray:
 def pressure_from_counts(
     channel: PressureChannel, adc: Converter, counts: FloatArray
 ) -> FloatArray:
-    """Return the pressure that a transducer saw.
+    """Return the pressure that a transducer in counts saw.
 
     Parameters
     ----------
@@ -50,10 +69,33 @@ def pressure_from_counts(
     ndarray of shape (n,)
         P = (V − V_zero)/S + P_zoc with S = (V_calibrate − V_zero)/ΔP_calibrate, in pascal.
     """
-    zero_V = volts(channel.zero_count, adc)
-    calibrate_V = volts(channel.calibrate_count, adc)
-    sensitivity_V_Pa = (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
+    zero_V, sensitivity_V_Pa = _zero_and_sensitivity(channel, adc)
     return np.asarray((volts(counts, adc) - zero_V) / sensitivity_V_Pa + channel.zoc_reference_Pa)
+
+
+def _zero_and_sensitivity(channel: PressureChannel, adc: Converter) -> tuple[float, float]:
+    zero_V = float(volts(channel.zero_count, adc))
+    calibrate_V = float(volts(channel.calibrate_count, adc))
+    return zero_V, (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
+
+
+def probe_pressure_Pa(
+    channel: PressureChannel, test: TestDescription, readings: FloatArray
+) -> FloatArray:
+    """Return the pressure that a probe saw, whatever its readings are in.
+
+    Parameters
+    ----------
+    channel : PressureChannel
+        The probe.
+    test : TestDescription
+        The test it belongs to.
+    readings : ndarray of shape (n,)
+        As a record has them: codes, or Pa, which are returned as they are.
+    """
+    if channel.record_unit == "Pa":
+        return readings
+    return pressure_from_counts(channel, test.adc, readings)
 
 
 def calibrate(record: Record, test: TestDescription) -> Record:
@@ -62,7 +104,7 @@ def calibrate(record: Record, test: TestDescription) -> Record:
     Parameters
     ----------
     record : Record
-        Counts and kelvin, as read.
+        Counts or Pa, and kelvin, as read.
     test : TestDescription
         Calibration of each channel.
 
@@ -71,46 +113,136 @@ def calibrate(record: Record, test: TestDescription) -> Record:
     Record
         Pressures in Pa; temperatures divided by the recovery factor T_i/T.
     """
-    added = []
+    _check_units(record, test)
+    changes = {name: change for name, change in _calibrations(test).items() if change != _Change()}
+    return record.after(_calibrated(test), add=_changed(record, changes))
+
+
+def calibrate_and_match(record: Record, test: TestDescription, match: str = "pair") -> Record:
+    """Calibrate, check how the probes face, and match near stall, all in one pass.
+
+    Parameters
+    ----------
+    record : Record
+        Counts or Pa, and kelvin, as read.
+    test : TestDescription
+        Calibration of each channel, and the facility's reading.
+    match : {"pair", "forward", "none"}
+        As :func:`match_near_stall` takes it.
+
+    Returns
+    -------
+    Record
+        What :func:`calibrate` and :func:`match_near_stall` give one after the other, to the last
+        bit and with both ledger entries.
+
+    Raises
+    ------
+    InputError
+        As these and :func:`check_facing` do.
+    """
+    _check_units(record, test)
+    rows = near_stall_rows(record, test)
+    steady = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
+    near = calibrate(replace(record, channels=steady), test)
+    all_rows = slice(0, near.n_samples)
+    _check_facing(near, test, all_rows)
+    shifts, entry = _match(near, test, all_rows, match)
+    changes = {
+        name: replace(change, shift=shifts.get(name, 0.0))
+        for name, change in _calibrations(test).items()
+    }
+    changes = {name: change for name, change in changes.items() if change != _Change()}
+    return record.after(_calibrated(test), add=_changed(record, changes)).after(entry)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """((start + readings · step) − zero)/slope + reference + shift, in a unit."""
+
+    start: float = 0.0
+    step: float = 1.0
+    zero: float = 0.0
+    slope: float = 1.0
+    reference: float = 0.0
+    shift: float = 0.0
+
+
+def _calibrations(test: TestDescription) -> dict[str, _Change]:
+    """Return what turns the readings of each channel into pascal or kelvin."""
+    changes = {couple.name: _Change(slope=couple.recovery_factor) for couple in test.temperatures}
     for probe in test.pressures:
-        channel = record.channel(probe.name)
-        if channel.unit != "count":
-            raise InputError(
-                f"channel {probe.name}", expected='the unit "count"', found=f'"{channel.unit}"'
+        changes[probe.name] = _Change()
+        if probe.record_unit == "count":
+            zero_V, sensitivity_V_Pa = _zero_and_sensitivity(probe, test.adc)
+            changes[probe.name] = _Change(
+                test.adc.low_V,
+                test.adc.volts_per_count,
+                zero_V,
+                sensitivity_V_Pa,
+                probe.zoc_reference_Pa,
             )
-        added.append(
-            Channel(probe.name, pressure_from_counts(probe, test.adc, channel.values), "Pa")
-        )
-    for couple in test.temperatures:
-        channel = record.channel(couple.name)
-        if channel.unit != "K":
+    return {name: changes[name] for name in test.channel_names}
+
+
+def _check_units(record: Record, test: TestDescription) -> None:
+    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
+    for described in channels:
+        unit = record.channel(described.name).unit
+        if unit != described.record_unit:
             raise InputError(
-                f"channel {couple.name}", expected='the unit "K"', found=f'"{channel.unit}"'
+                f"channel {described.name}",
+                expected=f'the unit "{described.record_unit}"',
+                found=f'"{unit}"',
             )
-        added.append(Channel(couple.name, channel.values / couple.recovery_factor, "K"))
-    entry = LedgerEntry(
-        "calibrate",
-        f"{len(test.pressures)} pressures from counts by their zero and calibrate readings, "
-        f"{len(test.temperatures)} temperatures by their recovery factor",
-        {"bits": test.adc.bits, "volts_per_count": test.adc.volts_per_count},
+
+
+def _calibrated(test: TestDescription) -> LedgerEntry:
+    n_counts = sum(probe.record_unit == "count" for probe in test.pressures)
+    ways = [f"{n_counts} pressures from counts by their zero and calibrate readings"] * (
+        n_counts > 0
     )
-    return record.after(entry, add=added)
+    if n_counts < len(test.pressures):
+        ways.append(f"{len(test.pressures) - n_counts} pressures recorded as such")
+    ways.append(f"{len(test.temperatures)} temperatures by their recovery factor")
+    converter = test.converter
+    return LedgerEntry(
+        "calibrate",
+        ", ".join(ways),
+        {}
+        if converter is None
+        else {"bits": converter.bits, "volts_per_count": converter.volts_per_count},
+    )
 
 
-def near_stall_rows(record: Record, test: TestDescription) -> NDArray[np.bool_]:
+def _changed(record: Record, changes: Mapping[str, _Change]) -> list[Channel]:
+    """Return channels after a change of each."""
+    columns = {name: record.workspace.writer(record.n_samples) for name in changes}
+    for rows in blocks(record.n_samples):
+        for name, c in changes.items():
+            part = np.empty(rows.stop - rows.start)
+            readings = record[name][rows]
+            change_scale(readings, c.start, c.step, c.zero, c.slope, c.reference, c.shift, part)
+            columns[name].append(part)
+        record.workspace.release()
+    units = {name: "K" if record.channel(name).unit == "K" else "Pa" for name in changes}
+    return [Channel(name, column.finished(), units[name]) for name, column in columns.items()]
+
+
+def near_stall_rows(record: Record, test: TestDescription) -> slice:
     """Return the rows that the facility's near-stall reading describes."""
-    half = 0.5 * record.sample_period_s
-    time_s = record.time_s
     reading = test.near_stall
-    rows = (time_s >= reading.from_s - half) & (time_s <= reading.to_s + half)
-    if np.count_nonzero(rows) < MINIMUM_NEAR_STALL_ROWS:
+    rows = record.rows_between(reading.from_s, reading.to_s)
+    n_rows = rows.stop - rows.start
+    if n_rows < MINIMUM_NEAR_STALL_ROWS:
+        first_s, last_s = record.time_at_s(0), record.time_at_s(record.n_samples - 1)
         raise InputError(
             f"{test.source}: [near_stall]",
             expected=f"an interval with at least {MINIMUM_NEAR_STALL_ROWS} rows of the record "
-            f"({time_s[0]:.3f} to {time_s[-1]:.3f} s)",
-            found=f"{reading.from_s:g} to {reading.to_s:g} s with {np.count_nonzero(rows)}",
+            f"({first_s:.3f} to {last_s:.3f} s)",
+            found=f"{reading.from_s:g} to {reading.to_s:g} s with {n_rows}",
         )
-    return np.asarray(rows)
+    return rows
 
 
 def check_facing(record: Record, test: TestDescription) -> None:
@@ -128,15 +260,17 @@ def check_facing(record: Record, test: TestDescription) -> None:
     InputError
         Naming the pair.
     """
-    rows = near_stall_rows(record, test)
+    _check_facing(record, test, near_stall_rows(record, test))
+
+
+def _check_facing(record: Record, test: TestDescription, rows: slice) -> None:
     for plane in test.areas_m2:
         for pair in test.pairs(plane):
-            good = rows & _sound(record, pair.forward.name) & _sound(record, pair.aft.name)
-            if 2 * np.count_nonzero(good) < np.count_nonzero(rows):
-                # A pair that does not count there is left out when the channels are chosen.
-                continue
-            below_Pa = float(np.mean(record[pair.aft.name][good] - record[pair.forward.name][good]))
-            if below_Pa >= 0.0:
+            aft, forward = pair.aft.name, pair.forward.name
+            below_Pa = _sound_mean(record, rows, aft, forward)
+            # A pair that does not count there is left out when the channels are chosen.
+            if below_Pa is not None and below_Pa >= 0.0:
+                _check_levels(record, test, rows, pair)
                 raise InputError(
                     f"{record.source}: pair P{pair.name}",
                     expected="the forward probe above the aft one near stall",
@@ -145,11 +279,50 @@ def check_facing(record: Record, test: TestDescription) -> None:
                 )
 
 
-def _sound(record: Record, name: str) -> NDArray[np.bool_]:
-    fault = f"fault_{name}"
-    if fault not in record:
-        return np.ones(record.n_samples, dtype=np.bool_)
-    return np.asarray(record[fault] == 0.0)
+def _check_levels(record: Record, test: TestDescription, rows: slice, pair: ProbePair) -> None:
+    """Refuse a probe that is at no level of an exchanged pair: it has another unit, or range."""
+    target = test.near_stall.pressure_Pa(pair.forward.plane)
+    for probe, least in ((pair.forward, LEAST_IN_WAKE), (pair.aft, 1.0 - PLAUSIBLE_BIAS)):
+        level = _sound_mean(record, rows, probe.name)
+        if level is not None and not least <= level / target <= 1.0 + PLAUSIBLE_BIAS:
+            raise _other_level(record, probe.name, level, target, "Pa", test)
+
+
+def _other_level(
+    record: Record, name: str, found: float, target: float, unit: str, test: TestDescription
+) -> InputError:
+    return InputError(
+        f"{record.source}: channel {name}",
+        expected=f"about {target:g} {unit} at near stall, as {test.source} [near_stall] says",
+        found=f"{found:g} {unit}",
+        remedy="check the unit of the column, and the zero and calibrate readings"
+        if unit == "Pa"
+        else "check the unit of the column",
+    )
+
+
+def _sound_mean(record: Record, rows: slice, name: str, less: str | None = None) -> float | None:
+    """Return the mean of a channel, or of what it is above another, where its readings count.
+
+    None where they do not count in most of the rows.
+    """
+    names = [name] if less is None else [name, less]
+    faults = [record[f"fault_{n}"] for n in names if f"fault_{n}" in record]
+    n_rows = rows.stop - rows.start
+
+    def readings() -> Iterator[FloatArray]:
+        for block in blocks(n_rows):
+            part = slice(rows.start + block.start, rows.start + block.stop)
+            values = record[name][part] if less is None else record[name][part] - record[less][part]
+            bad = np.zeros(values.size, dtype=np.bool_)
+            for fault in faults:
+                bad |= fault[part] != 0.0
+            yield values[~bad] if faults else values
+
+    n_sound = sum(part.size for part in readings())
+    if n_sound == 0 or 2 * n_sound < n_rows:
+        return None
+    return mean(readings, workspace=record.workspace)
 
 
 def match_near_stall(record: Record, test: TestDescription, match: str = "pair") -> Record:
@@ -179,10 +352,19 @@ def match_near_stall(record: Record, test: TestDescription, match: str = "pair")
     InputError
         When a channel is off by more than a fifth of the reading.
     """
+    rows = near_stall_rows(record, test) if match != "none" else slice(0, 0)
+    shifts, entry = _match(record, test, rows, match)
+    changes = {name: _Change(shift=shift) for name, shift in shifts.items()}
+    return record.after(entry, add=_changed(record, changes))
+
+
+def _match(
+    record: Record, test: TestDescription, rows: slice, match: str
+) -> tuple[dict[str, float], LedgerEntry]:
+    """Return the shift of each channel that is moved, from the rows near stall."""
     if match == "none":
-        return record.after(LedgerEntry("near-stall match", "not applied", {"match": match}))
-    rows = near_stall_rows(record, test)
-    added: list[Channel] = []
+        return {}, LedgerEntry("near-stall match", "not applied", {"match": match})
+    by_channel: dict[str, float] = {}
     shifts: dict[str, str | int | float | bool] = {}
     for plane in test.areas_m2:
         for pair in test.pairs(plane):
@@ -190,44 +372,37 @@ def match_near_stall(record: Record, test: TestDescription, match: str = "pair")
             shift = _shift(record, pair.forward.name, rows, target, "Pa", test)
             moved = (pair.forward, pair.aft) if match == "pair" else (pair.forward,)
             shifts[f"shift_{pair.name}_Pa"] = round(shift, 2)
-            added += [Channel(p.name, record[p.name] + shift, "Pa") for p in moved]
+            by_channel |= {p.name: shift for p in moved}
         for couple in test.thermocouples(plane):
             target = test.near_stall.temperature_K(plane)
             shift = _shift(record, couple.name, rows, target, "K", test)
             shifts[f"shift_{couple.name}_K"] = round(shift, 4)
-            added.append(Channel(couple.name, record[couple.name] + shift, "K"))
+            by_channel[couple.name] = shift
     word = "forward probes with their aft mates" if match == "pair" else "forward probes alone"
-    entry = LedgerEntry(
+    return by_channel, LedgerEntry(
         "near-stall match",
         f"{word} and thermocouples moved to the facility reading of {test.near_stall.from_s:g} to "
         f"{test.near_stall.to_s:g} s",
         {"match": match, **shifts},
     )
-    return record.after(entry, add=added)
 
 
 def _shift(
     record: Record,
     name: str,
-    rows: NDArray[np.bool_],
+    rows: slice,
     target: float,
     unit: str,
     test: TestDescription,
 ) -> float:
-    good = rows & _sound(record, name)
-    if 2 * np.count_nonzero(good) < np.count_nonzero(rows):
+    measured = _sound_mean(record, rows, name)
+    if measured is None:
         # Most of its reading does not count: left alone here, it is dropped when the channels
         # are chosen.
         return 0.0
-    mean = float(np.mean(record[name][good]))
-    if abs(mean - target) > PLAUSIBLE_BIAS * target:
-        raise InputError(
-            f"{record.source}: channel {name}",
-            expected=f"about {target:g} {unit} at near stall, as {test.source} [near_stall] says",
-            found=f"{mean:g} {unit}",
-            remedy="check the unit of the column, and the zero and calibrate readings",
-        )
-    return target - mean
+    if abs(measured - target) > (PLAUSIBLE_BIAS if unit == "Pa" else PLAUSIBLE_BIAS_K) * target:
+        raise _other_level(record, name, measured, target, unit, test)
+    return target - measured
 
 
 def invert_thermocouples(record: Record, test: TestDescription, *, invert: bool = True) -> Record:
@@ -250,12 +425,15 @@ def invert_thermocouples(record: Record, test: TestDescription, *, invert: bool 
     if not invert:
         return record.after(LedgerEntry("thermocouples", "lag not inverted", {"invert": False}))
     couples = [c for c in test.temperatures if c.name in record]
-    added = []
-    for couple in couples:
-        slope = np.gradient(record[couple.name], record.sample_period_s)
-        added.append(
-            Channel(couple.name, record[couple.name] + couple.time_constant_s * slope, "K")
-        )
+
+    def gas_K(couple: TemperatureChannel, rows: slice) -> FloatArray:
+        slope = rate_in(record[couple.name], rows, record.sample_period_s)
+        return record[couple.name][rows] + couple.time_constant_s * slope
+
+    n = record.n_samples
+    added = [
+        Channel(c.name, evaluated(record.workspace, n, partial(gas_K, c)), "K") for c in couples
+    ]
     entry = LedgerEntry(
         "thermocouples",
         f"lag of {len(couples)} junctions inverted by T + τ dT/dt",

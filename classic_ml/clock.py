@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
+from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace, blocks
 
-__all__ = ["uniform_period_s"]
+__all__ = ["CLOCK_TOLERANCE", "uniform_period_s"]
 
 # A clock printed with few digits jitters by one digit, which is 0.12 of a step for 0.1 ms at
 # 1234.5 Hz; a clock that jitters more has not told when its rows were taken.
@@ -16,7 +18,7 @@ CLOCK_TOLERANCE = 0.15
 NEAR_MEDIAN = 0.45
 
 
-def uniform_period_s(time_s: FloatArray, where: str) -> float:
+def uniform_period_s(time_s: FloatArray, where: str, *, workspace: Workspace = IN_MEMORY) -> float:
     """Return the step of a uniform clock, or refuse the clock.
 
     Parameters
@@ -25,6 +27,8 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
         Clock of each row, in seconds; at least two rows, all finite.
     where : str
         What to call the clock in an error, e.g. ``"run.csv: column time_s"``.
+    workspace : Workspace
+        Where the clock lies.
 
     Returns
     -------
@@ -37,28 +41,71 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
         When the clock repeats, runs back, has a gap or drifts off its straight line by more
         than 0.15 of a step, or a step differs from the others by as much.
     """
-    steps = np.diff(time_s)
-    back = np.flatnonzero(steps <= 0.0)
-    if back.size:
-        kind = "repeats" if steps[back[0]] == 0.0 else "runs back"
-        raise InputError(
-            where,
-            expected="a clock that runs forward",
-            found=f"that it {kind} at row {back[0] + 2} ({time_s[back[0] + 1]:g} s)",
-        )
-    period = float(np.median(steps))
-    # The median step of a rounded clock is itself rounded; the mean of the steps near it is not.
-    period = float(np.mean(steps[np.abs(steps - period) < NEAR_MEDIAN * period]))
-    off = np.flatnonzero(np.abs(steps - period) > CLOCK_TOLERANCE * period)
-    mean_s = float((time_s[-1] - time_s[0]) / steps.size)
-    if off.size == 0:
-        line = time_s[0] + np.arange(time_s.size) * mean_s
-        off = np.flatnonzero(np.abs(time_s - line)[1:] > CLOCK_TOLERANCE * period)
-    if off.size:
-        raise InputError(
-            where,
-            expected=f"a uniform step (here {period:g} s)",
-            found=f"a step of {steps[off[0]]:g} s after {time_s[off[0]]:g} s",
-            remedy="fill the gap at the source or write one file a record",
-        )
+    mean_s = float((time_s[-1] - time_s[0]) / (time_s.size - 1))
+    # Where no step is further than this from the mean one, none is further from the median either
+    # than NEAR_MEDIAN allows, so that the mean of the steps near the median is the mean of all.
+    for rows, clock in _pieces(time_s, workspace):
+        off = np.abs(np.diff(clock) - mean_s) > CLOCK_TOLERANCE * mean_s
+        line = time_s[0] + np.arange(rows.start, rows.stop) * mean_s
+        off |= np.abs(clock - line)[1:] > CLOCK_TOLERANCE * mean_s
+        if mean_s <= 0.0 or off.any():
+            raise _refusal(time_s, where, workspace)
     return mean_s
+
+
+def _pieces(time_s: FloatArray, workspace: Workspace) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield the clock block by block, each with the first row of the next."""
+    for block in blocks(time_s.size - 1):
+        rows = slice(block.start, block.stop + 1)
+        yield rows, time_s[rows]
+        workspace.release()
+
+
+def _refusal(time_s: FloatArray, where: str, workspace: Workspace) -> InputError:
+    """Say what is wrong with a clock, by the step that most of its rows have."""
+    from classic_ml.order_statistics import mean, median
+
+    for rows, clock in _pieces(time_s, workspace):
+        back = np.flatnonzero(np.diff(clock) <= 0.0)
+        if back.size:
+            row = int(back[0])
+            kind = "repeats" if clock[row + 1] == clock[row] else "runs back"
+            return InputError(
+                where,
+                expected="a clock that runs forward",
+                found=f"that it {kind} at row {rows.start + row + 2} ({clock[row + 1]:g} s)",
+            )
+
+    def steps() -> Iterator[FloatArray]:
+        return (np.diff(clock) for _, clock in _pieces(time_s, workspace))
+
+    # The median step of a rounded clock is itself rounded; the mean of the steps near it is not.
+    middle = median(steps)
+
+    def near_the_median() -> Iterator[FloatArray]:
+        return (s[np.abs(s - middle) < NEAR_MEDIAN * middle] for s in steps())
+
+    period = mean(near_the_median)
+    row = _first_off(time_s, period, workspace)
+    step, before = time_s[row + 1] - time_s[row], time_s[row]
+    return InputError(
+        where,
+        expected=f"a uniform step (here {period:g} s)",
+        found=f"a step of {step:g} s after {before:g} s (row {row + 1})",
+        remedy="fill the gap at the source or write one file a record",
+    )
+
+
+def _first_off(time_s: FloatArray, period: float, workspace: Workspace) -> int:
+    """Return the row before the first step that is off, else before the first off the line."""
+    for rows, clock in _pieces(time_s, workspace):
+        off = np.flatnonzero(np.abs(np.diff(clock) - period) > CLOCK_TOLERANCE * period)
+        if off.size:
+            return int(rows.start + off[0])
+    mean_s = float((time_s[-1] - time_s[0]) / (time_s.size - 1))
+    for rows, clock in _pieces(time_s, workspace):
+        line = time_s[0] + np.arange(rows.start, rows.stop) * mean_s
+        off = np.flatnonzero(np.abs(clock - line)[1:] > CLOCK_TOLERANCE * period)
+        if off.size:
+            return int(rows.start + off[0])
+    return 0

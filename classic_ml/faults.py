@@ -1,41 +1,57 @@
-"""Readings that do not count: clipped codes, stuck or dropped channels, readings beyond limits."""
+"""Readings that do not count: clipped, stuck, spiked or beyond limits, and probes that came off."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.calibration import near_stall_rows, pressure_from_counts
+from classic_ml.bridging import bridged
+from classic_ml.calibration import near_stall_rows, probe_pressure_Pa
 from classic_ml.errors import InputError
+from classic_ml.odd_readings import copies, jumps, spiked_rows
+from classic_ml.probe_agreement import Agreement, compare_probes, exchanged_immersions
 from classic_ml.readers.test_description import (
     PressureChannel,
     TemperatureChannel,
     TestDescription,
 )
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
+from classic_ml.standstill import DROPOUT_ROWS, Tally, still_runs, tallies
+from classic_ml.workspace import blocks
 
-__all__ = ["BEYOND_LIMITS", "CLIPPED", "STUCK", "choose_channels", "inspect_readings"]
+__all__ = [
+    "BEYOND_LIMITS",
+    "CLIPPED",
+    "SPIKED",
+    "STUCK",
+    "choose_channels",
+    "inspect_readings",
+    "with_faults_bridged",
+]
 
 # Kinds of fault in the channels `fault_NAME`, added up where they coincide.
 CLIPPED = 1
 STUCK = 2
 BEYOND_LIMITS = 4
+SPIKED = 8
 
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05
-# A short dropout is told from a plateau by its edges: both are jumps far beyond the usual step.
-DROPOUT_ROWS = 5
-DROPOUT_JUMP = 10.0
-# Other channels must have moved by this many of their own steps while one stood still.
-MOVED_STEPS = 8.0
 
 # Measured on the 98.5 % record with its inlet pressures raised until the probes clip: 1.3 % of
 # the rows shift ψ'_QS by 0.03, as much as the calibration's own error; 8 % shift it by 0.32.
 CLIPPED_SHARE = 0.01
 # "Substantial": beyond this share of the window a straight line across the gaps is no reading.
 BEYOND_SHARE = 0.05
+# Sound probes of 13 simulated records move by 0.96 to 1.03 times what those beside them do, and
+# differ from them by 9 % of it. One that moves by half or by twice as much has come off, or is
+# another's; between the two its sensitivity is in doubt.
+GAIN_DOUBTED, APART_DOUBTED = 0.08, 0.2
+GAIN_REFUSED, APART_REFUSED = 2.0, 0.6
 
 
 def fault_name(channel: str) -> str:
@@ -57,84 +73,138 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
     -------
     Record
         With a channel ``fault_NAME`` for every channel that has a fault: the sum of 1 (clipped
-        at an end of the converter) and 4 (beyond its limits), or 2 (stuck, or dropped out).
+        at an end of the converter) and 4 (beyond its limits), or 2 (stuck, or dropped out), or 8
+        (a reading or two far off those before and behind).
     """
-    rest = _still(record, test)
-    marks: dict[str, NDArray[np.int64]] = {}
-    for probe in test.pressures:
-        codes = record[probe.name]
-        mark = CLIPPED * ((codes <= 0) | (codes >= test.adc.top_code)).astype(np.int64)
-        mark |= BEYOND_LIMITS * _beyond(pressure_from_counts(probe, test.adc, codes), probe, test)
-        marks[probe.name] = mark
-    for couple in test.temperatures:
-        marks[couple.name] = BEYOND_LIMITS * _beyond(record[couple.name], couple, test)
-    for name, stuck in rest.items():
-        # A reading that is cut off stands still because of that.
-        marks[name] |= STUCK * (stuck & (marks[name] == 0)).astype(np.int64)
-    flags = [text for name, mark in marks.items() for text in _described(record, name, mark)]
+    found = tallies(record, test.channel_names)
+    long_rows = max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
+    groups, ranges = _alike(test), _ranges(test, found)
+    spiked = spiked_rows(record, ranges, groups)
+    still: dict[str, list[NDArray[np.int64]]] = {name: [] for name in test.channel_names}
+    for name, runs in still_runs(record, groups, found, long_rows):
+        still[name].append(runs)
+    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
+    marks: dict[str, _Marks] = {}
+    for channel in channels:
+        name = channel.name
+        cut_off = partial(_cut_off, channel, test)
+        # Most channels have no such readings, which their least and largest one tell.
+        ends = cut_off([found[name].low, found[name].high])
+        if still[name] or name in spiked or any(np.any(which) for _, which in ends):
+            runs = np.concatenate([_NO_RUNS, *still[name]])
+            marks[name] = _marked(record, name, cut_off, runs, spiked.get(name, _NO_ROWS))
+    flags = [text for name, mark in marks.items() for text in mark.described(record, name)]
+    flags += [*copies(record, test), *jumps(record, test, ranges)]
+    clipped = ""
+    if test.converter is not None:
+        clipped = f"clipped codes (0 and {test.adc.top_code}), "
     entry = LedgerEntry(
         "inspect readings",
-        f"looked for clipped codes (0 and {test.adc.top_code}), stuck channels and readings beyond "
-        f"their limits: {len(flags) or 'no'} findings",
+        f"looked for {clipped}stuck channels, spikes, jumps and readings beyond their limits: "
+        f"{len(flags) or 'no'} findings",
         {"stuck_s": STUCK_S},
         flags=tuple(flags),
     )
-    added = [Channel(fault_name(n), m.astype(np.float64), "1") for n, m in marks.items() if m.any()]
+    added = [Channel(fault_name(name), mark.column, "1") for name, mark in marks.items()]
     return record.after(entry, add=added)
 
 
-def _beyond(
-    readings: FloatArray, channel: PressureChannel | TemperatureChannel, test: TestDescription
-) -> NDArray[np.int64]:
-    if channel.name not in test.limits:
-        return np.zeros(readings.size, dtype=np.int64)
-    low, high = test.limits[channel.name]
-    # A reading at the limit is one that the acquisition has cut off there.
-    return ((readings <= low) | (readings >= high)).astype(np.int64)
+_NO_RUNS = np.empty((0, 2), dtype=np.int64)
+_NO_ROWS = np.empty(0, dtype=np.int64)
+
+
+def _ranges(test: TestDescription, found: Mapping[str, Tally]) -> dict[str, tuple[float, float]]:
+    """Return between which readings each pressure can lie, or did where it is not in counts."""
+    ranges = {
+        probe.name: (0.0, float(test.adc.top_code))
+        if probe.record_unit == "count"
+        else (found[probe.name].low, found[probe.name].high)
+        for probe in test.pressures
+    }
+    return {name: ends for name, ends in ranges.items() if ends[0] < ends[1]}
 
 
 @dataclass(frozen=True)
-class _Runs:
-    """The runs of one value that are long enough to be a fault: first rows, and one past last."""
+class _Marks:
+    """The marks of one channel, and for each kind its number of rows, the first and the last."""
 
-    starts: NDArray[np.int64]
-    stops: NDArray[np.int64]
+    column: FloatArray
+    counts: Mapping[int, tuple[int, int, int]]
 
-    def those(self, which: NDArray[np.bool_]) -> _Runs:
-        return _Runs(self.starts[which], self.stops[which])
-
-    def rows(self, n: int) -> NDArray[np.bool_]:
-        """Mark the rows of the runs, which do not overlap, in a channel of n rows."""
-        steps = np.zeros(n + 1, dtype=np.int64)
-        np.add.at(steps, self.starts, 1)
-        np.add.at(steps, self.stops, -1)
-        return np.asarray(np.cumsum(steps[:-1]) > 0)
-
-
-def _repeats(values: FloatArray, least_rows: int) -> _Runs:
-    """Return the runs of a value that repeats itself over ``least_rows`` rows or more."""
-    edges = np.flatnonzero(np.diff(values) != 0.0) + 1
-    starts = np.concatenate(([0], edges)).astype(np.int64)
-    stops = np.concatenate((edges, [values.size])).astype(np.int64)
-    return _Runs(starts, stops).those(stops - starts >= least_rows)
+    def described(self, record: Record, name: str) -> list[str]:
+        """Return one sentence a kind."""
+        texts = []
+        for kind, word in _WORDS.items():
+            if kind in self.counts:
+                n, *ends = self.counts[kind]
+                first_s, last_s = (record.time_at_s(row) for row in ends)
+                texts.append(f"{name}: {n} rows {word}, {first_s:.3f} to {last_s:.3f} s")
+        return texts
 
 
-def _still(record: Record, test: TestDescription) -> dict[str, NDArray[np.bool_]]:
-    """Mark where a channel stands still while most of those alike move, or drops out."""
-    masks: dict[str, NDArray[np.bool_]] = {}
-    long = max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
-    for names in _alike(test):
-        # What belongs to a channel as a whole is found once, not for every run: a quiet lead-in
-        # has a run of equal codes in every few rows.
-        least = {name: _least_step(record[name]) for name in names}
-        for name in names:
-            runs = _repeats(record[name], DROPOUT_ROWS)
-            stuck = _are_dropouts(record[name], runs)
-            candidates = (runs.stops - runs.starts >= long) & ~stuck
-            others = [(record[n], least[n]) for n in names if n != name]
-            stuck[candidates] = _others_move(others, runs.those(candidates))
-            masks[name] = runs.those(stuck).rows(record.n_samples)
-    return masks
+def _marked(
+    record: Record,
+    name: str,
+    cut_off: Callable[[ArrayLike], Iterable[tuple[int, NDArray[np.bool_]]]],
+    runs: NDArray[np.int64],
+    spiked: NDArray[np.int64],
+) -> _Marks:
+    """Mark the readings that are cut off, those in runs that stand still, and the spikes."""
+    column = record.workspace.zeros(record.n_samples)
+    counts: dict[int, tuple[int, int, int]] = {}
+    for rows in blocks(record.n_samples):
+        kinds = [*cut_off(record[name][rows])]
+        stuck = _inside(runs, rows)
+        for _, which in kinds:
+            # A reading that is cut off stands still because of that.
+            stuck &= ~which
+        marks = np.zeros(stuck.size)
+        for kind, which in (*kinds, (STUCK, stuck), (SPIKED, _among(spiked, rows))):
+            places = np.flatnonzero(which)
+            if places.size:
+                marks[places] += kind
+                last = rows.start + int(places[-1])
+                n, first, _ = counts.get(kind, (0, rows.start + int(places[0]), last))
+                counts[kind] = (n + places.size, first, last)
+        if marks.any():
+            record.workspace.put(column, rows, marks)
+        record.workspace.release()
+    column.setflags(write=False)
+    return _Marks(column, counts)
+
+
+def _inside(runs: NDArray[np.int64], rows: slice) -> NDArray[np.bool_]:
+    """Tell which rows of a slice are in one of the runs, which are in order and apart."""
+    n = rows.stop - rows.start
+    first = np.searchsorted(runs[:, 1], rows.start, side="right")
+    last = np.searchsorted(runs[:, 0], rows.stop, side="left")
+    inside = np.zeros(n, dtype=np.bool_)
+    for start, stop in np.clip(runs[first:last] - rows.start, 0, n).tolist():
+        inside[start:stop] = True
+    return inside
+
+
+def _among(places: NDArray[np.int64], rows: slice) -> NDArray[np.bool_]:
+    """Tell which rows of a slice are among some, which are in order."""
+    inside = np.zeros(rows.stop - rows.start, dtype=np.bool_)
+    first, last = np.searchsorted(places, (rows.start, rows.stop))
+    inside[places[first:last] - rows.start] = True
+    return inside
+
+
+def _cut_off(
+    channel: PressureChannel | TemperatureChannel, test: TestDescription, readings: ArrayLike
+) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+    """Yield the kinds of fault that readings show by themselves, and which readings do."""
+    values = np.asarray(readings, dtype=np.float64)
+    if channel.record_unit == "count":
+        yield CLIPPED, (values <= 0) | (values >= test.adc.top_code)
+    if channel.name in test.limits:
+        low, high = test.limits[channel.name]
+        if isinstance(channel, PressureChannel):
+            values = probe_pressure_Pa(channel, test, values)
+        # A reading at the limit is one that the acquisition has cut off there.
+        yield BEYOND_LIMITS, (values <= low) | (values >= high)
 
 
 def _alike(test: TestDescription) -> list[list[str]]:
@@ -147,47 +217,12 @@ def _alike(test: TestDescription) -> list[list[str]]:
     return list(groups.values())
 
 
-def _least_step(values: FloatArray) -> float:
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps[steps > 0.0], initial=np.inf))
-
-
-def _are_dropouts(values: FloatArray, runs: _Runs) -> NDArray[np.bool_]:
-    """Tell which runs begin and end with a jump; an end of the record needs none."""
-    steps = np.abs(np.diff(values))
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
-    ends = np.concatenate(([np.inf], steps, [np.inf]))
-    jumps = np.minimum(ends[runs.starts], ends[runs.stops])
-    return np.asarray(np.isfinite(jumps) & (jumps > DROPOUT_JUMP * usual))
-
-
-def _others_move(others: list[tuple[FloatArray, float]], runs: _Runs) -> NDArray[np.bool_]:
-    """Tell during which runs at least half of the other channels moved by many of their steps."""
-    moved = np.zeros(runs.starts.size, dtype=np.int64)
-    # Alone of its kind, a channel that stands still has nothing to be compared with.
-    if not others or not moved.size:
-        return np.zeros(moved.size, dtype=np.bool_)
-    edges = np.column_stack((runs.starts, runs.stops)).ravel()
-    for values, step in others:
-        # One row more, since reduceat takes no edge past the last; every second piece is a run.
-        padded = np.append(values, values[-1])
-        high = np.maximum.reduceat(padded, edges)[::2]
-        low = np.minimum.reduceat(padded, edges)[::2]
-        moved += high - low > MOVED_STEPS * step
-    return np.asarray(2 * moved >= len(others))
-
-
-_WORDS = {CLIPPED: "clipped", STUCK: "stuck or dropped out", BEYOND_LIMITS: "beyond its limits"}
-
-
-def _described(record: Record, name: str, mark: NDArray[np.int64]) -> list[str]:
-    texts = []
-    for kind, word in _WORDS.items():
-        rows = np.flatnonzero(mark & kind)
-        if rows.size:
-            first, last = record.time_s[rows[0]], record.time_s[rows[-1]]
-            texts.append(f"{name}: {rows.size} rows {word}, {first:.3f} to {last:.3f} s")
-    return texts
+_WORDS = {
+    CLIPPED: "clipped",
+    STUCK: "stuck or dropped out",
+    BEYOND_LIMITS: "beyond its limits",
+    SPIKED: "spiked",
+}
 
 
 @dataclass(frozen=True)
@@ -197,7 +232,7 @@ class _Verdict:
     why: str
 
 
-def choose_channels(record: Record, test: TestDescription, window: NDArray[np.bool_]) -> Record:
+def choose_channels(record: Record, test: TestDescription, window: slice) -> Record:
     """Leave out the channels that cannot be used in the window, a pressure with its mate.
 
     Parameters
@@ -206,14 +241,14 @@ def choose_channels(record: Record, test: TestDescription, window: NDArray[np.bo
         Calibrated and matched, with the marks of :func:`inspect_readings`.
     test : TestDescription
         Places of the channels.
-    window : ndarray of bool, shape (n_samples,)
+    window : slice
         Rows of the quasi-steady cycles.
 
     Returns
     -------
     Record
-        Without the channels that were left out; thermocouples that stay are bridged by straight
-        lines where their readings do not count.
+        Without the channels that were left out. Of those that stay, thermocouples are bridged by
+        straight lines where their readings do not count, pressures where they have spikes.
 
     Raises
     ------
@@ -222,6 +257,8 @@ def choose_channels(record: Record, test: TestDescription, window: NDArray[np.bo
     """
     verdicts = {name: _judge(record, test, name, window) for name in test.channel_names}
     bad = {name: verdict for name, verdict in verdicts.items() if verdict is not None}
+    agreements = compare_probes(record, test, window, bad)
+    bad |= _come_off(agreements, window)
     dropped, gone = _drop_pairs(record, test, bad)
     for plane in test.areas_m2:
         couples = test.thermocouples(plane)
@@ -234,7 +271,15 @@ def choose_channels(record: Record, test: TestDescription, window: NDArray[np.bo
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
     kept = [c.name for c in test.temperatures if c.name not in gone]
     bridged = [_bridged(record, name) for name in kept if fault_name(name) in record]
+    kept = [p.name for p in test.pressures if p.name not in gone]
+    bridged += [_bridged(record, name, SPIKED) for name in kept if _has(record, name, SPIKED)]
     flags = [_kept_flag(record, name, window) for name in test.channel_names if name not in gone]
+    flags += _doubts(agreements, gone)
+    flags += [
+        f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, and the "
+        "reverse: are hub and tip exchanged on one of them?"
+        for plane, first, second in exchanged_immersions(record, test, window, gone)
+    ]
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
@@ -245,23 +290,60 @@ def choose_channels(record: Record, test: TestDescription, window: NDArray[np.bo
     return record.after(entry, add=bridged, drop=gone)
 
 
-def _judge(
-    record: Record, test: TestDescription, name: str, window: NDArray[np.bool_]
-) -> _Verdict | None:
+def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _Verdict | None:
+    n_rows = window.stop - window.start
+    if n_rows and _stands_still(record, name, window):
+        return _Verdict(name, n_rows, f"the same in all {n_rows} rows in the window")
     if fault_name(name) not in record:
         return None
-    mark = record[fault_name(name)].astype(np.int64)
     for rows, where in (
         (window, "in the window"),
         (near_stall_rows(record, test), "at near stall, so that it cannot be matched"),
     ):
-        n = int(np.count_nonzero(rows))
-        counts = {kind: int(np.count_nonzero(mark[rows] & kind)) for kind in _WORDS}
-        allowed = {CLIPPED: CLIPPED_SHARE * n, STUCK: 0.0, BEYOND_LIMITS: BEYOND_SHARE * n}
+        n = rows.stop - rows.start
+        counts = {kind: _count(record, name, rows, kind) for kind in _WORDS}
+        allowed = {
+            CLIPPED: CLIPPED_SHARE * n,
+            STUCK: 0.0,
+            BEYOND_LIMITS: BEYOND_SHARE * n,
+            SPIKED: CLIPPED_SHARE * n,
+        }
         for kind, word in _WORDS.items():
             if counts[kind] > allowed[kind]:
                 return _Verdict(name, counts[kind], f"{word} in {counts[kind]} of {n} rows {where}")
     return None
+
+
+def _stands_still(record: Record, name: str, rows: slice) -> bool:
+    """Tell whether a channel has one and the same reading in all rows, with those alike or not."""
+    first = record[name][rows.start]
+    return all(bool(np.all(record[name][b] == first)) for b in blocks(rows.stop, rows.start))
+
+
+def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _Verdict]:
+    """Return the probes that do not take part in what those beside them show."""
+    n_rows = window.stop - window.start
+    return {
+        name: _Verdict(
+            name,
+            n_rows,
+            f"moving {found.gain:.2f} times as much as the probes beside it in the window, and "
+            f"{found.apart:.0%} apart from them",
+        )
+        for name, found in agreements.items()
+        if not 1.0 / GAIN_REFUSED < found.gain < GAIN_REFUSED or found.apart > APART_REFUSED
+    }
+
+
+def _doubts(agreements: Mapping[str, Agreement], gone: Iterable[str]) -> list[str]:
+    """Return a flag for each probe that stays and does not quite go with those beside it."""
+    return [
+        f"{name} moves {found.gain:.2f} times as much as the probes beside it, {found.apart:.0%} "
+        "apart from them: check its zero and calibrate readings"
+        for name, found in agreements.items()
+        if name not in gone
+        and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
+    ]
 
 
 def _drop_pairs(
@@ -297,20 +379,57 @@ def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
     )
 
 
-def _bridged(record: Record, name: str) -> Channel:
+def _count(record: Record, name: str, rows: slice, kinds: int) -> int:
+    """Return in how many rows of a slice a channel has a fault of some kinds."""
+    count = 0
+    for block in blocks(rows.stop, rows.start):
+        marks = record[fault_name(name)][block].astype(np.int64)
+        count += int(np.count_nonzero(marks & kinds))
+        record.workspace.release()
+    return count
+
+
+def _has(record: Record, name: str, kinds: int) -> bool:
+    """Tell whether a channel has a fault of some kinds anywhere."""
+    if fault_name(name) not in record:
+        return False
+    return _count(record, name, slice(0, record.n_samples), kinds) > 0
+
+
+def _bridged(record: Record, name: str, kinds: int = -1) -> Channel:
+    """Return a channel with straight lines across its faults of some kinds, of all without."""
     channel = record.channel(name)
-    bad = record[fault_name(name)] > 0.0
-    if bad.all():
-        return channel
-    rows = np.arange(bad.size)
-    values = np.interp(rows, rows[~bad], channel.values[~bad])
+    fault = record[fault_name(name)]
+    values = bridged(
+        record.workspace,
+        record.n_samples,
+        channel.values.__getitem__,
+        lambda rows: fault[rows].astype(np.int64) & kinds == 0,
+    )
     return Channel(name, values, channel.unit)
 
 
-def _kept_flag(record: Record, name: str, window: NDArray[np.bool_]) -> str:
+def with_faults_bridged(record: Record, test: TestDescription) -> Record:
+    """Return a record with straight lines across all readings that do not count.
+
+    Only what a window is looked for with: a dropout must not end it.
+
+    Parameters
+    ----------
+    record : Record
+        With the marks of :func:`inspect_readings`.
+    test : TestDescription
+        Its channels.
+    """
+    names = [name for name in test.channel_names if fault_name(name) in record]
+    channels = {name: _bridged(record, name) for name in names}
+    return replace(record, channels={**record.channels, **channels})
+
+
+def _kept_flag(record: Record, name: str, window: slice) -> str:
     if fault_name(name) not in record:
         return ""
-    inside = int(np.count_nonzero(record[fault_name(name)][window]))
+    inside = _count(record, name, window, CLIPPED | STUCK | BEYOND_LIMITS | SPIKED)
     if inside:
         return f"{name}: {inside} faulty rows in the window, few enough to keep it"
     return f"{name}: faulty rows outside the window only"

@@ -7,18 +7,23 @@ changes between the regimes. The other rows are simulated through.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Container
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.filtering import period_average
+from classic_ml.order_statistics import median
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
-from classic_ml.segments import cell_frequency_hz, hub_tip_stall
-from classic_ml.spectra import power_spectrum
+from classic_ml.segments import LOWEST_CELL_HZ, hub_tip_difference, hub_tip_stall
+from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from classic_ml.workspace import IN_MEMORY, GrowingColumns, Workspace, blocks, evaluated
 
 __all__ = ["FreeRunRows", "cell_period_s", "extend_while_settled", "free_run_rows", "near"]
+
+BoolArray = NDArray[np.bool_]
 
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.
 MINIMUM_PHI = 0.0075
@@ -50,41 +55,57 @@ class FreeRunRows:
     ----------
     stalled : ndarray of bool, shape (n,)
         In-stall state as the machine itself shows it.
-    inside : ndarray of bool, shape (n,)
+    inside : slice
         Rows that the run passes.
     scored : ndarray of bool, shape (n,)
         Rows that it is scored on.
     entry : LedgerEntry
         What was left out and why.
+    workspace : Workspace
+        Where the columns lie.
     """
 
-    stalled: NDArray[np.bool_]
-    inside: NDArray[np.bool_]
-    scored: NDArray[np.bool_]
+    stalled: BoolArray
+    inside: slice
+    scored: BoolArray
     entry: LedgerEntry
+    workspace: Workspace = IN_MEMORY
 
     @property
     def channels(self) -> list[Channel]:
         """Return ``stalled`` (0/1) and ``free_run`` (0 outside, 1 simulated, 2 scored)."""
-        state = self.inside.astype(np.float64) + self.scored
+
+        def state(rows: slice) -> FloatArray:
+            return _inside(self.inside, rows).astype(np.float64) + self.scored[rows]
+
+        n_rows = self.stalled.size
+        stalled = evaluated(self.workspace, n_rows, lambda rows: self.stalled[rows])
         return [
-            Channel("stalled", self.stalled.astype(np.float64), "1"),
-            Channel("free_run", state, "1"),
+            Channel("stalled", stalled, "1"),
+            Channel("free_run", evaluated(self.workspace, n_rows, state), "1"),
         ]
 
 
-def cell_period_s(record: Record, window: NDArray[np.bool_]) -> tuple[float, bool]:
+def _inside(part: slice, rows: slice) -> BoolArray:
+    """Tell which of the rows are in a part of the record."""
+    number = np.arange(rows.start, rows.stop)
+    return np.asarray((number >= part.start) & (number < part.stop))
+
+
+def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
     """Return the period of the stall cells, and whether the spectrum shows any.
 
     Parameters
     ----------
     record : Record
         With ``P25_unfiltered_Pa``.
-    window : ndarray of bool, shape (n_samples,)
+    window : slice
         Rows of the surge cycles.
     """
-    frequency, density = power_spectrum(record["P25_unfiltered_Pa"][window], record.sample_rate_hz)
-    cell_hz = cell_frequency_hz(record, window)
+    frequency, density = power_spectrum(
+        record["P25_unfiltered_Pa"][window], record.sample_rate_hz, workspace=record.workspace
+    )
+    cell_hz = peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * record.sample_rate_hz)
     around = (frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)
     peak = float(density[np.argmin(np.abs(frequency - cell_hz))])
     if peak < LEAST_PEAK * float(np.median(density[around])):
@@ -92,7 +113,9 @@ def cell_period_s(record: Record, window: NDArray[np.bool_]) -> tuple[float, boo
     return 1.0 / cell_hz, True
 
 
-def extend_while_settled(record: Record, window: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def extend_while_settled(
+    record: Record, window: slice, in_use: Container[str] | None = None
+) -> slice:
     """Return the window, extended to both sides over the rows of the same settled machine.
 
     The cycles need not repeat each other for a free run: it ends where N_c leaves 8 % of its
@@ -102,41 +125,101 @@ def extend_while_settled(record: Record, window: NDArray[np.bool_]) -> NDArray[n
     ----------
     record : Record
         With ``Nc_frac`` and the fault channels of its readings.
-    window : ndarray of bool, shape (n_samples,)
+    window : slice
         Rows of the cycles that repeat each other.
+    in_use : container of str, optional
+        Channels whose faults count; those of the record without it.
+
+    Returns
+    -------
+    slice
+        Rows of the free run.
     """
-    speed = period_average(record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz)
-    good = np.abs(speed / np.median(speed[window]) - 1.0) <= SETTLED_SHARE
-    for name in record.channels:
-        # A channel that was dropped does not count, whatever it reads.
-        if name.startswith("fault_") and name.removeprefix("fault_") in record:
-            good &= record[name] == 0.0
-    rows = np.flatnonzero(window)
-    before = np.flatnonzero(~good[: rows[0]])
-    behind = np.flatnonzero(~good[rows[-1] :])
-    start = int(before[-1]) + 1 if before.size else 0
-    stop = int(rows[-1] + behind[0]) if behind.size else good.size
-    out = window.copy()
-    out[start : max(stop, int(rows[-1]) + 1)] = True
-    return out
+    place = record.workspace
+    speed = period_average(
+        record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz, workspace=place
+    )
+    settled = median(speed, window, workspace=place)
+    # A channel that was dropped does not count, whatever it reads.
+    faults = [
+        record[name]
+        for name in record.channels
+        if name.startswith("fault_")
+        and name.removeprefix("fault_") in (record if in_use is None else in_use)
+    ]
+
+    def bad(rows: slice) -> BoolArray:
+        out = np.abs(speed[rows] / settled - 1.0) > SETTLED_SHARE
+        for fault in faults:
+            out |= fault[rows] != 0.0
+        return np.asarray(out)
+
+    start = 0
+    for rows in reversed(list(blocks(window.start))):
+        found = np.flatnonzero(bad(rows))
+        place.release()
+        if found.size:
+            start = rows.start + int(found[-1]) + 1
+            break
+    stop = record.n_samples
+    for rows in blocks(record.n_samples, window.stop - 1):
+        found = np.flatnonzero(bad(rows))
+        place.release()
+        if found.size:
+            stop = max(window.stop, rows.start + int(found[0]))
+            break
+    return slice(start, stop)
 
 
-def near(rows: NDArray[np.bool_], before: int, behind: int) -> NDArray[np.bool_]:
+def near(rows: BoolArray, before: int, behind: int) -> BoolArray:
     """Return the rows that lie up to so many before or behind a row of the given ones."""
-    out = rows.copy()
-    for step in range(1, before + 1):
-        out[:-step] |= rows[step:]
-    for step in range(1, behind + 1):
-        out[step:] |= rows[:-step]
-    return out
+    # How many of the given rows there are up to each row, and the same beyond both ends.
+    counts = np.cumsum(rows)
+    counts = np.concatenate((np.zeros(behind + 1), counts, np.repeat(counts[-1:], before)))
+    reach = before + behind + 1
+    return np.asarray(counts[reach : reach + rows.size] > counts[: rows.size])
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """What decides over the rows, and how far, in rows."""
+
+    average: FloatArray
+    stalled: BoolArray
+    inside: slice
+    backward: tuple[int, int]
+    entry: tuple[int, int]
+    recovery: tuple[int, int]
+    ends: int
+
+    @property
+    def widest(self) -> int:
+        """Rows that one row may reach."""
+        return 1 + max(*self.backward, *self.entry, *self.recovery)
+
+    def masks(self, rows: slice) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """Return the rows with reversed flow near, those near a switch, and those scored."""
+        around = slice(
+            max(0, rows.start - self.widest), min(self.stalled.size, rows.stop + self.widest)
+        )
+        own = slice(rows.start - around.start, rows.stop - around.start)
+        stalled = self.stalled[around]
+        entries, recoveries = np.zeros(stalled.size, np.bool_), np.zeros(stalled.size, np.bool_)
+        entries[1:] = stalled[1:] & ~stalled[:-1]
+        recoveries[1:] = stalled[:-1] & ~stalled[1:]
+        backward = near(self.average[around] <= MINIMUM_PHI, *self.backward)[own]
+        switching = (near(entries, *self.entry) | near(recoveries, *self.recovery))[own]
+        middle = slice(self.inside.start + self.ends, self.inside.stop - self.ends)
+        scored = _inside(middle, rows) & stalled[own] & ~backward & ~switching
+        return backward, switching, scored
 
 
 def free_run_rows(
     record: Record,
     phi: FloatArray,
-    window: NDArray[np.bool_],
-    inside: NDArray[np.bool_],
-    in_stall: NDArray[np.bool_],
+    window: slice,
+    inside: slice,
+    in_stall: FloatArray,
 ) -> FreeRunRows:
     """Choose the rows of one free run through the surge cycles.
 
@@ -146,59 +229,56 @@ def free_run_rows(
         With ``P25_unfiltered_Pa``, ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``, unfiltered.
     phi : ndarray of shape (n,)
         Flow coefficient from unfiltered pressures.
-    window : ndarray of bool, shape (n,)
+    window : slice
         Rows of the surge cycles that repeat each other.
-    inside : ndarray of bool, shape (n,)
-        Rows that the run passes, without a break.
-    in_stall : ndarray of bool, shape (n,)
-        State by a threshold of the flow, taken where hub and tip show none.
+    inside : slice
+        Rows that the run passes.
+    in_stall : ndarray of shape (n,)
+        State by a threshold of the flow (0/1), taken where hub and tip show none.
 
     Returns
     -------
     FreeRunRows
         With its ledger entry.
     """
-    rate = record.sample_rate_hz
+    rate, place = record.sample_rate_hz, record.workspace
     period_s, has_cells = cell_period_s(record, window)
     stalled, rule, flags = _state(record, window, in_stall, period_s)
-    average = period_average(phi, period_s, rate)
 
     def rows_of(seconds: float) -> int:
         return round(seconds * rate)
 
     half_s = 0.5 * period_s
-    backward = near(
-        average <= MINIMUM_PHI, rows_of(half_s + BEFORE_REVERSAL_S), rows_of(AFTER_REVERSAL_S)
+    reach = _Reach(
+        period_average(phi, period_s, rate, workspace=place),
+        stalled,
+        inside,
+        (rows_of(half_s + BEFORE_REVERSAL_S), rows_of(AFTER_REVERSAL_S)),
+        (rows_of(OPPOSITE_S), rows_of(half_s + AFTER_ENTRY_S)),
+        (rows_of(half_s), rows_of(OPPOSITE_S)),
+        rows_of(END_S),
     )
-    changes = np.flatnonzero(stalled[1:] != stalled[:-1]) + 1
-    entries, recoveries = (np.zeros(phi.size, dtype=np.bool_) for _ in range(2))
-    entries[changes[stalled[changes]]] = True
-    recoveries[changes[~stalled[changes]]] = True
-    switching = near(entries, rows_of(OPPOSITE_S), rows_of(half_s + AFTER_ENTRY_S))
-    switching |= near(recoveries, rows_of(half_s), rows_of(OPPOSITE_S))
-    ends = inside.copy()
-    rows = np.flatnonzero(inside)
-    ends[rows[0] + rows_of(END_S) : rows[-1] + 1 - rows_of(END_S)] = False
-    scored = inside & stalled & ~backward & ~switching & ~ends
+    scored, counts = _scored(reach, phi, place)
     if not has_cells:
         flags += (
             "no line of rotating stall stands out of the spectrum of P25: averages are taken over "
             f"{1e3 * PLAIN_PERIOD_S:g} ms",
         )
-    entry = _entry(record, phi, inside, stalled, backward, switching, scored, period_s, rule)
-    return FreeRunRows(stalled, inside, scored, replace(entry, flags=flags))
+    entry = _entry(record, inside, counts, period_s, rule, flags)
+    return FreeRunRows(stalled, inside, scored, entry, place)
 
 
 def _state(
-    record: Record, window: NDArray[np.bool_], in_stall: NDArray[np.bool_], period_s: float
-) -> tuple[NDArray[np.bool_], str, tuple[str, ...]]:
+    record: Record, window: slice, in_stall: FloatArray, period_s: float
+) -> tuple[BoolArray, str, tuple[str, ...]]:
     """Tell the state by the hub-minus-tip flow where there is a shift, else by the threshold."""
+    place = record.workspace
     if "Wc25_hub_kg_s" in record and "Wc25_tip_kg_s" in record:
-        shift = record["Wc25_hub_kg_s"] - record["Wc25_tip_kg_s"]
-        if float(np.median(shift[window])) > LEAST_SHIFT_KG_S:
-            return hub_tip_stall(record, window, 1.0 / period_s), "hub-tip", ()
+        shift = hub_tip_difference(record)
+        if median(shift, window, workspace=place) > LEAST_SHIFT_KG_S:
+            return hub_tip_stall(record, window, 1.0 / period_s, shift), "hub-tip", ()
     return (
-        in_stall,
+        evaluated(place, record.n_samples, lambda rows: in_stall[rows] > 0.5, np.bool_),
         "threshold",
         (
             "hub and tip do not show the stall state: it is told by the threshold of the flow, "
@@ -207,55 +287,86 @@ def _state(
     )
 
 
+@dataclass
+class _Counts:
+    """Rows inside the run by the first reason for which they are left out, and the others."""
+
+    backward: int = 0
+    switching: int = 0
+    unstalled: int = 0
+    ends: int = 0
+    scored: int = 0
+    # Median φ of the rows with reversed flow.
+    pinned_phi: float = float("nan")
+
+
+def _scored(reach: _Reach, phi: FloatArray, place: Workspace) -> tuple[BoolArray, _Counts]:
+    """Mark the rows that are scored, and count those that are not."""
+    counts, reversed_phi = _Counts(), GrowingColumns(place, 1)
+
+    def scored(rows: slice) -> BoolArray:
+        inside = _inside(reach.inside, rows)
+        if not inside.any():
+            return inside
+        stalled = reach.stalled[rows] & inside
+        backward, switching, chosen = reach.masks(rows)
+        backward &= stalled
+        switching &= stalled & ~backward
+        counts.backward += int(np.count_nonzero(backward))
+        counts.switching += int(np.count_nonzero(switching))
+        counts.unstalled += int(np.count_nonzero(inside) - np.count_nonzero(stalled))
+        counts.ends += int(np.count_nonzero(stalled & ~backward & ~switching & ~chosen))
+        counts.scored += int(np.count_nonzero(chosen))
+        reversed_phi.append(phi[rows][backward][:, None])
+        return chosen
+
+    column = evaluated(place, phi.size, scored, np.bool_)
+    if counts.backward:
+        counts.pinned_phi = median(reversed_phi.finished()[0], workspace=place)
+    return column, counts
+
+
 def _entry(
     record: Record,
-    phi: FloatArray,
-    inside: NDArray[np.bool_],
-    stalled: NDArray[np.bool_],
-    backward: NDArray[np.bool_],
-    switching: NDArray[np.bool_],
-    scored: NDArray[np.bool_],
+    inside: slice,
+    counts: _Counts,
     period_s: float,
     rule: str,
+    flags: tuple[str, ...],
 ) -> LedgerEntry:
     """Name each row left out once, by the first reason that holds."""
-    unstalled = inside & ~stalled
-    reversed_rows = inside & stalled & backward
-    smeared = inside & stalled & ~backward & switching
-    rest = inside & ~(scored | unstalled | reversed_rows | smeared)
-    pinned = float(np.median(phi[reversed_rows])) if reversed_rows.any() else float("nan")
     reasons = (
         (
-            reversed_rows,
+            counts.backward,
             "reversed flow: the plenum blows down while φ stays near "
-            f"{pinned:.3f}, and the loss acts without the lag"
-            if pinned < 0.0
+            f"{counts.pinned_phi:.3f}, and the loss acts without the lag"
+            if counts.pinned_phi < 0.0
             else "flow near zero, inside the dead band of the probes",
         ),
-        (smeared, "the average smears them across stall entry or recovery"),
-        (unstalled, "unstalled"),
-        (rest, "at the ends of the run"),
+        (counts.switching, "the average smears them across stall entry or recovery"),
+        (counts.unstalled, "unstalled"),
+        (counts.ends, "at the ends of the run"),
     )
     dropped = tuple(
-        Dropped("rows", int(np.count_nonzero(rows)), why + "; simulated, not scored")
-        for rows, why in reasons
-        if rows.any()
+        Dropped("rows", count, why + "; simulated, not scored") for count, why in reasons if count
     )
-    time_s = record.time_s[inside]
+    n_inside = inside.stop - inside.start
+    from_s, to_s = record.time_at_s(inside.start), record.time_at_s(inside.stop - 1)
     parameters: dict[str, str | int | float | bool] = {
         "average_s": round(period_s, 7),
         "stall_rule": rule,
-        "from_s": round(float(time_s[0]), 6),
-        "to_s": round(float(time_s[-1]), 6),
-        "rows": int(np.count_nonzero(inside)),
-        "scored": int(np.count_nonzero(scored)),
-        "in_stall": int(np.count_nonzero(inside & stalled)),
+        "from_s": round(from_s, 6),
+        "to_s": round(to_s, 6),
+        "rows": n_inside,
+        "scored": counts.scored,
+        "in_stall": n_inside - counts.unstalled,
     }
     return LedgerEntry(
         "free run",
-        f"one run from {time_s[0]:.3f} to {time_s[-1]:.3f} s, scored on "
-        f"{np.count_nonzero(scored)} of {np.count_nonzero(inside)} rows; unfiltered φ and ψ' are "
+        f"one run from {from_s:.3f} to {to_s:.3f} s, scored on "
+        f"{counts.scored} of {n_inside} rows; unfiltered φ and ψ' are "
         f"averaged over {1e3 * period_s:.2f} ms in the fit",
         parameters,
         dropped,
+        flags,
     )

@@ -12,6 +12,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
 from classic_ml.conditioning import condition
+from classic_ml.display import FittedDisplay, Sheet
 from classic_ml.errors import InputError
 from classic_ml.first_order_lag import FirstOrderLag, Hold
 from classic_ml.fit_state import FitState
@@ -29,7 +30,7 @@ __all__ = ["LagRegressor"]
 NO_RESPONSE = 1e-12
 
 
-class LagRegressor(RegressorMixin, BaseEstimator):
+class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     """First-order lag on a quasi-steady characteristic, τ dψ'/dt + ψ' = Σ β_i s_i(φ).
 
     Parameters
@@ -340,6 +341,11 @@ class LagRegressor(RegressorMixin, BaseEstimator):
         if np.isnan(self.time_constant_s_):
             return f"y = {right}"
         return f"({self.time_constant_s_:.4g} s) dy/dt + y = {right}"
+
+    def _sheet(self) -> Sheet | None:
+        from classic_ml.sheets import lag_sheet
+
+        return lag_sheet(self) if hasattr(self, "fit_state_") else None
 
     def _named(self) -> list[tuple[str, float]]:
         return list(zip(self.terms_, self.coef_.tolist(), strict=True))

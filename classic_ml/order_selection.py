@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,6 +136,7 @@ def select_order(
     hold: Hold = "first",
     sample_weight: ArrayLike | None = None,
     hold_out: bool = True,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> OrderTable:
     """Fit every combination of orders to the same rows and recommend one.
 
@@ -163,6 +165,8 @@ def select_order(
         Weights; a row of weight 0 is simulated through but not scored.
     hold_out : bool
         Score each model on the last third of the cycles too, by a fit to the others.
+    progress : callable
+        Wraps the iteration over the models, to show how far it is.
 
     Returns
     -------
@@ -195,7 +199,7 @@ def select_order(
             found=str(data.y.size),
         )
     train = data.earlier() if hold_out else None
-    fitted = [_fit(c, data, train, sample_period_s, hold) for c in candidates]
+    fitted = [_fit(c, data, train, sample_period_s, hold) for c in progress(candidates)]
     return _table(fitted, data.n_free)
 
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace
 
@@ -91,7 +92,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Displayed):
     """One run: channels that share a uniform clock, where they came from, and their history.
 
     Parameters
@@ -219,6 +220,11 @@ class Record:
         first = _first_row(lambda row: self.time_at_s(row) >= from_s - half, self.n_samples)
         stop = _first_row(lambda row: self.time_at_s(row) > to_s + half, self.n_samples)
         return slice(first, max(first, stop))
+
+    def _sheet(self) -> Sheet:
+        from classic_ml.sheets import record_sheet
+
+        return record_sheet(self)
 
     def after(
         self,

@@ -185,8 +185,8 @@ def whiteness(errors: FloatArray, runs: list[slice], n_lags: int = 20) -> CheckR
 
     Notes
     -----
-    The largest |ρ(k)| is held against the 1 % point of the largest of ``n_lags`` normal values of
-    variance 1/n.
+    The largest ``|ρ(k)|`` is held against the 1 % point of the largest of ``n_lags`` normal values
+    of variance 1/n.
     """
     correlations = lagged_correlation(errors, errors, runs, n_lags)[n_lags + 1 :]
     largest = float(np.max(np.abs(correlations)))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.clock import uniform_period_s
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray, LedgerEntry
+from classic_ml.workspace import IN_MEMORY, Workspace, blocks
 
 if TYPE_CHECKING:
     from classic_ml.readers.series_files import ledger_path, read_series, write_series
@@ -46,8 +48,23 @@ UNITS = {
     "stalled": "1",
     "free_run": "1",
 }
+LONG_NAMES = {
+    "time_s": "facility clock",
+    "phi": "flow coefficient",
+    "psi_p": "instantaneous pressure coefficient",
+    "psi": "instantaneous work coefficient",
+    "T25_K": "inlet total temperature",
+    "Nc_frac": "corrected speed over design corrected speed",
+    "in_stall": "in stall by the rule of the reduction",
+    "segment": "number of the interval to be fitted, 0 outside of all",
+    "phi_unfiltered": "flow coefficient from unfiltered pressures",
+    "psi_p_unfiltered": "instantaneous pressure coefficient from unfiltered pressures",
+    "stalled": "in stall as hub and tip flow show it",
+    "free_run": "free run: 0 outside, 1 simulated through, 2 scored",
+}
 TRUTH_COLUMNS = ("in_stall", "stalled")
 COUNT_COLUMNS = ("segment", "free_run")
+LARGEST = float(np.finfo(np.float64).max)
 # Beyond these no compressor works: φ = 1 is already an axial Mach number of order one at any
 # useful wheel speed, and ψ' = 100 would be a pressure ratio beyond 10^4 at 300 m/s.
 POSSIBLE = {
@@ -63,7 +80,7 @@ POSSIBLE = {
 
 
 @dataclass(frozen=True)
-class CoefficientSeries:
+class CoefficientSeries(Displayed):
     """Flow and pressure coefficients of one record on a uniform clock.
 
     Parameters
@@ -95,6 +112,8 @@ class CoefficientSeries:
         File or record that the series came from.
     history : tuple of LedgerEntry
         What was done to get here.
+    workspace : Workspace
+        Where the columns lie, which are not copied where they are read-only and of their type.
 
     Raises
     ------
@@ -117,15 +136,29 @@ class CoefficientSeries:
     free_run: NDArray[np.int64] | None = None
     source: str = "series"
     history: tuple[LedgerEntry, ...] = ()
+    workspace: Workspace = field(default=IN_MEMORY, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in COLUMNS:
             values = getattr(self, name)
             if values is not None:
-                object.__setattr__(self, name, _frozen_column(name, values, self.source))
+                object.__setattr__(self, name, _frozen_column(self, name, values))
         _check_lengths(self)
-        uniform_period_s(self.time_s, f"{self.source}: column time_s")
-        _check_values(self)
+        uniform_period_s(self.time_s, f"{self.source}: column time_s", workspace=self.workspace)
+        for name, bounds in POSSIBLE.items():
+            _check_range(self, name, bounds)
+        for name in ("phi", "psi_p"):
+            _check_moves(self, name)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Survive pickling, which a place on disk does not: the copy lies in memory."""
+        names = [name for name in self.__dataclass_fields__ if name != "workspace"]
+        return (_rebuild, ({name: getattr(self, name) for name in names},))
+
+    def _sheet(self) -> Sheet:
+        from classic_ml.sheets import series_sheet
+
+        return series_sheet(self)
 
     @property
     def n_samples(self) -> int:
@@ -158,44 +191,108 @@ class CoefficientSeries:
         return {name: values for name, values in present.items() if values is not None}
 
 
-def _frozen_column(name: str, values: NDArray[np.generic], source: str) -> NDArray[np.generic]:
-    column: NDArray[np.generic]
-    numbers = np.asarray(values, dtype=np.float64)
-    if numbers.ndim != 1:
+def _rebuild(known: dict[str, Any]) -> CoefficientSeries:
+    return CoefficientSeries(**known)
+
+
+def _frozen_column(
+    series: CoefficientSeries, name: str, values: NDArray[np.generic]
+) -> NDArray[np.generic]:
+    """Check a column block by block, and return it read-only and of its type."""
+    given = np.asarray(values)
+    if given.ndim != 1:
         raise InputError(
-            f"{source}: column {name}",
+            f"{series.source}: column {name}",
             expected="one value a row",
-            found=f"shape {numbers.shape}",
+            found=f"shape {given.shape}",
         )
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if bad.size:
-        raise InputError(
-            f"{source}: column {name}",
-            expected="a finite number in every row",
-            found=f"{numbers[bad[0]]} in row {bad[0] + 1}"
-            + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
-            remedy="cut the record there or repair the channel",
-        )
+    _check_rows(
+        series,
+        name,
+        given,
+        (-LARGEST, LARGEST),
+        expected="a finite number in every row",
+        found="{0} in row {1}{2}",
+        remedy="cut the record there or repair the channel",
+    )
     if name in COUNT_COLUMNS:
-        if np.any(numbers != np.round(numbers)) or np.any(numbers < 0):
-            raise InputError(
-                f"{source}: column {name}",
-                expected="whole numbers from 0 on",
-                found=f"{numbers[(numbers != np.round(numbers)) | (numbers < 0)][0]}",
-            )
-        column = numbers.astype(np.int64)
+        bounds, expected = (0.0, LARGEST), "whole numbers from 0 on"
+        _check_rows(series, name, given, bounds, whole=True, expected=expected)
     elif name in TRUTH_COLUMNS:
-        if not np.all(np.isin(numbers, (0.0, 1.0))):
-            raise InputError(
-                f"{source}: column {name}",
-                expected="0 or 1",
-                found=f"{numbers[~np.isin(numbers, (0.0, 1.0))][0]}",
-            )
-        column = numbers.astype(np.bool_)
-    else:
-        column = numbers.copy()
+        _check_rows(series, name, given, (0.0, 1.0), whole=True, expected="0 or 1")
+    if given.dtype == _column_type(name) and not given.flags.writeable:
+        return given
+    column: NDArray[np.generic] = given.astype(_column_type(name))
     column.setflags(write=False)
     return column
+
+
+def _column_type(name: str) -> type[np.generic]:
+    if name in COUNT_COLUMNS:
+        return np.int64
+    return np.bool_ if name in TRUTH_COLUMNS else np.float64
+
+
+def _check_rows(
+    series: CoefficientSeries,
+    name: str,
+    values: NDArray[np.generic],
+    bounds: tuple[float, float],
+    *,
+    expected: str,
+    whole: bool = False,
+    found: str = "{0}",
+    remedy: str = "",
+) -> None:
+    """Refuse the first row out of bounds or not whole: its value, number, how many more."""
+    first, number, n_bad = -1, 0.0, 0
+    whole = whole and values.dtype.kind not in "biu"
+    for rows in blocks(values.size):
+        bad = _bad_rows(values[rows], bounds, whole)
+        if bad.size:
+            if not n_bad:
+                first = int(rows.start + bad[0])
+                number = float(np.float64(values[first]))
+            n_bad += bad.size
+        series.workspace.release()
+    if n_bad:
+        more = f" and {n_bad - 1} more" if n_bad > 1 else ""
+        raise InputError(
+            f"{series.source}: column {name}",
+            expected=expected,
+            found=found.format(number, first + 1, more),
+            remedy=remedy,
+        )
+
+
+def _bad_rows(
+    values: NDArray[np.generic], bounds: tuple[float, float], whole: bool
+) -> NDArray[np.int64]:
+    numbers: NDArray[Any] = values
+    if values.dtype.kind not in "fbiu":
+        numbers = values.astype(np.float64)
+    # Nearly always nothing is wrong, and the extremes tell: they are NaN where one value is.
+    if not whole and numbers.min() >= bounds[0] and numbers.max() <= bounds[1]:
+        return np.zeros(0, dtype=np.int64)
+    good = (numbers >= bounds[0]) & (numbers <= bounds[1])
+    if whole:
+        good &= numbers == np.round(numbers)
+    return np.flatnonzero(~good)
+
+
+def _check_range(series: CoefficientSeries, name: str, bounds: tuple[float, float]) -> None:
+    values = getattr(series, name)
+    if values is None:
+        return
+    _check_rows(
+        series,
+        name,
+        values,
+        bounds,
+        expected=f"values between {bounds[0]:g} and {bounds[1]:g}{_shown_unit(name)}",
+        found="{0:g} in row {1}",
+        remedy="check the units and the calibration",
+    )
 
 
 def _check_lengths(series: CoefficientSeries) -> None:
@@ -212,28 +309,15 @@ def _shown_unit(name: str) -> str:
     return "" if UNITS[name] == "1" else f" {UNITS[name]}"
 
 
-def _check_values(series: CoefficientSeries) -> None:
-    columns = series.columns()
-    for name, (low, high) in POSSIBLE.items():
-        if name not in columns:
-            continue
-        values = columns[name].astype(np.float64)
-        bad = np.flatnonzero((values < low) | (values > high))
-        if bad.size:
-            raise InputError(
-                f"{series.source}: column {name}",
-                expected=f"values between {low:g} and {high:g}{_shown_unit(name)}",
-                found=f"{values[bad[0]]:g} in row {bad[0] + 1}",
-                remedy="check the units and the calibration",
-            )
-    for name in ("phi", "psi_p"):
-        if np.ptp(columns[name]) == 0.0:
-            raise InputError(
-                f"{series.source}: column {name}",
-                expected="a signal that moves",
-                found=f"the constant {columns[name][0]:g}",
-                remedy="a lag cannot be identified without excitation",
-            )
+def _check_moves(series: CoefficientSeries, name: str) -> None:
+    values: FloatArray = getattr(series, name)
+    if all(np.all(values[rows] == values[0]) for rows in blocks(values.size)):
+        raise InputError(
+            f"{series.source}: column {name}",
+            expected="a signal that moves",
+            found=f"the constant {values[0]:g}",
+            remedy="a lag cannot be identified without excitation",
+        )
 
 
 def __getattr__(name: str) -> object:

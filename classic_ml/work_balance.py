@@ -146,6 +146,7 @@ def delivered_power(
     inertia_per_m: float,
     mixing_phi: float = MIXING_PHI,
     smooth: Callable[[FloatArray], FloatArray] = _as_it_is,
+    flow_span_kg_s: float | None = None,
 ) -> FloatArray:
     """Return W25 ψ, which stays finite through zero flow (Eq 13 with W31 from the mass balance).
 
@@ -166,6 +167,8 @@ def delivered_power(
     smooth : callable
         Smooths I d²W25/dt² and what T̄ is made of: the second derivative of a noisy flow is most
         of the noise of ψ.
+    flow_span_kg_s : float, optional
+        Largest less least flow of the whole record, where these rows are a part of it.
 
     Returns
     -------
@@ -189,7 +192,8 @@ def delivered_power(
     mean_Pa_s = inlet_Pa_s + EXIT_WEIGHT * (exit_Pa_s + smooth(surge_Pa_s) - inlet_Pa_s)
     volume = machine.internal_volume_m3 / machine.gas_constant_J_kg_K
     credit = credit_of_storage(phi, mixing_phi)
-    divisor = np.where(phi > 0.0, np.maximum(smooth(flow_kg_s), 1e-3 * np.ptp(flow_kg_s)), np.inf)
+    span = float(np.ptp(flow_kg_s)) if flow_span_kg_s is None else flow_span_kg_s
+    divisor = np.where(phi > 0.0, np.maximum(smooth(flow_kg_s), 1e-3 * span), np.inf)
     delivered_K = exit_K
     stored = np.zeros_like(phi)
     for _ in range(PASSES):

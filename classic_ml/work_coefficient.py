@@ -278,9 +278,9 @@ def _setup(
     mixing_phi: float,
 ) -> _Setup:
     inside = np.flatnonzero(window)
-    cell_hz = cell_frequency_hz(record, window)
-    stalled = hub_tip_stall(record, window, cell_hz)
     rows = slice(int(inside[0]), int(inside[-1]) + 1)
+    cell_hz = cell_frequency_hz(record, rows)
+    stalled = hub_tip_stall(record, rows, cell_hz)
     onsets = np.diff(stalled.astype(np.int64), prepend=int(stalled[0])) > 0
     setup = _Setup(
         record,

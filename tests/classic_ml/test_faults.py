@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from raw_data import RawTest, make_test
 
+from classic_ml import standstill
 from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.errors import InputError
 from classic_ml.faults import BEYOND_LIMITS, CLIPPED, STUCK, choose_channels, inspect_readings
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
+from classic_ml.workspace import blocks
 
 Change = Callable[[np.ndarray], np.ndarray]
 PROBE = "P25_A_tip_forward"
@@ -29,8 +33,8 @@ def spoiled(made: RawTest, name: str, change: Change) -> tuple[Record, TestDescr
     return dataclasses.replace(made, columns=columns).load()
 
 
-def window_of(record: Record) -> np.ndarray:
-    return (record.time_s > 0.7) & (record.time_s < 1.4)
+def window_of(record: Record) -> slice:
+    return record.rows_between(0.7, 1.4)
 
 
 def chosen(record: Record, test: TestDescription) -> Record:
@@ -193,19 +197,21 @@ def test_a_quiet_lead_in_changes_no_finding_and_costs_no_more_passes(
     made = make_test(seconds=4.0, noise_counts=0.5, cells_lbm_s=8.0)
     plain, test = spoiled(made, PROBE, between(900, 990))
     long = led_in(plain, rows)
-    passes = []
-    difference = np.diff
+    calls: list[str] = []
 
-    def counted(values: np.ndarray) -> np.ndarray:
-        passes.append(values.size)
-        return difference(values)
+    def counted(name: str, do: Callable[..., Any], *arguments: Any) -> Any:
+        calls.append(name)
+        return do(*arguments)
 
-    monkeypatch.setattr(np, "diff", counted)
-    short_marks, short_passes = inspect_readings(plain, test), len(passes)
-    passes.clear()
+    for name in ("count_steps", "find_runs"):
+        monkeypatch.setattr(standstill, name, partial(counted, name, getattr(standstill, name)))
+    short_marks = inspect_readings(plain, test)
+    n_short, n_blocks = len(calls), len(list(blocks(long.n_samples)))
     marks = inspect_readings(long, test)
-    # Passes over a channel, however many runs of equal codes are in it.
-    assert len(passes) == short_passes == 3 * len(test.channel_names)
+    # Two passes over a channel, however many runs of equal codes are in it; one more to look for
+    # runs in one that is not made of codes.
+    assert n_short == 2 * len(test.channel_names) + len(test.temperatures)
+    assert len(calls) - n_short == n_blocks * n_short
     assert marks.history[-1].flags == short_marks.history[-1].flags
     assert len(marks.history[-1].flags) == 1
     np.testing.assert_array_equal(marks[f"fault_{PROBE}"][rows:], short_marks[f"fault_{PROBE}"])

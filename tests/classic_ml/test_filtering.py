@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from classic_ml.errors import InputError
 from classic_ml.filtering import (
@@ -72,6 +73,49 @@ def test_no_filter_is_the_identity() -> None:
     np.testing.assert_array_equal(
         low_pass(noise, RATE, order=3, cutoff_hz=48.0, phase="none"), noise
     )
+
+
+@pytest.mark.parametrize("order", [3, 5])
+@pytest.mark.parametrize("n", [19, 100, 70_001])
+def test_the_filter_is_scipy_s(order: int, n: int) -> None:
+    values = 5.5e4 + 300.0 * np.random.default_rng(n).standard_normal(n).cumsum()
+    sections = butter(order, 48.0, fs=RATE, output="sos")
+    once = sosfilt(sections, values, zi=sosfilt_zi(sections) * values[0])[0]
+    settings = {"order": order, "cutoff_hz": 48.0}
+    for phase, expected in (("causal", once), ("zero", sosfiltfilt(sections, values))):
+        out = low_pass(values, RATE, phase=phase, **settings)
+        assert np.abs(out - expected).max() <= 1e-12 * np.ptp(values)
+
+
+@pytest.mark.parametrize(("order", "rows"), [(3, 12), (5, 18)])
+def test_a_record_shorter_than_the_filter_s_start_is_refused(order: int, rows: int) -> None:
+    with pytest.raises(ValueError, match=f"more than {rows} samples, found {rows}"):
+        low_pass(TIME[:rows], RATE, order=order, cutoff_hz=48.0, phase="zero")
+    low_pass(TIME[: rows + 1], RATE, order=order, cutoff_hz=48.0, phase="zero")
+
+
+@pytest.mark.parametrize("n_channels", [1, 4, 5, 6, 11])
+def test_each_of_several_channels_is_filtered_as_if_alone(n_channels: int) -> None:
+    rng = np.random.default_rng(n_channels)
+    arrays = {f"P{k}": (rng.standard_normal(300).cumsum(), "Pa") for k in range(n_channels)}
+    record = Record.from_arrays(arrays, sample_rate_hz=RATE)
+    out = filter_channels(record, tuple(arrays), order=3, cutoff_hz=48.0, phase="zero")
+    for name, (values, _) in arrays.items():
+        alone = low_pass(values, RATE, order=3, cutoff_hz=48.0, phase="zero")
+        np.testing.assert_array_equal(out[name], alone)
+
+
+@pytest.mark.parametrize("width", [0.4, 1.0, 1.7, 2.0, 12.12, 13.0, 150.0])
+def test_the_moving_average_is_the_weighted_mean_of_what_there_is(width: float) -> None:
+    values = np.random.default_rng(8).standard_normal(120)
+    out = period_average(values, width / RATE, RATE)
+    offset = np.abs(np.arange(120) - np.arange(120)[:, None])
+    # Each sample stands for one period around it, of which a part is inside of the average.
+    weights = np.clip(0.5 * width + 0.5 - offset, 0.0, 1.0)
+    if width > 1.0:
+        np.testing.assert_allclose(out, weights @ values / weights.sum(axis=1), rtol=0, atol=1e-13)
+    else:
+        np.testing.assert_array_equal(out, values)
 
 
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, 500.0, 700.0])

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from raw_data import LBM, surge_waves
 
+from classic_ml import workspace
 from classic_ml.errors import InputError
+from classic_ml.free_run_rows import near
+from classic_ml.intervals import intervals_where, label_intervals, labelled
 from classic_ml.records import Record
 from classic_ml.segments import (
     cell_frequency_hz,
-    find_cycles,
     hub_tip_stall,
     in_stall_by_threshold,
-    label_intervals,
     segment,
     window_rows,
 )
+from classic_ml.surge_cycles import find_cycles
 
 RATE = 1000.0
 
@@ -46,6 +50,12 @@ def record_of(
         sample_rate_hz=RATE,
         source="made up",
     )
+
+
+def inside_of(window: slice, n_rows: int = 3000) -> np.ndarray:
+    inside = np.zeros(n_rows, dtype=bool)
+    inside[window] = True
+    return inside
 
 
 @pytest.mark.parametrize("period_s", [0.08, 0.14, 0.35])
@@ -147,17 +157,71 @@ def test_intervals_are_numbered_in_order_and_short_ones_left_out() -> None:
     assert label_intervals(np.zeros(4, dtype=bool), 1) == (pytest.approx(np.zeros(4)), [])
 
 
+@given(
+    state=st.lists(st.booleans(), min_size=1, max_size=60).map(np.array),
+    block=st.integers(1, 20),
+    window=st.tuples(st.integers(0, 20), st.integers(1, 60)),
+)
+@settings(max_examples=200, deadline=None)
+def test_intervals_do_not_depend_on_blocks(
+    state: np.ndarray, block: int, window: tuple[int, int]
+) -> None:
+    rows = slice(min(window[0], state.size - 1), min(max(window), state.size))
+    inside = np.zeros(state.size + 2, dtype=bool)
+    inside[1:-1][rows] = state[rows]
+    expected = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workspace, "BLOCK_ROWS", block)
+        found = intervals_where(rows, lambda part: state[part])
+    np.testing.assert_array_equal(found, expected)
+    # The marks of some rows are those rows of the marks.
+    marks = labelled(found, slice(0, state.size))
+    assert marks.max() == len(found)
+    np.testing.assert_array_equal(marks > 0, inside[1:-1])
+    np.testing.assert_array_equal(labelled(found, rows), marks[rows])
+
+
+@given(
+    flow=st.lists(st.integers(0, 10), min_size=1, max_size=60).map(np.array),
+    half=st.integers(0, 4),
+    block=st.integers(1, 20),
+)
+@settings(max_examples=200, deadline=None)
+def test_the_state_is_carried_over_the_border_of_blocks(
+    flow: np.ndarray, half: int, block: int
+) -> None:
+    state, expected = bool(flow[0] < 5), []
+    for value in flow:
+        state = value < 5 - half or (state and value < 5 + half)
+        expected.append(state)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workspace, "BLOCK_ROWS", block)
+        found = in_stall_by_threshold(flow.astype(float), 5.0, float(half))
+    np.testing.assert_array_equal(found, expected)
+
+
+@given(
+    rows=st.lists(st.booleans(), max_size=40).map(lambda v: np.array(v, dtype=bool)),
+    before=st.integers(0, 50),
+    behind=st.integers(0, 50),
+)
+def test_near_is_what_it_says(rows: np.ndarray, before: int, behind: int) -> None:
+    places = np.flatnonzero(rows)
+    expected = [np.any((places - k <= before) & (k - places <= behind)) for k in range(rows.size)]
+    np.testing.assert_array_equal(near(rows, before, behind), np.array(expected, dtype=bool))
+
+
 def test_segments_lie_in_stall_and_in_the_window() -> None:
     record = record_of()
     window = window_rows(record, (1.0, 2.5))
     out = segment(record, window, threshold_lbm_s=50.0)
     inside = out["segment"] > 0
     assert np.all(out["in_stall"][inside] == 1)
-    assert np.all(window[inside])
+    assert np.all(inside_of(window)[inside])
     assert np.all(out["Wc25_kg_s"][inside] / LBM < 50.0)
     assert out["segment"].max() == pytest.approx(1.5 / 0.14, abs=1.0)
     # Rows of stall outside the window are marked as stall, but not as segments.
-    assert np.any((out["in_stall"] == 1) & ~window)
+    assert np.any((out["in_stall"] == 1) & ~inside_of(window))
     assert out.history[-1].dropped[-1].count == np.count_nonzero(~inside)
 
 
@@ -165,7 +229,7 @@ def test_without_an_unstalled_regime_the_window_is_one_segment() -> None:
     record = record_of()
     window = window_rows(record, (1.0, 2.5))
     out = segment(record, window, threshold_lbm_s=None)
-    np.testing.assert_array_equal(out["segment"], window.astype(float))
+    np.testing.assert_array_equal(out["segment"], inside_of(window).astype(float))
     assert np.all(out["in_stall"][window] == 1)
     assert out["in_stall"][0] == 0
     assert out.history[-1].parameters["threshold_lbm_s"] == "none"
@@ -182,6 +246,23 @@ def test_a_short_graze_of_the_threshold_is_named() -> None:
     assert out.history[-1].dropped[0].what == "in-stall interval"
     assert out.history[-1].dropped[0].count == 10
     assert segment(record, window, threshold_lbm_s=50.0).history[-1].dropped[0].what == "rows"
+
+
+def test_many_short_grazes_are_counted_together() -> None:
+    record = record_of(seconds=4.0)
+    flow = record["Wc25_kg_s"].copy()
+    # A spike of 3 ms up to unstalled flow in every 10 ms of stall.
+    flow[np.arange(flow.size) % 10 < 3] = 60.0 * LBM
+    spiky = Record.from_arrays(
+        {"Wc25_kg_s": (np.where(np.arange(4000) > 3500, 0.0, flow), "kg/s")}, sample_rate_hz=RATE
+    )
+    out = segment(spiky, slice(1000, 4000), threshold_lbm_s=50.0)
+    dropped = out.history[-1].dropped
+    assert [drop.count for drop in dropped[:20]] == [7] * 20
+    assert dropped[20].what.endswith("more such intervals")
+    named = sum(drop.count for drop in dropped[:21])
+    stalled = np.count_nonzero(out["in_stall"][1000:])
+    assert named + np.count_nonzero(out["segment"]) == stalled
 
 
 def test_a_window_without_stall_is_refused() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from classic_ml import CoefficientSeries, read_series, write_series
+from classic_ml import CoefficientSeries, read_series, workspace, write_series
 from classic_ml.errors import InputError
 from classic_ml.readers import series_files
 from classic_ml.records import Dropped, LedgerEntry
@@ -277,3 +277,98 @@ def test_a_netcdf_file_whose_clock_is_called_time_is_told_to_rename_it(
         read_series(file)
     data.rename(time="time_s").to_netcdf(file, engine="h5netcdf")
     np.testing.assert_array_equal(read_series(file).time_s, time_s)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".nc"])
+def test_every_double_survives_its_file(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workspace, "BLOCK_ROWS", 4_999)
+    rng = np.random.default_rng(11)
+    n = 100_000
+    bits = rng.integers(0, 2**64, n, dtype=np.uint64)
+    # Exponents from the smallest subnormal up to what ψ may be.
+    bits &= np.uint64(0x800FFFFFFFFFFFFF)
+    bits |= rng.integers(0, 1023 + 9, n, dtype=np.uint64) << np.uint64(52)
+    psi = bits.view(np.float64)
+    psi[:6] = [0.0, -0.0, 5e-324, -2.225073858507201e-308, 441.0, 1e-5]
+    series = CoefficientSeries(
+        time_s=np.arange(n) / 1000.0,
+        phi=rng.standard_normal(n) * 0.1,
+        psi_p=rng.standard_normal(n),
+        segment=np.ones(n),
+        psi=psi,
+    )
+    file = tmp_path / f"run{suffix}"
+    write_series(series, file)
+    back = read_series(file)
+    for name, values in series.columns().items():
+        # Bit for bit: a zero keeps its sign.
+        assert getattr(back, name).tobytes() == values.tobytes()
+
+
+def _spoilt(text: str, row: int, old: str, new: str) -> str:
+    lines = text.splitlines(keepends=True)
+    lines[row] = lines[row].replace(old, new, 1)
+    return "".join(lines)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda text: text,
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\n\n"),
+        lambda text: "\n" + text,
+        lambda text: "\ufeff" + text,
+        lambda text: "# by hand\n" + text,
+        lambda text: text + "# the end\n",
+        lambda text: text.replace(",", ", "),
+        lambda text: text.replace(",", " ,"),
+        lambda text: text.replace(",", '","').replace("\n", '"\n"').join(('"', ""))[:-1],
+        lambda text: text.replace("0.", "+0."),
+        lambda text: text.replace("phi", "Phi"),
+        lambda text: text.replace("psi_p", "phi"),
+        lambda text: text.replace("\n", ",\n"),
+        lambda text: _spoilt(text, 7, ",", ",,"),
+        lambda text: _spoilt(text, 7, ",", ""),
+        lambda text: _spoilt(text, 7, ",", ",nan,"),
+        lambda text: _spoilt(text, 7, ",", ",x"),
+        lambda text: _spoilt(text, 7, ",", ",1_"),
+        lambda text: _spoilt(text, 7, ",", ",inf,"),
+        lambda text: _spoilt(text, 7, "\n", "#\n"),
+        lambda text: text[:-40],
+        lambda text: text.split("\n", 1)[0],
+        lambda text: text.split("\n", 1)[0] + "\n",
+    ],
+)
+def test_the_quick_look_at_a_table_sees_what_the_thorough_one_does(
+    tmp_path: Path, spoil: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = written(tmp_path)
+    file.write_bytes(spoil(file.read_text("utf-8")).encode())
+
+    def outcome() -> dict[str, bytes] | str:
+        try:
+            return {name: v.tobytes() for name, v in read_series(file).columns().items()}
+        except InputError as error:
+            return str(error)
+
+    quick = outcome()
+    monkeypatch.setattr(series_files, "_read_plain_csv", lambda _: None)
+    assert quick == outcome()
+
+
+def test_a_netcdf_series_says_what_its_columns_are(tmp_path: Path) -> None:
+    import xarray as xr
+
+    file = tmp_path / "run.nc"
+    write_series(made(), file)
+    with xr.open_dataset(file, engine="h5netcdf") as data:
+        assert set(data.dims) == {"time_s"}
+        assert list(data.coords) == ["time_s"]
+        assert data["T25_K"].attrs == {"units": "K", "long_name": "inlet total temperature"}
+        assert all(data[name].attrs["long_name"] for name in data.variables)
+        assert data["in_stall"].dtype == np.int8
+        assert data.attrs["source"] == "series"
+        np.testing.assert_array_equal(data["phi"], made().phi)

@@ -281,8 +281,8 @@ def made_record(seed: int, *, cells: float, shift: float) -> tuple[Record, np.nd
 
 def test_the_state_is_told_by_the_machine_and_every_row_left_out_is_named() -> None:
     record, phi, stalled = made_record(0, cells=8.0, shift=4.0)
-    window = np.ones(N_ROWS, dtype=bool)
-    rows = free_run_rows(record, phi, window, window, np.zeros(N_ROWS, dtype=bool))
+    window = slice(0, N_ROWS)
+    rows = free_run_rows(record, phi, window, window, np.zeros(N_ROWS))
     assert np.mean(rows.stalled == stalled) > 0.95
     assert rows.entry.parameters["average_s"] == pytest.approx(PERIOD_S, rel=0.01)
     assert sum(d.count for d in rows.entry.dropped) + rows.scored.sum() == N_ROWS
@@ -295,8 +295,8 @@ def test_the_state_is_told_by_the_machine_and_every_row_left_out_is_named() -> N
 
 def test_without_a_shift_or_cells_the_threshold_stands_in_and_it_is_said() -> None:
     record, phi, stalled = made_record(1, cells=0.0, shift=0.0)
-    window = np.ones(N_ROWS, dtype=bool)
-    rows = free_run_rows(record, phi, window, window, stalled)
+    window = slice(0, N_ROWS)
+    rows = free_run_rows(record, phi, window, window, stalled.astype(float))
     assert np.array_equal(rows.stalled, stalled)
     assert rows.entry.parameters["stall_rule"] == "threshold"
     assert len(rows.entry.flags) == 2
@@ -304,9 +304,7 @@ def test_without_a_shift_or_cells_the_threshold_stands_in_and_it_is_said() -> No
 
 def test_the_window_grows_over_the_settled_machine_only() -> None:
     record, _, _ = made_record(2, cells=8.0, shift=4.0)
-    window = np.zeros(N_ROWS, dtype=bool)
-    window[1500:3000] = True
-    grown = np.flatnonzero(extend_while_settled(record, window))
+    grown = extend_while_settled(record, slice(1500, 3000))
     # N_c settles at 0.5 s (its average a little about that), readings fail from 3.8 s on.
-    assert 450 <= grown[0] <= 580
-    assert grown[-1] == 3800
+    assert 450 <= grown.start <= 580
+    assert grown.stop == 3801

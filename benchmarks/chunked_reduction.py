@@ -1,0 +1,197 @@
+"""What does it cost to reduce a record larger than memory, beside one that is held in memory?
+
+A rig record of 10 s is drawn out to minutes or hours by repeating its surge cycles, written as
+Parquet and as CSV, and reduced by the command `sindy-surge reduce` on one core, as a process of its
+own, in one piece and chunk by chunk. Printed are the seconds of the whole process, its start
+included, by the clock and of the processor; how many times real time that is by the clock; the peak
+of its resident memory; and whether its numbers are those of the first run, to the last bit.
+
+    python benchmarks/chunked_reduction.py [--minutes 10 60] [--chunk 65536] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from classic_ml import read_series
+from classic_ml.readers import read_raw
+from classic_ml.records import Record
+from classic_ml.reduction import reduce_record
+from comparisons.rig import simulate, write_run
+
+CASE = "985"
+RIG_S = 10.0
+FORMATS = ((".parquet", ".nc"), (".csv", ".nc"), (".csv", ".csv"))
+# The command on one core; it leaves behind what it took of the processor and of memory.
+PROCESS = """
+import json, os, sys, time
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from comparisons.cli import main
+code = main(sys.argv[2:])
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+with open(sys.argv[1], "w") as told:
+    json.dump({"cpu": time.process_time(), "peak": 1024 * int(peak.split()[1])}, told)
+sys.exit(code)
+"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one run of the command took.
+
+    Parameters
+    ----------
+    rows : int
+        Rows of the record.
+    raw, series : str
+        Suffix of the file read and of the file written.
+    chunk : int or None
+        Rows read at once; None in one piece.
+    seconds, cpu_seconds : float
+        By the clock, and of the processor.
+    times_real_time : float
+        Length of the record over the seconds by the clock.
+    peak_mb : float
+        Peak of resident memory.
+    same : bool
+        Whether its numbers are those of the first run.
+    """
+
+    rows: int
+    raw: str
+    series: str
+    chunk: int | None
+    seconds: float
+    cpu_seconds: float
+    times_real_time: float
+    peak_mb: float
+    same: bool
+
+
+def drawn_out(record: Record, window: slice, n_rows: int) -> dict[str, np.ndarray]:
+    """Return the columns of a longer record: its cycles over and over behind its beginning."""
+    n_cycles = window.stop - window.start
+    rows = np.concatenate(
+        (np.arange(window.start), window.start + np.arange(n_rows - window.start) % n_cycles)
+    )
+    time_s = {"time_s": np.round(np.arange(n_rows) / record.sample_rate_hz, 6)}
+    return time_s | {name: record[name][rows] for name in record.channels}
+
+
+def write_tables(columns: dict[str, np.ndarray], folder: Path, suffixes: list[str]) -> None:
+    """Write counts as whole numbers, as a logger does, and the rest as float64."""
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    table = pa.table(
+        {name: v.astype(np.int16) if name[0] == "P" else v for name, v in columns.items()}
+    )
+    for suffix in suffixes:
+        if suffix == ".parquet":
+            parquet.write_table(table, folder / "raw.parquet", row_group_size=1 << 16)
+        else:
+            csv.write_csv(table, folder / "raw.csv")
+
+
+def run(folder: Path, raw: str, series: str, chunk: int | None) -> tuple[float, dict[str, float]]:
+    """Run the command, and return the seconds by the clock and what the process told."""
+    told, out = folder / "told.json", folder / f"{raw[1:]}-{chunk}{series}"
+    arguments = ["reduce", f"raw{raw}", "--test", "test.toml", "-o", str(out)]
+    arguments += ["--chunk", str(chunk)] if chunk is not None else []
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    begun = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", PROCESS, str(told), *arguments],
+        cwd=folder,
+        env=os.environ | one_thread,
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )
+    return time.perf_counter() - begun, json.loads(told.read_text())
+
+
+def costs_of(
+    columns: dict[str, np.ndarray],
+    rate_hz: float,
+    folder: Path,
+    chunk: int,
+    formats: tuple[tuple[str, str], ...],
+) -> list[Cost]:
+    """Run each format in one piece and in chunks."""
+    n_rows = columns["time_s"].size
+    costs: list[Cost] = []
+    first: dict[str, np.ndarray] = {}
+    for raw, series in formats:
+        write_tables(columns, folder, [raw])
+        for rows in (None, chunk):
+            seconds, told = run(folder, raw, series, rows)
+            out = folder / f"{raw[1:]}-{rows}{series}"
+            found = read_series(out).columns()
+            first = first or dict(found)
+            same = all(np.array_equal(found[name], values) for name, values in first.items())
+            costs.append(
+                Cost(
+                    n_rows,
+                    raw,
+                    series,
+                    rows,
+                    seconds,
+                    told["cpu"],
+                    n_rows / rate_hz / seconds,
+                    told["peak"] / 1e6,
+                    same,
+                )
+            )
+            out.unlink()
+            print(line(costs[-1]), flush=True)
+        (folder / f"raw{raw}").unlink()
+    return costs
+
+
+HEAD = "     rows  raw       series    chunk       s   cpu s  x real time  peak MB  same"
+
+
+def line(cost: Cost) -> str:
+    """Return one row of the table."""
+    return (
+        f"{cost.rows:9d}  {cost.raw:8s}  {cost.series:6s}  {cost.chunk or '-':>7}  "
+        f"{cost.seconds:6.2f}  {cost.cpu_seconds:6.2f}  {cost.times_real_time:11.0f}  "
+        f"{cost.peak_mb:7.0f}  {'yes' if cost.same else 'no'}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 60.0])
+    parser.add_argument("--chunk", type=int, default=65_536)
+    parser.add_argument("--folder", type=Path, help="where the files lie (default: TMPDIR)")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="half a minute, Parquet alone")
+    options = parser.parse_args()
+    costs: list[Cost] = []
+    with tempfile.TemporaryDirectory(dir=options.folder) as name:
+        folder = Path(name)
+        write_run(simulate(CASE, seed=0, duration_s=RIG_S), folder)
+        record, test = read_raw(folder / "raw.csv", folder / "test.toml")
+        window = record.rows_between(*reduce_record(record, test).window_s)
+        print(HEAD)
+        for minutes in [0.5] if options.quick else options.minutes:
+            columns = drawn_out(record, window, round(60.0 * minutes * record.sample_rate_hz))
+            formats = FORMATS[:1] if options.quick else FORMATS
+            costs += costs_of(columns, record.sample_rate_hz, folder, options.chunk, formats)
+    if options.json:
+        options.json.write_text(json.dumps([asdict(cost) for cost in costs]))
+
+
+if __name__ == "__main__":
+    main()

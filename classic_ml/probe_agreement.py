@@ -1,0 +1,164 @@
+"""Probes of one plane beside each other: one that has come off, one that is another's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.readers.test_description import TestDescription
+from classic_ml.records import FloatArray, Record
+from classic_ml.workspace import blocks
+
+__all__ = ["Agreement", "compare_probes", "exchanged_immersions"]
+
+# Averages over a 40th of a second, and of two such, leave the surge cycle and little of the stall
+# cells, which pass the rakes one after the other.
+AVERAGE_HZ = 40.0
+# Fewer than a second of them tell nothing.
+FEWEST_AVERAGES = 40
+# A pressure that moves less than one per cent is no measure of another's movement.
+LEAST_MOVEMENT = 0.01
+# Of two probes that differ nobody knows which one is wrong.
+FEWEST_PROBES = 3
+# Where hub and tip of two rakes are nearer crosswise than straight by this factor, one of the
+# rakes is upside down: straight they are nearer by 1.4 and more on 12 records of two rigs.
+CROSSWISE = 1.5
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a probe goes with those beside it.
+
+    Parameters
+    ----------
+    gain : float
+        Its movement over theirs.
+    apart : float
+        The rms of its difference from them, its mean apart, over that of their movement.
+    """
+
+    gain: float
+    apart: float
+
+
+def compare_probes(
+    record: Record, test: TestDescription, window: slice, without: Iterable[str] = ()
+) -> dict[str, Agreement]:
+    """Compare each pressure with the median of those of its plane that face its way.
+
+    Parameters
+    ----------
+    record : Record
+        Calibrated pressures.
+    test : TestDescription
+        Their places.
+    window : slice
+        Rows of the surge cycles.
+    without : iterable of str
+        Channels that do not count.
+
+    Returns
+    -------
+    dict of str to Agreement
+        By channel; none where fewer than three probes, too few rows or no movement are there to
+        judge by.
+    """
+    out: dict[str, Agreement] = {}
+    left_out = set(without)
+    groups: dict[tuple[int, str], list[str]] = {}
+    for probe in test.pressures:
+        if probe.name in record and probe.name not in left_out:
+            groups.setdefault((probe.plane, probe.facing), []).append(probe.name)
+    for names in groups.values():
+        if len(names) >= FEWEST_PROBES:
+            out |= _agreements(record, names, window)
+    return out
+
+
+def _agreements(record: Record, names: Sequence[str], window: slice) -> dict[str, Agreement]:
+    sums = np.zeros((5, len(names)))
+    origins: FloatArray | None = None
+    n = 0
+    for values in _averages(record, names, window):
+        if origins is None:
+            # Products of large numbers would lose the small movements.
+            origins = values[:, :1]
+        own = values - origins
+        others = np.array([np.median(np.delete(own, i, axis=0), axis=0) for i in range(len(own))])
+        products = (own, others, own * own, others * others, own * others)
+        sums += np.array([product.sum(axis=1) for product in products])
+        n += own.shape[1]
+    if n < FEWEST_AVERAGES or origins is None:
+        return {}
+    mean_own, mean_others, own_2, others_2, cross = sums / n
+    var_own, var_others = own_2 - mean_own**2, others_2 - mean_others**2
+    covariance = cross - mean_own * mean_others
+    moves = var_others > (LEAST_MOVEMENT * (mean_others + origins[:, 0])) ** 2
+    apart_2 = np.maximum(var_own + var_others - 2.0 * covariance, 0.0)
+    return {
+        name: Agreement(
+            float(covariance[i] / var_others[i]), float(np.sqrt(apart_2[i] / var_others[i]))
+        )
+        for i, name in enumerate(names)
+        if moves[i]
+    }
+
+
+def exchanged_immersions(
+    record: Record, test: TestDescription, window: slice, without: Iterable[str] = ()
+) -> list[tuple[int, str, str]]:
+    """Return rakes of a plane of which the hub of one goes with the tip of the other.
+
+    Parameters
+    ----------
+    record, test, window, without
+        As for :func:`compare_probes`.
+
+    Returns
+    -------
+    list of (int, str, str)
+        Plane and two rakes; which of them is upside down they alone do not tell.
+    """
+    out = []
+    left_out = set(without)
+    for plane in test.areas_m2:
+        rakes: dict[str, dict[str, tuple[str, str]]] = {}
+        for pair in test.pairs(plane):
+            names = (pair.forward.name, pair.aft.name)
+            if all(name in record and name not in left_out for name in names):
+                rakes.setdefault(pair.forward.rake, {})[pair.immersion] = names
+        whole = [rake for rake, pairs in rakes.items() if len(pairs) == 2]
+        for i, first in enumerate(whole):
+            for second in whole[i + 1 :]:
+                if _crosswise(record, rakes[first], rakes[second], window):
+                    out.append((plane, first, second))
+    return out
+
+
+def _crosswise(
+    record: Record,
+    first: Mapping[str, tuple[str, str]],
+    second: Mapping[str, tuple[str, str]],
+    window: slice,
+) -> bool:
+    """Tell whether hub and tip of two rakes are nearer to each other crosswise than straight."""
+    names = [name for rake in (first, second) for place in ("hub", "tip") for name in rake[place]]
+    straight = across = 0.0
+    for values in _averages(record, names, window):
+        hub_1, tip_1, hub_2, tip_2 = values[0::2] - values[1::2]
+        straight += float(np.sum(np.abs(hub_1 - hub_2) + np.abs(tip_1 - tip_2)))
+        across += float(np.sum(np.abs(hub_1 - tip_2) + np.abs(tip_1 - hub_2)))
+    return straight > CROSSWISE * across
+
+
+def _averages(record: Record, names: Sequence[str], window: slice) -> Iterable[FloatArray]:
+    """Yield channels averaged over a 40th of a second and the next, block by block."""
+    width = max(1, round(record.sample_rate_hz / AVERAGE_HZ))
+    for rows in blocks(window.stop, window.start):
+        n = (rows.stop - rows.start) // width
+        part = slice(rows.start, rows.start + n * width)
+        means = np.array([record[name][part].reshape(n, width).mean(axis=1) for name in names])
+        yield 0.5 * (means[:, 1:] + means[:, :-1])
+        record.workspace.release()

@@ -1,0 +1,197 @@
+"""Channels that stand still while those alike move, and dropouts: runs of equal readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml.order_statistics import median
+from classic_ml.records import FloatArray, Record
+from classic_ml.standstill_kernels import count_moved, count_steps, find_runs, least_step
+from classic_ml.workspace import Workspace, blocks
+
+__all__ = ["DROPOUT_ROWS", "Tally", "still_runs", "tallies"]
+
+IntArray = NDArray[np.int64]
+
+# A short dropout is told from a plateau by its edges: both are jumps far beyond the usual step.
+DROPOUT_ROWS = 5
+DROPOUT_JUMP = 10.0
+# Other channels must have moved by this many of their own steps while one stood still.
+MOVED_STEPS = 8.0
+# Runs that are not longer are looked into all at once.
+FEW_ROWS = 4096
+# Codes step by whole numbers, nearly always below this; other steps are sorted out at leisure.
+WHOLE_STEPS = 4096
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What belongs to a channel as a whole.
+
+    Parameters
+    ----------
+    low, high : float
+        Its least and largest reading.
+    least_step : float
+        Least change from row to row, of those that are one; infinite without any.
+    usual_step : float
+        Their median; infinite without any, or where no run of equal readings needs it.
+    """
+
+    low: float
+    high: float
+    least_step: float
+    usual_step: float
+
+
+def tallies(record: Record, names: Sequence[str]) -> dict[str, Tally]:
+    """Go once through channels of a record.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+    names : sequence of str
+        Its channels to be looked at.
+
+    Returns
+    -------
+    dict of str to Tally
+        By channel.
+    """
+    low, high = dict.fromkeys(names, np.inf), dict.fromkeys(names, -np.inf)
+    least = dict.fromkeys(names, np.inf)
+    counts = {name: np.zeros(WHOLE_STEPS, dtype=np.int64) for name in names}
+    fractions = set()
+    for rows in blocks(record.n_samples):
+        for name in names:
+            values = record[name]
+            low[name] = min(low[name], float(values[rows].min()))
+            high[name] = max(high[name], float(values[rows].max()))
+            if count_steps(values, rows.start, rows.stop, counts[name]):
+                fractions.add(name)
+                least[name] = min(least[name], least_step(values, rows.start, rows.stop))
+        record.workspace.release()
+    found = {}
+    for name in names:
+        sizes = np.flatnonzero(counts[name][1:]) + 1
+        whole = float(sizes[0]) if sizes.size else np.inf
+        if name in fractions:
+            usual = _usual_step(record, name)
+        else:
+            usual = _median_of_counts(counts[name][1:]) + 1.0 if sizes.size else np.inf
+        found[name] = Tally(low[name], high[name], min(least[name], whole), usual)
+    return found
+
+
+def _usual_step(record: Record, name: str) -> float:
+    """Return the median of the steps from row to row that are one, where a run needs it."""
+    search = _Search(record[name])
+    for rows in blocks(record.n_samples):
+        if len(search.ended_in(rows)[0]):
+            return median(partial(_steps, record[name]), workspace=record.workspace)
+        record.workspace.release()
+    return np.inf
+
+
+def _median_of_counts(counts: IntArray) -> float:
+    """Return the median of whole numbers from 0 on that occur so many times each."""
+    upto = np.cumsum(counts)
+    n = int(upto[-1])
+    middle = np.searchsorted(upto, [(n - 1) // 2, n // 2], side="right")
+    return 0.5 * float(middle[0] + middle[1])
+
+
+def _steps(values: FloatArray) -> Iterator[FloatArray]:
+    """Yield the changes from row to row that are one."""
+    for rows in blocks(values.size):
+        steps = np.abs(np.diff(values[max(0, rows.start - 1) : rows.stop]))
+        yield steps[steps > 0.0]
+
+
+def still_runs(
+    record: Record, alike: Sequence[Sequence[str]], found: dict[str, Tally], long_rows: int
+) -> Iterator[tuple[str, IntArray]]:
+    """Yield the runs of rows in which a channel is stuck, or has dropped out.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+    alike : sequence of sequences of str
+        Groups of channels that see the same.
+    found : dict of str to Tally
+        Of all these channels.
+    long_rows : int
+        Shortest run that is a fault while at least half of the others move.
+
+    Yields
+    ------
+    str
+        The channel.
+    ndarray of int, shape (m, 2)
+        First row of each of its runs that ended in one block, and the row behind the last.
+    """
+    searches = {name: _Search(record[name]) for names in alike for name in names}
+    for rows in blocks(record.n_samples):
+        for names in alike:
+            for name in names:
+                runs, jumps = searches[name].ended_in(rows)
+                if not runs.size:
+                    continue
+                stuck = np.isfinite(jumps) & (jumps > DROPOUT_JUMP * found[name].usual_step)
+                long = ~stuck & (runs[:, 1] - runs[:, 0] >= long_rows)
+                others = [(record[n], found[n].least_step) for n in names if n != name]
+                stuck[long] = _others_move(others, runs[long], record.workspace)
+                if stuck.any():
+                    yield name, runs[stuck]
+        record.workspace.release()
+
+
+class _Search:
+    """The search for runs in one channel, block by block."""
+
+    def __init__(self, values: FloatArray) -> None:
+        self._values = values
+        self._carried = np.array([DROPOUT_ROWS - 1, -1])
+
+    def ended_in(self, rows: slice) -> tuple[IntArray, FloatArray]:
+        """Return the runs that end in a block, the next one, and the lesser jump at their ends."""
+        most = (rows.stop - rows.start) // DROPOUT_ROWS + 2
+        runs, jumps = np.empty((most, 2), dtype=np.int64), np.empty(most)
+        n = find_runs(self._values, rows.stop, DROPOUT_ROWS, self._carried, runs, jumps)
+        return runs[:n], jumps[:n]
+
+
+def _others_move(
+    others: Sequence[tuple[FloatArray, float]], runs: IntArray, workspace: Workspace
+) -> NDArray[np.bool_]:
+    """Tell during which runs at least half of the other channels moved by many of their steps."""
+    moved = np.zeros(len(runs), dtype=np.int64)
+    # Alone of its kind, a channel that stands still has nothing to be compared with.
+    if not others or not moved.size:
+        return np.zeros(moved.size, dtype=np.bool_)
+    few = runs[:, 1] - runs[:, 0] <= FEW_ROWS
+    for values, step in others:
+        more_than = MOVED_STEPS * step
+        of_few = np.zeros(np.count_nonzero(few), dtype=np.int64)
+        count_moved(values, runs[few], more_than, of_few)
+        moved[few] += of_few
+        for run in np.flatnonzero(~few):
+            moved[run] += _moves(values, runs[run], more_than, workspace)
+    return np.asarray(2 * moved >= len(others))
+
+
+def _moves(values: FloatArray, run: IntArray, more_than: float, workspace: Workspace) -> bool:
+    low, high = np.inf, -np.inf
+    for rows in blocks(int(run[1]), int(run[0])):
+        low, high = min(low, values[rows].min()), max(high, values[rows].max())
+        workspace.release()
+        if high - low > more_than:
+            return True
+    return False

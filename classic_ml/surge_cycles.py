@@ -1,0 +1,238 @@
+"""The quasi-steady surge cycles of a record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from classic_ml import workspace as places
+from classic_ml.airflow import LBM_KG
+from classic_ml.compiled_as_written import as_written
+from classic_ml.errors import InputError
+from classic_ml.filtering import filter_channels
+from classic_ml.intervals import intervals_where
+from classic_ml.order_statistics import median
+from classic_ml.peaks import prominent_peaks
+from classic_ml.records import FloatArray, Record
+from classic_ml.workspace import Workspace, blocks
+
+__all__ = ["FEW_CYCLES", "SurgeCycles", "find_cycles", "first_reversal"]
+
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+# Surge is below 20 Hz; what lies above (cells, noise) must not make peaks of its own.
+CYCLE_BAND_HZ = 30.0
+# A cycle fills and empties the plenum: P31 rises by at least this share of its mean.
+LEAST_SWING = 0.15
+# Between deep cycles the machine may oscillate mildly in stall; a cycle has at least this share
+# of the deepest one's rise.
+DEEP_SHARE = 0.5
+# How far a cycle may be from the median of the record and still repeat it.
+RISE_SPREAD = 0.3
+PERIOD_SPREAD = 0.4
+# The inlet heats up after the first reversal; settled when N_c is this near its later median.
+SPEED_SPREAD = 0.025
+MINIMUM_CYCLES = 3
+FEW_CYCLES = 6
+
+
+@dataclass(frozen=True)
+class SurgeCycles:
+    """The repetitive cycles of a record.
+
+    Parameters
+    ----------
+    from_s, to_s : float
+        The window that they fill, on the facility clock, from trough to trough of P31.
+    n_cycles : int
+        Complete cycles inside.
+    period_s : float
+        Their median period.
+    first_reversal_s : float
+        When the flow at plane 25 first ran backwards.
+    left_out : int
+        Cycles before or after that do not repeat the others.
+    """
+
+    from_s: float
+    to_s: float
+    n_cycles: int
+    period_s: float
+    first_reversal_s: float
+    left_out: int
+
+
+def find_cycles(record: Record) -> SurgeCycles:
+    """Find the quasi-steady surge cycles of a record.
+
+    A cycle is a rise of P31 by at least half of the deepest one's; those that count agree with
+    the others in rise, period and corrected speed, and follow one another without a break.
+
+    Parameters
+    ----------
+    record : Record
+        With ``P31_Pa``, ``Wc25_kg_s`` and ``Nc_frac``.
+
+    Returns
+    -------
+    SurgeCycles
+        The window and what is in it.
+
+    Raises
+    ------
+    InputError
+        When there is no surge in the record, or fewer than three such cycles.
+    """
+    slow = _slow(record, "Wc25_kg_s", "P31_Pa")
+    start, pressure = _first_negative(slow), slow["P31_Pa"]
+    peaks, rises = _deep_peaks(pressure, start, record.workspace)
+    if peaks.size == 0:
+        raise InputError(
+            f"{record.source}: P31",
+            expected="surge cycles after the first reversal of the flow",
+            found=f"no surge in the record, no rise of P31 by {LEAST_SWING:.0%} of its mean",
+        )
+    if peaks.size < MINIMUM_CYCLES:
+        raise _too_few(record, peaks.size)
+    edges = _troughs(pressure, peaks, start, record.workspace)
+    good = _repeats(record, peaks, rises, edges)
+    first, last = _longest_run(good)
+    if last - first < MINIMUM_CYCLES:
+        raise _too_few(record, last - first)
+    return SurgeCycles(
+        from_s=record.time_at_s(int(edges[first])),
+        to_s=record.time_at_s(int(edges[last])),
+        n_cycles=last - first,
+        period_s=float(np.median(np.diff(peaks[first:last]))) / record.sample_rate_hz,
+        first_reversal_s=record.time_at_s(start),
+        left_out=int(peaks.size - (last - first)),
+    )
+
+
+def _slow(record: Record, *names: str) -> Record:
+    """Return the record with what is too fast for surge taken out of some channels."""
+    if record.sample_rate_hz <= 4.0 * CYCLE_BAND_HZ:
+        return record
+    return filter_channels(record, names, order=3, cutoff_hz=CYCLE_BAND_HZ, phase="zero")
+
+
+def first_reversal(record: Record) -> int:
+    """Return the row at which the flow at plane 25 first runs backwards.
+
+    Parameters
+    ----------
+    record : Record
+        With ``Wc25_kg_s``.
+
+    Raises
+    ------
+    InputError
+        When it never does.
+    """
+    return _first_negative(_slow(record, "Wc25_kg_s"))
+
+
+def _first_negative(record: Record) -> int:
+    flow, least = record["Wc25_kg_s"], np.inf
+    for rows in blocks(flow.size):
+        reversed_rows = np.flatnonzero(flow[rows] < 0.0)
+        if reversed_rows.size:
+            return int(rows.start + reversed_rows[0])
+        least = min(least, float(flow[rows].min()))
+        record.workspace.release()
+    raise InputError(
+        f"{record.source}: plane 25",
+        expected="reversed flow, with which every deep surge begins",
+        found=f"no surge in the record, the corrected flow stays above {least / LBM_KG:.1f} lbm/s",
+    )
+
+
+def _deep_peaks(
+    pressure: FloatArray, start: int, workspace: Workspace
+) -> tuple[IntArray, FloatArray]:
+    level = median(pressure, slice(start, None), workspace=workspace)
+    peaks, rises = prominent_peaks(pressure, LEAST_SWING * level, start, workspace=workspace)
+    if peaks.size == 0:
+        return peaks, rises
+    # The second deepest of many, so that one freak cycle does not set the scale.
+    scale = np.sort(rises)[-min(2, rises.size)]
+    deep = rises >= DEEP_SHARE * scale
+    return peaks[deep], rises[deep]
+
+
+def _troughs(pressure: FloatArray, peaks: IntArray, start: int, workspace: Workspace) -> IntArray:
+    """Rows of least P31 before, between and after the peaks: one more than there are peaks."""
+    period = int(np.median(np.diff(peaks)))
+    first = max(start, int(peaks[0]) - period)
+    last = min(pressure.size, int(peaks[-1]) + period)
+    bounds = np.array([first, *peaks.tolist(), last])
+    rows = np.empty(bounds.size - 1, dtype=np.int64)
+    for cycles in _some_cycles(bounds, workspace):
+        _lowest(pressure, bounds[cycles.start : cycles.stop + 1], rows[cycles])
+    return rows
+
+
+def _some_cycles(bounds: IntArray, workspace: Workspace) -> Iterator[slice]:
+    """Yield as many cycles at a time as make a block of rows."""
+    first = 0
+    while first < bounds.size - 1:
+        within = int(np.searchsorted(bounds, bounds[first] + places.BLOCK_ROWS, side="right")) - 1
+        last = max(first + 1, min(within, bounds.size - 1))
+        yield slice(first, last)
+        workspace.release()
+        first = last
+
+
+@as_written
+def _lowest(values: FloatArray, bounds: IntArray, rows: IntArray) -> None:
+    """Find the row of the least value between each two bounds."""
+    for cycle in range(rows.size):
+        row = bounds[cycle]
+        for k in range(bounds[cycle], bounds[cycle + 1]):
+            if values[k] < values[row]:
+                row = k
+        rows[cycle] = row
+
+
+@as_written
+def _means(values: FloatArray, bounds: IntArray, means: FloatArray) -> None:
+    """Average between each two bounds."""
+    for cycle in range(means.size):
+        total = 0.0
+        for k in range(bounds[cycle], bounds[cycle + 1]):
+            total += values[k]
+        means[cycle] = total / (bounds[cycle + 1] - bounds[cycle])
+
+
+def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray) -> BoolArray:
+    lengths = np.diff(edges).astype(np.float64)
+    speeds = np.empty(peaks.size)
+    for cycles in _some_cycles(edges, record.workspace):
+        _means(record["Nc_frac"], edges[cycles.start : cycles.stop + 1], speeds[cycles])
+    later = speeds[speeds.size // 2 :]
+    good = np.abs(rises / np.median(rises) - 1.0) <= RISE_SPREAD
+    good &= np.abs(lengths / np.median(np.diff(peaks)) - 1.0) <= PERIOD_SPREAD
+    good &= np.abs(speeds - np.median(later)) <= SPEED_SPREAD
+    return np.asarray(good)
+
+
+def _longest_run(good: BoolArray) -> tuple[int, int]:
+    """First and one past the last of the longest run of True."""
+    runs = intervals_where(slice(0, good.size), lambda rows: good[rows])
+    if runs.size == 0:
+        return 0, 0
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return int(first), int(last)
+
+
+def _too_few(record: Record, found: int) -> InputError:
+    return InputError(
+        f"{record.source}: P31",
+        expected=f"at least {MINIMUM_CYCLES} surge cycles that repeat each other",
+        found=f"{found}",
+        remedy="name the window in test.toml ([window] from_s, to_s) if there are more",
+    )

@@ -1,0 +1,161 @@
+"""What `sindy-surge reduce` does beside the reduction: room on the disk, progress, long records."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from classic_ml.errors import InputError
+from classic_ml.workspace import IN_MEMORY, OnDisk, Workspace
+
+if TYPE_CHECKING:
+    from classic_ml.readers import TestDescription
+    from classic_ml.reduction import Reduction, ReductionSettings
+
+__all__ = ["excerpt", "reduce_file"]
+
+# A number takes so many bytes.
+NUMBER_BYTES = 8
+# At its widest a reduction holds so many columns a channel: as matched, filtered, marked for
+# faults, and its share of the averages (68 columns were measured for 20 channels).
+COLUMNS_A_CHANNEL = 4
+# A row of a series: 12 columns, at most 25 characters each as text.
+SERIES_BYTES = 300
+# Lines at the head of a table of text from which the number of all is estimated.
+HEAD_BYTES = 1 << 16
+# More points than this only blacken a picture: 100 s at 1 kHz.
+REPORT_ROWS = 100_000
+
+
+def reduce_file(
+    raw: Path,
+    test_path: Path,
+    settings: ReductionSettings,
+    *,
+    chunk_rows: int | None,
+    out: Path,
+) -> Reduction:
+    """Reduce a raw record, in memory or chunk by chunk, and show how far it is on a terminal.
+
+    Parameters
+    ----------
+    raw, test_path : path
+        The record and its test.toml.
+    settings : ReductionSettings
+        The switches.
+    chunk_rows : int, optional
+        Rows that are read at once, with the columns on disk; in memory without it.
+    out : path
+        Where the series is to go: the columns lie in its folder, or in ``TMPDIR`` where that is
+        set.
+
+    Returns
+    -------
+    Reduction
+        Without the readings of the single probes.
+
+    Raises
+    ------
+    InputError
+        When the record cannot be used, or there is too little room on the disk.
+    """
+    from classic_ml.readers import read_raw, read_test_description
+    from classic_ml.readers.raw_files import open_raw
+    from classic_ml.reduction import STEPS, reduce_record
+
+    test = read_test_description(test_path)
+    stored = open_raw(raw, test)
+    n_rows = stored.n_rows if stored.n_rows is not None else _rows_of_text(raw)
+    workspace: Workspace = IN_MEMORY
+    if chunk_rows is not None:
+        folder = Path(os.environ.get("TMPDIR") or out.resolve().parent)
+        _check_room(n_rows, test, folder, out.resolve().parent)
+        workspace = OnDisk(folder)
+    with _bar("reading", n_rows, "row") as read:
+        records = [
+            read_raw(raw, test_path, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
+        ]
+    with _bar("reducing", STEPS, "step") as done:
+        # Nobody but the reduction holds the raw record, so that it can let go of it.
+        return reduce_record(records.pop(), test, settings, keep_probes=False, progress=done)
+
+
+def excerpt(reduction: Reduction) -> tuple[Reduction, str]:
+    """Return what of a long record is drawn: the beginning of its window, and before.
+
+    Parameters
+    ----------
+    reduction : Reduction
+        A reduced record.
+
+    Returns
+    -------
+    Reduction
+        The same of at most ``REPORT_ROWS`` rows; its ledger and its window are those of the whole.
+    str
+        Which part of the record it is, empty for the whole.
+    """
+    from classic_ml.records import Channel
+
+    record, series = reduction.record, reduction.series
+    if record.n_samples <= REPORT_ROWS:
+        return reduction, ""
+    window = record.rows_between(*reduction.window_s)
+    start = min(max(0, window.start - REPORT_ROWS // 4), record.n_samples - REPORT_ROWS)
+    rows = slice(start, start + REPORT_ROWS)
+    channels = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
+    part = replace(record, channels=channels, start_s=record.time_at_s(start))
+    columns = {name: values[rows] for name, values in series.columns().items()}
+    words = f"{part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"
+    return replace(
+        reduction,
+        record=part,
+        series=replace(series, **columns),  # type: ignore[arg-type]
+    ), words
+
+
+def _rows_of_text(raw: Path) -> int:
+    """Estimate how many rows a table of text has."""
+    with raw.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    lines = max(head.count(b"\n"), 1)
+    return int(raw.stat().st_size * lines / max(len(head), 1))
+
+
+def _check_room(n_rows: int, test: TestDescription, work: Path, out: Path) -> None:
+    """Refuse, before any work is done, a disk that would be full before the end."""
+    wanted = {work: n_rows * len(test.channel_names) * COLUMNS_A_CHANNEL * NUMBER_BYTES}
+    same = work.stat().st_dev == out.stat().st_dev
+    place = work if same else out
+    wanted[place] = wanted.get(place, 0) + n_rows * SERIES_BYTES
+    for folder, size in wanted.items():
+        free = shutil.disk_usage(folder).free
+        if free < size:
+            raise InputError(
+                str(folder),
+                expected=f"room for {size / 1e9:.2g} GB of columns between the steps",
+                found=f"{free / 1e9:.2g} GB",
+                remedy="free some, or let TMPDIR name a folder on another disk",
+            )
+
+
+@contextmanager
+def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+    """Show how far a work is, on a terminal only."""
+    from tqdm import tqdm
+
+    with tqdm(
+        total=total,
+        desc=what,
+        unit=unit,
+        unit_scale=unit == "row",
+        leave=False,
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        yield bar.update

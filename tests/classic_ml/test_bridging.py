@@ -1,0 +1,31 @@
+"""Straight lines across unknown rows are numpy's, wherever blocks end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from classic_ml import workspace
+from classic_ml.bridging import bridged
+from classic_ml.workspace import IN_MEMORY
+
+
+@given(
+    known=st.lists(st.booleans(), min_size=1, max_size=60).map(np.array),
+    rows=st.sampled_from([1, 7, 1000]),
+    seed=st.integers(0, 100),
+)
+@settings(max_examples=200, deadline=None)
+def test_bridged_is_interpolated_between_what_is_known(
+    known: np.ndarray, rows: int, seed: int
+) -> None:
+    values = np.random.default_rng(seed).standard_normal(known.size)
+    values[~known] = np.inf
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workspace, "BLOCK_ROWS", rows)
+        got = bridged(IN_MEMORY, known.size, values.__getitem__, known.__getitem__)
+    places = np.arange(known.size)
+    expected = np.interp(places, places[known], values[known]) if known.any() else values
+    np.testing.assert_array_equal(got, expected)
