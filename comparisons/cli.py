@@ -5,11 +5,22 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TypeAlias
+from typing import TextIO, TypeAlias, cast
 
 from comparisons.diagnose_command import add_diagnose_parser
+from comparisons.inspect_command import add_inspect_parser
+from comparisons.live.command import add_live_parser
+from comparisons.one_sentence import (
+    OneLineParser,
+    PrintableStream,
+    beyond_memory,
+    printable,
+    sentence,
+    too_deep,
+)
 from comparisons.orders_command import add_orders_parser
 from comparisons.structure_command import add_structure_parser
 from comparisons.study_command import add_study_parser
@@ -37,37 +48,52 @@ def main(argv: Sequence[str] | None = None) -> int:
         0: done, whatever the verdict; 2: unusable input, said in one sentence on stderr; 130:
         interrupted.
     """
-    from classic_ml.errors import InputError
-    from sindy_surge.errors import InputError as SparseInputError
-
     for stream in (sys.stdout, sys.stderr):
         # A terminal that cannot show Greek gets a replacement sign, not an exception.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-    arguments = build_parser().parse_args(argv)
+    return _run(build_parser().parse_args(argv))
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from classic_ml.errors import InputError
+    from sindy_surge.errors import InputError as SparseInputError
+
+    code = EXIT_UNUSABLE
     try:
-        arguments.run(arguments)
+        with _printed(arguments):
+            arguments.run(arguments)
         sys.stdout.flush()
     except (InputError, SparseInputError) as error:
-        print(f"sindy-surge: {error}", file=sys.stderr)
-        return EXIT_UNUSABLE
+        words = sentence(error)
+    except MemoryError:
+        words = beyond_memory(arguments)
+    except RecursionError:
+        words = too_deep(arguments)
     except KeyboardInterrupt:
-        print("sindy-surge: interrupted; files that were finished are whole", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        code, words = EXIT_INTERRUPTED, "interrupted; files that were finished are whole"
     except BrokenPipeError:
         # `sindy-surge … | head` closes our output: that is not a failure.
         sys.stderr.close()
         return EXIT_DONE
     except OSError as error:
-        where = error.filename or "output"
-        print(f"sindy-surge: {where}: {error.strerror}", file=sys.stderr)
-        return EXIT_UNUSABLE
-    return EXIT_DONE
+        words = printable(f"{error.filename or 'output'}: {error.strerror}")
+    else:
+        return EXIT_DONE
+    print(f"sindy-surge: {words}", file=sys.stderr)
+    return code
+
+
+def _printed(arguments: argparse.Namespace) -> AbstractContextManager[object]:
+    """Write out what names out of files would tell a terminal to do; `live` draws on it itself."""
+    if getattr(arguments, "draws", False):
+        return nullcontext()
+    return redirect_stdout(cast("TextIO", PrintableStream(sys.stdout)))
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all sub-commands."""
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = OneLineParser(
         prog="sindy-surge",
         description="Post-stall characteristics and the time constant of a compressor from its "
         "surge records, by two rival estimators side by side.",
@@ -77,11 +103,14 @@ def build_parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _add_simulate(commands)
     _add_reduce(commands)
+    add_live_parser(commands)
+    commands.choices["live"].set_defaults(draws=True)
     _add_compare(commands)
     _add_reconstruct(commands)
     add_diagnose_parser(commands)
     _add_reproduce(commands)
     _add_work(commands)
+    add_inspect_parser(commands)
     add_orders_parser(commands)
     add_structure_parser(commands)
     add_study_parser(commands)
@@ -153,10 +182,23 @@ def _add_reduce(commands: _Commands) -> None:
         description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ "
         "and the intervals to be fitted.",
     )
-    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (.csv)")
+    parser.add_argument(
+        "raw",
+        type=Path,
+        metavar="RAW",
+        help="raw record (.csv, .parquet, .tdms, .mat, .nc or .h5)",
+    )
     parser.add_argument("--test", type=Path, required=True, help="description of the test (.toml)")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
+    )
+    parser.add_argument(
+        "--chunk",
+        type=_chunk,
+        default=None,
+        metavar="ROWS",
+        help="read so many rows at once and keep the columns on disk, beside SERIES or in TMPDIR: "
+        "for a record larger than memory, with the same numbers to the last bit",
     )
     parser.add_argument(
         "--filter-order",
@@ -211,7 +253,12 @@ def _add_reduce(commands: _Commands) -> None:
         metavar=("FROM_S", "TO_S"),
         help="window of the quasi-steady cycles, else from test.toml, else found",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="report of the reduction")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help="report of the reduction; its pictures show at most 100000 rows",
+    )
     parser.set_defaults(run=_command("reduce"))
 
 
@@ -311,7 +358,7 @@ def _add_work(commands: _Commands) -> None:
         "fit the piecewise-linear work characteristic of Fig 22 to the power that the blading "
         "delivers, with rows near zero flow weighted down.",
     )
-    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (CSV or netCDF)")
+    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet)")
     parser.add_argument(
         "--test", type=Path, required=True, metavar="TEST.toml", help="its test description"
     )
@@ -379,6 +426,12 @@ class _command:
 
 def _seed(text: str) -> int:
     return _whole(text, 0, 2**32 - 1)
+
+
+def _chunk(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of rows, at least 1: '{text}'")
+    return int(text)
 
 
 def _degree(text: str) -> int:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from classic_ml.errors import InputError
 from classic_ml.files import check_apart, check_target, write_whole
 from classic_ml.series import CoefficientSeries, ledger_path, read_series, write_series
+from comparisons.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction, ReductionSettings
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "command_line",
+    "print_reduction",
     "run_compare",
     "run_demo",
     "run_reconstruct",
@@ -53,42 +56,53 @@ def run_simulate(arguments: argparse.Namespace) -> None:
             found=f"{arguments.hide_size:g} alone",
             remedy="name the effect",
         )
-    run = simulate(
-        arguments.case,
-        seed=arguments.seed,
-        duration_s=arguments.duration,
-        hide=arguments.hide,
-        hide_size=arguments.hide_size,
-    )
-    write_run(run, arguments.out)
+    with shown_steps(2) as begin:
+        begin("running the rig")
+        run = simulate(
+            arguments.case,
+            seed=arguments.seed,
+            duration_s=arguments.duration,
+            hide=arguments.hide,
+            hide_size=arguments.hide_size,
+        )
+        begin("writing")
+        write_run(run, arguments.out)
     print(f"raw record: {arguments.out / 'raw.csv'} with {arguments.out / 'test.toml'}")
     print(f"truth:      {arguments.out / 'truth'}")
 
 
 def run_reduce(arguments: argparse.Namespace) -> None:
     """Reduce a raw record to a series file."""
-    from classic_ml.readers import read_raw
-    from classic_ml.reduction import reduce_record
+    from comparisons.reduce_command import excerpt, reduce_file
 
     _check_targets(
         [arguments.raw, arguments.test],
         (arguments.out, (".csv", ".nc", ".nc4", ".netcdf")),
         (arguments.report, HTML),
     )
-    record, test = read_raw(arguments.raw, arguments.test)
-    reduction = reduce_record(record, test, _settings(arguments))
+    with _options_named():
+        reduction = reduce_file(
+            arguments.raw,
+            arguments.test,
+            _settings(arguments),
+            chunk_rows=arguments.chunk,
+            out=arguments.out,
+        )
     write_series(reduction.series, arguments.out)
     if arguments.report:
         from comparisons.report import ReportSection, write_report
 
-        section = ReportSection(title=test.name, reduction=reduction)
+        drawn, part = excerpt(reduction)
+        name = reduction.test.name
+        section = ReportSection(title=f"{name}, {part}" if part else name, reduction=drawn)
         write_report(
             arguments.report,
             [section],
-            title=f"Reduction of {test.name}",
+            title=f"Reduction of {name}",
             command=command_line(),
+            progress=_drawing,
         )
-    _print_reduction(reduction)
+    print_reduction(reduction)
     print(f"series: {arguments.out}")
     if arguments.report:
         print(f"report: {arguments.report}")
@@ -101,6 +115,7 @@ def run_compare(arguments: argparse.Namespace) -> None:
     inputs = [*arguments.series, *([arguments.model] if arguments.model else [])]
     _check_targets(inputs, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
     records = [read_series(path) for path in arguments.series]
+    _check_once(records)
     comparison, work = _compare(records, arguments)
     if arguments.json:
         from comparisons.json_output import comparison_document, to_strict_json
@@ -114,7 +129,11 @@ def run_compare(arguments: argparse.Namespace) -> None:
         title = ", ".join(Path(record.source).name for record in records)
         section = ReportSection(title=title, comparison=comparison, work=work)
         write_report(
-            arguments.report, [section], title=f"Comparison on {title}", command=command_line()
+            arguments.report,
+            [section],
+            title=f"Comparison on {title}",
+            command=command_line(),
+            progress=_drawing,
         )
     _print_comparison(comparison, work)
     for label, path in (
@@ -143,6 +162,13 @@ def run_reconstruct(arguments: argparse.Namespace) -> None:
         (arguments.out, (".csv",)),
     )
     models = load_any_models(arguments.model)
+    for name, model in models.items():
+        if model.target not in ("psi_p", "psi"):
+            raise InputError(
+                f"{arguments.model}: {name}",
+                expected='a model of "psi_p" or "psi"',
+                found="one of something else",
+            )
     if arguments.estimator is not None:
         if arguments.estimator not in models:
             raise InputError(
@@ -154,7 +180,7 @@ def run_reconstruct(arguments: argparse.Namespace) -> None:
     records = [read_series(path) for path in arguments.series]
     runs = [
         reconstruct_record(model, record)
-        for record in records
+        for record in shown_over(records, unit="record")
         for model in models.values()
         if model.target == "psi_p" or record.psi is not None
     ]
@@ -208,14 +234,38 @@ def _settings(arguments: argparse.Namespace) -> ReductionSettings:
         "hysteresis_lbm_s": arguments.hysteresis,
         "window_s": tuple(arguments.window) if arguments.window else None,
     }
+    return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
+
+
+@contextmanager
+def _options_named() -> Iterator[None]:
+    """Name the option in an error: a user of the command line does not know the field behind it."""
     try:
-        return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
+        yield
     except InputError as error:
-        # A user of the command line knows the option, not the field behind it.
-        field = error.where.rsplit(".", 1)[-1]
+        field = error.where.replace(": ", ".").rsplit(".", 1)[-1]
+        if field not in OPTIONS:
+            raise
+        # An option that is not given is what None is in Python.
+        expected = error.expected.replace(", 'none' or None", "").replace(", or None", "")
         raise InputError(
-            OPTIONS.get(field, field), expected=error.expected, found=error.found
+            OPTIONS[field], expected=expected, found=error.found, remedy=error.remedy
         ) from None
+
+
+def _check_once(records: Sequence[CoefficientSeries]) -> None:
+    """Refuse a record that is given twice: it would count as two, and errors come out too small."""
+    for i, record in enumerate(records):
+        for other in records[:i]:
+            if other.n_samples == record.n_samples and (
+                (other.time_s == record.time_s).all() and (other.psi_p == record.psi_p).all()
+            ):
+                raise InputError(
+                    record.source,
+                    expected="each record once",
+                    found=f"it twice, as {other.source}",
+                    remedy="leave one of them out",
+                )
 
 
 def _compare(
@@ -290,7 +340,8 @@ def _check_targets(inputs: Sequence[Path], *targets: tuple[Path | None, tuple[st
     )
 
 
-def _print_reduction(reduction: Reduction) -> None:
+def print_reduction(reduction: Reduction) -> None:
+    """Print the ledger of a reduction."""
     for entry in reduction.record.history:
         print(f"{entry.step}: {entry.did}")
         for dropped in entry.dropped:
@@ -318,14 +369,17 @@ def _report_reconstructions(path: Path, runs: Sequence[Reconstruction]) -> None:
         ReportSection(title=Path(source).name, validation=tuple(group))
         for source, group in by_record.items()
     ]
-    write_report(path, sections, title="Reconstruction", command=command_line())
+    write_report(path, sections, title="Reconstruction", command=command_line(), progress=_drawing)
 
 
 def _progress(items: Iterable[_T]) -> Iterable[_T]:
     """Show how far a long work is, on a terminal only."""
-    from tqdm import tqdm
+    return shown_over(items, unit="fit")
 
-    return tqdm(list(items), unit="fit", leave=False, disable=not sys.stderr.isatty())
+
+def _drawing(items: Iterable[_T]) -> Iterable[_T]:
+    """Show how far the drawing of a report is."""
+    return shown_over(items, unit="part", words="drawing")
 
 
 def command_line() -> str:

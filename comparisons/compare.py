@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.first_order_lag import Hold
 from classic_ml.records import FloatArray
 from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
@@ -145,7 +146,7 @@ class ComparisonRow:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Displayed):
     """Estimators side by side on the same rows of one or several records.
 
     Parameters
@@ -201,6 +202,11 @@ class Comparison:
     def result(self, name: str) -> EstimatorResult:
         """Return the result of one estimator."""
         return next(result for result in self.results if result.name == name)
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import comparison_sheet
+
+        return comparison_sheet(self)
 
 
 def compare_records(

@@ -88,7 +88,7 @@ def run(
     sections: list[ReportSection] = []
     done: list[tuple[Comparison, Comparison | None]] = []
     lines: list[str] = []
-    for case, title in FITTED:
+    for case, title in progress(FITTED):
         rig, reduction = _test(case, seed, folder)
         comparison, work = _compare(reduction, progress)
         done.append((comparison, work))
@@ -130,7 +130,13 @@ def run(
     sections += ending.sections
     lines += ending.lines
     report = folder / "report.html"
-    write_report(report, sections, title="A simulated surge test, end to end", command=command)
+    write_report(
+        report,
+        sections,
+        title="A simulated surge test, end to end",
+        command=command,
+        progress=progress,
+    )
     return Demo(tuple(done), "\n".join(lines), report)
 
 

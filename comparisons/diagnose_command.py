@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from classic_ml.errors import InputError
+from comparisons.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -24,7 +25,6 @@ MOST_EFFECTS = 3
 # With --model; `comparisons.missing_effect.systems.script` says the same of scripts.
 MOST_MODEL_EFFECTS = 6
 
-_T = TypeVar("_T")
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
@@ -135,11 +135,12 @@ def _run_lag_diagnosis(arguments: argparse.Namespace) -> None:
     from comparisons.missing_effect.terminal import diagnosis_text
 
     _check(arguments)
-    with _Progress(arguments) as progress:
-        progress.next("reading")
+    steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
+    with shown_steps(steps) as begin:
+        begin("reading")
         records = [read_series(path) for path in arguments.series]
-        told = _diagnosed(arguments, records, progress)
-        progress.next("writing")
+        told = _diagnosed(arguments, records, begin)
+        begin("writing")
         contents = _contents(arguments, told)
         written = [(label, str(path)) for label, path, _ in contents]
         for _, path, content in contents:
@@ -167,7 +168,9 @@ class _Told:
 
 
 def _diagnosed(
-    arguments: argparse.Namespace, records: Sequence[CoefficientSeries], progress: _Progress
+    arguments: argparse.Namespace,
+    records: Sequence[CoefficientSeries],
+    begin: Callable[[str], None],
 ) -> _Told:
     from comparisons.missing_effect import diagnose
 
@@ -178,42 +181,35 @@ def _diagnosed(
     if arguments.base == "sindy":
         from comparisons.missing_effect.base_terms import discovered_terms
 
-        progress.next("discovering terms")
+        begin("discovering terms")
         found = discovered_terms(records)
         terms = found.terms
         base = {"source": "sindy", "dropped": list(found.dropped)}
         if found.dropped:
             names = ", ".join(found.dropped)
             remarks.append(f"Left out of the base, since their form is not known here: {names}.")
-    progress.next("trying effects")
+    begin("trying effects")
     most_effects = arguments.max_effects or MOST_EFFECTS
     d = diagnose(records, degree, terms=terms, most_effects=most_effects)
-    progress.next("looking where")
+    begin("looking where")
     before, why = _where(d, d.before)
     after, _ = _where(d, d.after) if d.missing else (before, "")
     remarks += [f"Where was not looked at: {why}."] if why else []
     limits = separation = None
     if arguments.limits:
+        from comparisons.missing_effect.catalogue import CATALOGUE
         from comparisons.missing_effect.limits import planted_limits
 
-        progress.next("planting effects")
-        limits = planted_limits(d, progress=_effects_bar)
+        begin("planting effects")
+        limits = planted_limits(
+            d, progress=lambda rows: shown_over(rows, unit="effect", total=len(CATALOGUE))
+        )
     if arguments.separate:
         from comparisons.missing_effect.separate import separating_measurements
 
-        progress.next("simulating measurements")
+        begin("simulating measurements")
         separation = separating_measurements(d)
     return _Told(d, before, after, limits, separation, base, tuple(remarks))
-
-
-def _effects_bar(rows: Iterable[_T]) -> Iterable[_T]:
-    """Show how many effects were planted, on a terminal only."""
-    from tqdm import tqdm
-
-    from comparisons.missing_effect import CATALOGUE
-
-    shown = sys.stderr.isatty()
-    return tqdm(rows, total=len(CATALOGUE), unit="effect", leave=False, disable=not shown)
 
 
 def _where(d: Diagnosis, fit: Any) -> tuple[Where | None, str]:
@@ -286,30 +282,6 @@ def _check(arguments: argparse.Namespace) -> None:
     for path in outputs:
         check_target(path, (".html", ".htm") if path is arguments.report else ())
     check_apart([*arguments.series, *map(ledger_path, arguments.series)], outputs)
-
-
-class _Progress:
-    """A bar on a terminal that says what runs; nothing where stderr is no terminal."""
-
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        from tqdm import tqdm
-
-        steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
-        self._bar = tqdm(total=steps, unit="step", leave=False, disable=not sys.stderr.isatty())
-        self._begun = False
-
-    def next(self, words: str) -> None:
-        """Say what begins, and count what ended."""
-        if self._begun:
-            self._bar.update()
-        self._begun = True
-        self._bar.set_description_str(words)
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
 
 
 def _whole(low: int, high: int) -> Callable[[str], int]:

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.files import write_whole
 from classic_ml.first_order_lag import FirstOrderLag, Hold
@@ -39,7 +40,7 @@ class LagEstimator(Protocol):
 
 
 @dataclass(frozen=True)
-class FittedLag:
+class FittedLag(Displayed):
     """τ dy/dt + y = Σ β_i s_i(φ) with numbers in it.
 
     Parameters
@@ -266,6 +267,11 @@ class FittedLag:
             int(data["n_blocks"]),
             _known(data.get("dead_time_s", 0.0)),
         )
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import lag_value_sheet
+
+        return lag_value_sheet(self)
 
 
 def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:

@@ -82,11 +82,12 @@ def run_model_diagnosis(arguments: argparse.Namespace) -> None:
     _check_files(arguments)
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.files import load_model, read_experiment
-    from comparisons.missing_effect.systems.script import contents_of, shown_progress, steps_of
+    from comparisons.missing_effect.systems.script import contents_of, steps_of
     from comparisons.missing_effect.systems.terminal import system_text
+    from comparisons.progress import shown_steps
 
     most = DEFAULT_EFFECTS if arguments.max_effects is None else arguments.max_effects
-    with shown_progress(steps_of(most) + 2) as told:
+    with shown_steps(steps_of(most) + 2) as told:
         told("reading")
         model = load_model(arguments.model)
         fit = [read_experiment(path, model) for path in arguments.fit]

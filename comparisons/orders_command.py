@@ -98,6 +98,8 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.json:
         check_target(arguments.json, ())
         check_apart(arguments.series, [arguments.json])
+    from comparisons.progress import shown_over
+
     rows = stack_rows([read_series(path) for path in arguments.series])
     table = select_order(
         rows.X,
@@ -106,6 +108,7 @@ def _run(arguments: argparse.Namespace) -> None:
         sample_period_s=rows.sample_period_s,
         input_lags=tuple(arguments.lags),
         degrees=tuple(arguments.degrees),
+        progress=lambda candidates: shown_over(candidates, unit="model"),
     )
     print(orders_text(table))
     if arguments.json:

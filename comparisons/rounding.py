@@ -1,129 +1,21 @@
-"""Numbers as people read them: rounded to their uncertainty."""
+"""Numbers as people read them, under the name by which this package has always known them."""
 
 from __future__ import annotations
 
-import math
+from classic_ml.rounding import (
+    NOT_KNOWN,
+    bracketed,
+    decimals_for,
+    round_like,
+    round_to_error,
+    significant,
+)
 
-__all__ = ["bracketed", "decimals_for", "round_like", "round_to_error", "significant"]
-
-# Beyond these a number is easier read with a power of ten.
-PLAIN_RANGE = (1e-4, 1e6)
-# Below this, which no measurement reaches, a float has lost its digits: the value is exact.
-SMALLEST_ERROR = 1e-300
-NOT_KNOWN = "n/a"
-
-
-def round_to_error(value: float, error: float) -> str:
-    """Round a value and its standard error as the Particle Data Group does.
-
-    The error keeps two digits when its first three lie between 100 and 354, one up to 949, and
-    is rounded up to 1000 with two digits beyond; the value keeps as many decimals.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    error : float
-        Its standard error, in the same unit.
-
-    Returns
-    -------
-    str
-        E.g. ``"30.1 ± 1.2"``, ``"(1.21 ± 0.05)e-06"``; ``"30.12 ± ?"`` where the error is not
-        known, ``"n/a"`` where the value is not.
-    """
-    if not math.isfinite(value):
-        return NOT_KNOWN
-    if not math.isfinite(error):
-        return f"{significant(value)} ± ?"
-    if error < SMALLEST_ERROR:
-        return significant(value)
-    largest = max(abs(value), error)
-    low, high = PLAIN_RANGE
-    if low <= largest < high:
-        decimals = decimals_for(error)
-        return f"{_fixed(value, decimals)} ± {_fixed(_rounded_error(error), decimals)}"
-    exponent = math.floor(math.log10(largest))
-    scaled, scaled_error = value / 10.0**exponent, error / 10.0**exponent
-    decimals = decimals_for(scaled_error)
-    rounded = _fixed(_rounded_error(scaled_error), decimals)
-    return f"({_fixed(scaled, decimals)} ± {rounded})e{exponent:+03d}"
-
-
-def bracketed(value: float, error: float) -> str:
-    """Round a value to its standard error and write the error in its last digits.
-
-    Parameters
-    ----------
-    value, error : float
-        The value and its standard error.
-
-    Returns
-    -------
-    str
-        E.g. ``"0.351(12)"``, ``"30.1(1.2)"``, ``"353(24)"``; without an error to speak of, the
-        value alone.
-    """
-    if not (math.isfinite(value) and math.isfinite(error) and error >= SMALLEST_ERROR):
-        return significant(value)
-    decimals = decimals_for(error)
-    rounded = _rounded_error(error)
-    last_digits = rounded * 10.0**decimals if 0.0 < rounded < 1.0 else rounded
-    error_text = f"{last_digits:.0f}" if rounded < 1.0 else _fixed(rounded, decimals)
-    return f"{_fixed(value, decimals)}({error_text})"
-
-
-def round_like(value: float, error: float) -> str:
-    """Round a value to the decimals of an uncertainty, without writing the uncertainty.
-
-    Parameters
-    ----------
-    value, error : float
-        The value and the standard error whose decimals it is given.
-    """
-    if not math.isfinite(value):
-        return NOT_KNOWN
-    if not (math.isfinite(error) and error >= SMALLEST_ERROR):
-        return significant(value)
-    return _fixed(value, decimals_for(error))
-
-
-def significant(value: float, digits: int = 4) -> str:
-    """Round to significant digits, for a value whose error is not known.
-
-    Parameters
-    ----------
-    value : float
-        The value.
-    digits : int
-        Digits that are kept.
-    """
-    if not math.isfinite(value):
-        return NOT_KNOWN
-    text = f"{value:#.{digits}g}".rstrip(".")
-    return text if "e" in text else text.removeprefix("-") if float(text) == 0.0 else text
-
-
-def decimals_for(error: float) -> int:
-    """Return the decimals that an error is written with; negative for tens, hundreds, …
-
-    Parameters
-    ----------
-    error : float
-        A positive standard error.
-    """
-    exponent = math.floor(math.log10(error))
-    leading = round(error / 10.0**exponent, 2)
-    if leading >= 9.5:
-        return -exponent
-    return 1 - exponent if leading < 3.55 else -exponent
-
-
-def _rounded_error(error: float) -> float:
-    exponent = math.floor(math.log10(error))
-    return 10.0 ** (exponent + 1) if round(error / 10.0**exponent, 2) >= 9.5 else error
-
-
-def _fixed(value: float, decimals: int) -> str:
-    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
+__all__ = [
+    "NOT_KNOWN",
+    "bracketed",
+    "decimals_for",
+    "round_like",
+    "round_to_error",
+    "significant",
+]

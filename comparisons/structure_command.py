@@ -8,9 +8,13 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from classic_ml.errors import InputError
+
+if TYPE_CHECKING:
+    from classic_ml.series import CoefficientSeries
+    from comparisons.structure_fit import FoundStructure
 
 __all__ = ["add_structure_parser", "run_structure"]
 
@@ -129,14 +133,30 @@ def run_structure(arguments: argparse.Namespace) -> None:
     """
     from classic_ml.files import write_whole
     from classic_ml.readers.series_files import read_series
-    from comparisons.json_output import to_strict_json
-    from comparisons.structure_fit import find_structure
-    from comparisons.structure_output import structure_document, structure_text
-    from comparisons.structure_report import structure_report
+    from comparisons.progress import shown_steps
+    from comparisons.structure_output import structure_text
 
     _check_targets(arguments)
+    with shown_steps(3) as begin:
+        begin("reading")
+        records = [read_series(path) for path in arguments.series]
+        begin("choosing terms")
+        found = _found(arguments, records)
+        begin("writing")
+        # All is made before anything is written.
+        text = structure_text(found, latex=arguments.latex)
+        contents = _contents(arguments, found)
+        for _, path, content in contents:
+            write_whole(path, content)
+    lines = [text, *(f"{label}: {path}" for label, path, _ in contents)]
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def _found(arguments: argparse.Namespace, records: Sequence[CoefficientSeries]) -> FoundStructure:
+    from comparisons.structure_fit import find_structure
+
     found = find_structure(
-        [read_series(path) for path in arguments.series],
+        records,
         target=arguments.target,
         hold=arguments.hold,
         rows=arguments.rows,
@@ -157,9 +177,15 @@ def run_structure(arguments: argparse.Namespace) -> None:
             found=f"the state {found.state[0]}",
             remedy="nothing was written; --rows fits the rows of the segments",
         )
-    text = structure_text(found, latex=arguments.latex)
+    return found
+
+
+def _contents(arguments: argparse.Namespace, found: FoundStructure) -> list[tuple[str, Path, str]]:
+    from comparisons.json_output import to_strict_json
+    from comparisons.structure_output import structure_document
+    from comparisons.structure_report import structure_report
+
     command = " ".join(["sindy-surge", *sys.argv[1:]])
-    # All is made before anything is written.
     contents = []
     if arguments.json:
         contents.append(("numbers", arguments.json, to_strict_json(structure_document(found))))
@@ -167,10 +193,7 @@ def run_structure(arguments: argparse.Namespace) -> None:
         contents.append(("report", arguments.report, structure_report(found, command=command)))
     if arguments.python:
         contents.append(("equation", arguments.python, found.equation("python")))
-    for _, path, content in contents:
-        write_whole(path, content)
-    lines = [text, *(f"{label}: {path}" for label, path, _ in contents)]
-    sys.stdout.write("\n".join(lines) + "\n")
+    return contents
 
 
 def _check_targets(arguments: argparse.Namespace) -> None:

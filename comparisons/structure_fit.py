@@ -164,6 +164,11 @@ class FoundStructure:
         ends = np.array([[self.phi.min()], [self.phi.max()]])
         return python_source(self.parts, SelectedTerms(library, columns), ends)
 
+    def _repr_html_(self) -> str:
+        from comparisons.sheets import structure_html
+
+        return structure_html(self)
+
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""
         phi = np.linspace(self.phi.min(), self.phi.max(), CURVE_POINTS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +33,7 @@ def fit_work(
     *,
     breakpoints: tuple[float, float] | None = None,
     time_constant_s: float | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> WorkCharacteristic:
     """Reduce a raw record without any low-pass and fit its work characteristic.
 
@@ -47,6 +48,8 @@ def fit_work(
         taken from a grid over the flow that the record visits.
     time_constant_s : float, optional
         Hold τ at this value.
+    progress : callable
+        Wraps the iteration over the pairs, to show how far it is.
 
     Raises
     ------
@@ -88,7 +91,7 @@ def fit_work(
     # A little off the grid's own spacing, so that rounding decides nothing.
     grid = np.linspace(low, high, GRID_POINTS + 2)[1:-1]
     pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
-    fits = [fitted(pair) for pair in pairs]
+    fits = [fitted(pair) for pair in progress(pairs)]
     return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))
 
 
@@ -177,17 +180,22 @@ def run_work(arguments: argparse.Namespace) -> None:
     from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.readers import read_raw
     from comparisons.json_output import to_strict_json
+    from comparisons.progress import shown_over, shown_steps
 
     if arguments.json:
         check_target(arguments.json, ())
         check_apart([arguments.raw, arguments.test], [arguments.json])
-    record, test = read_raw(arguments.raw, arguments.test)
-    fit = fit_work(
-        record,
-        test,
-        breakpoints=_pair(arguments.breakpoints),
-        time_constant_s=arguments.tau,
-    )
+    with shown_steps(2) as begin:
+        begin("reading")
+        record, test = read_raw(arguments.raw, arguments.test)
+        begin("reducing and fitting")
+        fit = fit_work(
+            record,
+            test,
+            breakpoints=_pair(arguments.breakpoints),
+            time_constant_s=arguments.tau,
+            progress=lambda pairs: shown_over(pairs, unit="fit"),
+        )
     print(work_table(fit, searched=arguments.breakpoints is None))
     if arguments.json:
         write_whole(arguments.json, to_strict_json(work_document(fit, str(Path(arguments.raw)))))

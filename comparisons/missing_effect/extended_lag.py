@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.first_order_lag import Hold
 from classic_ml.records import FloatArray
@@ -44,7 +45,7 @@ CHANNELS = ("T25_K", "Nc_frac")
 
 
 @dataclass(frozen=True)
-class ExtendedLag:
+class ExtendedLag(Displayed):
     """τ dψ'/dt + ψ' = Σ β_i s_i(φ) with up to three effects of the catalogue, and numbers in it.
 
     Parameters
@@ -367,6 +368,11 @@ class ExtendedLag:
         from comparisons.missing_effect.extended_file import extended_from_json
 
         return extended_from_json(data)
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import extended_sheet
+
+        return extended_sheet(self)
 
 
 def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from classic_ml.display import Displayed, Sheet
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.noise import NoiseModel
@@ -85,7 +86,7 @@ class MissingEffect:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Displayed):
     """What a model of these records lacks.
 
     Parameters
@@ -151,3 +152,8 @@ class Diagnosis:
     def names(self) -> tuple[str, ...]:
         """First names of what is missing."""
         return tuple(item.effect for item in self.missing)
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import diagnosis_sheet
+
+        return diagnosis_sheet(self)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from classic_ml.calibration import calibrate
 from classic_ml.filtering import low_pass
 from classic_ml.records import FloatArray
-from classic_ml.segments import find_cycles
+from classic_ml.surge_cycles import find_cycles
 from comparisons.paper.claims_base import (
     LBM_KG,
     PSI_PA,

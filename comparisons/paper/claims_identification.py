@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.characteristics import polynomial_basis
+from classic_ml.intervals import label_intervals
 from classic_ml.records import FloatArray
-from classic_ml.segments import label_intervals
 from comparisons.fit_quality import trusted_range
 from comparisons.lag_value import FittedLag
 from comparisons.paper.claims_base import (

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from classic_ml.files import check_apart, check_target, write_whole
+from comparisons.progress import shown_over
 
 if TYPE_CHECKING:
     from comparisons.paper.claims_base import Claim
     from comparisons.paper.figures_common import PaperFigure
+    from comparisons.report import ReportSection
 
-__all__ = ["command_line", "reproduce", "show_progress", "write_claims_report"]
+__all__ = ["claims_sections", "command_line", "reproduce", "show_progress", "write_claims_report"]
 
 HTML = (".html", ".htm")
 
@@ -70,13 +72,17 @@ def reproduce(
     if report is not None:
         from comparisons.paper.figures import draw_figures
 
-        write_claims_report(report, claims, draw_figures(runs), command)
+        write_claims_report(report, claims, draw_figures(runs), command, progress)
         said.append(f"report: {report}")
     return "\n".join(said)
 
 
 def write_claims_report(
-    path: Path, claims: Sequence[Claim], figures: Sequence[PaperFigure], command: str
+    path: Path,
+    claims: Sequence[Claim],
+    figures: Sequence[PaperFigure],
+    command: str,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> None:
     """Write claims and figures as one HTML page.
 
@@ -90,10 +96,33 @@ def write_claims_report(
         Counterparts of the paper's figures.
     command : str
         The command line that made it.
+    progress : callable
+        Wraps the iteration over the figures, to show how far it is.
+    """
+    from comparisons.report import write_report
+
+    sections = claims_sections(claims, figures, progress)
+    write_report(path, sections, title="The paper, claim by claim", command=command)
+
+
+def claims_sections(
+    claims: Sequence[Claim],
+    figures: Sequence[PaperFigure],
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> tuple[ReportSection, ...]:
+    """Return the sections of the page: the claims, and the figures where there are any.
+
+    Parameters
+    ----------
+    claims : sequence of Claim
+        Checked claims.
+    figures : sequence of PaperFigure
+        Counterparts of the paper's figures.
+    progress : callable
+        Wraps the iteration over the figures, to show how far it is.
     """
     from comparisons.paper.claims import claims_block
-    from comparisons.plots_style import figure_to_data_uri
-    from comparisons.report import Part, Picture, ReportSection, Words, write_report
+    from comparisons.report import Part, Picture, ReportSection, Words
 
     about = Words(
         "Four surge tests and one of steady rotating stall were simulated on a rig whose truth is "
@@ -103,24 +132,26 @@ def write_claims_report(
         "sensors or machine is tested on these. What does not hold is printed as such.",
         "quiet",
     )
-    pictures = [
+    table = ReportSection("Claims", extra=(Part("Table", (about, claims_block(claims))),))
+    pictures = tuple(
         Part(
             f"Figure {f.number}: {f.title}",
-            (Picture(f.title, figure_to_data_uri(f.figure), f.title, f.caption),),
+            (Picture.of(f.title, f.figure, f.caption, f"In the paper: “{f.paper_caption}”"),),
         )
-        for f in figures
-    ]
-    sections = [ReportSection("Claims", extra=(Part("Table", (about, claims_block(claims))),))]
-    if pictures:
-        sections.append(ReportSection("Figures", extra=tuple(pictures)))
-    write_report(path, sections, title="The paper, claim by claim", command=command)
+        for f in progress(figures)
+    )
+    return (table, ReportSection("Figures", extra=pictures)) if pictures else (table,)
 
 
 def show_progress(items: Iterable[Any]) -> Iterable[Any]:
-    """Show how far a work is, on a terminal only."""
-    from tqdm import tqdm
+    """Show how far a work is, on a terminal only.
 
-    return tqdm(list(items), leave=False, disable=not sys.stderr.isatty())
+    Parameters
+    ----------
+    items : iterable
+        What is worked through.
+    """
+    return shown_over(items)
 
 
 def command_line() -> str:

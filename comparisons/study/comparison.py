@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 from comparisons.study.paired import (
@@ -107,7 +108,7 @@ class MethodRow:
 
 
 @dataclass(frozen=True)
-class GroupComparison:
+class GroupComparison(Displayed):
     """Methods side by side over the cells of one group.
 
     Parameters
@@ -132,9 +133,14 @@ class GroupComparison:
         """Return the row of a method."""
         return next(row for row in self.rows if row.method == method)
 
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import methods_sheet
+
+        return methods_sheet(self)
+
 
 @dataclass(frozen=True)
-class PairwiseDifferences:
+class PairwiseDifferences(Displayed):
     """Every method against every other.
 
     Parameters
@@ -160,6 +166,11 @@ class PairwiseDifferences:
     def stderr(self) -> FloatArray:
         """Standard errors of the differences, of shape (n, n)."""
         return np.array([[p.stderr for p in row] for row in self.pairs], dtype=np.float64)
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import pairwise_sheet
+
+        return pairwise_sheet(self)
 
 
 def compare_methods(

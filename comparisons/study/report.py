@@ -198,7 +198,10 @@ _READING = (
 
 def _method_table(group: GroupComparison) -> Table:
     fields = fields_of(group.score, full=True)
-    heads = tuple(Head(f.heading, f.meaning, f.numeric, f.heading in PROSE) for f in fields)
+    heads = tuple(
+        Head(f.heading, f.meaning, f.numeric, f.heading in PROSE, "reference" if f.numeric else "")
+        for f in fields
+    )
     rows = tuple(tuple(field.text(row, group) for field in fields) for row in group.rows)
     marks = tuple("best" if row.method == group.best else "" for row in group.rows)
     unit = f" [{group.score.unit}]" if group.score.unit else ""
@@ -248,9 +251,7 @@ def _pictures(study: _Study, score: Score, groups: Sequence[GroupComparison]) ->
 
 
 def _picture(drawn: Drawn) -> Picture:
-    from comparisons.plots_style import figure_to_data_uri
-
-    return Picture(drawn.title, figure_to_data_uri(drawn.figure), drawn.alt, drawn.reading)
+    return Picture.of(drawn.title, drawn.figure, drawn.alt, drawn.reading)
 
 
 def _varies(table: pd.DataFrame, axis: str) -> bool:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import tomllib
+from collections.abc import Iterable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from comparison_data import LINES, made_comparison, made_series
 from raw_data import make_test
+from report_page import without_own_script
 
 from classic_ml.errors import InputError
 from classic_ml.records import Dropped, LedgerEntry
@@ -88,9 +92,10 @@ def html(reduction: Reduction) -> str:
         validation=(reconstruct_record(comparison.results[0].model, made_series(5, "other.csv")),),
         extra=(Part("Diagnosis", (Words("nothing is missing"),)),),
     )
-    return render_report(
+    page = render_report(
         [section], title="The report", command="sindy-surge compare x.csv", version="9.9.9"
     )
+    return without_own_script(page)
 
 
 def test_every_part_is_there_in_order_and_in_the_contents(html: str) -> None:
@@ -261,9 +266,9 @@ def test_what_files_and_ledgers_say_is_text() -> None:
         command=EVIL,
         version=EVIL,
     )
-    page = Page(html)
+    page = Page(without_own_script(html))
     assert page.all("script") == []
-    assert len(page.all("b")) == html.count("<b>How to read this.</b>")  # no label's markup
+    assert page.all("b") == []  # no label's markup
     for attributes in page.all("img"):
         assert set(attributes) == {"src", "alt"}
         assert (attributes["src"] or "").startswith("data:image/png;base64,")
@@ -314,3 +319,33 @@ def test_an_impossible_target_is_refused_before_anything_is_drawn(
     with pytest.raises(InputError):
         # A section that cannot be drawn: had it been tried, the error would be another.
         write_report(tmp_path / name, [None], title="x", command="x")  # type: ignore[list-item]
+
+
+def test_an_installed_package_holds_all_that_a_page_is_made_of() -> None:
+    root = Path(__file__).parents[2]
+    settings = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))
+    globs = settings["tool"]["setuptools"]["package-data"]["comparisons"]
+    folder = root / "comparisons"
+    packed = {path for glob in globs for path in folder.glob(glob)}
+    assert set((folder / "report" / "templates").iterdir()) <= packed
+
+
+def test_bytes_of_a_name_that_are_no_text_are_written_as_such() -> None:
+    name = "surge-\udcff.csv"
+    page = render_report([ReportSection(name)], title=name, command=name, version="1")
+    assert "surge-\\udcff.csv" in page
+    page.encode("utf-8")
+
+
+def test_parts_are_counted_as_they_are_drawn() -> None:
+    counted: list[object] = []
+
+    def count(items: Iterable[Any]) -> Iterator[Any]:
+        for item in items:
+            counted.append(item)
+            yield item
+
+    sections = [ReportSection("a", extra=(Part("p", (Words("w"),)),)), ReportSection("b")]
+    page = render_report(sections, title="x", command="x", version="1", progress=count)
+    assert page == render_report(sections, title="x", command="x", version="1")
+    assert len(counted) == 25  # twelve parts of each section, drawn or empty, and one of its own

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from report_page import without_own_script
 
 from comparisons.cli import main
 from comparisons.structure_command import _dead_time
@@ -152,9 +153,16 @@ def test_the_python_file_gives_the_same_curve(written: Path) -> None:
 
 
 def test_the_report_holds_the_summary_and_pictures_that_say_what_they_show(written: Path) -> None:
-    page = (written / "r.html").read_text("utf-8")
-    assert page.count('<div class="sindy-surge">') == 1
-    assert "summary-of-the-structure" not in page
+    page = without_own_script((written / "r.html").read_text("utf-8"))
+    # All that the terminal says of the fit, from the same fields.
+    found = json.loads((written / "n.json").read_text("utf-8"))
+    tables = re.findall(r"<caption>([^<]*)</caption>", page)
+    assert tables[:2] == [
+        "Structure of ψ&#39;_QS(φ)",
+        f"Terms of ψ&#39;_QS: 3 of {len(found['candidates'])} candidates",
+    ]
+    for label in ("equation", "state", "time constant τ", "τ, 95 % interval", "rivals", "aliases"):
+        assert page.count(f'<td class="short">{label}</td>') == 1
     assert not re.search(r"<script|(?:src|href)=\"(?:https?:)?//", page)
     pictures = re.findall(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]*)"', page)
     assert page.count("<img") == len(pictures) == 3

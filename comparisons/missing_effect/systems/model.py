@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 
 __all__ = ["BetweenSamples", "Model", "P"]
@@ -36,7 +37,7 @@ class P:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Model(Displayed):
     """A simulation model dx/dt = f(t, x, u, p), y = g(t, x, u, p), as a value.
 
     Parameters
@@ -141,6 +142,11 @@ class Model:
         named = (("x", self.state_names), ("u", self.input_names), ("p", self.param_names))
         kinds: list[Any] = [namedtuple(kind, names) for kind, names in named]
         return kinds[0](*x), kinds[1](*u), kinds[2](*p)
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import model_sheet
+
+        return model_sheet(self)
 
 
 def as_numbers(value: Any) -> tuple[float, ...]:

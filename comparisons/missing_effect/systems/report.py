@@ -12,6 +12,7 @@ from comparisons.missing_effect.systems.report_words import (
     errors_words,
     floor_words,
     rounds_words,
+    stretch_words,
     unfitted_words,
     where_words,
 )
@@ -32,8 +33,6 @@ from comparisons.report.blocks import Block, Bullets, Cell, Head, Part, Picture,
 from comparisons.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from comparisons.missing_effect.systems.search import Round
 
 __all__ = ["system_parts", "system_report"]
@@ -105,7 +104,7 @@ def _errors_picture(d: SystemDiagnosis) -> Picture:
         f" The first {MOST_RUNS} of {len(runs)} records are drawn." if len(runs) > MOST_RUNS else ""
     )
     two = "Orange: the model as it was; blue: with what was added. " if d.missing else ""
-    return _picture(
+    return Picture.of(
         "Errors of every record and output",
         draw_errors(d),
         f"rms error of the free run of each record: {errors_words(d)}.",
@@ -124,8 +123,6 @@ def _where(d: SystemDiagnosis) -> tuple[Block, ...]:
     name = f"{e.name} ({split_of(run)})"
     from_s = e.first_s + rows.start * e.sample_period_s
     to_s = e.first_s + rows.stop * e.sample_period_s
-    both = "before and after, and both residuals" if d.missing else "and the residual"
-    outputs = ", ".join(run.outputs)
     wheres = [where_of(run, d.missing, output=output, model=d.model) for output in run.outputs]
     told = tuple(words for where in wheres for words in where_words(d, where))
     how = (
@@ -135,25 +132,25 @@ def _where(d: SystemDiagnosis) -> tuple[Block, ...]:
     )
     return (
         Bullets(told, heading=f"On {name}"),
-        _picture(
+        Picture.of(
             f"Measured and simulated, {name}",
             draw_runs(d, run),
-            f"Measured and simulated {outputs} {both} from {from_s:.4g} to {to_s:.4g} s of {name}.",
+            f"Measured and simulated outputs of {name} from {from_s:.4g} to {to_s:.4g} s, and "
+            f"what is left: {stretch_words(d, run, rows)}.",
             f"Of all records of its kind the one that the model misses most, and of it {how}. The "
             "rms above each column is of the whole record.",
         ),
-        _picture(
+        Picture.of(
             f"Residuals over frequency and over a signal, {name}",
             draw_residuals(d, run),
-            f"Spectra of {outputs} and of their residuals, and mean residual over "
-            f"{' and '.join(dict.fromkeys(where.signal for where in wheres))}, as told in the list "
-            "above.",
+            " ".join(told),
             "Left: power densities; where a residual reaches the measured line, the model knows "
             "nothing of that band. Right: mean residual in ranges of a signal with two standard "
             "errors, and small triangles for the rows where the signal rises (up) and falls "
             "(down): a bend is a missing characteristic, two branches are a lag, a friction or a "
             "hysteresis. An output is laid over its own simulated value, since its residual is "
             "part of the measured one.",
+            told_above=True,
         ),
     )
 
@@ -171,7 +168,7 @@ def _who(d: SystemDiagnosis) -> tuple[Block, ...]:
     )
     blocks: list[Block] = [
         Words(how),
-        _picture(
+        Picture.of(
             "Candidates of each round",
             draw_candidates(d),
             rounds_words(d),
@@ -368,9 +365,3 @@ def _ledger(d: SystemDiagnosis) -> Block:
         (Head("effect"), Head("why", prose=True)),
         tuple(d.unavailable.items()),
     )
-
-
-def _picture(title: str, figure: Figure, alt: str, reading: str) -> Picture:
-    from comparisons.plots_style import figure_to_data_uri
-
-    return Picture(title, figure_to_data_uri(figure), alt, reading)

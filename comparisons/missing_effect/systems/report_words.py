@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from comparisons.missing_effect.systems.results import SystemDiagnosis
+from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.search import Candidate, Round
 from comparisons.missing_effect.systems.shown import (
     added,
@@ -25,6 +25,7 @@ __all__ = [
     "errors_words",
     "floor_words",
     "rounds_words",
+    "stretch_words",
     "unfitted_words",
     "where_words",
 ]
@@ -67,6 +68,32 @@ def errors_words(d: SystemDiagnosis) -> str:
         told.append(f"{run.experiment.name} ({split_of(run)}) {', '.join(parts)}")
     more = len(all_runs(d)) - MOST_TOLD
     return "; ".join(told) + (f"; and {more} more" if more > 0 else "")
+
+
+def stretch_words(d: SystemDiagnosis, run: CheckRun, rows: slice) -> str:
+    """Return the errors of each output over a stretch of a run, before and after.
+
+    Parameters
+    ----------
+    d : SystemDiagnosis
+        The diagnosis.
+    run : CheckRun
+        One of its runs.
+    rows : slice
+        The stretch.
+    """
+    told = []
+    for j, output in enumerate(run.outputs):
+        measured = run.measured[rows, j]
+        before, after = (
+            float(np.sqrt(np.mean((measured - simulated[rows, j]) ** 2)))
+            for simulated in (run.before, run.after)
+        )
+        scale = scale_of(d.model.outputs[output], [typical([before, after])])
+        fell = f"{scale.told(before)} before and " if d.missing else ""
+        later = " after" if d.missing else ""
+        told.append(f"{output} rms {fell}{scale.told(after)}{later}")
+    return "; ".join(told)
 
 
 def where_words(d: SystemDiagnosis, where: SystemWhere) -> tuple[str, ...]:
@@ -161,7 +188,7 @@ def rounds_words(d: SystemDiagnosis) -> str:
         same = f", {beside} more cannot be told from it" if beside > 0 else ""
         told.append(
             f"Round {number}: {step.winner.placed.label(d.model)} {fate}, score "
-            f"{step.winner.score:.4g}{same}."
+            f"{step.winner.score:.1f}{same}."
         )
     return " ".join(told)
 

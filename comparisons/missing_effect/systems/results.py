@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from classic_ml.display import Displayed, Sheet
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
@@ -156,7 +157,7 @@ def _rms_columns(errors: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class SystemDiagnosis:
+class SystemDiagnosis(Displayed):
     """What a user's model lacks.
 
     Parameters
@@ -212,3 +213,8 @@ class SystemDiagnosis:
     def parameter(self, name: str) -> ParameterRow:
         """Return a parameter of the model by name."""
         return next(row for row in self.parameters if row.name == name)
+
+    def _sheet(self) -> Sheet:
+        from comparisons.sheets import system_sheet
+
+        return system_sheet(self)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from classic_ml.errors import InputError
+from comparisons.progress import shown_steps
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.experiments import Experiment
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         Model, Experiment | Sequence[Experiment], Experiment | Sequence[Experiment]
     ]
 
-__all__ = ["MOST_EFFECTS_ASKED", "contents_of", "run_script", "shown_progress", "steps_of"]
+__all__ = ["MOST_EFFECTS_ASKED", "contents_of", "run_script", "steps_of"]
 
 # More than this is no missing effect any more but another model.
 MOST_EFFECTS_ASKED = 6
@@ -99,30 +99,6 @@ def contents_of(
     return out
 
 
-@contextmanager
-def shown_progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """Give a function that says what begins, in a bar on a terminal; nothing elsewhere.
-
-    Parameters
-    ----------
-    steps : int
-        How many there are at most.
-    """
-    from tqdm import tqdm
-
-    with tqdm(total=steps, unit="step", leave=False, disable=not sys.stderr.isatty()) as bar:
-        begun = False
-
-        def told(words: str) -> None:
-            nonlocal begun
-            if begun:
-                bar.update()
-            begun = True
-            bar.set_description_str(words)
-
-        yield told
-
-
 def steps_of(most_effects: int) -> int:
     """Return how often a diagnosis tells its progress at most: two fits beside the rounds."""
     return most_effects + 2
@@ -145,7 +121,7 @@ def _run(
         check_target(path, (".html", ".htm") if path is arguments.report else ())
     check_apart([], targets)
     found: dict[str, SystemDiagnosis] = {}
-    with shown_progress(len(cases) * steps_of(arguments.max_effects)) as told:
+    with shown_steps(len(cases) * steps_of(arguments.max_effects)) as told:
         for name, (model, fit, check) in cases.items():
             found[name] = diagnose_model(
                 model,
