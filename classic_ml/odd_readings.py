@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.odd_kernels import jumping_rows, off_neighbours, standing_out
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, Record
 from classic_ml.workspace import blocks
@@ -57,25 +58,14 @@ def spikes(readings: Sequence[FloatArray]) -> NDArray[np.bool_]:
     ndarray of bool, shape (n_channels, n)
         True at the wrong readings.
     """
-    from scipy.ndimage import maximum_filter1d
-
-    values = np.asarray(readings, dtype=np.float64)
+    values = np.array(readings, dtype=np.float64, ndmin=2)
     marked = np.zeros(values.shape, dtype=np.bool_)
     if values.shape[1] <= 2 * SPIKE_MARGIN:
         return marked
-    off = np.zeros_like(values)
-    off[:, 2:-2] = np.abs(values[:, 2:-2] - _median_of_five(values))
-    if not np.any(off > SPIKE_SHARE):
-        return marked
-    ratio = off / np.maximum(_largest_around(off, SPIKE_REACH, SPIKE_GAP), 0.1 * SPIKE_SHARE)
-    marked = (ratio > SPIKE_RATIO) & (off > SPIKE_SHARE)
-    # On a steep slope the rows beside a spike stand out a little too.
-    marked &= off > 0.5 * maximum_filter1d(off, 5, axis=1, mode="nearest")
-    marked[:, :SPIKE_MARGIN] = marked[:, -SPIKE_MARGIN:] = False
-    for channel, row in np.argwhere(marked):
-        beside = slice(row - 2, row + 3)
-        seen = (ratio[:, beside] > QUIET_RATIO) & (off[:, beside] > SEEN_SHARE * off[channel, row])
-        marked[channel, row] = not np.delete(seen, channel, axis=0).any()
+    off = np.empty_like(values)
+    off_neighbours(values, off)
+    limits = (SPIKE_RATIO, QUIET_RATIO, SEEN_SHARE)
+    standing_out(off, marked, SPIKE_REACH, SPIKE_GAP, SPIKE_SHARE, limits)
     return marked
 
 
@@ -93,37 +83,14 @@ def splices(readings: Sequence[FloatArray]) -> NDArray[np.int64]:
     ndarray of int
         The first row behind each jump.
     """
-    values = np.asarray(readings, dtype=np.float64)
+    values = np.array(readings, dtype=np.float64, ndmin=2)
     if values.shape[0] < SPLICE_CHANNELS or values.shape[1] <= 2 * SPLICE_MARGIN + 1:
         return np.zeros(0, dtype=np.int64)
     steps = np.abs(np.diff(values, axis=1))
-    ratio = steps / np.maximum(_largest_around(steps, SPLICE_REACH, SPLICE_GAP), SPLICE_STEP)
     fewest = int(np.floor((1.0 - SPLICE_SHARE) * len(values)))
-    most = np.partition(ratio, fewest, axis=0)[fewest]
-    most[:SPLICE_MARGIN] = most[-SPLICE_MARGIN:] = 0.0
-    return np.flatnonzero(most > SPLICE_RATIO) + 1
-
-
-def _median_of_five(values: FloatArray) -> FloatArray:
-    """Return the median of each reading and two on either side, by comparisons alone."""
-    a, b, c, d, e = (values[:, k : values.shape[1] - 4 + k] for k in range(5))
-    low_1, high_1 = np.minimum(a, b), np.maximum(a, b)
-    low_2, high_2 = np.minimum(d, e), np.maximum(d, e)
-    # The least and the largest of the four are on either side of the median of all five.
-    low, high = np.maximum(low_1, low_2), np.minimum(high_1, high_2)
-    return np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), c))
-
-
-def _largest_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
-    """Return the largest of ``reach`` values before and behind each, ``gap`` away and more."""
-    from scipy.ndimage import maximum_filter1d
-
-    largest = maximum_filter1d(values, reach, axis=1, mode="nearest")
-    shift = gap + reach // 2
-    around = np.zeros_like(values)
-    around[:, shift:] = largest[:, :-shift]
-    around[:, :-shift] = np.maximum(around[:, :-shift], largest[:, shift:])
-    return around
+    jumping = np.zeros(steps.shape[1], dtype=np.bool_)
+    jumping_rows(steps, jumping, SPLICE_REACH, SPLICE_GAP, SPLICE_STEP, fewest, SPLICE_RATIO)
+    return np.flatnonzero(jumping) + 1
 
 
 def spike_rows(record: Record, ranges: Ranges) -> dict[str, NDArray[np.int64]]:

@@ -16,8 +16,8 @@ __all__ = ["Agreement", "compare_probes", "exchanged_immersions"]
 # Averages over a 40th of a second, and of two such, leave the surge cycle and little of the stall
 # cells, which pass the rakes one after the other.
 AVERAGE_HZ = 40.0
-# Fewer than a second of them tell nothing.
-FEWEST_AVERAGES = 40
+# Fewer than those of three surge cycles tell nothing.
+FEWEST_AVERAGES = 16
 # A pressure that moves less than one per cent is no measure of another's movement.
 LEAST_MOVEMENT = 0.01
 # Of two probes that differ nobody knows which one is wrong.

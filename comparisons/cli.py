@@ -358,7 +358,9 @@ def _add_work(commands: _Commands) -> None:
         "fit the piecewise-linear work characteristic of Fig 22 to the power that the blading "
         "delivers, with rows near zero flow weighted down.",
     )
-    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet)")
+    parser.add_argument(
+        "raw", type=Path, metavar="RAW", help="raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet)"
+    )
     parser.add_argument(
         "--test", type=Path, required=True, metavar="TEST.toml", help="its test description"
     )
