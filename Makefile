@@ -16,7 +16,7 @@ screen: $(STAMP)
 	tests/screen/run
 
 docs: $(STAMP)
-	$(BIN)/sphinx-build -W --keep-going -n -b html docs docs/_build/html
+	$(BIN)/sphinx-build -q -W --keep-going -n -b html docs docs/_build/html
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -13,7 +13,12 @@ from classic_ml.bridging import bridged
 from classic_ml.calibration import near_stall_rows, probe_pressure_Pa
 from classic_ml.errors import InputError
 from classic_ml.odd_readings import copies, jumps, spiked_rows
-from classic_ml.probe_agreement import Agreement, compare_probes, exchanged_immersions
+from classic_ml.probe_agreement import (
+    Agreement,
+    compare_probes,
+    drifted_apart,
+    exchanged_immersions,
+)
 from classic_ml.readers.test_description import (
     PressureChannel,
     TemperatureChannel,
@@ -47,6 +52,8 @@ STUCK_S = 0.05
 CLIPPED_SHARE = 0.01
 # "Substantial": beyond this share of the window a straight line across the gaps is no reading.
 BEYOND_SHARE = 0.05
+# Next to a reading that does not count for another reason, none is called a spike.
+EDGE_ROWS = 3
 # Sound probes of 13 simulated records move by 0.96 to 1.03 times what those beside them do, and
 # differ from them by 9 % of it. One that moves by half or by twice as much has come off, or is
 # another's; between the two its sensitivity is in doubt.
@@ -92,7 +99,10 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
         ends = cut_off([found[name].low, found[name].high])
         if still[name] or name in spiked or any(np.any(which) for _, which in ends):
             runs = np.concatenate([_NO_RUNS, *still[name]])
-            marks[name] = _marked(record, name, cut_off, runs, spiked.get(name, _NO_ROWS))
+            alone = _alone(record[name], spiked.get(name, _NO_ROWS), cut_off, runs)
+            mark = _marked(record, name, cut_off, runs, alone)
+            if mark.counts:
+                marks[name] = mark
     flags = [text for name, mark in marks.items() for text in mark.described(record, name)]
     flags += [*copies(record, test), *jumps(record, test, ranges)]
     clipped = ""
@@ -171,6 +181,23 @@ def _marked(
         record.workspace.release()
     column.setflags(write=False)
     return _Marks(column, counts)
+
+
+def _alone(
+    values: FloatArray,
+    rows: NDArray[np.int64],
+    cut_off: Callable[[ArrayLike], Iterable[tuple[int, NDArray[np.bool_]]]],
+    runs: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return the spikes that are not the edge of another fault, from which a reading comes back."""
+    alone = []
+    for row in rows.tolist():
+        around = slice(max(row - EDGE_ROWS, 0), min(row + EDGE_ROWS + 1, values.size))
+        if not any(np.any(which) for _, which in cut_off(values[around])) and not np.any(
+            _inside(runs, around)
+        ):
+            alone.append(row)
+    return np.array(alone, dtype=np.int64)
 
 
 def _inside(runs: NDArray[np.int64], rows: slice) -> NDArray[np.bool_]:
@@ -274,12 +301,7 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
     kept = [p.name for p in test.pressures if p.name not in gone]
     bridged += [_bridged(record, name, SPIKED) for name in kept if _has(record, name, SPIKED)]
     flags = [_kept_flag(record, name, window) for name in test.channel_names if name not in gone]
-    flags += _doubts(agreements, gone)
-    flags += [
-        f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, and the "
-        "reverse: are hub and tip exchanged on one of them?"
-        for plane, first, second in exchanged_immersions(record, test, window, gone)
-    ]
+    flags += [*_doubts(agreements, gone), *_between_rakes(record, test, window, gone)]
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
@@ -343,6 +365,22 @@ def _doubts(agreements: Mapping[str, Agreement], gone: Iterable[str]) -> list[st
         for name, found in agreements.items()
         if name not in gone
         and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
+    ]
+
+
+def _between_rakes(
+    record: Record, test: TestDescription, window: slice, gone: Iterable[str]
+) -> list[str]:
+    """Return a flag for each two rakes that do not show the same."""
+    exchanged = [
+        f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, and the "
+        "reverse: are hub and tip exchanged on one of them?"
+        for plane, first, second in exchanged_immersions(record, test, window, gone)
+    ]
+    return exchanged + [
+        f"{high} is {apart:.1%} above {low} in the window, though both were matched near stall: "
+        "has the zero of one drifted, or is its sensitivity wrong?"
+        for low, high, apart in drifted_apart(record, test, window, gone)
     ]
 
 

@@ -9,13 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import physical_flow, plane_flows
-from classic_ml.calibration import (
-    calibrate,
-    check_facing,
-    invert_thermocouples,
-    match_near_stall,
-    near_stall_rows,
-)
+from classic_ml.calibration import calibrate_and_match, invert_thermocouples, near_stall_rows
 from classic_ml.coefficients import (
     coefficients,
     corrected_speed_fraction,
@@ -127,9 +121,7 @@ def reduce_record(
     step = progress if progress is not None else _nobody
     record = inspect_readings(record, test)
     step(1)
-    record = calibrate(record, test)
-    check_facing(record, test)
-    record = match_near_stall(record, test, chosen.near_stall_match)
+    record = calibrate_and_match(record, test, chosen.near_stall_match)
     record = record.after(_near_stall_flows(record, test))
     step(1)
     window_s, found, ahead = _window(record, test, chosen, keep_probes)

@@ -20,6 +20,7 @@ from comparisons.one_sentence import (
     printable,
     sentence,
     too_deep,
+    too_many_digits,
 )
 from comparisons.orders_command import add_orders_parser
 from comparisons.structure_command import add_structure_parser
@@ -76,6 +77,11 @@ def _run(arguments: argparse.Namespace) -> int:
         # `sindy-surge … | head` closes our output: that is not a failure.
         sys.stderr.close()
         return EXIT_DONE
+    except ValueError as error:
+        # Python refuses to read a whole number of more digits; all else is a fault of ours.
+        if "int_max_str_digits" not in str(error):
+            raise
+        words = too_many_digits(arguments)
     except OSError as error:
         words = printable(f"{error.filename or 'output'}: {error.strerror}")
     else:

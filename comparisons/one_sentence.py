@@ -16,10 +16,11 @@ __all__ = [
     "printable",
     "sentence",
     "too_deep",
+    "too_many_digits",
 ]
 
 # More letters than this of a name or a value out of a file tell nobody anything.
-LONGEST = {"where": 160, "expected": 200, "found": 120, "remedy": 160}
+LONGEST = {"where": 160, "expected": 200, "found": 180, "remedy": 160}
 LONGEST_LINE = 300
 # Control characters, those that turn the direction of writing, halves of characters, and ends of
 # lines and paragraphs.
@@ -41,7 +42,7 @@ ARGPARSE_SAYS = (
 
 # The words of Python, and ours for them.
 PYTHON_SAYS = {"True": "true", "False": "false", "None": "nothing"}
-UNDECODED = r"'utf-8' codec can't decode byte 0x(\w\w) in position (\d+): [a-z ]+"
+UNDECODED = r"'utf-8' codec can't decode bytes? [\w ]*in position ([\d-]+): [a-z ]+"
 
 
 class _Refusal(Protocol):
@@ -112,7 +113,7 @@ def _in_words(text: str) -> str:
     """Return what Python calls a value or a failure as a user calls it."""
     if text in PYTHON_SAYS:
         return PYTHON_SAYS[text]
-    text = re.sub(UNDECODED, r"byte \1 at place \2, which is no text in UTF-8", text)
+    text = re.sub(UNDECODED, r"no text in UTF-8 from byte \1 on", text)
     return re.sub(r"<class '([\w.]+)'>", r"\1", text)
 
 
@@ -149,6 +150,17 @@ def too_deep(arguments: argparse.Namespace) -> str:
         Of the command, which name its files.
     """
     return f"{_files(arguments)}: expected values nested a few deep, found them nested without end"
+
+
+def too_many_digits(arguments: argparse.Namespace) -> str:
+    """Return the sentence for a file with a number that nobody can mean.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command, which name its files.
+    """
+    return f"{_files(arguments)}: expected numbers of a few digits, found one of more than 4300"
 
 
 def _files(arguments: argparse.Namespace) -> str:

@@ -80,10 +80,7 @@ def _opened(file: Path, names: tuple[str, ...], *, lenient: bool) -> RawFile:
 
     def pieces() -> Iterator[FloatArray]:
         n_rows = 0
-        for piece in _quick(file, names, header_rows):
-            n_rows += len(piece)
-            yield piece
-        for piece in _slow(file, names, header_rows, n_rows, lenient):
+        for piece in _rows(file, names, header_rows, lenient):
             n_rows += len(piece)
             yield piece
         if n_rows == 0:
@@ -144,11 +141,14 @@ def _units(file: Path, names: tuple[str, ...]) -> tuple[dict[str, str], int]:
     return {name: cell for name, cell in zip(names, cells, strict=True) if cell}, 2
 
 
-def _quick(file: Path, names: tuple[str, ...], header_rows: int) -> Iterator[FloatArray]:
-    """Yield rows until the end, or until one is met that is not as it should be."""
+def _rows(
+    file: Path, names: tuple[str, ...], header_rows: int, lenient: bool
+) -> Iterator[FloatArray]:
+    """Yield the rows; where one is met that is not as it should be, a second look says why."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
+    n_rows = 0
     try:
         reader = arrow_csv.open_csv(
             file,
@@ -164,14 +164,18 @@ def _quick(file: Path, names: tuple[str, ...], header_rows: int) -> Iterator[Flo
         )
         with reader:
             for batch in reader:
+                n_rows += batch.num_rows
                 yield _block(batch)
-    except (pa.ArrowException, UnicodeDecodeError):
         return
+    except (pa.ArrowException, UnicodeDecodeError):
+        pass
+    yield from _slow(file, names, header_rows, n_rows, lenient)
 
 
 def _block(batch: Any) -> FloatArray:
-    columns = [column.to_numpy(zero_copy_only=False) for column in batch.columns]
-    return np.column_stack(columns) if columns else np.empty((0, 0))
+    # Column by column in memory, as they are taken out again.
+    columns = [column.to_numpy(zero_copy_only=not column.null_count) for column in batch.columns]
+    return np.array(columns).T if columns else np.empty((0, 0))
 
 
 def _slow(

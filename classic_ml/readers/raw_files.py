@@ -281,7 +281,8 @@ def _check_units(stored: RawFile, test: TestDescription, columns: tuple[FeedColu
 def _converted(
     stored: RawFile, columns: tuple[FeedColumn, ...], block: FloatArray, first_row: int
 ) -> FloatArray:
-    values = np.empty((len(block), len(columns)))
+    # Column by column in memory, as they are taken out again.
+    values = np.empty((len(columns), len(block))).T
     for number, column in enumerate(columns):
         if not column.column:
             values[:, number] = 0.0

@@ -11,6 +11,7 @@ from pathlib import Path
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
+from classic_ml.readers.toml_file import no_file
 
 __all__ = ["RAW_SUFFIXES", "open_stored"]
 
@@ -92,7 +93,7 @@ def open_stored(
         raise InputError(
             str(file),
             expected="a raw record",
-            found="a folder" if file.is_dir() else "no such file",
+            found=no_file(file),
         )
     known = next((f for f in _FORMATS if file.suffix.lower() in f.suffixes), None)
     if known is None:

@@ -84,7 +84,7 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
                         _numbers(batch.column(number), field.type, origins.get(field.name))
                         for number, field in enumerate(fields)
                     ]
-                    yield np.column_stack(columns)
+                    yield np.array(columns).T
             except (pa.ArrowException, OSError) as error:
                 raise InputError(
                     str(file), expected="rows that can be read", found=one_line(error)
@@ -130,7 +130,7 @@ def _numbers(column: Any, kind: Any, origin: int | None) -> FloatArray:
         return np.where(missing, np.nan, seconds)
     if kind != pa.float64():
         column = column.cast(pa.float64(), safe=False)
-    return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+    return np.asarray(column.to_numpy(zero_copy_only=not column.null_count), dtype=np.float64)
 
 
 def _first_stamps(file: Path, names: list[str]) -> dict[str, int]:

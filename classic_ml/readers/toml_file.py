@@ -10,7 +10,7 @@ from typing import Any
 
 from classic_ml.errors import InputError
 
-__all__ = ["load_toml", "shown"]
+__all__ = ["load_toml", "no_file", "shown"]
 
 # The description of a test with a thousand channels has half a megabyte.
 MOST_BYTES = 4_000_000
@@ -39,9 +39,7 @@ def load_toml(file: Path, what: str) -> dict[str, Any]:
         When there is no such file, or it is no TOML; in one sentence with the line.
     """
     if not file.is_file():
-        raise InputError(
-            str(file), expected=what, found="a folder" if file.is_dir() else "no such file"
-        )
+        raise InputError(str(file), expected=what, found=no_file(file))
     size = file.stat().st_size
     if size > MOST_BYTES:
         raise InputError(
@@ -60,6 +58,19 @@ def load_toml(file: Path, what: str) -> dict[str, Any]:
         # Python refuses to read a whole number of more digits.
         found = "a number of more than 4300 digits"
     raise InputError(str(file), expected="a TOML file", found=found)
+
+
+def no_file(file: Path) -> str:
+    """Return what is found where no plain file is.
+
+    Parameters
+    ----------
+    file : path
+        The place.
+    """
+    if file.is_dir():
+        return "a folder"
+    return "a device or pipe" if file.exists() else "no such file"
 
 
 def _text(file: Path) -> str:

@@ -106,6 +106,8 @@ def test_the_marks_are_those_of_a_search_in_one_piece(seed: int, n: int, rows: i
     record, test = random_record(seed, n), description()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(workspace, "BLOCK_ROWS", rows)
+        # Spikes are another search, with tests of its own.
+        patch.setattr("classic_ml.faults.spiked_rows", lambda *_: {})
         found = inspect_readings(record, test)
     expected = expected_marks(record, test)
     assert {c for c in found.channels if c.startswith("fault_")} == set(map(fault_name, expected))

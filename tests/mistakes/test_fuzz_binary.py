@@ -16,7 +16,7 @@ from mistake_checks import check_sentence
 from mistake_desk import Answer, ledger_of, rms_errors, run_in
 from stored_records import WRITERS, write_stored
 
-SEEDS = 40
+SEEDS = 30
 
 
 def answers(folder: Path, name: str, command: str) -> list[Answer]:

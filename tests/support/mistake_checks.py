@@ -21,7 +21,7 @@ STEERING = ("Cc", "Cf", "Cs", "Zl", "Zp")
 LONGEST = 350
 # What a programmer would say: a traceback, an object's address, a Python type or error.
 PROGRAMMERS_WORDS = re.compile(
-    r"Traceback|\bNone\b|<\S+ object|\bnp\.|\bdtype\b|\barray\(|\b\w+Error\b|codec|"
+    r"Traceback|found None\b|<\S+ object|\bnp\.|\bdtype\b|\barray\(|\b\w+Error\b|codec|"
     r"\bdatetime\.|found (?:True|False)\b|<class"
 )
 NUMBER = re.compile(r"[-+][\d.]")

@@ -15,26 +15,27 @@ from mistakes_series import LEDGERS, NETCDF, SERIES
 from mistakes_test_toml import CALIBRATIONS, MACHINES
 from mistakes_toml_types import TYPES
 
-__all__ = ["MISTAKES", "Mistake"]
+__all__ = ["GROUPS", "MISTAKES", "Mistake"]
 
-MISTAKES: tuple[Mistake, ...] = (
-    *RAW_FILES,
-    *FORMATS,
-    *CLOCKS,
-    *PROBES,
-    *TESTS,
-    *CALIBRATIONS,
-    *MACHINES,
-    *TYPES,
-    *SERIES,
-    *LEDGERS,
-    *NETCDF,
-    *LIVE,
-    *MODELS,
-    *EXPERIMENTS,
-    *STUDIES,
-    *FACILITIES,
-    *OPTIONS,
-    *TARGETS,
-    *HOSTILE,
-)
+GROUPS: dict[str, tuple[Mistake, ...]] = {
+    "Raw records: the file": RAW_FILES,
+    "Raw records: binary formats": FORMATS,
+    "Raw records: the clock": CLOCKS,
+    "Raw records: units, names and probes": PROBES,
+    "Raw records: what was recorded": TESTS,
+    "test.toml: calibrations": CALIBRATIONS,
+    "test.toml: the machine and the test": MACHINES,
+    "test.toml: how it is written": TYPES,
+    "Series files": SERIES,
+    "Ledgers": LEDGERS,
+    "netCDF series": NETCDF,
+    "Running tests": LIVE,
+    "Saved models": MODELS,
+    "Models of your own, and their records": EXPERIMENTS,
+    "Studies": STUDIES,
+    "Facilities": FACILITIES,
+    "The command line": OPTIONS,
+    "Where results go": TARGETS,
+    "Text that another program would obey": HOSTILE,
+}
+MISTAKES: tuple[Mistake, ...] = tuple(row for rows in GROUPS.values() for row in rows)

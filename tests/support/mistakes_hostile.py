@@ -231,7 +231,7 @@ HOSTILE = (
         "hostile-pipe",
         "the raw record is a pipe that nobody fills",
         REFUSED,
-        ("raw.csv",),
+        ("raw.csv", "pipe"),
         REDUCE,
         spoil=_pipe,
     ),

@@ -6,7 +6,7 @@ from mistake import FLAGGED, HARMLESS, REFUSED, Mistake, Outcome, Spoil
 from mistakes_raw_files import NOISE
 from spoiling import as_bytes, as_lines, as_text, at_rows, cell, channel, table, toml, written
 
-__all__ = ["LIVE"]
+__all__ = ["LIVE", "LIVE_COMMAND"]
 
 PROBE = "P31_B_hub_aft"
 LIVE_COMMAND = "live - --test test.toml -o reduced.csv --no-estimate --quiet"

@@ -363,6 +363,12 @@ STUDIES = (
         replaced("seeds = 2", "seeds = 1000000", "study.toml"),
     ),
     _study(
+        "digits",
+        "a number has 5000 digits",
+        ("digits",),
+        replaced("duration_s = 5.0", "duration_s = 1" + "0" * 5000, "study.toml"),
+    ),
+    _study(
         "nested",
         "a value is nested a hundred thousand deep",
         ("nested",),
@@ -371,6 +377,14 @@ STUDIES = (
 )
 
 FACILITIES = (
+    Mistake(
+        "facility-digits",
+        "a number has 5000 digits",
+        REFUSED,
+        ("facility.toml", "digits"),
+        SYSTEM,
+        spoil=replaced("inlet_m3 = ", "inlet_m3 = 1" + "0" * 5000 + " # ", "facility.toml"),
+    ),
     Mistake(
         "facility-missing",
         "names a facility that is not there",

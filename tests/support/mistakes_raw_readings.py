@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from mistake import FLAGGED, HARMLESS, REFUSED, UNNOTICED, Mistake
+from mistake import FLAGGED, HARMLESS, REFUSED, Mistake
 from spoiling import Values, at_rows, channel, every, exchanged, table, toml
 
 __all__ = ["PROBES"]
@@ -169,20 +169,25 @@ PROBES = (
     Mistake(
         "swapped-rakes",
         "the pairs of two rakes at one immersion are exchanged",
-        UNNOTICED,
-        why="the rakes of a plane are averaged and see the same; each pair keeps its own two "
-        "transducers but gets the other's calibration, of which the near-stall match takes out "
-        "the level and leaves the sensitivity (here up to 8 % apart)",
-        within=(0.03, 0.15),
+        FLAGGED,
+        ("P25_A_tip_forward", "P25_B_tip_forward"),
+        why="the rakes see the same: told by each other's calibrations, where these differ",
         spoil=exchanged(*zip(pair("25_A_tip"), pair("25_B_tip"), strict=True)),
     ),
     Mistake(
         "swapped-mates",
         "the aft probes of two rakes are exchanged",
-        UNNOTICED,
-        why="both rakes see the same pressures; only the sensitivities are each other's",
-        within=(0.03, 0.15),
+        FLAGGED,
+        ("P25_A_tip_aft", "P25_B_tip_aft"),
+        why="both rakes see the same: told by each other's calibrations, where these differ",
         spoil=exchanged(("P25_A_tip_aft", "P25_B_tip_aft")),
+    ),
+    Mistake(
+        "drifted",
+        "the zero of a probe drifts by 80 counts from near stall to the end",
+        FLAGGED,
+        ("P25_A_tip_aft",),
+        spoil=channel("P25_A_tip_aft", lambda v: np.round(v + 80.0 * np.arange(v.size) / v.size)),
     ),
     Mistake(
         "channel-copied",

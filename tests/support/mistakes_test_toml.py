@@ -323,7 +323,7 @@ MACHINES = (
         "the mean diameter is given for the radius",
         UNNOTICED,
         why="φ near stall of 0.22 and a quarter of ψ' are those of other machines; nothing in the "
-        "record knows the wheel. The caution of `inspect` prints φ and ψ' near stall",
+        "record knows the wheel; the ledger prints φ near stall for those who know their machine",
         spoil=toml(("compressor/mean_radius_m", 0.56)),
     ),
     Mistake(
