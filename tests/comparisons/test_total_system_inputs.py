@@ -47,7 +47,7 @@ def _edit(old: str, new: str) -> Callable[[str], str]:
     [
         (_edit("discharge_m3 = 0.33637\n", ""), r"\[volumes\] discharge_m3"),
         (_edit("discharge_m3 = 0.33637", "discharge_m3 = -1"), "above 0"),
-        (_edit("discharge_m3 = 0.33637", "discharge_m3 = true"), "True"),
+        (_edit("discharge_m3 = 0.33637", "discharge_m3 = true"), "found true"),
         (_edit("discharge_m3", "discharge_m4"), "discharge_m4"),
         (_edit("[heat]", "[heta]"), r"\[heat\]"),
         (_edit("[volumes]", "[volumes"), "TOML"),
