@@ -22,6 +22,8 @@ __all__ = [
 # More letters than this of a name or a value out of a file tell nobody anything.
 LONGEST = {"where": 160, "expected": 200, "found": 180, "remedy": 160}
 LONGEST_LINE = 300
+# No sentence of ours is longer: beyond it, something out of a file is in it.
+LONGEST_PLAIN = 500
 # Control characters, those that turn the direction of writing, halves of characters, and ends of
 # lines and paragraphs.
 STEERING = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -125,7 +127,17 @@ def sentence(error: _Refusal) -> str:
     error : InputError
         Of either package.
     """
-    parts = {n: _shortened(_in_words(getattr(error, n)), most) for n, most in LONGEST.items()}
+    words = {name: _in_words(getattr(error, name)) for name in LONGEST}
+    whole = sum(map(len, words.values()))
+    return _put_together(
+        {
+            name: printable(text) if whole <= LONGEST_PLAIN else _shortened(text, LONGEST[name])
+            for name, text in words.items()
+        }
+    )
+
+
+def _put_together(parts: dict[str, str]) -> str:
     text = "{where}: expected {expected}, found {found}".format(**parts)
     return f"{text}; {parts['remedy']}" if parts["remedy"] else text
 
