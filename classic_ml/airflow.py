@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from classic_ml.columns.order_statistics import lowest
+from classic_ml.columns.workspace import ColumnWriter, blocks
 from classic_ml.errors import InputError
 from classic_ml.flow_kernels import invert_flow, pair_flow
-from classic_ml.order_statistics import lowest
 from classic_ml.readers.test_description import Compressor, ProbePair, TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
-from classic_ml.workspace import ColumnWriter, blocks
 
 __all__ = [
     "LBM_KG",

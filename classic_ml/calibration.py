@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
+from classic_ml.columns.order_statistics import mean
+from classic_ml.columns.workspace import blocks, evaluated
 from classic_ml.errors import InputError
 from classic_ml.flow_kernels import change_scale
-from classic_ml.order_statistics import mean
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import (
     Converter,
@@ -20,7 +21,6 @@ from classic_ml.readers.test_description import (
     TestDescription,
 )
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
-from classic_ml.workspace import blocks, evaluated
 
 __all__ = [
     "calibrate",

@@ -7,20 +7,20 @@ from collections.abc import Iterator
 import numpy as np
 
 from classic_ml.airflow import T_STANDARD_K, mach_from_corrected_flow
-from classic_ml.elementary import powers
+from classic_ml.columns.elementary import powers
+from classic_ml.columns.order_statistics import lowest
+from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
-from classic_ml.order_statistics import lowest
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
-from classic_ml.work_forms import (
+from classic_ml.work.forms import (
     PSI_MINIMUM_PHI,
     WORK_FORMS,
     psi_is_known,
     with_work,
     work_coefficient,
 )
-from classic_ml.workspace import blocks
 
 __all__ = [
     "PSI_MINIMUM_PHI",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from classic_ml.compiled_as_written import as_written
+from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.records import FloatArray
 
 __all__ = ["CHANNELS", "run_sections"]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.errors import InputError
 from classic_ml.filter_kernels import CHANNELS, run_sections
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
-from classic_ml.workspace import IN_MEMORY, Workspace, blocks, evaluated
 
 __all__ = ["butterworth_gain", "filter_channels", "low_pass", "period_average", "phase_delay_s"]
 

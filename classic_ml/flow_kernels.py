@@ -9,8 +9,8 @@ from math import sqrt
 
 import numpy as np
 
-from classic_ml.compiled_as_written import as_written
-from classic_ml.elementary import power_of
+from classic_ml.columns.compiled_as_written import as_written
+from classic_ml.columns.elementary import power_of
 from classic_ml.records import FloatArray
 
 __all__ = ["change_scale", "invert_flow", "pair_flow"]

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 from classic_ml.units import Conversion, time_conversion
-from classic_ml.workspace import BLOCK_ROWS
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file", "is_still"]
 

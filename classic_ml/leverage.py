@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.errors import InputError
-from classic_ml.first_order_lag import FirstOrderLag
-from classic_ml.prediction import rows_late
+from classic_ml.lag.first_order_lag import FirstOrderLag
+from classic_ml.lag.prediction import rows_late
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of, scored_pieces
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.errors import InputError
-from classic_ml.first_order_lag import Hold
 from classic_ml.fit_state import FitState
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
 from classic_ml.records import FloatArray

@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
-from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace
 
 __all__ = ["Channel", "Dropped", "FloatArray", "LedgerEntry", "Record"]
 

@@ -15,19 +15,19 @@ from classic_ml.coefficients import (
     corrected_speed_fraction,
     flow_coefficient,
 )
+from classic_ml.columns.workspace import blocks, evaluated, mapped
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
-from classic_ml.faults import choose_channels, inspect_readings, with_faults_bridged
+from classic_ml.faults.near_stall_checks import check_pairs, check_steady
+from classic_ml.faults.search import choose_channels, inspect_readings, with_faults_bridged
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
-from classic_ml.near_stall_checks import check_pairs, check_steady
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import cell_frequency_hz, segment, window_rows
 from classic_ml.series import CoefficientSeries
 from classic_ml.surge_cycles import FEW_CYCLES, find_cycles
-from classic_ml.workspace import blocks, evaluated, mapped
 
 __all__ = ["STEPS", "Reduction", "ReductionSettings", "reduce_record"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.errors import InputError
-from classic_ml.work_forms import WORK_FORMS
+from classic_ml.work.forms import WORK_FORMS
 
 __all__ = ["ReductionSettings"]
 

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
+from classic_ml.columns.intervals import intervals_where, labelled, long_ones
+from classic_ml.columns.order_statistics import median
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, evaluated, mapped
 from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.intervals import intervals_where, labelled, long_ones
-from classic_ml.order_statistics import median
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from classic_ml.surge_cycles import DEEP_SHARE, LEAST_SWING, first_reversal
-from classic_ml.workspace import IN_MEMORY, Workspace, evaluated, mapped
 
 __all__ = [
     "DEEP_SHARE",

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.clock import uniform_period_s
+from classic_ml.columns.clock import uniform_period_s
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray, LedgerEntry
-from classic_ml.workspace import IN_MEMORY, Workspace, blocks
 
 if TYPE_CHECKING:
     from classic_ml.readers.series_files import ledger_path, read_series, write_series

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace
 from classic_ml.errors import InputError
-from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace
 
 __all__ = ["detrend", "peak_frequency_hz", "power_spectrum"]
 

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml import workspace as places
 from classic_ml.airflow import LBM_KG
-from classic_ml.compiled_as_written import as_written
+from classic_ml.columns import workspace as places
+from classic_ml.columns.compiled_as_written import as_written
+from classic_ml.columns.intervals import intervals_where
+from classic_ml.columns.order_statistics import median
+from classic_ml.columns.peaks import prominent_peaks
+from classic_ml.columns.workspace import Workspace, blocks
 from classic_ml.errors import InputError
 from classic_ml.filtering import filter_channels
-from classic_ml.intervals import intervals_where
-from classic_ml.order_statistics import median
-from classic_ml.peaks import prominent_peaks
 from classic_ml.records import FloatArray, Record
-from classic_ml.workspace import Workspace, blocks
 
 __all__ = ["FEW_CYCLES", "SurgeCycles", "find_cycles", "first_reversal"]
 

@@ -14,8 +14,8 @@ from fractions import Fraction
 from functools import cache
 from typing import Any
 
+from classic_ml.columns.workspace import FloatArray
 from classic_ml.errors import InputError
-from classic_ml.workspace import FloatArray
 
 __all__ = [
     "COUNT",

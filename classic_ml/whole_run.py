@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.characteristics import polynomial_basis, term_names
 from classic_ml.errors import InputError
-from classic_ml.first_order_lag import Hold
 from classic_ml.fit_state import FitState
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.leverage import linearised_fit
 from classic_ml.records import FloatArray

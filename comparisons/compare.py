@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from classic_ml.display import Displayed, Sheet
-from classic_ml.first_order_lag import Hold
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.records import FloatArray
 from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
 from classic_ml.series import CoefficientSeries

@@ -15,7 +15,7 @@ from classic_ml.series import write_series
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
-    from classic_ml.work_coefficient import WorkCharacteristic
+    from classic_ml.work.coefficient import WorkCharacteristic
     from comparisons.compare import Comparison
     from comparisons.reconstruction import Reconstruction
     from comparisons.report import ReportSection

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.first_order_lag import Hold
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_rows import FitRows
 

@@ -10,8 +10,8 @@ from itertools import combinations
 import numpy as np
 
 from classic_ml.decimation import emptied_above_hz
-from classic_ml.first_order_lag import Hold
 from classic_ml.fit_state import FitState
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.leverage import linearised_fit
 from classic_ml.records import FloatArray, LedgerEntry

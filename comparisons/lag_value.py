@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.files import write_whole
-from classic_ml.first_order_lag import FirstOrderLag, Hold
+from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
 from comparisons.rounding import bracketed

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.first_order_lag import Hold
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import has_whole_run
 from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS, FitRows

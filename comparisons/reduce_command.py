@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.errors import InputError
-from classic_ml.workspace import IN_MEMORY, OnDisk, Workspace
 
 if TYPE_CHECKING:
     from classic_ml.readers import TestDescription

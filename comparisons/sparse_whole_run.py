@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.first_order_lag import Hold
 from classic_ml.fit_state import FitState
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries

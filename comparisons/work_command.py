@@ -16,7 +16,7 @@ from classic_ml.errors import InputError
 if TYPE_CHECKING:
     from classic_ml.readers.test_description import TestDescription
     from classic_ml.records import FloatArray, Record
-    from classic_ml.work_coefficient import WorkCharacteristic
+    from classic_ml.work.coefficient import WorkCharacteristic
 
 __all__ = ["WORK_SCHEMA", "fit_work", "run_work", "work_document", "work_table"]
 
@@ -57,7 +57,7 @@ def fit_work(
         In one sentence when there is no T31 that counts, so no W31 and no ψ.
     """
     from classic_ml.reduction import ReductionSettings, reduce_record
-    from classic_ml.work_coefficient import fit_work_characteristic
+    from classic_ml.work.coefficient import fit_work_characteristic
     from comparisons.cautions import unknown_work
 
     settings = ReductionSettings(phase="none", thermocouple_inversion=True)

@@ -7,15 +7,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from classic_ml import workspace as places
-from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
+from classic_ml.columns import workspace as places
+from classic_ml.columns.clock import CLOCK_TOLERANCE, uniform_period_s
+from classic_ml.columns.workspace import IN_MEMORY, GrowingColumns, Workspace
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_files import open_raw
 from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, RawFile
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.readers.test_toml import read_test_description
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
-from classic_ml.workspace import IN_MEMORY, GrowingColumns, Workspace
 
 __all__ = ["TestDescription", "read_raw", "read_test_description"]
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
 from classic_ml.files import replace_whole
 from classic_ml.readers.raw_columns import one_line
@@ -28,7 +29,6 @@ from classic_ml.series import (
     UNITS,
     CoefficientSeries,
 )
-from classic_ml.workspace import blocks
 
 __all__ = ["ledger_path", "read_series", "write_series"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
 from classic_ml.readers import read_test_description
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings
 from classic_ml.series import write_series
-from classic_ml.workspace import BLOCK_ROWS
 from comparisons.live.columns import FEED
 from comparisons.live.session import Session
 from comparisons.live.spool import Piece

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.faults import (
+from classic_ml.faults.search import (
     BEYOND_LIMITS,
     BEYOND_SHARE,
     CLIPPED,

@@ -6,7 +6,7 @@ import numpy as np
 
 from classic_ml.calibration import calibrate, check_facing, match_near_stall
 from classic_ml.errors import InputError
-from classic_ml.faults import inspect_readings
+from classic_ml.faults.search import inspect_readings
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
-from classic_ml.first_order_lag import Hold
+from classic_ml.lag.first_order_lag import Hold
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_rows import FitRows

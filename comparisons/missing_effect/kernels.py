@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.compiled import compiled
+from classic_ml.lag.compiled import compiled
 from classic_ml.records import FloatArray
 
 __all__ = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.autoregression import chosen_order
 from comparisons.missing_effect.lag_data import LagData

@@ -25,7 +25,7 @@ def _above(state: FloatArray, level: float) -> FloatArray:
 
 
 def _slow(state: FloatArray, data: LagData, tau_s: float) -> FloatArray:
-    from classic_ml.first_order_lag import FirstOrderLag
+    from classic_ml.lag.first_order_lag import FirstOrderLag
 
     lag = FirstOrderLag(tau_s, data.step_s, "first")
     column = np.ascontiguousarray(state[:, None])
@@ -92,7 +92,7 @@ def with_state(data: LagData, fit: Fit) -> LagData:
     target = ports.driven @ fit.coefficients[:q]
     if ports.gain is not None:
         target = target * ports.gain
-    from classic_ml.first_order_lag import FirstOrderLag
+    from classic_ml.lag.first_order_lag import FirstOrderLag
 
     lag = FirstOrderLag(fit.tau_s, data.step_s, "first")
     state = lag_pass(

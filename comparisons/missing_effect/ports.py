@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
 from comparisons.missing_effect.lag_data import IntArray, LagData

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG, local_flows
 from classic_ml.calibration import calibrate, match_near_stall
-from classic_ml.faults import inspect_readings
+from classic_ml.faults.search import inspect_readings
 from classic_ml.filtering import butterworth_gain, filter_channels
 from classic_ml.records import FloatArray, Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum

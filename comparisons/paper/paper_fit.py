@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml import LagRegressor, PiecewiseLinear
-from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.estimators import psi_breakpoints

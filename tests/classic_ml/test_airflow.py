@@ -22,7 +22,7 @@ from classic_ml.airflow import (
     true_mach,
 )
 from classic_ml.calibration import calibrate
-from classic_ml.elementary import powers
+from classic_ml.columns.elementary import powers
 from classic_ml.errors import InputError
 from classic_ml.flow_kernels import pair_flow
 from classic_ml.readers.test_description import Compressor

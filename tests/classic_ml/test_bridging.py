@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from classic_ml import workspace
-from classic_ml.bridging import bridged
-from classic_ml.workspace import IN_MEMORY
+from classic_ml.columns import workspace
+from classic_ml.columns.workspace import IN_MEMORY
+from classic_ml.faults.bridging import bridged
 
 
 @given(

@@ -20,12 +20,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import RawTest, make_test
 
-from classic_ml import workspace as places
+from classic_ml.columns import workspace as places
+from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.errors import InputError
 from classic_ml.readers import read_raw
 from classic_ml.reduction import STEPS, ReductionSettings, reduce_record
 from classic_ml.series import ledger_path
-from classic_ml.workspace import IN_MEMORY, OnDisk, Workspace
 from comparisons import reduce_command
 from comparisons.cli import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE, main
 from comparisons.reduce_command import excerpt

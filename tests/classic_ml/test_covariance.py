@@ -8,7 +8,7 @@ from dense_reference import block_jackknife
 from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 
 from classic_ml import LagRegressor
-from classic_ml.covariance import block_edges, correlation_length
+from classic_ml.lag.covariance import block_edges, correlation_length
 
 
 def test_white_errors_give_the_textbook_covariance() -> None:

@@ -11,13 +11,19 @@ import numpy as np
 import pytest
 from raw_data import RawTest, make_test
 
-from classic_ml import standstill
 from classic_ml.calibration import calibrate, match_near_stall
+from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
-from classic_ml.faults import BEYOND_LIMITS, CLIPPED, STUCK, choose_channels, inspect_readings
+from classic_ml.faults import standstill
+from classic_ml.faults.search import (
+    BEYOND_LIMITS,
+    CLIPPED,
+    STUCK,
+    choose_channels,
+    inspect_readings,
+)
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
-from classic_ml.workspace import blocks
 
 Change = Callable[[np.ndarray], np.ndarray]
 PROBE = "P25_A_tip_forward"

@@ -13,9 +13,9 @@ from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 from scipy.linalg import toeplitz
 
 from classic_ml.characteristics import polynomial_basis
+from classic_ml.lag.prediction import LagProblem
 from classic_ml.likelihood import Bench, pseudo_inverse
 from classic_ml.noise_models import MovingAverage
-from classic_ml.prediction import LagProblem
 
 
 def made(hold: str, drifting: bool) -> LagData:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from classic_ml import odd_readings as odd
+from classic_ml.faults import odd_readings as odd
 
 
 def around(values: np.ndarray, reach: int, gap: int) -> np.ndarray:

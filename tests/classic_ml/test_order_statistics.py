@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from classic_ml import workspace
-from classic_ml.order_statistics import lowest, mean, median, percentile, total
-from classic_ml.workspace import OnDisk
+from classic_ml.columns import workspace
+from classic_ml.columns.order_statistics import lowest, mean, median, percentile, total
+from classic_ml.columns.workspace import OnDisk
 
 BLOCKS = [7, 97, workspace.BLOCK_ROWS]
 # Ties, zeros of both signs and neighbours are what a digit-by-digit search can get wrong.

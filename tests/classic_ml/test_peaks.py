@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import find_peaks
 
-from classic_ml import workspace
-from classic_ml.peaks import prominent_peaks
+from classic_ml.columns import workspace
+from classic_ml.columns.peaks import prominent_peaks
 
 # Few different values make plateaus and peaks of one height.
 SIGNALS = st.one_of(

@@ -7,7 +7,7 @@ import pytest
 
 from classic_ml import LagRegressor
 from classic_ml.errors import InputError
-from classic_ml.first_order_lag import FirstOrderLag
+from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.ripple import ripple_frequency_hz
 
 PERIOD_S = 1e-3

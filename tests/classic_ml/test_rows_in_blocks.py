@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from raw_data import make_test
 
-from classic_ml import workspace
 from classic_ml.airflow import local_flows, plane_averages, plane_flows
 from classic_ml.calibration import (
     calibrate,
@@ -21,13 +20,14 @@ from classic_ml.calibration import (
     match_near_stall,
 )
 from classic_ml.coefficients import coefficients
+from classic_ml.columns import workspace
+from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.errors import InputError
-from classic_ml.faults import choose_channels, inspect_readings
+from classic_ml.faults.search import choose_channels, inspect_readings
 from classic_ml.filtering import filter_channels, low_pass, period_average
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
-from classic_ml.work_forms import WORK_FORMS
-from classic_ml.workspace import IN_MEMORY, OnDisk, Workspace
+from classic_ml.work.forms import WORK_FORMS
 
 BLOCKS = [97, 1000]
 

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import LBM, surge_waves
 
-from classic_ml import workspace
+from classic_ml.columns import workspace
+from classic_ml.columns.intervals import intervals_where, label_intervals, labelled
 from classic_ml.errors import InputError
 from classic_ml.free_run_rows import near
-from classic_ml.intervals import intervals_where, label_intervals, labelled
 from classic_ml.records import Record
 from classic_ml.segments import (
     cell_frequency_hz,

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from classic_ml import CoefficientSeries, read_series, workspace, write_series
+from classic_ml import CoefficientSeries, read_series, write_series
+from classic_ml.columns import workspace
 from classic_ml.errors import InputError
 from classic_ml.readers import series_files
 from classic_ml.records import Dropped, LedgerEntry

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import make_test
 
-from classic_ml import workspace
 from classic_ml.calibration import pressure_from_counts
-from classic_ml.faults import BEYOND_LIMITS, CLIPPED, STUCK, fault_name, inspect_readings
+from classic_ml.columns import workspace
+from classic_ml.faults.search import BEYOND_LIMITS, CLIPPED, STUCK, fault_name, inspect_readings
+from classic_ml.faults.standstill import tallies
 from classic_ml.readers import TestDescription
 from classic_ml.records import Record
-from classic_ml.standstill import tallies
 
 LONG_ROWS = 50
 PROBE, COUPLE = "P25_A_tip_forward", "T25_A"
@@ -107,7 +107,7 @@ def test_the_marks_are_those_of_a_search_in_one_piece(seed: int, n: int, rows: i
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(workspace, "BLOCK_ROWS", rows)
         # Spikes are another search, with tests of its own.
-        patch.setattr("classic_ml.faults.spiked_rows", lambda *_: {})
+        patch.setattr("classic_ml.faults.search.spiked_rows", lambda *_: {})
         found = inspect_readings(record, test)
     expected = expected_marks(record, test)
     assert {c for c in found.channels if c.startswith("fault_")} == set(map(fault_name, expected))

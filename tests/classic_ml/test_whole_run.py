@@ -9,9 +9,9 @@ import pytest
 
 from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.first_order_lag import FirstOrderLag
 from classic_ml.fit_state import FitState
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows, near
+from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import (

@@ -18,7 +18,7 @@ from classic_ml.fit_state import FitState
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from classic_ml.work_balance import (
+from classic_ml.work.balance import (
     EXIT_WEIGHT,
     MIXING_PHI,
     credit_of_storage,
@@ -27,7 +27,7 @@ from classic_ml.work_balance import (
     flat_average,
     psi_weight,
 )
-from classic_ml.work_coefficient import WorkCharacteristic, fit_work_characteristic
+from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
 from comparisons.rig import simulate, write_run
 
 HEAT = GAMMA * GAS / (GAMMA - 1)

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from classic_ml import CoefficientSeries, workspace
-from classic_ml.errors import InputError
-from classic_ml.records import Channel, Record
-from classic_ml.workspace import (
+from classic_ml import CoefficientSeries
+from classic_ml.columns import workspace
+from classic_ml.columns.workspace import (
     IN_MEMORY,
     STAGED_ROWS,
     GrowingColumns,
@@ -23,6 +22,8 @@ from classic_ml.workspace import (
     evaluated,
     mapped,
 )
+from classic_ml.errors import InputError
+from classic_ml.records import Channel, Record
 
 RNG = np.random.default_rng(0)
 

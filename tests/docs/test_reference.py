@@ -28,7 +28,7 @@ PUBLIC = (
     "classic_ml.residual_checks",
     "classic_ml.units",
     "classic_ml.whole_run",
-    "classic_ml.work_coefficient",
+    "classic_ml.work.coefficient",
     "comparisons.compare",
     "comparisons.estimators",
     "comparisons.fit_quality",

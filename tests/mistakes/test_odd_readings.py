@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classic_ml.odd_readings import copied_columns, spike_rows, spikes, splice_rows, splices
+from classic_ml.faults.odd_readings import copied_columns, spike_rows, spikes, splice_rows, splices
 from classic_ml.records import Record
 from comparisons.rig import simulate
 
@@ -72,7 +72,7 @@ def test_what_is_found_does_not_depend_on_the_blocks(
         sample_rate_hz=rig.sample_rate_hz,
     )
     whole = spike_rows(spoiled, ranges), splice_rows(cut, of_plane(cut, 31))
-    monkeypatch.setattr("classic_ml.workspace.BLOCK_ROWS", 640)
+    monkeypatch.setattr("classic_ml.columns.workspace.BLOCK_ROWS", 640)
     pieces = spike_rows(spoiled, ranges), splice_rows(cut, of_plane(cut, 31))
     np.testing.assert_array_equal(whole[0][name], pieces[0][name])
     np.testing.assert_array_equal(whole[1], pieces[1])

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from sklearn.preprocessing import PolynomialFeatures
 
-from classic_ml.first_order_lag import FirstOrderLag, Hold
 from classic_ml.fit_state import FitState
+from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
 from classic_ml.noise_models import MovingAverage
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of, scored_pieces

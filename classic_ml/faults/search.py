@@ -9,24 +9,24 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.bridging import bridged
 from classic_ml.calibration import near_stall_rows, probe_pressure_Pa
+from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
-from classic_ml.odd_readings import copies, jumps, spiked_rows
-from classic_ml.probe_agreement import (
+from classic_ml.faults.bridging import bridged
+from classic_ml.faults.odd_readings import copies, jumps, spiked_rows
+from classic_ml.faults.probe_agreement import (
     Agreement,
     compare_probes,
     drifted_apart,
     exchanged_immersions,
 )
+from classic_ml.faults.standstill import DROPOUT_ROWS, Tally, still_runs, tallies
 from classic_ml.readers.test_description import (
     PressureChannel,
     TemperatureChannel,
     TestDescription,
 )
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
-from classic_ml.standstill import DROPOUT_ROWS, Tally, still_runs, tallies
-from classic_ml.workspace import blocks
 
 __all__ = [
     "BEYOND_LIMITS",

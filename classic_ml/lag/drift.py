@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from classic_ml.cells import Knots
 from classic_ml.errors import InputError
+from classic_ml.lag.cells import Knots
 
 __all__ = ["knots_of"]
 

@@ -6,12 +6,12 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from classic_ml.conditioning import Conditioned
-from classic_ml.drift import knots_of
 from classic_ml.errors import InputError
-from classic_ml.first_order_lag import Hold
+from classic_ml.lag.conditioning import Conditioned
+from classic_ml.lag.drift import knots_of
+from classic_ml.lag.first_order_lag import Hold
+from classic_ml.lag.prediction import LagProblem, rows_late
 from classic_ml.noise_models import NoiseKind
-from classic_ml.prediction import LagProblem, rows_late
 from classic_ml.records import FloatArray
 from classic_ml.runs import with_known_inputs
 

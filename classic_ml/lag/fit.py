@@ -6,20 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.cells import IntArray
-from classic_ml.conditioning import Conditioned
-from classic_ml.covariance import (
+from classic_ml.fit_state import FitState
+from classic_ml.lag.cells import IntArray
+from classic_ml.lag.conditioning import Conditioned
+from classic_ml.lag.covariance import (
     BLOCKS,
     block_edges,
     correlation_length,
     scatter,
     slow_correlation_length,
 )
-from classic_ml.fit_state import FitState
-from classic_ml.leave_out import leave_out_moves
+from classic_ml.lag.leave_out import leave_out_moves
+from classic_ml.lag.prediction import LagProblem, Point
 from classic_ml.likelihood import Bench, Fit, pseudo_inverse, scan, search
 from classic_ml.noise_models import MovingAverage
-from classic_ml.prediction import LagProblem, Point
 from classic_ml.records import FloatArray
 
 __all__ = ["LagFit", "fit_lag"]

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from classic_ml.cells import Cells, IntArray, Knots, cut_into_cells
-from classic_ml.first_order_lag import FirstOrderLag, Hold
-from classic_ml.lag_kernels import equation_error_pass, output_error_pass, sum_hats
-from classic_ml.local_columns import Columns, Eliminated, eliminate
+from classic_ml.lag.cells import Cells, IntArray, Knots, cut_into_cells
+from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
+from classic_ml.lag.kernels import equation_error_pass, output_error_pass, sum_hats
+from classic_ml.lag.local_columns import Columns, Eliminated, eliminate
 from classic_ml.noise_models import MovingAverage, NoiseKind
 from classic_ml.records import FloatArray
 from classic_ml.runs import scored_pieces

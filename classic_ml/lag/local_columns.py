@@ -13,8 +13,8 @@ from math import sqrt
 
 import numpy as np
 
-from classic_ml.cells import Cells, IntArray
-from classic_ml.compiled import compiled
+from classic_ml.lag.cells import Cells, IntArray
+from classic_ml.lag.compiled import compiled
 from classic_ml.records import FloatArray
 
 __all__ = ["Columns", "Eliminated", "eliminate"]

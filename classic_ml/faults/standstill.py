@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.order_statistics import median
+from classic_ml.columns.order_statistics import median
+from classic_ml.columns.workspace import Workspace, blocks
+from classic_ml.faults.standstill_kernels import count_moved, count_steps, find_runs, least_step
 from classic_ml.records import FloatArray, Record
-from classic_ml.standstill_kernels import count_moved, count_steps, find_runs, least_step
-from classic_ml.workspace import Workspace, blocks
 
 __all__ = ["DROPOUT_ROWS", "Tally", "still_runs", "tallies"]
 

@@ -9,13 +9,13 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.bridging import bridged
-from classic_ml.order_statistics import median, percentile
+from classic_ml.columns.order_statistics import median, percentile
+from classic_ml.columns.workspace import Workspace, blocks, evaluated
+from classic_ml.faults.bridging import bridged
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
-from classic_ml.work_balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
-from classic_ml.workspace import Workspace, blocks, evaluated
+from classic_ml.work.balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
 
 __all__ = ["PSI_MINIMUM_PHI", "WORK_FORMS", "psi_is_known", "with_work", "work_coefficient"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace, blocks
+from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
 
 __all__ = ["intervals_where", "label_intervals", "labelled", "long_ones"]
 

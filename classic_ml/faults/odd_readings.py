@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.odd_kernels import jumping_rows, off_neighbours, standing_out
+from classic_ml.columns.workspace import blocks
+from classic_ml.faults.odd_kernels import jumping_rows, off_neighbours, standing_out
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, Record
-from classic_ml.workspace import blocks
 
 __all__ = [
     "copied_columns",

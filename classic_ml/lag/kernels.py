@@ -16,7 +16,7 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.compiled import compiled
+from classic_ml.lag.compiled import compiled
 from classic_ml.records import FloatArray
 
 __all__ = ["equation_error_pass", "output_error_pass", "sum_hats"]

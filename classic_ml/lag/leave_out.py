@@ -6,9 +6,9 @@ from math import sqrt
 
 import numpy as np
 
-from classic_ml.cells import Cells, IntArray
-from classic_ml.compiled import compiled
-from classic_ml.local_columns import Columns, Eliminated
+from classic_ml.lag.cells import Cells, IntArray
+from classic_ml.lag.compiled import compiled
+from classic_ml.lag.local_columns import Columns, Eliminated
 from classic_ml.records import FloatArray
 
 __all__ = ["leave_out_moves"]
@@ -35,7 +35,7 @@ def leave_out_moves(
     Parameters
     ----------
     cells, columns, grams, eliminated, start_weight, starts
-        As in :func:`classic_ml.local_columns.eliminate`.
+        As in :func:`classic_ml.lag.local_columns.eliminate`.
     bread : ndarray of shape (g, g)
         Inverse of the reduced normal equations.
     constrained : bool

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
 from classic_ml.errors import InputError
-from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace, blocks
 
 __all__ = ["CLOCK_TOLERANCE", "uniform_period_s"]
 
@@ -63,7 +63,7 @@ def _pieces(time_s: FloatArray, workspace: Workspace) -> Iterator[tuple[slice, F
 
 def _refusal(time_s: FloatArray, where: str, workspace: Workspace) -> InputError:
     """Say what is wrong with a clock, by the step that most of its rows have."""
-    from classic_ml.order_statistics import mean, median
+    from classic_ml.columns.order_statistics import mean, median
 
     for rows, clock in _pieces(time_s, workspace):
         back = np.flatnonzero(np.diff(clock) <= 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.compiled_as_written import as_written
+from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.records import FloatArray
 
 __all__ = ["jumping_rows", "off_neighbours", "standing_out"]

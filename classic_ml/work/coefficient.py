@@ -18,13 +18,13 @@ from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.coefficients import flow_coefficient
 from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.first_order_lag import FirstOrderLag
 from classic_ml.fit_state import FitState
+from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.segments import cell_frequency_hz, hub_tip_stall
 from classic_ml.validation import positive
-from classic_ml.work_balance import (
+from classic_ml.work.balance import (
     MIXING_PHI,
     delivered_power,
     exit_flow_at_inlet,
@@ -195,7 +195,7 @@ def fit_work_characteristic(
         with τ given 0.06 at φ = 0.02 and 0.1, and 0.09 at 0.05.
     mixing_phi : float
         Flow near which T31 stops telling what left the blading, see
-        :func:`classic_ml.work_balance.credit_of_storage`. The errors do not contain it.
+        :func:`classic_ml.work.balance.credit_of_storage`. The errors do not contain it.
 
     Returns
     -------

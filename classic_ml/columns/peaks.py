@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.compiled_as_written import as_written
-from classic_ml.workspace import IN_MEMORY, FloatArray, Workspace, blocks
+from classic_ml.columns.compiled_as_written import as_written
+from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
 
 __all__ = ["prominent_peaks"]
 

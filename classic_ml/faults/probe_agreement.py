@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.order_statistics import mean
+from classic_ml.columns.order_statistics import mean
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, Record
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from classic_ml.compiled import compiled
+from classic_ml.lag.compiled import compiled
 from classic_ml.records import FloatArray
 
 __all__ = ["block_edges", "correlation_length", "scatter", "slow_correlation_length"]

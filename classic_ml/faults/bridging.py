@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.workspace import ColumnWriter, Workspace, blocks, evaluated
 from classic_ml.records import FloatArray
-from classic_ml.workspace import ColumnWriter, Workspace, blocks, evaluated
 
 __all__ = ["bridged"]
 

@@ -1,0 +1,1 @@
+"""The first-order lag in compiled loops: simulation, derivatives, the Gauss-Newton step."""
