@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.columns.computed import ComputedColumn
 from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
@@ -70,7 +71,8 @@ class Channel:
     name : str
         Channel name, unique in its record.
     values : ndarray of shape (n_samples,)
-        The samples, read-only; a copy unless they were read-only float64 before.
+        The samples, read-only; a copy unless they were read-only float64 before. In a record that
+        is larger than memory they may be computed where they are asked for, slice by slice.
     unit : str
         SI unit (``"Pa"``, ``"K"``, ``"kg/s"``, ``"1"``), or ``"count"`` before calibration.
     """
@@ -80,6 +82,8 @@ class Channel:
     unit: str
 
     def __post_init__(self) -> None:
+        if isinstance(self.values, ComputedColumn):
+            return
         values = np.asarray(self.values, dtype=np.float64)
         if values.flags.writeable:
             values = values.copy()

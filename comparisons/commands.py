@@ -110,12 +110,13 @@ def run_reduce(arguments: argparse.Namespace) -> None:
 
 def run_compare(arguments: argparse.Namespace) -> None:
     """Fit the estimators to series files and set them side by side."""
+    from comparisons.fit_rows import check_once
     from comparisons.lag_value import save_models
 
     inputs = [*arguments.series, *([arguments.model] if arguments.model else [])]
     _check_targets(inputs, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
     records = [read_series(path) for path in arguments.series]
-    _check_once(records)
+    check_once(records)
     comparison, work = _compare(records, arguments)
     if arguments.json:
         from comparisons.json_output import comparison_document, to_strict_json
@@ -162,13 +163,6 @@ def run_reconstruct(arguments: argparse.Namespace) -> None:
         (arguments.out, (".csv",)),
     )
     models = load_any_models(arguments.model)
-    for name, model in models.items():
-        if model.target not in ("psi_p", "psi"):
-            raise InputError(
-                f"{arguments.model}: {name}",
-                expected='a model of "psi_p" or "psi"',
-                found="one of something else",
-            )
     if arguments.estimator is not None:
         if arguments.estimator not in models:
             raise InputError(
@@ -251,21 +245,6 @@ def _options_named() -> Iterator[None]:
         raise InputError(
             OPTIONS[field], expected=expected, found=error.found, remedy=error.remedy
         ) from None
-
-
-def _check_once(records: Sequence[CoefficientSeries]) -> None:
-    """Refuse a record that is given twice: it would count as two, and errors come out too small."""
-    for i, record in enumerate(records):
-        for other in records[:i]:
-            if other.n_samples == record.n_samples and (
-                (other.time_s == record.time_s).all() and (other.psi_p == record.psi_p).all()
-            ):
-                raise InputError(
-                    record.source,
-                    expected="each record once",
-                    found=f"it twice, as {other.source}",
-                    remedy="leave one of them out",
-                )
 
 
 def _compare(

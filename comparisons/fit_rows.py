@@ -13,7 +13,7 @@ from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
 from classic_ml.series import CoefficientSeries
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "FitRows", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "FitRows", "check_once", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
@@ -79,6 +79,32 @@ class FitRows:
             self.target,
             self.train[keep],
         )
+
+
+def check_once(records: Sequence[CoefficientSeries]) -> None:
+    """Refuse a record that is given twice: it would count as two, and errors come out too small.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        All that are fitted together.
+
+    Raises
+    ------
+    InputError
+        Naming the double and what it repeats.
+    """
+    for i, record in enumerate(records):
+        for other in records[:i]:
+            if other.n_samples == record.n_samples and (
+                (other.time_s == record.time_s).all() and (other.psi_p == record.psi_p).all()
+            ):
+                raise InputError(
+                    record.source,
+                    expected="each record once",
+                    found=f"it twice, as {other.source}",
+                    remedy="leave one of them out",
+                )
 
 
 def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> FitRows:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,17 +14,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
 from classic_ml.files import write_whole
 from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
+from comparisons.model_fields import Fields, ModelFormat, read_models
 from comparisons.rounding import bracketed
 from comparisons.terms import evaluate_terms, is_known_term
 
 __all__ = ["MODEL_SCHEMA", "FittedLag", "LagEstimator", "load_models", "save_models"]
 
 MODEL_SCHEMA = "sindy-surge/model/1"
+MODEL_FORMAT = ModelFormat(MODEL_SCHEMA, "a model file", "sindy-surge compare --save")
+TARGETS = ("psi_p", "psi")
+# More than any record has.
+MOST_BLOCKS = 10**9
+_HOLDS: dict[str, Hold] = {"zero": "zero", "first": "first"}
 
 
 class LagEstimator(Protocol):
@@ -245,28 +251,22 @@ class FittedLag(Displayed):
         }
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> FittedLag:
-        """Build from what :meth:`to_json` gave; KeyError, TypeError or ValueError otherwise."""
-        if data["hold"] not in ("zero", "first"):
-            raise ValueError(f"hold {data['hold']!r}")
-        tau_s = _number(data["time_constant_s"])
-        if tau_s <= 0.0:
-            raise ValueError(f"a time constant of {tau_s} s")
-        low, high = (float(edge) for edge in data["valid_phi"])
-        return cls(
-            str(data["estimator"]),
-            str(data["target"]),
-            tau_s,
-            _number(data["time_constant_stderr_s"]),
-            tuple(str(term["name"]) for term in data["terms"]),
-            tuple(_known(term["coefficient"]) for term in data["terms"]),
-            tuple(_number(term["stderr"]) for term in data["terms"]),
-            data["hold"],
-            (low, high),
-            tuple((float(p), _number(v), _number(s)) for p, v, s in data["characteristic"]),
-            int(data["n_blocks"]),
-            _known(data.get("dead_time_s", 0.0)),
-        )
+    def from_json(cls, data: Mapping[str, Any], where: str = "model") -> FittedLag:
+        """Build from what :meth:`to_json` gave.
+
+        Parameters
+        ----------
+        data : mapping
+            Plain JSON types.
+        where : str
+            File and key of the model, for errors.
+
+        Raises
+        ------
+        InputError
+            Naming the key that cannot be used.
+        """
+        return _from_fields(Fields.of(data, where, MODEL_FORMAT.remedy))
 
     def _sheet(self) -> Sheet:
         from comparisons.sheets import lag_value_sheet
@@ -304,20 +304,42 @@ def load_models(path: str | Path) -> dict[str, FittedLag]:
     InputError
         When it is missing or is not a model file.
     """
-    file = Path(path)
-    expected = "a model file written by `sindy-surge compare --save`"
-    if not file.is_file():
-        raise InputError(str(file), expected=expected, found="no such file")
-    try:
-        document = json.loads(file.read_text("utf-8"))
-        if document["schema"] != MODEL_SCHEMA:
-            raise ValueError(f"the schema {document['schema']!r}")
-        models = {str(k): FittedLag.from_json(v) for k, v in document["models"].items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(str(file), expected=expected, found=f"something else ({error})") from None
-    if not models:
-        raise InputError(str(file), expected=expected, found="a file without a model")
-    return models
+    return {name: _from_fields(fields) for name, fields in read_models(path, MODEL_FORMAT).items()}
+
+
+def _from_fields(fields: Fields) -> FittedLag:
+    """Return a model from its table in a file, every number of it checked."""
+    terms = fields.tables("terms")
+    names = tuple(term.text("name", "the name of a term") for term in terms)
+    table = fields.points("characteristic")
+    if not all(map(is_known_term, names)) and not _is_curve(table):
+        raise fields.refuse(
+            "characteristic",
+            "rows of rising φ with values, from which terms of unknown names are run",
+            f"{len(table)} row{'' if len(table) == 1 else 's'} that make no curve",
+        )
+    late = fields.number("dead_time_s", "a dead time in s") if "dead_time_s" in fields.values else 0
+    return FittedLag(
+        fields.text("estimator", "the name of an estimator"),
+        fields.text("target", '"psi_p" or "psi"', TARGETS),
+        # Null is a time constant that was not identified; such a model runs without its lag.
+        fields.maybe("time_constant_s", "a time constant above 0 s, or null", above=0.0),
+        fields.maybe("time_constant_stderr_s", "a standard error in s, or null", least=0.0),
+        names,
+        tuple(term.number("coefficient", "a coefficient, a finite number") for term in terms),
+        tuple(term.maybe("stderr", "a standard error, or null", least=0.0) for term in terms),
+        _HOLDS[fields.text("hold", 'the hold "zero" or "first"', tuple(_HOLDS))],
+        fields.range("valid_phi"),
+        table,
+        fields.whole("n_blocks", "a number of blocks", MOST_BLOCKS),
+        float(late),
+    )
+
+
+def _is_curve(table: tuple[tuple[float, float, float], ...]) -> bool:
+    phi, value = ([row[k] for row in table] for k in (0, 1))
+    rises = all(before < after for before, after in pairwise(phi))
+    return bool(table) and rises and all(map(math.isfinite, value))
 
 
 def _term(name: str, value: float, stderr: float) -> str:
@@ -328,14 +350,3 @@ def _term(name: str, value: float, stderr: float) -> str:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _known(value: float) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"a coefficient of {number}")
-    return number
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)

@@ -92,7 +92,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.order_selection import select_order
     from classic_ml.readers.series_files import read_series
-    from comparisons.fit_rows import stack_rows
+    from comparisons.fit_rows import check_once, stack_rows
     from comparisons.json_output import to_strict_json
 
     if arguments.json:
@@ -100,7 +100,9 @@ def _run(arguments: argparse.Namespace) -> None:
         check_apart(arguments.series, [arguments.json])
     from comparisons.progress import shown_over
 
-    rows = stack_rows([read_series(path) for path in arguments.series])
+    records = [read_series(path) for path in arguments.series]
+    check_once(records)
+    rows = stack_rows(records)
     table = select_order(
         rows.X,
         rows.measured,

@@ -133,6 +133,7 @@ def run_structure(arguments: argparse.Namespace) -> None:
     """
     from classic_ml.files import write_whole
     from classic_ml.readers.series_files import read_series
+    from comparisons.fit_rows import check_once
     from comparisons.progress import shown_steps
     from comparisons.structure_output import structure_text
 
@@ -140,6 +141,7 @@ def run_structure(arguments: argparse.Namespace) -> None:
     with shown_steps(3) as begin:
         begin("reading")
         records = [read_series(path) for path in arguments.series]
+        check_once(records)
         begin("choosing terms")
         found = _found(arguments, records)
         begin("writing")

@@ -14,6 +14,8 @@ from classic_ml.records import FloatArray
 __all__ = ["evaluate_terms", "is_known_term"]
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+# A power is made by multiplying: of one with more digits a file would wait for ever.
+_EXPONENT = r"(\d{1,2})"
 
 
 def _power(phi: FloatArray, exponent: str | None) -> FloatArray:
@@ -27,9 +29,9 @@ def _power(phi: FloatArray, exponent: str | None) -> FloatArray:
 _Rule = tuple[re.Pattern[str], Callable[[FloatArray, re.Match[str]], FloatArray]]
 _RULES: tuple[_Rule, ...] = (
     (re.compile(r"1"), lambda phi, _: np.ones_like(phi)),
-    (re.compile(r"phi(?:\^(\d+))?"), lambda phi, m: _power(phi, m[1])),
+    (re.compile(rf"phi(?:\^{_EXPONENT})?"), lambda phi, m: _power(phi, m[1])),
     (
-        re.compile(r"phi(?:\^(\d+))?\[phi<0\]"),
+        re.compile(rf"phi(?:\^{_EXPONENT})?\[phi<0\]"),
         lambda phi, m: np.where(phi < 0.0, _power(phi, m[1]), 0.0),
     ),
     (

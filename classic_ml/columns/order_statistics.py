@@ -142,8 +142,8 @@ def _read(values: FloatArray | Pieces, rows: Rows, workspace: Workspace) -> Iter
     elif isinstance(rows, np.ndarray):
         pieces = (values[block][rows[block]] for block in blocks(values.size))
     else:
-        part = values if rows is None else values[rows]
-        pieces = (part[block] for block in blocks(part.size))
+        start, stop, _ = (rows if rows is not None else slice(None)).indices(values.size)
+        pieces = (values[block] for block in blocks(stop, start))
     for piece in pieces:
         yield np.asarray(piece, dtype=np.float64)
         workspace.release()

@@ -22,6 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from classic_ml.columns.computed import computed, widened
 from classic_ml.errors import InputError
 
 __all__ = [
@@ -80,6 +81,18 @@ class Workspace(ABC):
         """Return a new column to be written in order, of about ``n_rows`` rows if that is known."""
 
     @abstractmethod
+    def readings_writer(self, n_rows: int | None = None) -> ColumnWriter:
+        """Return a new column of readings, which are whole numbers more often than not."""
+
+    @abstractmethod
+    def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+        """Return a column that follows from others at once, row by row, as ``rows(part)`` has it.
+
+        In memory it is evaluated; on disk, where reading takes longer than computing, each time
+        that it is asked for.
+        """
+
+    @abstractmethod
     def release(self) -> None:
         """Let go of the memory of what was written or read; the columns keep their values."""
 
@@ -102,6 +115,14 @@ class InMemory(Workspace):
     def writer(self, n_rows: int | None = None, dtype: DTypeLike = np.float64) -> ColumnWriter:
         """Return an array that is filled, or pieces that become one array."""
         return _Pieces(dtype) if n_rows is None else _Filled(np.empty(n_rows, dtype))
+
+    def readings_writer(self, n_rows: int | None = None) -> ColumnWriter:
+        """Return a column as any other."""
+        return self.writer(n_rows)
+
+    def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+        """Evaluate the column."""
+        return evaluated(self, n_rows, rows)
 
     def release(self) -> None:
         """Do nothing: an array is in memory for as long as it lives."""
@@ -184,6 +205,14 @@ class OnDisk(Workspace):
     def writer(self, n_rows: int | None = None, dtype: DTypeLike = np.float64) -> ColumnWriter:
         """Return a file that is mapped when it is finished."""
         return _Written(self, n_rows, dtype)
+
+    def readings_writer(self, n_rows: int | None = None) -> ColumnWriter:
+        """Return a file of 16 bits a reading, for as long as all are whole numbers of so many."""
+        return _Narrowing(self, n_rows)
+
+    def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+        """Return a column that is computed each time."""
+        return computed(n_rows, rows)
 
     def release(self) -> None:
         """Give the pages back to the system, which has them in its cache or on the disk."""
@@ -324,6 +353,35 @@ class _Written(ColumnWriter):
         return column
 
 
+class _Narrowing(ColumnWriter):
+    """Whole numbers of 16 bits, and numbers as they are from the first other one on."""
+
+    def __init__(self, place: OnDisk, n_rows: int | None) -> None:
+        self._place, self._n_rows = place, n_rows
+        self._writer, self._narrow = place.writer(n_rows, np.uint16), True
+
+    def append(self, values: NDArray[Any]) -> None:
+        # A compiler is loaded with it, which nobody who asks for help should wait for.
+        from classic_ml.columns.codes import as_codes
+
+        readings = np.ascontiguousarray(values, dtype=np.float64)
+        if not self._narrow:
+            self._writer.append(readings)
+            return
+        codes = np.empty(readings.size, dtype=np.uint16)
+        if as_codes(readings, codes):
+            self._writer.append(codes)
+            return
+        before = self._writer.finished()
+        self._writer, self._narrow = self._place.writer(self._n_rows), False
+        for rows in blocks(before.size):
+            self._writer.append(before[rows])
+        self._writer.append(readings)
+
+    def finished(self) -> NDArray[Any]:
+        return widened(self._writer.finished())
+
+
 class GrowingColumns:
     """Columns that grow by rows, as a file is read or as readings come in.
 
@@ -335,10 +393,20 @@ class GrowingColumns:
         Number of columns.
     n_rows : int, optional
         Rows that are to be expected, where that is known.
+    readings : bool
+        Whether whole numbers are to be expected, as a converter gives them.
     """
 
-    def __init__(self, workspace: Workspace, n_columns: int, n_rows: int | None = None) -> None:
-        self._writers = [workspace.writer(n_rows) for _ in range(n_columns)]
+    def __init__(
+        self,
+        workspace: Workspace,
+        n_columns: int,
+        n_rows: int | None = None,
+        *,
+        readings: bool = False,
+    ) -> None:
+        writer = workspace.readings_writer if readings else workspace.writer
+        self._writers = [writer(n_rows) for _ in range(n_columns)]
         self._staged = np.empty((n_columns, STAGED_ROWS))
         self._n_staged = 0
         self._n_put = 0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.faults.standstill_kernels import count_moved, count_steps, find_runs, least_step
+from classic_ml.faults.standstill_kernels import count_moved, find_runs, tally_steps
 from classic_ml.records import FloatArray, Record
 
 __all__ = ["DROPOUT_ROWS", "Tally", "still_runs", "tallies"]
@@ -64,28 +64,28 @@ def tallies(record: Record, names: Sequence[str]) -> dict[str, Tally]:
     dict of str to Tally
         By channel.
     """
-    low, high = dict.fromkeys(names, np.inf), dict.fromkeys(names, -np.inf)
-    least = dict.fromkeys(names, np.inf)
+    ends = {name: np.array([np.inf, -np.inf, np.inf]) for name in names}
     counts = {name: np.zeros(WHOLE_STEPS, dtype=np.int64) for name in names}
     fractions = set()
     for rows in blocks(record.n_samples):
         for name in names:
-            values = record[name]
-            low[name] = min(low[name], float(values[rows].min()))
-            high[name] = max(high[name], float(values[rows].max()))
-            if count_steps(values, rows.start, rows.stop, counts[name]):
+            values = record[name][max(0, rows.start - 1) : rows.stop]
+            if rows.start == 0:
+                # Nothing steps into the first row, which counts for the ends.
+                ends[name][:2] = values[0]
+            if tally_steps(values, counts[name], ends[name]):
                 fractions.add(name)
-                least[name] = min(least[name], least_step(values, rows.start, rows.stop))
         record.workspace.release()
     found = {}
     for name in names:
+        low, high, least = ends[name].tolist()
         sizes = np.flatnonzero(counts[name][1:]) + 1
         whole = float(sizes[0]) if sizes.size else np.inf
         if name in fractions:
             usual = _usual_step(record, name)
         else:
             usual = _median_of_counts(counts[name][1:]) + 1.0 if sizes.size else np.inf
-        found[name] = Tally(low[name], high[name], min(least[name], whole), usual)
+        found[name] = Tally(low, high, min(least, whole), usual)
     return found
 
 
@@ -159,12 +159,17 @@ class _Search:
     def __init__(self, values: FloatArray) -> None:
         self._values = values
         self._carried = np.array([DROPOUT_ROWS - 1, -1])
+        self._jump = np.full(1, np.inf)
 
     def ended_in(self, rows: slice) -> tuple[IntArray, FloatArray]:
         """Return the runs that end in a block, the next one, and the lesser jump at their ends."""
         most = (rows.stop - rows.start) // DROPOUT_ROWS + 2
         runs, jumps = np.empty((most, 2), dtype=np.int64), np.empty(most)
-        n = find_runs(self._values, rows.stop, DROPOUT_ROWS, self._carried, runs, jumps)
+        first = max(0, rows.start - DROPOUT_ROWS)
+        values, n_rows = self._values[first : rows.stop], self._values.size
+        n = find_runs(
+            values, first, n_rows, DROPOUT_ROWS, self._carried, self._jump, runs, jumps
+        )
         return runs[:n], jumps[:n]
 
 
@@ -177,11 +182,15 @@ def _others_move(
     if not others or not moved.size:
         return np.zeros(moved.size, dtype=np.bool_)
     few = runs[:, 1] - runs[:, 0] <= FEW_ROWS
+    short = runs[few]
     for values, step in others:
         more_than = MOVED_STEPS * step
-        of_few = np.zeros(np.count_nonzero(few), dtype=np.int64)
-        count_moved(values, runs[few], more_than, of_few)
-        moved[few] += of_few
+        if short.size:
+            # All of them ended in one block.
+            first, stop = int(short[0, 0]), int(short[-1, 1])
+            of_few = np.zeros(len(short), dtype=np.int64)
+            count_moved(values[first:stop], first, short, more_than, of_few)
+            moved[few] += of_few
         for run in np.flatnonzero(~few):
             moved[run] += _moves(values, runs[run], more_than, workspace)
     return np.asarray(2 * moved >= len(others))

@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.records import FloatArray
 
-__all__ = ["count_moved", "count_steps", "find_runs", "least_step"]
+__all__ = ["count_moved", "find_runs", "tally_steps"]
 
 IntArray = NDArray[np.int64]
 
 
 @as_written
-def count_steps(values: FloatArray, first: int, stop: int, counts: IntArray) -> int:
-    """Count the steps into some rows of a channel, by size, as codes make them.
+def tally_steps(values: FloatArray, counts: IntArray, ends: FloatArray) -> int:
+    """Count the steps of a channel by size, as codes make them, and note its ends.
 
     Parameters
     ----------
     values : ndarray of shape (n,)
-        The whole channel.
-    first, stop : int
-        The rows; nothing steps into row 0.
+        Some rows of the channel behind one that has been counted before, or behind the first.
     counts : ndarray of int64
         Where the number of steps of 0, 1, 2, … is added up.
+    ends : ndarray of shape (3,)
+        Least and largest reading so far, and the least step that is one but no such number.
 
     Returns
     -------
@@ -32,32 +32,32 @@ def count_steps(values: FloatArray, first: int, stop: int, counts: IntArray) -> 
         Steps that are no whole number, or larger than ``counts`` has room for.
     """
     others = 0
-    for row in range(max(first, 1), stop):
-        step = abs(values[row] - values[row - 1])
-        if step < counts.size and step == int(step):
-            counts[int(step)] += 1
+    low, high, least = ends[0], ends[1], ends[2]
+    before = values[0]
+    for row in range(1, values.size):
+        value = values[row]
+        low = value if value < low else low
+        high = value if value > high else high
+        step = abs(value - before)
+        before = value
+        whole = int(step) if step < counts.size else 0
+        if step == whole:
+            counts[whole] += 1
         else:
             others += 1
+            least = step if step < least else least
+    ends[0], ends[1], ends[2] = low, high, least
     return others
-
-
-@as_written
-def least_step(values: FloatArray, first: int, stop: int) -> float:
-    """Return the least step into some rows of a channel that is one; infinite without any."""
-    least = np.inf
-    for row in range(max(first, 1), stop):
-        step = abs(values[row] - values[row - 1])
-        step = step if step > 0.0 else np.inf
-        least = step if step < least else least
-    return least
 
 
 @as_written
 def find_runs(
     values: FloatArray,
-    stop: int,
+    first: int,
+    n_rows: int,
     least_rows: int,
     carried: IntArray,
+    jump: FloatArray,
     runs: IntArray,
     jumps: FloatArray,
 ) -> int:
@@ -65,15 +65,20 @@ def find_runs(
 
     Parameters
     ----------
-    values : ndarray of shape (n,)
-        The whole channel.
-    stop : int
-        How far to search; the next search begins there.
+    values : ndarray of shape (m,)
+        Rows of the channel from ``first`` on, up to the row where the search stops; the next
+        search begins there, with ``least_rows`` rows before it or more.
+    first : int
+        Row of the first of them.
+    n_rows : int
+        Rows of the whole channel.
     least_rows : int
         Shortest run that counts, two rows or more.
     carried : ndarray of int64, shape (2,)
         The row to look at next, and where the run begins that it may continue, or -1. At first
         ``(least_rows - 1, -1)``.
+    jump : ndarray of shape (1,)
+        The step into the run that may be continued.
     runs : ndarray of int64, shape (m, 2)
         Where first rows, and rows behind the last, go.
     jumps : ndarray of shape (m,)
@@ -87,7 +92,8 @@ def find_runs(
     """
     # A run of five rows has four steps of zero, one of them into a row divisible by four.
     stride = least_rows - 1
-    row, start = carried
+    row, start, before = carried[0] - first, carried[1], jump[0]
+    stop = values.size
     found = 0
     while True:
         if start < 0:
@@ -95,34 +101,39 @@ def find_runs(
                 row += stride
             if row >= stop:
                 break
-            start = row - 1
-            while start > 0 and values[start - 1] == values[start]:
-                start -= 1
+            begin = row - 1
+            while begin > 0 and values[begin - 1] == values[begin]:
+                begin -= 1
+            start = begin + first
+            before = abs(values[begin] - values[begin - 1]) if start > 0 else np.inf
         while row < stop and values[row] == values[row - 1]:
             row += 1
-        if row == stop and stop < values.size:
+        if row == stop and first + stop < n_rows:
             break
-        if row - start >= least_rows:
-            before = abs(values[start] - values[start - 1]) if start > 0 else np.inf
-            behind = abs(values[row] - values[row - 1]) if row < values.size else np.inf
-            runs[found, 0], runs[found, 1] = start, row
+        if row + first - start >= least_rows:
+            behind = abs(values[row] - values[row - 1]) if row < stop else np.inf
+            runs[found, 0], runs[found, 1] = start, row + first
             jumps[found] = min(before, behind)
             found += 1
         # The next run begins in this row at the earliest.
-        row += stride - row % stride
+        row += stride - (row + first) % stride
         start = -1
-    carried[0], carried[1] = row, start
+    carried[0], carried[1], jump[0] = row + first, start, before
     return found
 
 
 @as_written
-def count_moved(values: FloatArray, runs: IntArray, more_than: float, moved: IntArray) -> None:
+def count_moved(
+    values: FloatArray, first: int, runs: IntArray, more_than: float, moved: IntArray
+) -> None:
     """Add 1 for each run of rows during which a channel moves by more than so much.
 
     Parameters
     ----------
     values : ndarray of shape (n,)
-        The whole channel.
+        Rows of the channel from ``first`` on, those of all runs among them.
+    first : int
+        Row of the first of them.
     runs : ndarray of int64, shape (m, 2)
         First rows, and rows behind the last.
     more_than : float
@@ -132,7 +143,7 @@ def count_moved(values: FloatArray, runs: IntArray, more_than: float, moved: Int
     """
     for run in range(runs.shape[0]):
         low, high = np.inf, -np.inf
-        for row in range(runs[run, 0], runs[run, 1]):
+        for row in range(runs[run, 0] - first, runs[run, 1] - first):
             low = min(low, values[row])
             high = max(high, values[row])
             if high - low > more_than:

@@ -69,7 +69,7 @@ def read_raw(
     stored = open_raw(raw_path, test)
     # Room is taken for no more rows than the file can hold, whatever it claims.
     claimed = stored.n_rows if (stored.n_rows or 0) <= os.path.getsize(raw_path) else None
-    columns = GrowingColumns(workspace, len(stored.names), claimed)
+    columns = GrowingColumns(workspace, len(stored.names), claimed, readings=True)
     possible = _possible(stored, test)
     for values in stored.chunks(min(chunk_rows or places.BLOCK_ROWS, MOST_ROWS)):
         _check_readings(values, columns.n_rows, stored, test, possible)

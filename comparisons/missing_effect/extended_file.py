@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.files import write_whole
+from comparisons.lag_value import MOST_BLOCKS
+from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.extended_lag import ExtendedLag
@@ -20,9 +21,9 @@ from comparisons.missing_effect.extended_parts import (
     SHAPE,
     AddedEffect,
     FrozenReferences,
-    check_catalogue,
     n_powers,
 )
+from comparisons.model_fields import Fields, ModelFormat, read_models
 from comparisons.terms import is_known_term
 
 __all__ = [
@@ -35,9 +36,13 @@ __all__ = [
 ]
 
 EXTENDED_SCHEMA = "sindy-surge/extended-model/1"
+EXTENDED_FORMAT = ModelFormat(
+    EXTENDED_SCHEMA, "a file of a lag model with effects,", "sindy-surge diagnose --save"
+)
 # More than any record can tell, and few enough to be evaluated.
 MOST_TERMS, MOST_INTERVALS = 40, 64
 _REFERENCES = ("mean_amplitude", "mean_amplitude_as_is", "mean_speed", "clock_zero_s")
+_NAMES = tuple(effect.name for effect in CATALOGUE if effect.port != "noise")
 
 
 def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
@@ -70,22 +75,7 @@ def load_extended(path: str | Path) -> dict[str, ExtendedLag]:
     InputError
         When it is missing or is not such a file.
     """
-    file = Path(path)
-    expected = "a file of a lag model with effects, written by `sindy-surge diagnose --save`"
-    if not file.is_file():
-        raise InputError(str(file), expected=expected, found="no such file")
-    try:
-        document = json.loads(file.read_text("utf-8"))
-        if document["schema"] != EXTENDED_SCHEMA:
-            raise ValueError(f"the schema {document['schema']!r}")
-        models = {str(k): extended_from_json(v) for k, v in document["models"].items()}
-    except RecursionError:
-        raise InputError(str(file), expected=expected, found="something else (nested)") from None
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(str(file), expected=expected, found=f"something else ({error})") from None
-    if not models:
-        raise InputError(str(file), expected=expected, found="a file without a model")
-    return models
+    return {name: _from_fields(f) for name, f in read_models(path, EXTENDED_FORMAT).items()}
 
 
 def is_extended_file(path: str | Path) -> bool:
@@ -133,39 +123,56 @@ def extended_to_json(model: ExtendedLag) -> dict[str, Any]:
     }
 
 
-def extended_from_json(data: Mapping[str, Any]) -> ExtendedLag:
-    """Build a model from plain JSON types; KeyError, TypeError or ValueError where it is none."""
-    if data["hold"] != "first":
-        raise ValueError(f"hold {data['hold']!r}")
-    if data["target"] != "psi_p":
-        raise ValueError(f"target {data['target']!r}")
-    terms = tuple(str(term["name"]) for term in data["terms"])
-    _check_terms(terms)
-    effects = tuple(_effect_from_json(entry, terms) for entry in data["effects"])
-    names = [added.name for added in effects]
-    if len(set(names)) < len(names) or len(names) > MOST_EFFECTS:
-        raise ValueError(f"the effects {', '.join(names)}")
-    references, noise = data["references"], data["noise"]
-    numbers = {name: _known(references[name]) for name in _REFERENCES}
-    for name in _REFERENCES[:3]:
-        _positive(name, numbers[name])
+def extended_from_json(data: Mapping[str, Any], where: str = "model") -> ExtendedLag:
+    """Build a model from plain JSON types.
+
+    Parameters
+    ----------
+    data : mapping
+        What :func:`extended_to_json` gave.
+    where : str
+        File and key of the model, for errors.
+
+    Raises
+    ------
+    InputError
+        Naming the key that cannot be used.
+    """
+    return _from_fields(Fields.of(data, where, EXTENDED_FORMAT.remedy))
+
+
+def _from_fields(fields: Fields) -> ExtendedLag:
+    fields.text("hold", 'the hold "first"', ("first",))
+    fields.text("target", '"psi_p"', ("psi_p",))
+    rows = fields.tables("terms")
+    terms = tuple(row.text("name", "the name of a term") for row in rows)
+    _check_terms(fields, terms)
+    noise = fields.table("noise")
     return ExtendedLag(
-        _positive("a time constant", data["time_constant_s"]),
-        _number(data["time_constant_stderr_s"]),
+        fields.number("time_constant_s", "a time constant above 0 s", above=0.0),
+        fields.maybe("time_constant_stderr_s", "a standard error in s, or null", least=0.0),
         terms,
-        tuple(_known(term["coefficient"]) for term in data["terms"]),
-        tuple(_number(term["stderr"]) for term in data["terms"]),
-        effects,
-        FrozenReferences(phi_range=_range(references["phi_range"]), **numbers),
-        _positive("a noise", noise["sigma"]),
-        _positive("a noise", noise["innovation"]),
-        tuple(_known(a) for a in noise["ar"]),
-        _range(data["valid_phi"]),
-        tuple((_known(p), _number(v), _number(s)) for p, v, s in data["characteristic"]),
-        int(data["n_blocks"]),
-        str(data["estimator"]),
+        tuple(row.number("coefficient", "a coefficient, a finite number") for row in rows),
+        tuple(row.maybe("stderr", "a standard error, or null", least=0.0) for row in rows),
+        _effects(fields, terms),
+        _references(fields.table("references")),
+        noise.number("sigma", "a noise above 0", above=0.0),
+        noise.number("innovation", "a noise above 0", above=0.0),
+        noise.numbers("ar", "a coefficient, a finite number"),
+        fields.range("valid_phi"),
+        fields.points("characteristic"),
+        fields.whole("n_blocks", "a number of blocks", MOST_BLOCKS),
+        fields.text("estimator", "the name of an estimator"),
         "first",
     )
+
+
+def _references(fields: Fields) -> FrozenReferences:
+    amplitude, as_is, speed = (
+        fields.number(name, "a number above 0", above=0.0) for name in _REFERENCES[:3]
+    )
+    clock_zero_s = fields.number("clock_zero_s", "a time in s")
+    return FrozenReferences(amplitude, as_is, speed, fields.range("phi_range"), clock_zero_s)
 
 
 def _effect_to_json(added: AddedEffect) -> dict[str, Any]:
@@ -181,41 +188,66 @@ def _effect_to_json(added: AddedEffect) -> dict[str, Any]:
     }
 
 
-def _effect_from_json(entry: Mapping[str, Any], terms: tuple[str, ...]) -> AddedEffect:
-    effect = check_catalogue(str(entry["effect"]))
-    rows = entry["parameters"]
-    if [row["name"] for row in rows] != [p.name for p in effect.parameters]:
-        raise ValueError(f"the parameters of {effect.name}")
+def _effects(fields: Fields, terms: tuple[str, ...]) -> tuple[AddedEffect, ...]:
+    effects = tuple(_effect(entry, terms) for entry in fields.tables("effects"))
+    names = [added.name for added in effects]
+    if len(set(names)) < len(names) or len(names) > MOST_EFFECTS:
+        raise fields.refuse(
+            "effects", f"at most {MOST_EFFECTS} effects, each once", ", ".join(names)
+        )
+    return effects
+
+
+def _effect(entry: Fields, terms: tuple[str, ...]) -> AddedEffect:
+    name = entry.text("effect", "an effect of the catalogue", _NAMES)
+    effect = find_effect(name)
+    rows = entry.tables("parameters")
+    own = [parameter.name for parameter in effect.parameters]
+    if [row.values.get("name") for row in rows] != own:
+        raise entry.refuse("parameters", f"{', '.join(own)} of {name}", "others")
     added = AddedEffect(
-        effect.name,
-        tuple(_number(row["value"]) for row in rows),
-        tuple(_number(row["stderr"]) for row in rows),
-        tuple(_known(b) for b in entry["coefficients"]),
+        name,
+        tuple(row.maybe("value", "a number, or null") for row in rows),
+        tuple(row.maybe("stderr", "a standard error, or null", least=0.0) for row in rows),
+        entry.numbers("coefficients", "a coefficient, a finite number"),
     )
     for row, parameter, value in zip(rows, effect.parameters, added.values, strict=True):
-        _check_parameter(effect, parameter, str(row["unit"]), value, acts=added.acts)
-    allowed = _column_counts(effect, added, terms)
-    if len(added.coefficients) not in allowed:
-        raise ValueError(f"{len(added.coefficients)} coefficients of {effect.name}")
+        own_unit = f'"{parameter.unit}", the unit of {parameter.name}'
+        row.text("unit", own_unit, (parameter.unit,))
+        _check_value(row, effect, parameter, value, acts=added.acts)
+    _check_coefficients(entry, effect, added, terms)
     return added
 
 
-def _check_parameter(
-    effect: Effect, parameter: Parameter, unit: str, value: float, *, acts: bool
+def _check_value(
+    row: Fields, effect: Effect, parameter: Parameter, value: float, *, acts: bool
 ) -> None:
-    where = f"{effect.name}: {parameter.name}"
-    if unit != parameter.unit:
-        raise ValueError(f"{where} in {unit!r}")
     # What was added and not fitted yet has no shape.
     if math.isnan(value) and not acts:
         return
-    if not parameter.low <= value <= parameter.high:
-        raise ValueError(f"{where} = {value:g}")
-    if parameter.name == "intervals" and value not in range(1, MOST_INTERVALS):
-        raise ValueError(f"{where} = {value:g}")
+    counts = parameter.name == "intervals"
+    if counts and value in range(1, MOST_INTERVALS):
+        return
+    if not counts and parameter.low <= value <= parameter.high:
+        return
+    what = f"1 to {MOST_INTERVALS - 1}" if counts else f"{parameter.low:g} to {parameter.high:g}"
+    found = "null" if math.isnan(value) else f"{value:g}"
+    raise row.refuse("value", f"{parameter.name} of {effect.name} from {what}", found)
 
 
-def _column_counts(effect: Effect, added: AddedEffect, terms: tuple[str, ...]) -> tuple[int, ...]:
+def _check_coefficients(
+    entry: Fields, effect: Effect, added: AddedEffect, terms: tuple[str, ...]
+) -> None:
+    allowed = _column_counts(entry, effect, added, terms)
+    found = len(added.coefficients)
+    if found not in allowed:
+        expected = " or ".join(map(str, allowed))
+        raise entry.refuse("coefficients", f"{expected} of {effect.name}", f"{found}")
+
+
+def _column_counts(
+    entry: Fields, effect: Effect, added: AddedEffect, terms: tuple[str, ...]
+) -> tuple[int, ...]:
     """Return how many coefficients an effect may have; none where it was not fitted yet."""
     if not effect.linear or effect.episodes:
         return (0,)
@@ -225,43 +257,25 @@ def _column_counts(effect: Effect, added: AddedEffect, terms: tuple[str, ...]) -
     if math.isnan(intervals):
         return (0,)
     if not low < high:
-        raise ValueError(f"{effect.name} from {low:g} to {high:g}")
+        raise entry.refuse(
+            "parameters", f"a range of φ for {effect.name}, low to high", f"{low:g} to {high:g}"
+        )
     one = shape_columns(np.array([low]), (low, high), int(intervals), n_powers(terms))
     return (0, one.shape[1])
 
 
-def _check_terms(terms: tuple[str, ...]) -> None:
-    unknown = [name for name in terms if not is_known_term(name)]
-    if unknown:
-        raise ValueError(f"the term {unknown[0]!r}")
+def _check_terms(fields: Fields, terms: tuple[str, ...]) -> None:
+    for number, name in enumerate(terms):
+        if not is_known_term(name):
+            what = "a power of φ or another known term"
+            raise fields.refuse(f"terms[{number}].name", what, f"'{name}'")
     if not 0 < len(terms) <= MOST_TERMS or len(set(terms)) < len(terms):
-        raise ValueError(f"{len(terms)} terms, {len(set(terms))} of them different")
-
-
-def _range(edges: Any) -> tuple[float, float]:
-    low, high = (_known(edge) for edge in edges)
-    if not low < high:
-        raise ValueError(f"the range {low:g} to {high:g}")
-    return low, high
-
-
-def _positive(what: str, value: Any) -> float:
-    number = _known(value)
-    if number <= 0.0:
-        raise ValueError(f"{what} of {number}")
-    return number
+        raise fields.refuse(
+            "terms",
+            f"1 to {MOST_TERMS} terms, each once",
+            f"{len(terms)}, {len(set(terms))} of them different",
+        )
 
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _known(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"a coefficient of {number}")
-    return number
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.records import FloatArray
-from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
+from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import LagData
@@ -19,7 +19,6 @@ __all__ = [
     "SHAPE",
     "AddedEffect",
     "FrozenReferences",
-    "check_catalogue",
     "n_powers",
 ]
 
@@ -128,11 +127,3 @@ def n_powers(terms: Sequence[str]) -> int:
     """Return how many powers of φ, from the constant on without a gap, are among the terms."""
     powers = ["1", "phi", *(f"phi^{k}" for k in range(2, len(terms) + 1))]
     return next((k for k, name in enumerate(powers) if name not in terms), len(terms))
-
-
-def check_catalogue(name: str) -> Effect:
-    """Return an effect of the catalogue that a model can hold; ValueError otherwise."""
-    effect = next((e for e in CATALOGUE if e.name == name and e.port != "noise"), None)
-    if effect is None:
-        raise ValueError(f"the effect {name!r}")
-    return effect

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -90,8 +91,10 @@ def test_terms_without_a_known_name_run_from_the_table() -> None:
         "{}",
         '{"schema": "sindy-surge/model/2", "models": {}}',
         '{"schema": "sindy-surge/model/1", "models": {}}',
-        '{"schema": "sindy-surge/model/1", "models": {"a": {}}}',
         '{"schema": "sindy-surge/model/1", "models": 3}',
+        '{"a": ' * 100_000 + "1" + "}" * 100_000,
+        '{"schema": 1' + "0" * 5000 + "}",
+        "\x00",
     ],
 )
 def test_what_is_not_a_model_file_is_refused(tmp_path: Path, text: str) -> None:
@@ -101,14 +104,77 @@ def test_what_is_not_a_model_file_is_refused(tmp_path: Path, text: str) -> None:
         load_models(file)
 
 
-def test_a_model_with_an_impossible_time_constant_is_refused(tmp_path: Path) -> None:
-    _, value, _, _ = fitted()
-    save_models({"m": value}, tmp_path / "m.json")
+def spoiled(tmp_path: Path, key: str, value: object) -> Path:
+    _, model, _, _ = fitted()
+    save_models({"m": model}, tmp_path / "m.json")
     document = json.loads((tmp_path / "m.json").read_text())
-    document["models"]["m"]["time_constant_s"] = -0.1
-    (tmp_path / "m.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match="time constant"):
+    *places, last = (int(part) if part.isdigit() else part for part in key.split("/"))
+    table = document["models"]["m"]
+    for place in places:
+        table = table[place]
+    table[last] = value
+    # As the file may have it: 1e999 is a number without end for Python's reader.
+    text = json.dumps(document).replace("-Infinity", "-1e999").replace("Infinity", "1e999")
+    (tmp_path / "m.json").write_text(text)
+    return tmp_path / "m.json"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("time_constant_s", -0.1, "a time constant above 0 s, or null, found -0.1"),
+        ("time_constant_s", 0, "a time constant above 0 s, or null, found 0"),
+        ("time_constant_s", math.inf, "a time constant above 0 s, or null, found infinity"),
+        ("time_constant_s", 10**400, "a time constant above 0 s, or null, found a number of more"),
+        ("time_constant_s", math.nan, "a time constant above 0 s, or null, found NaN"),
+        ("time_constant_s", "0.1", "a time constant above 0 s, or null, found '0.1'"),
+        ("time_constant_s", True, "a time constant above 0 s, or null, found true"),
+        ("time_constant_stderr_s", -0.1, "a standard error in s, or null, found -0.1"),
+        ("target", "tau", '"psi_p" or "psi", found \'tau\''),
+        ("target", None, '"psi_p" or "psi", found null'),
+        ("hold", "third", 'the hold "zero" or "first", found \'third\''),
+        ("terms", {}, "a list: a list of tables, found a table"),
+        ("terms/0", 3, "a table, found 3"),
+        ("terms/0/coefficient", math.inf, "a coefficient, a finite number, found infinity"),
+        ("terms/0/coefficient", None, "a coefficient, a finite number, found null"),
+        ("dead_time_s", -math.inf, "a dead time in s, found -infinity"),
+        ("valid_phi", [0.5, 0.1], "two numbers, the smaller first, found [0.5, 0.1]"),
+        ("n_blocks", 2.5, "a number of blocks, a whole number from 0 on, found 2.5"),
+        ("characteristic/3", [0.1], "rows of φ, value and standard error, found [0.1]"),
+    ],
+)
+def test_a_key_that_cannot_be_is_named_with_its_remedy(
+    tmp_path: Path, key: str, value: object, says: str
+) -> None:
+    file = spoiled(tmp_path, key, value)
+    with pytest.raises(InputError) as refused:
+        load_models(file)
+    name = re.sub(r"/(\d+)", r"[\1]", key).replace("/", ".")
+    sentence = str(refused.value)
+    assert sentence.startswith(f"{file}: models.m.{name}: expected {says}")
+    assert sentence.endswith("; save the model anew with `sindy-surge compare --save`")
+
+
+def test_a_missing_key_is_named(tmp_path: Path) -> None:
+    (tmp_path / "m.json").write_text('{"schema": "sindy-surge/model/1", "models": {"a": {}}}')
+    with pytest.raises(InputError, match=r"models\.a\.terms: expected .*, found no such key"):
         load_models(tmp_path / "m.json")
+
+
+def test_a_time_constant_that_was_not_identified_comes_back(tmp_path: Path) -> None:
+    model = load_models(spoiled(tmp_path, "time_constant_s", None))["m"]
+    assert math.isnan(model.time_constant_s)
+
+
+@pytest.mark.parametrize("table", [[], [[0.2, 1.0, 0.1], [0.1, 1.0, 0.1]], [[0.1, None, 0.1]]])
+def test_terms_of_unknown_names_need_a_curve(tmp_path: Path, table: list[object]) -> None:
+    file = spoiled(tmp_path, "terms/0/name", "phi^999999999")
+    assert load_models(file)["m"].quasi_steady([0.2, 0.3]).shape == (2,)
+    document = json.loads(file.read_text())
+    document["models"]["m"]["characteristic"] = table
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="rows of rising φ with values"):
+        load_models(file)
 
 
 def test_a_missing_model_file_is_refused(tmp_path: Path) -> None:

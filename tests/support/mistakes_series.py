@@ -268,6 +268,17 @@ SERIES = (
         ("series.csv", "twice"),
         "compare series.csv ./series.csv",
     ),
+    *(
+        Mistake(
+            f"series-twice-{command}",
+            f"the same series is given twice to {command}",
+            REFUSED,
+            ("again.csv", "twice", "series.csv", "leave one of them out"),
+            f"{command} series.csv again.csv --json out.json",
+            spoil=_copied,
+        )
+        for command in ("orders", "structure", "diagnose")
+    ),
     Mistake(
         "series-rates",
         "two series have different sample rates",
