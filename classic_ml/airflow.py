@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,8 @@ __all__ = [
     "LBM_KG",
     "P_STANDARD_PA",
     "T_STANDARD_K",
+    "PlaneFlows",
+    "Readings",
     "calculated_mach",
     "corrected_flow",
     "corrected_from_physical",
@@ -33,6 +36,9 @@ __all__ = [
 P_STANDARD_PA = 101_325.0
 T_STANDARD_K = 288.15
 LBM_KG = 0.45359237
+
+# The readings of some rows, by channel.
+Readings = Callable[[slice], Mapping[str, FloatArray]]
 
 
 def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) -> FloatArray:
@@ -199,9 +205,13 @@ def local_flows(record: Record, test: TestDescription) -> Record:
     names = [f"{kind}{p.name}_{u}" for p in pairs for kind, u in (("Wc", "kg_s"), ("Pt", "Pa"))]
     columns = {name: record.workspace.writer(record.n_samples) for name in names}
     n_reversed = dict.fromkeys((pair.name for pair in pairs), 0)
+    readings = _as_they_are(record, test)
     for rows in blocks(record.n_samples):
+        block = readings(rows)
         for pair in pairs:
-            flow, total, n_rows = _pair_flow(record, test, pair, rows)
+            flow, total, n_rows = _pair_flow(block, test, pair)
+            if n_rows is None:
+                raise _not_absolute(record, test, readings)
             columns[f"Wc{pair.name}_kg_s"].append(flow)
             columns[f"Pt{pair.name}_Pa"].append(total)
             n_reversed[pair.name] += n_rows
@@ -229,26 +239,36 @@ def _flows_entry(n_reversed: Mapping[str, int], n_rows: int) -> LedgerEntry:
     )
 
 
+def _as_they_are(record: Record, test: TestDescription) -> Readings:
+    """Return the readings of the channels in the record."""
+    names = [name for name in test.channel_names if name in record]
+    return lambda rows: {name: record[name][rows] for name in names}
+
+
 def _pair_flow(
-    record: Record, test: TestDescription, pair: ProbePair, rows: slice
-) -> tuple[FloatArray, FloatArray, int]:
-    """Return corrected flow and total pressure in some rows, and in how many it is reversed."""
-    forward, aft = record[pair.forward.name][rows], record[pair.aft.name][rows]
+    block: Mapping[str, FloatArray], test: TestDescription, pair: ProbePair
+) -> tuple[FloatArray, FloatArray, int | None]:
+    """Return corrected flow and total pressure in some rows, and in how many it is reversed.
+
+    None instead of the last where a pressure is not above zero.
+    """
+    forward, aft = block[pair.forward.name], block[pair.aft.name]
     flow, total = np.empty(forward.size), np.empty(forward.size)
     slope, offset = pair.forward.probe_slope, pair.forward.probe_offset
     constant = _flow_constant(test.areas_m2[pair.forward.plane], test.compressor)
     gamma = test.compressor.gamma
     reversed_, refused = pair_flow(forward, aft, gamma, slope, offset, constant, flow, total)
-    if refused:
-        raise _not_absolute(record, test)
-    return flow, total, int(reversed_)
+    return flow, total, None if refused else int(reversed_)
 
 
-def _not_absolute(record: Record, test: TestDescription) -> InputError:
+def _not_absolute(record: Record, test: TestDescription, readings: Readings) -> InputError:
     """Tell of the least reading of the first channel that is not above zero throughout."""
-    probes = [probe for pair in _all_pairs(record, test) for probe in (pair.forward, pair.aft)]
-    for probe in probes:
-        low, row = lowest(record[probe.name], workspace=record.workspace)
+
+    def of(name: str) -> Iterator[FloatArray]:
+        return (readings(rows)[name] for rows in blocks(record.n_samples))
+
+    for probe in (p for pair in _all_pairs(record, test) for p in (pair.forward, pair.aft)):
+        low, row = lowest(partial(of, probe.name), workspace=record.workspace)
         if low <= 0.0:
             break
     return InputError(
@@ -286,11 +306,21 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
     InputError
         When an immersion that is wanted has no pair left, or plane 25 no thermocouple.
     """
-
-    def flow_and_total(pair: ProbePair, rows: slice) -> tuple[FloatArray, FloatArray]:
-        return record[f"Wc{pair.name}_kg_s"][rows], record[f"Pt{pair.name}_Pa"][rows]
-
-    return _averaged(record, test, probes, flow_and_total)
+    planes = [_plane(record, test, plane, probes) for plane in test.areas_m2]
+    columns = _columns(record, planes)
+    for rows in blocks(record.n_samples):
+        for plane in planes:
+            local = {
+                pair.name: (record[f"Wc{pair.name}_kg_s"][rows], record[f"Pt{pair.name}_Pa"][rows])
+                for pairs in plane.pairs.values()
+                for pair in pairs
+            }
+            couples = [record[name][rows] for name in plane.couples]
+            for name, values in plane.averages(local, couples).items():
+                columns[name].append(values)
+        record.workspace.release()
+    added = [_channel(name, column) for name, column in columns.items()]
+    return record.after(_averages_entry(planes, probes), add=added)
 
 
 def plane_flows(record: Record, test: TestDescription, probes: str = "all") -> Record:
@@ -315,17 +345,100 @@ def plane_flows(record: Record, test: TestDescription, probes: str = "all") -> R
     InputError
         As both do.
     """
-    n_reversed = {pair.name: 0 for pair in _all_pairs(record, test)}
+    return PlaneFlows(record, test, probes).evaluated()
 
-    def flow_and_total(pair: ProbePair, rows: slice) -> tuple[FloatArray, FloatArray]:
-        flow, total, n_rows = _pair_flow(record, test, pair, rows)
-        n_reversed[pair.name] += n_rows
-        return flow, total
 
-    averaged = _averaged(record, test, probes, flow_and_total)
-    entry = averaged.history[-1]
-    flows = _flows_entry(n_reversed, record.n_samples)
-    return replace(averaged, history=(*record.history, flows, entry))
+class PlaneFlows:
+    """Flows and pressures averaged over the planes, of any block of rows.
+
+    Parameters
+    ----------
+    record : Record
+        Which channels there are.
+    test : TestDescription
+        Places and probe constants.
+    probes : {"all", "tip", "hub"}
+        Immersions to use.
+    readings : callable, optional
+        ``readings(rows)`` returns the readings of those rows by channel, where they are not those
+        in the record: filtered, say, without being kept.
+    """
+
+    def __init__(
+        self,
+        record: Record,
+        test: TestDescription,
+        probes: str = "all",
+        readings: Readings | None = None,
+    ) -> None:
+        self._record, self._test, self._probes = record, test, probes
+        self._readings = readings if readings is not None else _as_they_are(record, test)
+        self._planes = [_plane(record, test, plane, probes) for plane in test.areas_m2]
+        # By the first row of a block and by pair.
+        self._n_reversed: dict[int, dict[str, int]] = {}
+
+    def block(self, rows: slice) -> dict[str, FloatArray]:
+        """Return the averages over some rows, those of one block."""
+        readings, counts = self._readings(rows), {}
+        found: dict[str, FloatArray] = {}
+        for plane in self._planes:
+            local = {}
+            for pair in (pair for pairs in plane.pairs.values() for pair in pairs):
+                flow, total, n_rows = _pair_flow(readings, self._test, pair)
+                if n_rows is None:
+                    raise _not_absolute(self._record, self._test, self._readings)
+                local[pair.name], counts[pair.name] = (flow, total), n_rows
+            found |= plane.averages(local, [readings[name] for name in plane.couples])
+        self._n_reversed[rows.start] = counts
+        return found
+
+    def evaluated(self) -> Record:
+        """Return the record with the averages over all rows, and the ledger entries."""
+        record = self._record
+        columns = _columns(record, self._planes)
+        for rows in blocks(record.n_samples):
+            for name, values in self.block(rows).items():
+                columns[name].append(values)
+            record.workspace.release()
+        added = [_channel(name, column) for name, column in columns.items()]
+        return replace(record.after(self.entries[-1], add=added), history=self._history(record))
+
+    def evaluated_anew(
+        self, before: PlaneFlows, averaged: Record, where: Iterable[slice]
+    ) -> Record:
+        """Return the averages of another record, of which only some blocks are not the same.
+
+        Parameters
+        ----------
+        before : PlaneFlows
+            Of the other record, with the same channels.
+        averaged : Record
+            What it was evaluated to; its columns are taken over and written to.
+        where : iterable of slice
+            The blocks that differ.
+        """
+        record = self._record
+        names = [name for plane in self._planes for name in plane.names()]
+        self._n_reversed = dict(before._n_reversed)
+        for rows in where:
+            for name, values in self.block(rows).items():
+                record.workspace.overwrite(averaged[name], rows, values)
+            record.workspace.release()
+        added = [averaged.channel(name) for name in names]
+        return replace(record.after(self.entries[-1], add=added), history=self._history(record))
+
+    def _history(self, record: Record) -> tuple[LedgerEntry, ...]:
+        return (*record.history, *self.entries)
+
+    @property
+    def entries(self) -> tuple[LedgerEntry, LedgerEntry]:
+        """What the ledger says of the flows and of the averages."""
+        totals = {
+            pair.name: sum(counts[pair.name] for counts in self._n_reversed.values())
+            for pair in _all_pairs(self._record, self._test)
+        }
+        flows = _flows_entry(totals, self._record.n_samples)
+        return flows, _averages_entry(self._planes, self._probes)
 
 
 @dataclass(frozen=True)
@@ -343,22 +456,44 @@ class _Plane:
         flows = [f"Wc{p}_kg_s", *(f"Wc{p}_{i}_kg_s" for i in self.pairs)]
         return [*flows, f"P{p}_Pa", *([f"T{p}_K", f"W{p}_kg_s"] if self.couples else [])]
 
+    def averages(
+        self,
+        local: Mapping[str, tuple[FloatArray, FloatArray]],
+        temperatures_K: Sequence[FloatArray],
+    ) -> dict[str, FloatArray]:
+        """Return the averages of some rows.
 
-def _averaged(
-    record: Record,
-    test: TestDescription,
-    probes: str,
-    flow_and_total: Callable[[ProbePair, slice], tuple[FloatArray, FloatArray]],
-) -> Record:
-    planes = [_plane(record, test, plane, probes) for plane in test.areas_m2]
-    n = record.n_samples
-    columns = {name: record.workspace.writer(n) for plane in planes for name in plane.names()}
-    for rows in blocks(n):
-        for plane in planes:
-            for name, values in _plane_block(record, plane, rows, flow_and_total).items():
-                columns[name].append(values)
-        record.workspace.release()
-    entry = LedgerEntry(
+        Parameters
+        ----------
+        local : mapping of str to tuple of ndarray
+            Corrected flow and total pressure of each pair.
+        temperatures_K : sequence of ndarray
+            Of the thermocouples.
+        """
+        p = self.plane
+        flow: dict[str, FloatArray] = {}
+        total: dict[str, FloatArray] = {}
+        for immersion, pairs in self.pairs.items():
+            flows, totals = zip(*(local[pair.name] for pair in pairs), strict=True)
+            flow[immersion], total[immersion] = _mean(flows), _mean(totals)
+        corrected = _mean([flow[i] for i in self.used])
+        pressure = _mean([total[i] for i in self.used])
+        values = {f"Wc{p}_kg_s": corrected, f"P{p}_Pa": pressure}
+        values |= {f"Wc{p}_{i}_kg_s": flow[i] for i in flow}
+        if temperatures_K:
+            temperature = _mean(temperatures_K)
+            values[f"T{p}_K"] = temperature
+            values[f"W{p}_kg_s"] = physical_flow(corrected, pressure, temperature)
+        return values
+
+
+def _columns(record: Record, planes: Sequence[_Plane]) -> dict[str, ColumnWriter]:
+    names = [name for plane in planes for name in plane.names()]
+    return {name: record.workspace.writer(record.n_samples) for name in names}
+
+
+def _averages_entry(planes: Sequence[_Plane], probes: str) -> LedgerEntry:
+    return LedgerEntry(
         "plane averages",
         f"arithmetic mean over rakes and immersions ({probes}), Eq 4 at each plane",
         {
@@ -366,7 +501,6 @@ def _averaged(
             **{f"pairs_{p.plane}": sum(map(len, p.pairs.values())) for p in planes},
         },
     )
-    return record.after(entry, add=[_channel(name, c) for name, c in columns.items()])
 
 
 def _plane(record: Record, test: TestDescription, plane: int, probes: str) -> _Plane:
@@ -392,30 +526,6 @@ def _plane(record: Record, test: TestDescription, plane: int, probes: str) -> _P
             remedy="without T25 there is neither φ nor ψ'",
         )
     return _Plane(plane, {i: p for i, p in by_place.items() if p}, tuple(used), couples)
-
-
-def _plane_block(
-    record: Record,
-    plane: _Plane,
-    rows: slice,
-    flow_and_total: Callable[[ProbePair, slice], tuple[FloatArray, FloatArray]],
-) -> dict[str, FloatArray]:
-    """Return the averages of one plane over some rows."""
-    p = plane.plane
-    flow: dict[str, FloatArray] = {}
-    total: dict[str, FloatArray] = {}
-    for immersion, pairs in plane.pairs.items():
-        flows, totals = zip(*(flow_and_total(pair, rows) for pair in pairs), strict=True)
-        flow[immersion], total[immersion] = _mean(flows), _mean(totals)
-    corrected = _mean([flow[i] for i in plane.used])
-    pressure = _mean([total[i] for i in plane.used])
-    values = {f"Wc{p}_kg_s": corrected, f"P{p}_Pa": pressure}
-    values |= {f"Wc{p}_{i}_kg_s": flow[i] for i in flow}
-    if plane.couples:
-        temperature = _mean([record[name][rows] for name in plane.couples])
-        values[f"T{p}_K"] = temperature
-        values[f"W{p}_kg_s"] = physical_flow(corrected, pressure, temperature)
-    return values
 
 
 def _mean(values: Sequence[FloatArray]) -> FloatArray:

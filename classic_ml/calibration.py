@@ -217,16 +217,18 @@ def _calibrated(test: TestDescription) -> LedgerEntry:
 
 def _changed(record: Record, changes: Mapping[str, _Change]) -> list[Channel]:
     """Return channels after a change of each."""
-    columns = {name: record.workspace.writer(record.n_samples) for name in changes}
-    for rows in blocks(record.n_samples):
-        for name, c in changes.items():
-            part = np.empty(rows.stop - rows.start)
-            readings = record[name][rows]
-            change_scale(readings, c.start, c.step, c.zero, c.slope, c.reference, c.shift, part)
-            columns[name].append(part)
-        record.workspace.release()
+    place, n_rows = record.workspace, record.n_samples
     units = {name: "K" if record.channel(name).unit == "K" else "Pa" for name in changes}
-    return [Channel(name, column.finished(), units[name]) for name, column in columns.items()]
+    return [
+        Channel(name, place.derived(n_rows, partial(_rescaled, record[name], change)), units[name])
+        for name, change in changes.items()
+    ]
+
+
+def _rescaled(readings: FloatArray, c: _Change, rows: slice) -> FloatArray:
+    out = np.empty(rows.stop - rows.start)
+    change_scale(readings[rows], c.start, c.step, c.zero, c.slope, c.reference, c.shift, out)
+    return out
 
 
 def near_stall_rows(record: Record, test: TestDescription) -> slice:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +12,50 @@ from classic_ml.errors import InputError
 from classic_ml.filter_kernels import CHANNELS, run_sections
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 
-__all__ = ["butterworth_gain", "filter_channels", "low_pass", "period_average", "phase_delay_s"]
+__all__ = [
+    "LocalFilter",
+    "butterworth_gain",
+    "channel_filter",
+    "filter_channels",
+    "filter_entry",
+    "low_pass",
+    "period_average",
+    "phase_delay_s",
+]
 
 
 def _sections(order: int, cutoff_hz: float, sample_rate_hz: float) -> FloatArray:
-    from scipy.signal import butter
-
     if not 0.0 < cutoff_hz < 0.5 * sample_rate_hz:
         raise InputError(
             "cutoff_hz",
             expected=f"above 0 and below half the sample rate ({0.5 * sample_rate_hz:g} Hz)",
             found=f"{cutoff_hz:g}",
         )
-    return np.asarray(butter(order, cutoff_hz, fs=sample_rate_hz, output="sos"), dtype=np.float64)
+    # The bilinear transform of 1/∏(s − e^{iπ(2k + n + 1)/2n}), k = 0 … n−1, with its cut-off at
+    # tan(π f_c/f_s). A dozen lines, since to load scipy's takes as long as to reduce ten minutes.
+    warped = np.tan(np.pi * cutoff_hz / sample_rate_hz)
+    sections = []
+    for k in range((order - 1) // 2, -1, -1):
+        angle = np.pi * (2 * k + order + 1) / (2 * order)
+        if 2 * k + 1 == order:
+            pole = (1.0 - warped) / (1.0 + warped)
+            sections.append([0.5 * (1.0 - pole), 0.5 * (1.0 - pole), 0.0, 1.0, -pole, 0.0])
+            continue
+        damping = -2.0 * warped * np.cos(angle)
+        whole = 1.0 + damping + warped**2
+        gain = warped**2 / whole
+        linear, square = 2.0 * (warped**2 - 1.0) / whole, (1.0 - damping + warped**2) / whole
+        sections.append([gain, 2.0 * gain, gain, 1.0, linear, square])
+    return np.array(sections)
+
+
+def _rest(sections: FloatArray) -> FloatArray:
+    """Return the state of each section, of unit gain at rest, behind a long constant of 1.
+
+    Of the transposed direct form, shape (m, 2): what comes out is 1 as well.
+    """
+    second = sections[:, 2] - sections[:, 5]
+    return np.stack((sections[:, 1] - sections[:, 4] + second, second), axis=1)
 
 
 def low_pass(
@@ -69,95 +100,157 @@ def low_pass(
     if phase == "none":
         return signal
     sections = _sections(order, cutoff_hz, sample_rate_hz)
-    return _filtered([signal], sections, phase, workspace)[0]
+    run = LocalFilter(lambda rows: [signal[rows]], signal.size, sections, phase)
+    return _evaluated(run, signal.size, 1, workspace)[0]
 
 
-def _filtered(
-    columns: Sequence[FloatArray], sections: FloatArray, phase: str, workspace: Workspace
-) -> list[FloatArray]:
-    """Filter columns of one length, so many at a time as the inner loop takes."""
-    from scipy.signal import sosfilt_zi
+Readings = Callable[[slice], Sequence[FloatArray]]
 
-    outputs = [workspace.column(column.size) for column in columns]
-    rest = np.asarray(sosfilt_zi(sections), dtype=np.float64)
-    for first in range(0, len(columns), CHANNELS):
-        chosen = slice(first, first + CHANNELS)
-        _filter_together(columns[chosen], outputs[chosen], (sections, rest), phase, workspace)
-    for output in outputs:
-        output.setflags(write=False)
-    return outputs
+# What was so many times smaller than the signal no longer shows in its last bit.
+FORGOTTEN = 2.0**-80
+# Rows that are filtered at once. A constant of its own: the numbers depend on it in the last bit.
+PIECE_ROWS = 65_536
 
 
-def _filter_together(
-    columns: Sequence[FloatArray],
-    outputs: Sequence[FloatArray],
-    design: tuple[FloatArray, FloatArray],
-    phase: str,
-    workspace: Workspace,
-) -> None:
-    """Filter up to five columns block by block, forth and then back over what came out.
+class LocalFilter:
+    """A low-pass that gives some rows of signals without having filtered all the others.
 
-    ``design`` holds the sections and their state behind a long constant of 1.
+    A filter forgets: what it was fed longer ago than its slowest pole remembers is below the
+    rounding. So each piece of :data:`PIECE_ROWS` rows is filtered by itself, with as many rows more
+    before it, and behind it for the way back. A signal of one piece is filtered as by scipy's
+    ``sosfiltfilt``, or by ``sosfilt`` from the steady state of its first sample.
+
+    Parameters
+    ----------
+    readings : callable
+        ``readings(rows)`` returns those rows of each signal.
+    n_rows : int
+        Length of the signals.
+    sections : ndarray of shape (m, 6)
+        Second-order sections.
+    phase : {"zero", "causal"}
+        Forth and back, or forth.
+
+    Raises
+    ------
+    ValueError
+        When signals that are to be filtered forth and back are no longer than a few samples.
     """
-    sections, rest = design
-    # Where there are fewer, the last one is done over and over, with the same result.
-    inputs = [*columns, *[columns[-1]] * (CHANNELS - len(columns))]
-    results = [*outputs, *[outputs[-1]] * (CHANNELS - len(outputs))]
-    n = inputs[0].size
 
-    def run(values: Sequence[FloatArray], to: Sequence[FloatArray], backward: bool = False) -> None:
-        run_sections(sections, state, tuple(values), tuple(to), backward)
+    def __init__(self, readings: Readings, n_rows: int, sections: FloatArray, phase: str) -> None:
+        self._readings, self._n_rows = readings, n_rows
+        self._sections, self._back = sections, phase == "zero"
+        self._rest = _rest(sections)
+        self._edge = _edge(sections) if self._back else 0
+        if n_rows <= self._edge:
+            raise ValueError(
+                "a signal that is filtered forth and back must have more than "
+                f"{self._edge} samples, found {n_rows}"
+            )
+        self._reach = _memory_rows(sections)
+        # A narrow filter remembers long; its pieces are no shorter than that.
+        self._piece_rows = max(PIECE_ROWS, self._reach)
+        self._piece = slice(0, 0)
+        self._values: list[FloatArray] = []
 
-    def put(rows: slice, parts: Sequence[FloatArray]) -> None:
-        # The parts that are done over and over come last.
-        for output, part in zip(outputs, parts, strict=False):
-            workspace.put(output, rows, part)
-        workspace.release()
+    def __call__(self, rows: slice) -> list[FloatArray]:
+        """Return some rows of each signal, filtered and read-only."""
+        parts: list[list[FloatArray]] = []
+        start = rows.start
+        while start < rows.stop:
+            self._fill(start)
+            stop = min(rows.stop, self._piece.stop)
+            part = slice(start - self._piece.start, stop - self._piece.start)
+            parts.append([values[part] for values in self._values])
+            start = stop
+        if len(parts) == 1:
+            return parts[0]
+        return [_read_only(np.concatenate(some)) for some in zip(*parts, strict=True)]
 
-    if phase == "zero":
-        before, behind = _mirrored(inputs, sections)
-        state = _steady_state(rest, [b[0] for b in before])
-        run(before, [np.empty(b.size) for b in before])
-    else:
-        state = _steady_state(rest, [c[0] for c in inputs])
-    for rows in blocks(n):
-        parts = [np.empty(rows.stop - rows.start) for _ in inputs]
-        run([_read_only(c[rows]) for c in inputs], parts)
-        put(rows, parts)
-    if phase != "zero":
-        return
-    ends = [np.empty(b.size) for b in behind]
-    run(behind, ends)
-    state = _steady_state(rest, [e[-1] for e in ends])
-    run([_read_only(e) for e in ends], [np.empty(e.size) for e in ends], backward=True)
-    for rows in reversed(list(blocks(n))):
-        parts = [np.empty(rows.stop - rows.start) for _ in inputs]
-        run([_read_only(o[rows]) for o in results], parts, backward=True)
-        put(rows, parts)
+    def needed(self, rows: slice) -> slice:
+        """Return all the rows of the signals that some filtered rows depend on."""
+        size = self._piece_rows
+        first, stop = rows.start // size * size, -(-rows.stop // size) * size
+        return slice(max(0, first - self._reach), min(self._n_rows, stop + self._reach))
+
+    def _fill(self, row: int) -> None:
+        """Filter the piece that a row is in, unless it was the last one asked for."""
+        if self._piece.start <= row < self._piece.stop:
+            return
+        first = row - row % self._piece_rows
+        self._piece = slice(first, min(first + self._piece_rows, self._n_rows))
+        around = slice(
+            max(0, first - self._reach), min(self._n_rows, self._piece.stop + self._reach)
+        )
+        inputs = [*self._readings(around)]
+        self._values = []
+        for some in range(0, len(inputs), CHANNELS):
+            self._values += self._filtered(inputs[some : some + CHANNELS], around)
+
+    def _filtered(self, inputs: list[FloatArray], around: slice) -> list[FloatArray]:
+        """Return the piece of up to five signals, of which ``inputs`` holds the rows ``around``."""
+        # Where there are fewer, the last one is done over and over, with the same result.
+        signals = tuple(
+            _read_only(values) for values in [*inputs, *[inputs[-1]] * (CHANNELS - len(inputs))]
+        )
+        state = self._steady([values[0] for values in signals])
+        if self._back and around.start == 0:
+            before = tuple(_read_only(2.0 * v[0] - v[self._edge : 0 : -1]) for v in signals)
+            state = self._steady([values[0] for values in before])
+            self._run(state, before)
+        results = self._run(state, signals)
+        if self._back:
+            if around.stop == self._n_rows:
+                behind = tuple(
+                    _read_only(2.0 * v[-1] - v[-2 : -(self._edge + 2) : -1]) for v in signals
+                )
+                ends = self._run(state, behind)
+                state = self._steady([values[-1] for values in ends])
+                self._run(state, ends, backward=True)
+            else:
+                state = self._steady([values[-1] for values in results])
+            results = self._run(state, results, backward=True)
+        part = slice(self._piece.start - around.start, self._piece.stop - around.start)
+        return [values[part] for values in results[: len(inputs)]]
+
+    def _steady(self, levels: Sequence[float]) -> FloatArray:
+        """Return the state of the filter behind a long constant, for each of the signals."""
+        return np.asarray(self._rest[:, :, np.newaxis] * np.asarray(levels))
+
+    def _run(
+        self, state: FloatArray, signals: tuple[FloatArray, ...], backward: bool = False
+    ) -> tuple[FloatArray, ...]:
+        results = tuple(np.empty(values.size) for values in signals)
+        run_sections(self._sections, state, signals, results, backward)
+        return tuple(_read_only(values) for values in results)
 
 
-def _steady_state(rest: FloatArray, levels: Sequence[float]) -> FloatArray:
-    """Return the state of the filter behind a long constant, for each of the channels."""
-    return np.asarray(rest[:, :, np.newaxis] * np.asarray(levels))
+def _edge(sections: FloatArray) -> int:
+    """Return by how many rows ``sosfiltfilt`` continues a signal beyond each end.
 
-
-def _mirrored(
-    columns: Sequence[FloatArray], sections: FloatArray
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Continue signals beyond both ends by their point reflection there, as ``sosfiltfilt`` does.
-
-    Three times as many rows as the filter, written as one quotient, has coefficients.
+    Three times as many as the filter, written as one quotient, has coefficients; the rows are the
+    point reflection of those inside.
     """
     without = min(np.count_nonzero(sections[:, 2] == 0), np.count_nonzero(sections[:, 5] == 0))
-    edge = 3 * (2 * len(sections) + 1 - int(without))
-    if columns[0].size <= edge:
-        raise ValueError(
-            f"a signal that is filtered forth and back must have more than {edge} samples, found "
-            f"{columns[0].size}"
-        )
-    before = [_read_only(2.0 * c[0] - c[edge:0:-1]) for c in columns]
-    behind = [_read_only(2.0 * c[-1] - c[-2 : -(edge + 2) : -1]) for c in columns]
-    return before, behind
+    return int(3 * (2 * len(sections) + 1 - without))
+
+
+def _memory_rows(sections: FloatArray) -> int:
+    """Return after how many rows a filter has forgotten what it was fed."""
+    slowest = max(float(np.max(np.abs(np.roots(section[3:])))) for section in sections)
+    return int(np.ceil(np.log(FORGOTTEN) / np.log(slowest)))
+
+
+def _evaluated(
+    run: LocalFilter, n_rows: int, n_signals: int, workspace: Workspace
+) -> list[FloatArray]:
+    """Return whole signals, filtered."""
+    writers = [workspace.writer(n_rows) for _ in range(n_signals)]
+    for rows in blocks(n_rows):
+        for writer, values in zip(writers, run(rows), strict=True):
+            writer.append(values)
+        workspace.release()
+    return [writer.finished() for writer in writers]
 
 
 def _read_only(values: FloatArray) -> FloatArray:
@@ -295,25 +388,61 @@ def filter_channels(
         The record with those channels filtered.
     """
     rate = record.sample_rate_hz
-    parameters: dict[str, str | int | float | bool] = {"phase": phase}
     if phase == "none":
-        return record.after(LedgerEntry("filter", "no low-pass filter", parameters))
-    sections = _sections(order, cutoff_hz, rate)
-    columns = _filtered([record[name] for name in names], sections, phase, record.workspace)
+        entry = filter_entry(0, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+        return record.after(entry)
+    run = channel_filter(record, names, order=order, cutoff_hz=cutoff_hz, phase=phase)
+    columns = _evaluated(run, record.n_samples, len(names), record.workspace)
     filtered = [
         Channel(name, column, record.channel(name).unit)
         for name, column in zip(names, columns, strict=True)
     ]
-    parameters |= {"order": order, "cutoff_hz": cutoff_hz}
-    delay_ms = 1e3 * phase_delay_s(0.2 * cutoff_hz, rate, order=order, cutoff_hz=cutoff_hz)
-    word = (
-        "forth and back, without delay"
-        if phase == "zero"
-        else f"causal, which delays surge frequencies by {delay_ms:.1f} ms"
+    entry = filter_entry(len(names), rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+    return record.after(entry, add=filtered)
+
+
+def channel_filter(
+    record: Record, names: Sequence[str], *, order: int, cutoff_hz: float, phase: str
+) -> LocalFilter:
+    """Return the filter of channels of a record, which gives any of their rows.
+
+    Parameters
+    ----------
+    record, names, order, cutoff_hz, phase
+        As for :func:`filter_channels`; the phase is not ``"none"``.
+    """
+    columns = [record[name] for name in names]
+    sections = _sections(order, cutoff_hz, record.sample_rate_hz)
+    return LocalFilter(
+        lambda rows: [column[rows] for column in columns], record.n_samples, sections, phase
     )
-    entry = LedgerEntry(
+
+
+def filter_entry(
+    n_channels: int, sample_rate_hz: float, *, order: int, cutoff_hz: float, phase: str
+) -> LedgerEntry:
+    """Return what the ledger says of a filter.
+
+    Parameters
+    ----------
+    n_channels : int
+        How many channels were filtered.
+    sample_rate_hz : float
+        Samples a second.
+    order, cutoff_hz, phase
+        See :func:`low_pass`.
+    """
+    parameters: dict[str, str | int | float | bool] = {"phase": phase}
+    if phase == "none":
+        return LedgerEntry("filter", "no low-pass filter", parameters)
+    parameters |= {"order": order, "cutoff_hz": cutoff_hz}
+    word = "forth and back, without delay"
+    if phase == "causal":
+        at_hz = 0.2 * cutoff_hz
+        delay_ms = 1e3 * phase_delay_s(at_hz, sample_rate_hz, order=order, cutoff_hz=cutoff_hz)
+        word = f"causal, which delays surge frequencies by {delay_ms:.1f} ms"
+    return LedgerEntry(
         "filter",
-        f"Butterworth of order {order} at {cutoff_hz:g} Hz on {len(names)} channels, {word}",
+        f"Butterworth of order {order} at {cutoff_hz:g} Hz on {n_channels} channels, {word}",
         parameters,
     )
-    return record.after(entry, add=filtered)

@@ -26,6 +26,8 @@ ARRIVED = 1e-16
 CURVATURE = 1.0
 # At the choke the slope of Eq 3 is zero; a step must stay finite there.
 LEAST_SLOPE = 1e-6
+# With γ of 1.4 the exponent of Eq 3 is 3, but for the rounding of γ.
+DIATOMIC = 1e-12
 
 
 @as_written
@@ -52,6 +54,13 @@ def change_scale(
     """
     for k in range(readings.size):
         out[k] = ((start + readings[k] * step) - zero) / slope + reference + shift
+
+
+@as_written
+def _raised(base: float, exponent: float, cubed: bool) -> float:
+    """Return a power, by two products where it is the third."""
+    power: float = base * base * base if cubed else power_of(base, exponent)
+    return power
 
 
 @as_written
@@ -89,6 +98,7 @@ def pair_flow(
     rise = (gamma - 1.0) / gamma
     fall = (gamma + 1.0) / (2.0 * (gamma - 1.0))
     half = 0.5 * (gamma - 1.0)
+    cubed = abs(fall - 3.0) < DIATOMIC
     counted = 0
     for k in range(forward_Pa.size):
         forward, aft = forward_Pa[k], aft_Pa[k]
@@ -99,7 +109,7 @@ def pair_flow(
         magnitude = slope * sqrt(square if square > 0.0 else 0.0) + offset
         # The sign is not known where the probes read alike, nor below a negative offset.
         magnitude = magnitude if magnitude > 0.0 and square > 0.0 else 0.0
-        swallowed = magnitude / power_of(1.0 + half * magnitude * magnitude, fall)
+        swallowed = magnitude / _raised(1.0 + half * magnitude * magnitude, fall, cubed)
         flow = constant_kg_s * (swallowed if forward > aft else -swallowed)
         # No comparison lets a NaN through: it comes back here.
         flow_kg_s[k] = flow + (ratio - ratio)
@@ -125,6 +135,7 @@ def invert_flow(share: FloatArray, gamma: float, mach: FloatArray) -> None:
     """
     fall = (gamma + 1.0) / (2.0 * (gamma - 1.0))
     half = 0.5 * (gamma - 1.0)
+    cubed = abs(fall - 3.0) < DIATOMIC
     choked = (2.0 / (gamma + 1.0)) ** fall
     # First guess: exact at rest and at the choke, with the slopes there, as a function of
     # u = √(1 − share/choked), in which the choke is no singularity.
@@ -143,7 +154,7 @@ def invert_flow(share: FloatArray, gamma: float, mach: FloatArray) -> None:
             n_left = 0
             for k in range(n):
                 bracket = 1.0 + half * m[k] * m[k]
-                power = power_of(bracket, fall)
+                power = _raised(bracket, fall, cubed)
                 gradient = (1.0 - m[k] * m[k]) / (power * bracket)
                 gradient = gradient if gradient > LEAST_SLOPE else LEAST_SLOPE
                 step = (m[k] / power - abs(share[start + k])) / gradient

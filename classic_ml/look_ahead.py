@@ -1,62 +1,63 @@
 """From the channels to the averages over the planes, once where the same is asked for twice.
 
-The window of the surge cycles is found in averages of all channels; which of them can be used
-depends on the window. Where that changes nothing, the averages are not computed a second time.
+The window of the surge cycles is found in averages of all channels, faults bridged; which of them
+can be used depends on the window. The averages that are kept are those that were looked at, but
+for the blocks in which a fault was bridged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.airflow import local_flows, plane_averages, plane_flows
+from classic_ml.airflow import PlaneFlows, local_flows, plane_averages, plane_flows
 from classic_ml.calibration import invert_thermocouples
-from classic_ml.filtering import filter_channels
+from classic_ml.columns.workspace import blocks
+from classic_ml.filtering import LocalFilter, channel_filter, filter_channels, filter_entry
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Channel, Record
+from classic_ml.records import FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
 
 __all__ = ["LookAhead", "look_ahead", "probe_averages", "without"]
 
-# Enough for any of the filters to run over.
-ENTRY_ROWS = 64
-
 # What the window is looked for with.
 AHEAD = ReductionSettings(phase="zero")
-FILTER = ("filter_order", "cutoff_hz", "phase")
-AVERAGING = (*FILTER, "probes", "thermocouple_inversion")
+AVERAGING = ("filter_order", "cutoff_hz", "phase", "probes", "thermocouple_inversion")
 
 
 @dataclass(frozen=True)
 class LookAhead:
-    """A record with every channel in it, from which the window is found.
+    """The averages from which the window is found.
 
     Parameters
     ----------
     before : Record
-        As it came.
-    filtered : Record
-        Its channels filtered.
+        With every channel in it, faults bridged.
+    flows : PlaneFlows
+        What is averaged of it.
     averaged : Record
-        With the averages over the planes.
+        With the averages over the planes, which are used up by :func:`probe_averages`.
     """
 
     before: Record
-    filtered: Record
+    flows: PlaneFlows
     averaged: Record
 
-    def has(self, record: Record, name: str) -> bool:
-        """Tell whether a channel is still the one that was looked at."""
-        return name in record and record.channel(name) is self.before.channel(name)
 
+def look_ahead(record: Record, test: TestDescription) -> LookAhead:
+    """Filter and average every channel of a record.
 
-def look_ahead(record: Record, test: TestDescription, *, keep_probes: bool) -> LookAhead:
-    """Filter and average every channel; parameters as those of :func:`probe_averages`."""
-    filtered = _filtered(record, test.channel_names, AHEAD)
-    inverted = invert_thermocouples(filtered, test, invert=AHEAD.thermocouple_inversion)
-    return LookAhead(record, filtered, _over_planes(inverted, test, AHEAD, keep_probes))
+    Parameters
+    ----------
+    record : Record
+        Matched pressures and temperatures, faults bridged.
+    test : TestDescription
+        Places of the probes.
+    """
+    flows, _ = _filtered_flows(record, test, AHEAD)
+    return LookAhead(record, flows, flows.evaluated())
 
 
 def probe_averages(
@@ -81,22 +82,26 @@ def probe_averages(
         Keep the readings and flows of the single probes.
     ahead : LookAhead, optional
         What was computed of the same record before channels were left out; what is the same is
-        taken over.
+        taken over, and its columns are written to.
 
     Returns
     -------
     Record
         With the averages of :func:`classic_ml.airflow.plane_averages`.
     """
-    names = tuple(name for name in test.channel_names if name in record)
-    if ahead is None or not _alike(settings, FILTER):
-        filtered = _filtered(record, names, settings)
+    if keep_probes or settings.phase == "none" or settings.thermocouple_inversion:
+        return _by_way_of_probes(record, test, settings, keep_probes)
+    flows, run = _filtered_flows(record, test, settings)
+    alike = all(getattr(settings, name) == getattr(AHEAD, name) for name in AVERAGING)
+    if ahead is not None and alike and _same_channels(record, test, ahead):
+        changed = _changed(record, ahead.before, _in_use(record, test), run)
+        averaged = flows.evaluated_anew(ahead.flows, ahead.averaged, changed)
     else:
-        filtered = _filtered_anew(record, names, settings, ahead)
-        if _alike(settings, AVERAGING) and _same_averages(record, test, ahead):
-            return _taken_over(filtered, test, ahead)
-    inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
-    return _over_planes(inverted, test, settings, keep_probes)
+        averaged = flows.evaluated()
+    filtered, inverted = _entries(record, test, settings)
+    # The readings of the probes are not kept, filtered or not.
+    history = (*record.history, filtered, inverted, *flows.entries)
+    return replace(without(averaged, test.channel_names), history=history)
 
 
 def without(record: Record, names: Iterable[str]) -> Record:
@@ -105,12 +110,32 @@ def without(record: Record, names: Iterable[str]) -> Record:
     return replace(record, channels={n: c for n, c in record.channels.items() if n not in gone})
 
 
-def _alike(settings: ReductionSettings, names: tuple[str, ...]) -> bool:
-    return all(getattr(settings, name) == getattr(AHEAD, name) for name in names)
+def _in_use(record: Record, test: TestDescription) -> tuple[str, ...]:
+    return tuple(name for name in test.channel_names if name in record)
 
 
-def _filtered(record: Record, names: tuple[str, ...], settings: ReductionSettings) -> Record:
-    return filter_channels(
+def _by_way_of_probes(
+    record: Record, test: TestDescription, settings: ReductionSettings, keep_probes: bool
+) -> Record:
+    filtered = filter_channels(
+        record,
+        _in_use(record, test),
+        order=settings.filter_order,
+        cutoff_hz=settings.cutoff_hz,
+        phase=settings.phase,
+    )
+    inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
+    if keep_probes:
+        return plane_averages(local_flows(inverted, test), test, settings.probes)
+    return without(plane_flows(inverted, test, settings.probes), test.channel_names)
+
+
+def _filtered_flows(
+    record: Record, test: TestDescription, settings: ReductionSettings
+) -> tuple[PlaneFlows, LocalFilter]:
+    """Return the averages of the filtered channels, and the filter, block by block."""
+    names = _in_use(record, test)
+    run = channel_filter(
         record,
         names,
         order=settings.filter_order,
@@ -118,44 +143,55 @@ def _filtered(record: Record, names: tuple[str, ...], settings: ReductionSetting
         phase=settings.phase,
     )
 
+    def readings(rows: slice) -> dict[str, FloatArray]:
+        return dict(zip(names, run(rows), strict=True))
 
-def _filtered_anew(
-    record: Record, names: tuple[str, ...], settings: ReductionSettings, ahead: LookAhead
-) -> Record:
-    """Filter the channels that were not filtered so before."""
-    changed = tuple(name for name in names if not ahead.has(record, name))
-    fresh = _filtered(record, changed, settings) if changed else record
-    done = {name: ahead.filtered.channel(name) for name in names if name not in changed}
-    # The ledger is that of all channels, filtered at once.
-    few = {name: Channel(name, np.zeros(ENTRY_ROWS), record.channel(name).unit) for name in names}
-    entry = _filtered(Record(few, record.sample_rate_hz), names, settings).history[-1]
-    channels = {**fresh.channels, **done}
-    return replace(record, channels=channels, history=(*record.history, entry))
+    return PlaneFlows(record, test, settings.probes, readings), run
 
 
-def _over_planes(
-    record: Record, test: TestDescription, settings: ReductionSettings, keep_probes: bool
-) -> Record:
-    if keep_probes:
-        return plane_averages(local_flows(record, test), test, settings.probes)
-    return without(plane_flows(record, test, settings.probes), test.channel_names)
+def _entries(
+    record: Record, test: TestDescription, settings: ReductionSettings
+) -> tuple[LedgerEntry, LedgerEntry]:
+    filtered = filter_entry(
+        len(_in_use(record, test)),
+        record.sample_rate_hz,
+        order=settings.filter_order,
+        cutoff_hz=settings.cutoff_hz,
+        phase=settings.phase,
+    )
+    inverted = invert_thermocouples(record, test, invert=settings.thermocouple_inversion)
+    return filtered, inverted.history[-1]
 
 
-def _bare_planes(record: Record, test: TestDescription) -> list[int]:
-    """Return the planes without a thermocouple that counts."""
-    return [p for p in test.areas_m2 if not any(c.name in record for c in test.thermocouples(p))]
+def _same_channels(record: Record, test: TestDescription, ahead: LookAhead) -> bool:
+    """Tell whether the channels are those seen ahead, but for temperatures of bare planes."""
+    bare = [p for p in test.areas_m2 if not any(c.name in record for c in test.thermocouples(p))]
+    lost = {c.name for p in bare for c in test.thermocouples(p)}
+    return all((n in record) == (n in ahead.before) for n in test.channel_names if n not in lost)
 
 
-def _same_averages(record: Record, test: TestDescription, ahead: LookAhead) -> bool:
-    """Tell whether the averages are those seen ahead, but for temperatures of bare planes."""
-    lost = {c.name for p in _bare_planes(record, test) for c in test.thermocouples(p)}
-    return all(ahead.has(record, name) for name in test.channel_names if name not in lost)
+def _changed(
+    record: Record, before: Record, names: Iterable[str], run: LocalFilter
+) -> Iterator[slice]:
+    """Yield the blocks of which the filtered channels are not those of another record."""
+    others = [name for name in names if record.channel(name) is not before.channel(name)]
+    spans = [_differing(record, before, others, rows) for rows in blocks(record.n_samples)]
+    first, last = np.array([span for span in spans if span] or [(0, -1)]).T
+    for rows in blocks(record.n_samples):
+        needed = run.needed(rows)
+        if np.any((last >= needed.start) & (first < needed.stop)):
+            yield rows
 
 
-def _taken_over(filtered: Record, test: TestDescription, ahead: LookAhead) -> Record:
-    """Return the averages seen ahead, in a record with the history of this one."""
-    steps = ahead.averaged.history[len(ahead.filtered.history) :]
-    averaged = replace(ahead.averaged, history=(*filtered.history, *steps))
-    bare = _bare_planes(filtered, test)
-    gone = [c for p in bare for c in (f"T{p}_K", f"W{p}_kg_s")]
-    return without(averaged, [*gone, *(n for n in test.channel_names if n not in filtered)])
+def _differing(
+    record: Record, before: Record, names: Iterable[str], rows: slice
+) -> tuple[int, int] | None:
+    """Return the first and the last row of a block in which a channel is another one."""
+    differs = np.zeros(rows.stop - rows.start, dtype=np.bool_)
+    for name in names:
+        differs |= record[name][rows] != before[name][rows]
+    record.workspace.release()
+    places = np.flatnonzero(differs)
+    if not places.size:
+        return None
+    return rows.start + int(places[0]), rows.start + int(places[-1])

@@ -82,9 +82,10 @@ class Channel:
     unit: str
 
     def __post_init__(self) -> None:
-        if isinstance(self.values, ComputedColumn):
+        given: object = self.values
+        if isinstance(given, ComputedColumn):
             return
-        values = np.asarray(self.values, dtype=np.float64)
+        values = np.asarray(given, dtype=np.float64)
         if values.flags.writeable:
             values = values.copy()
         if values.ndim != 1:

@@ -124,7 +124,7 @@ def reduce_record(
     record = calibrate_and_match(record, test, chosen.near_stall_match)
     record = record.after(_near_stall_flows(record, test))
     step(1)
-    window_s, found, ahead = _window(record, test, chosen, keep_probes)
+    window_s, found, ahead = _window(record, test, chosen)
     window = window_rows(record, window_s, _window_name(record, test, chosen))
     record = choose_channels(record.after(found), test, window)
     step(1)
@@ -310,7 +310,7 @@ def _window_name(record: Record, test: TestDescription, settings: ReductionSetti
 
 
 def _window(
-    record: Record, test: TestDescription, settings: ReductionSettings, keep_probes: bool
+    record: Record, test: TestDescription, settings: ReductionSettings
 ) -> tuple[tuple[float, float], LedgerEntry, LookAhead | None]:
     """Return the quasi-steady window, where it came from, and what was computed to find it."""
     for window_s, origin in ((settings.window_s, "the settings"), (test.window_s, test.source)):
@@ -323,7 +323,7 @@ def _window(
             return window_s, entry, None
     # A look ahead with every channel in it: which of them can be used depends on the window.
     # Nor must a dropout that passes end it.
-    ahead = look_ahead(with_faults_bridged(record, test), test, keep_probes=keep_probes)
+    ahead = look_ahead(with_faults_bridged(record, test), test)
     speed = _corrected_speed(ahead.averaged, test)
     cycles = find_cycles(_with_channels(ahead.averaged, [speed]))
     flags: tuple[str, ...] = ()

@@ -41,10 +41,16 @@ class ComputedColumn:
         if isinstance(key, slice):
             start, stop, step = key.indices(self.size)
             if step == 1:
-                return self._rows(slice(start, max(start, stop)))
-            return self._rows(slice(0, self.size))[key]
+                return self._read_only(slice(start, max(start, stop)))
+            return self._read_only(slice(0, self.size))[key]
         row = range(self.size)[key]
         return self._rows(slice(row, row + 1))[0]
+
+    def _read_only(self, rows: slice) -> FloatArray:
+        values = self._rows(rows)
+        # As the rows of any column of a record: compiled loops are made for one kind of array.
+        values.setflags(write=False)
+        return values
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return the whole column."""

@@ -77,6 +77,10 @@ class Workspace(ABC):
         """Write some rows of a column of this place, as an assignment does but quicker on disk."""
 
     @abstractmethod
+    def overwrite(self, column: NDArray[Any], rows: slice, values: NDArray[Any]) -> None:
+        """Write some rows of a finished column anew, which nobody else may hold."""
+
+    @abstractmethod
     def writer(self, n_rows: int | None = None, dtype: DTypeLike = np.float64) -> ColumnWriter:
         """Return a new column to be written in order, of about ``n_rows`` rows if that is known."""
 
@@ -111,6 +115,12 @@ class InMemory(Workspace):
     def put(self, column: NDArray[Any], rows: slice, values: NDArray[Any]) -> None:
         """Assign the values."""
         column[rows] = values
+
+    def overwrite(self, column: NDArray[Any], rows: slice, values: NDArray[Any]) -> None:
+        """Assign the values to what was read-only."""
+        column.setflags(write=True)
+        column[rows] = values
+        column.setflags(write=False)
 
     def writer(self, n_rows: int | None = None, dtype: DTypeLike = np.float64) -> ColumnWriter:
         """Return an array that is filled, or pieces that become one array."""
@@ -201,6 +211,10 @@ class OnDisk(Workspace):
         else:
             part = np.ascontiguousarray(values, dtype=column.dtype)
             mapped_file.file.write(part, rows.start * column.itemsize)
+
+    def overwrite(self, column: NDArray[Any], rows: slice, values: NDArray[Any]) -> None:
+        """Write to the file, whatever may be done through the mapping."""
+        self.put(column, rows, values)
 
     def writer(self, n_rows: int | None = None, dtype: DTypeLike = np.float64) -> ColumnWriter:
         """Return a file that is mapped when it is finished."""

@@ -7,24 +7,27 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.columns.workspace import ColumnWriter, Workspace, blocks, evaluated
+from classic_ml.columns.intervals import intervals_where
+from classic_ml.columns.workspace import Workspace, blocks
 from classic_ml.records import FloatArray
 
-__all__ = ["bridged"]
+__all__ = ["bridged_rows"]
+
+IntArray = NDArray[np.int64]
 
 
-def bridged(
+def bridged_rows(
     workspace: Workspace,
     n_rows: int,
     values: Callable[[slice], FloatArray],
     known: Callable[[slice], NDArray[np.bool_]],
-) -> FloatArray:
-    """Return a column with straight lines across the rows that are not known.
+) -> Callable[[slice], FloatArray]:
+    """Return a signal with straight lines across the rows that are not known.
 
     Parameters
     ----------
     workspace : Workspace
-        Where the column lies.
+        Where the signal lies.
     n_rows : int
         Rows of the record.
     values : callable
@@ -34,38 +37,47 @@ def bridged(
 
     Returns
     -------
-    ndarray of shape (n_rows,)
-        As ``np.interp`` has it: constant before the first and behind the last known row. Where no
-        row is known, the values as they are.
+    callable
+        Of a slice of rows, as ``np.interp`` has it: constant before the first and behind the last
+        known row. Where no row is known, the values as they are.
     """
-    column: ColumnWriter | None = None
-    last_row, last_value = -1, 0.0
+    gaps = intervals_where(slice(0, n_rows), lambda rows: ~known(rows), workspace=workspace)
+    if len(gaps) == 1 and gaps[0, 0] == 0 and gaps[0, 1] == n_rows:
+        return values
+    ends = _ends(gaps, n_rows, values)
+    workspace.release()
+
+    def rows_of(rows: slice) -> FloatArray:
+        first = int(np.searchsorted(gaps[:, 1], rows.start, side="right"))
+        last = int(np.searchsorted(gaps[:, 0], rows.stop))
+        if first == last:
+            return values(rows)
+        bridged = np.array(values(rows))
+        inside = np.clip(gaps[first:last], rows.start, rows.stop)
+        lengths = inside[:, 1] - inside[:, 0]
+        gap = np.repeat(np.arange(first, last), lengths)
+        begun = np.repeat(np.cumsum(lengths) - lengths, lengths)
+        row = np.arange(gap.size) - begun + inside[gap - first, 0]
+        from_row = gaps[gap, 0] - 1
+        slope = (ends[gap, 1] - ends[gap, 0]) / (gaps[gap, 1] - from_row)
+        bridged[row - rows.start] = slope * (row - from_row) + ends[gap, 0]
+        return bridged
+
+    return rows_of
+
+
+def _ends(gaps: IntArray, n_rows: int, values: Callable[[slice], FloatArray]) -> FloatArray:
+    """Return the values before and behind each gap, the same twice where there is but one."""
+    ends = np.empty(gaps.shape)
     for rows in blocks(n_rows):
-        inside = np.flatnonzero(known(rows))
-        if inside.size:
-            column = workspace.writer(n_rows) if column is None else column
+        places = [(gaps[:, 0] - 1, 0), (gaps[:, 1], 1)]
+        inside = [(p, side, (p >= rows.start) & (p < rows.stop)) for p, side in places]
+        if any(which.any() for _, _, which in inside):
             part = values(rows)
-            first_row, first_value = rows.start + int(inside[0]), float(part[inside[0]])
-            # What is not known before is told by its ends, of which only now there are two.
-            for gap in blocks(first_row, last_row + 1):
-                column.append(_line(gap, last_row, last_value, first_row, first_value))
-            last_row, last_value = rows.start + int(inside[-1]), float(part[inside[-1]])
-            between = slice(inside[0], inside[-1] + 1)
-            places = np.arange(between.start, between.stop, dtype=np.float64)
-            column.append(np.interp(places, places[inside - inside[0]], part[inside]))
-        workspace.release()
-    if column is None:
-        return evaluated(workspace, n_rows, values)
-    for gap in blocks(n_rows, last_row + 1):
-        column.append(np.full(gap.stop - gap.start, last_value))
-    return np.asarray(column.finished())
-
-
-def _line(
-    rows: slice, from_row: int, from_value: float, to_row: int, to_value: float
-) -> FloatArray:
-    """Return a straight line in some rows, written as in ``np.interp``; constant from row -1."""
-    if from_row < 0:
-        return np.full(rows.stop - rows.start, to_value)
-    slope = (to_value - from_value) / (to_row - from_row)
-    return np.asarray(slope * (np.arange(rows.start, rows.stop) - from_row) + from_value)
+            for place, side, which in inside:
+                ends[which, side] = part[place[which] - rows.start]
+    if gaps.size and gaps[0, 0] == 0:
+        ends[0, 0] = ends[0, 1]
+    if gaps.size and gaps[-1, 1] == n_rows:
+        ends[-1, 1] = ends[-1, 0]
+    return ends

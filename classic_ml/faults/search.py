@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from classic_ml.calibration import near_stall_rows, probe_pressure_Pa
 from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
-from classic_ml.faults.bridging import bridged
+from classic_ml.faults.bridging import bridged_rows
 from classic_ml.faults.odd_readings import copies, jumps, spiked_rows
+from classic_ml.faults.plateaus import End, ends_of_ranges
 from classic_ml.faults.probe_agreement import (
     Agreement,
     compare_probes,
@@ -80,12 +81,14 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
     -------
     Record
         With a channel ``fault_NAME`` for every channel that has a fault: the sum of 1 (clipped
-        at an end of the converter) and 4 (beyond its limits), or 2 (stuck, or dropped out), or 8
-        (a reading or two far off those before and behind).
+        at an end of the converter, or of the range that the channel itself shows) and 4 (beyond
+        its limits), or 2 (stuck, or dropped out), or 8 (a reading or two far off those before and
+        behind).
     """
     found = tallies(record, test.channel_names)
     long_rows = max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
     groups, ranges = _alike(test), _ranges(test, found)
+    of_ranges, doubts = ends_of_ranges(record, test, found)
     spiked = spiked_rows(record, ranges, groups)
     still: dict[str, list[NDArray[np.int64]]] = {name: [] for name in test.channel_names}
     for name, runs in still_runs(record, groups, found, long_rows):
@@ -94,7 +97,7 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
     marks: dict[str, _Marks] = {}
     for channel in channels:
         name = channel.name
-        cut_off = partial(_cut_off, channel, test)
+        cut_off = partial(_cut_off, channel, test, of_ranges.get(name, ()))
         # Most channels have no such readings, which their least and largest one tell.
         ends = cut_off([found[name].low, found[name].high])
         if still[name] or name in spiked or any(np.any(which) for _, which in ends):
@@ -104,8 +107,8 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
             if mark.counts:
                 marks[name] = mark
     flags = [text for name, mark in marks.items() for text in mark.described(record, name)]
-    flags += [*copies(record, test), *jumps(record, test, ranges)]
-    clipped = ""
+    flags += [*doubts, *copies(record, test), *jumps(record, test, ranges)]
+    clipped = "clipped readings, "
     if test.converter is not None:
         clipped = f"clipped codes (0 and {test.adc.top_code}), "
     entry = LedgerEntry(
@@ -115,7 +118,7 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
         {"stuck_s": STUCK_S},
         flags=tuple(flags),
     )
-    added = [Channel(fault_name(name), mark.column, "1") for name, mark in marks.items()]
+    added = [mark.channel(record, name) for name, mark in marks.items()]
     return record.after(entry, add=added)
 
 
@@ -138,8 +141,15 @@ def _ranges(test: TestDescription, found: Mapping[str, Tally]) -> dict[str, tupl
 class _Marks:
     """The marks of one channel, and for each kind its number of rows, the first and the last."""
 
-    column: FloatArray
+    column: NDArray[np.uint8]
     counts: Mapping[int, tuple[int, int, int]]
+
+    def channel(self, record: Record, name: str) -> Channel:
+        """Return them as a channel."""
+        values = record.workspace.derived(
+            self.column.size, lambda rows: self.column[rows].astype(np.float64)
+        )
+        return Channel(fault_name(name), values, "1")
 
     def described(self, record: Record, name: str) -> list[str]:
         """Return one sentence a kind."""
@@ -160,7 +170,7 @@ def _marked(
     spiked: NDArray[np.int64],
 ) -> _Marks:
     """Mark the readings that are cut off, those in runs that stand still, and the spikes."""
-    column = record.workspace.zeros(record.n_samples)
+    column = record.workspace.zeros(record.n_samples, np.uint8)
     counts: dict[int, tuple[int, int, int]] = {}
     for rows in blocks(record.n_samples):
         kinds = [*cut_off(record[name][rows])]
@@ -168,11 +178,11 @@ def _marked(
         for _, which in kinds:
             # A reading that is cut off stands still because of that.
             stuck &= ~which
-        marks = np.zeros(stuck.size)
+        marks = np.zeros(stuck.size, dtype=np.uint8)
         for kind, which in (*kinds, (STUCK, stuck), (SPIKED, _among(spiked, rows))):
             places = np.flatnonzero(which)
             if places.size:
-                marks[places] += kind
+                marks[places] += np.uint8(kind)
                 last = rows.start + int(places[-1])
                 n, first, _ = counts.get(kind, (0, rows.start + int(places[0]), last))
                 counts[kind] = (n + places.size, first, last)
@@ -220,12 +230,17 @@ def _among(places: NDArray[np.int64], rows: slice) -> NDArray[np.bool_]:
 
 
 def _cut_off(
-    channel: PressureChannel | TemperatureChannel, test: TestDescription, readings: ArrayLike
+    channel: PressureChannel | TemperatureChannel,
+    test: TestDescription,
+    ends: Iterable[End],
+    readings: ArrayLike,
 ) -> Iterator[tuple[int, NDArray[np.bool_]]]:
     """Yield the kinds of fault that readings show by themselves, and which readings do."""
     values = np.asarray(readings, dtype=np.float64)
     if channel.record_unit == "count":
         yield CLIPPED, (values <= 0) | (values >= test.adc.top_code)
+    for end in ends:
+        yield CLIPPED, end.beyond(values)
     if channel.name in test.limits:
         low, high = test.limits[channel.name]
         if isinstance(channel, PressureChannel):
@@ -323,7 +338,7 @@ def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _
         (near_stall_rows(record, test), "at near stall, so that it cannot be matched"),
     ):
         n = rows.stop - rows.start
-        counts = {kind: _count(record, name, rows, kind) for kind in _WORDS}
+        counts = _counts(record, name, rows)
         allowed = {
             CLIPPED: CLIPPED_SHARE * n,
             STUCK: 0.0,
@@ -417,34 +432,37 @@ def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
     )
 
 
-def _count(record: Record, name: str, rows: slice, kinds: int) -> int:
-    """Return in how many rows of a slice a channel has a fault of some kinds."""
-    count = 0
+def _counts(record: Record, name: str, rows: slice) -> dict[int, int]:
+    """Return in how many rows of a slice a channel has a fault of each kind, and of any (0)."""
+    by_marks = np.zeros(1 << len(_WORDS), dtype=np.int64)
     for block in blocks(rows.stop, rows.start):
-        marks = record[fault_name(name)][block].astype(np.int64)
-        count += int(np.count_nonzero(marks & kinds))
+        marks = record[fault_name(name)][block]
+        if marks.any():
+            by_marks += np.bincount(marks.astype(np.int64), minlength=by_marks.size)
         record.workspace.release()
-    return count
+    with_kind = {kind: (np.arange(by_marks.size) & kind) != 0 for kind in _WORDS}
+    counts = {kind: int(by_marks[which].sum()) for kind, which in with_kind.items()}
+    return {**counts, 0: int(by_marks[1:].sum())}
 
 
-def _has(record: Record, name: str, kinds: int) -> bool:
-    """Tell whether a channel has a fault of some kinds anywhere."""
+def _has(record: Record, name: str, kind: int) -> bool:
+    """Tell whether a channel has a fault of a kind anywhere."""
     if fault_name(name) not in record:
         return False
-    return _count(record, name, slice(0, record.n_samples), kinds) > 0
+    return _counts(record, name, slice(0, record.n_samples))[kind] > 0
 
 
 def _bridged(record: Record, name: str, kinds: int = -1) -> Channel:
     """Return a channel with straight lines across its faults of some kinds, of all without."""
-    channel = record.channel(name)
+    channel, place, n_rows = record.channel(name), record.workspace, record.n_samples
     fault = record[fault_name(name)]
-    values = bridged(
-        record.workspace,
-        record.n_samples,
+    rows_of = bridged_rows(
+        place,
+        n_rows,
         channel.values.__getitem__,
         lambda rows: fault[rows].astype(np.int64) & kinds == 0,
     )
-    return Channel(name, values, channel.unit)
+    return Channel(name, place.derived(n_rows, rows_of), channel.unit)
 
 
 def with_faults_bridged(record: Record, test: TestDescription) -> Record:
@@ -467,7 +485,7 @@ def with_faults_bridged(record: Record, test: TestDescription) -> Record:
 def _kept_flag(record: Record, name: str, window: slice) -> str:
     if fault_name(name) not in record:
         return ""
-    inside = _count(record, name, window, CLIPPED | STUCK | BEYOND_LIMITS | SPIKED)
+    inside = _counts(record, name, window)[0]
     if inside:
         return f"{name}: {inside} faulty rows in the window, few enough to keep it"
     return f"{name}: faulty rows outside the window only"

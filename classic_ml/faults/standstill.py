@@ -167,9 +167,7 @@ class _Search:
         runs, jumps = np.empty((most, 2), dtype=np.int64), np.empty(most)
         first = max(0, rows.start - DROPOUT_ROWS)
         values, n_rows = self._values[first : rows.stop], self._values.size
-        n = find_runs(
-            values, first, n_rows, DROPOUT_ROWS, self._carried, self._jump, runs, jumps
-        )
+        n = find_runs(values, first, n_rows, DROPOUT_ROWS, self._carried, self._jump, runs, jumps)
         return runs[:n], jumps[:n]
 
 

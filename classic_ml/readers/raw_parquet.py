@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import one_line
@@ -80,11 +81,11 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
         with pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES) as table:
             try:
                 for batch in table.iter_batches(rows, columns=list(names), use_threads=False):
-                    columns = [
-                        _numbers(batch.column(number), field.type, origins.get(field.name))
-                        for number, field in enumerate(fields)
-                    ]
-                    yield np.array(columns).T
+                    columns = np.empty((len(fields), batch.num_rows))
+                    for number, field in enumerate(fields):
+                        column = batch.column(number)
+                        columns[number] = _numbers(column, field.type, origins.get(field.name))
+                    yield columns.T
             except (pa.ArrowException, OSError) as error:
                 raise InputError(
                     str(file), expected="rows that can be read", found=one_line(error)
@@ -118,8 +119,8 @@ def _unit(field: Any) -> str:
     return in_one_line(unit)
 
 
-def _numbers(column: Any, kind: Any, origin: int | None) -> FloatArray:
-    """Return a column as doubles; stamps and durations in seconds."""
+def _numbers(column: Any, kind: Any, origin: int | None) -> NDArray[Any]:
+    """Return a column as numbers that are doubles or become such; stamps, durations in seconds."""
     import pyarrow as pa
 
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
@@ -128,6 +129,10 @@ def _numbers(column: Any, kind: Any, origin: int | None) -> FloatArray:
         # The difference first: a date in nanoseconds is no double.
         seconds = (ticks - (origin or 0)) / _PER_SECOND[kind.unit]
         return np.where(missing, np.nan, seconds)
+    plain = pa.types.is_integer(kind) or pa.types.is_floating(kind)
+    if plain and not column.null_count:
+        # As it lies in memory: other ways load pandas, or make a copy first.
+        return np.from_dlpack(column)
     if kind != pa.float64():
         column = column.cast(pa.float64(), safe=False)
     return np.asarray(column.to_numpy(zero_copy_only=not column.null_count), dtype=np.float64)

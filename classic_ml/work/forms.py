@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.order_statistics import median, percentile
 from classic_ml.columns.workspace import Workspace, blocks, evaluated
-from classic_ml.faults.bridging import bridged
+from classic_ml.faults.bridging import bridged_rows
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
@@ -156,7 +156,7 @@ def with_work(
     if form == "mass-balance":
         by_flow = _mass_balance(record, test, inertia_per_m, cell_period_s)
     chosen = rise if form == "temperature-rise" else by_flow.__getitem__
-    psi = Channel("psi", bridged(place, n, chosen, known), "1")
+    psi = Channel("psi", evaluated(place, n, bridged_rows(place, n, chosen, known)), "1")
     entry = LedgerEntry(
         "work coefficient",
         f"ψ by {_FORM_WORDS[form]}, interpolated over {gaps} of {n} rows",
@@ -234,7 +234,7 @@ def _mass_balance(
         return psi_is_known(_inner(smooth(_around(record, rows, reach)["phi"]), rows, reach))
 
     # The averaged flow may be at zero where that of the row is not.
-    return bridged(place, n, ratio, known)
+    return evaluated(place, n, bridged_rows(place, n, ratio, known))
 
 
 def _around(record: Record, rows: slice, reach: int) -> Record:

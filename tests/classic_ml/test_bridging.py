@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from classic_ml.columns import workspace
-from classic_ml.columns.workspace import IN_MEMORY
-from classic_ml.faults.bridging import bridged
+from classic_ml.columns.workspace import IN_MEMORY, evaluated
+from classic_ml.faults.bridging import bridged_rows
 
 
 @given(
@@ -25,7 +25,9 @@ def test_bridged_is_interpolated_between_what_is_known(
     values[~known] = np.inf
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(workspace, "BLOCK_ROWS", rows)
-        got = bridged(IN_MEMORY, known.size, values.__getitem__, known.__getitem__)
+        n = known.size
+        rows_of = bridged_rows(IN_MEMORY, n, values.__getitem__, known.__getitem__)
+        got = evaluated(IN_MEMORY, n, rows_of)
     places = np.arange(known.size)
     expected = np.interp(places, places[known], values[known]) if known.any() else values
     np.testing.assert_array_equal(got, expected)

@@ -209,7 +209,7 @@ def test_a_quiet_lead_in_changes_no_finding_and_costs_no_more_passes(
         calls.append(name)
         return do(*arguments)
 
-    for name in ("count_steps", "find_runs"):
+    for name in ("tally_steps", "find_runs"):
         monkeypatch.setattr(standstill, name, partial(counted, name, getattr(standstill, name)))
     short_marks = inspect_readings(plain, test)
     n_short, n_blocks = len(calls), len(list(blocks(long.n_samples)))
