@@ -57,13 +57,6 @@ def change_scale(
 
 
 @as_written
-def _raised(base: float, exponent: float, cubed: bool) -> float:
-    """Return a power, by two products where it is the third."""
-    power: float = base * base * base if cubed else power_of(base, exponent)
-    return power
-
-
-@as_written
 def pair_flow(
     forward_Pa: FloatArray,
     aft_Pa: FloatArray,
@@ -98,7 +91,6 @@ def pair_flow(
     rise = (gamma - 1.0) / gamma
     fall = (gamma + 1.0) / (2.0 * (gamma - 1.0))
     half = 0.5 * (gamma - 1.0)
-    cubed = abs(fall - 3.0) < DIATOMIC
     counted = 0
     for k in range(forward_Pa.size):
         forward, aft = forward_Pa[k], aft_Pa[k]
@@ -109,12 +101,21 @@ def pair_flow(
         magnitude = slope * sqrt(square if square > 0.0 else 0.0) + offset
         # The sign is not known where the probes read alike, nor below a negative offset.
         magnitude = magnitude if magnitude > 0.0 and square > 0.0 else 0.0
-        swallowed = magnitude / _raised(1.0 + half * magnitude * magnitude, fall, cubed)
-        flow = constant_kg_s * (swallowed if forward > aft else -swallowed)
+        mach = magnitude if forward > aft else -magnitude
         # No comparison lets a NaN through: it comes back here.
-        flow_kg_s[k] = flow + (ratio - ratio)
+        flow_kg_s[k] = mach + (ratio - ratio)
         total_Pa[k] = high
-        counted += (1 if flow < 0.0 else 0) + (REFUSED if low <= 0.0 else 0)
+        counted += (1 if mach < 0.0 else 0) + (REFUSED if low <= 0.0 else 0)
+    # A loop for each way: with a choice in it none is done four rows at a time.
+    if abs(fall - 3.0) < DIATOMIC:
+        for k in range(flow_kg_s.size):
+            mach = flow_kg_s[k]
+            bracket = 1.0 + half * mach * mach
+            flow_kg_s[k] = constant_kg_s * (mach / (bracket * bracket * bracket))
+    else:
+        for k in range(flow_kg_s.size):
+            mach = flow_kg_s[k]
+            flow_kg_s[k] = constant_kg_s * (mach / power_of(1.0 + half * mach * mach, fall))
     return counted % REFUSED, counted // REFUSED
 
 
@@ -135,7 +136,6 @@ def invert_flow(share: FloatArray, gamma: float, mach: FloatArray) -> None:
     """
     fall = (gamma + 1.0) / (2.0 * (gamma - 1.0))
     half = 0.5 * (gamma - 1.0)
-    cubed = abs(fall - 3.0) < DIATOMIC
     choked = (2.0 / (gamma + 1.0)) ** fall
     # First guess: exact at rest and at the choke, with the slopes there, as a function of
     # u = √(1 − share/choked), in which the choke is no singularity.
@@ -154,7 +154,7 @@ def invert_flow(share: FloatArray, gamma: float, mach: FloatArray) -> None:
             n_left = 0
             for k in range(n):
                 bracket = 1.0 + half * m[k] * m[k]
-                power = _raised(bracket, fall, cubed)
+                power = power_of(bracket, fall)
                 gradient = (1.0 - m[k] * m[k]) / (power * bracket)
                 gradient = gradient if gradient > LEAST_SLOPE else LEAST_SLOPE
                 step = (m[k] / power - abs(share[start + k])) / gradient

@@ -73,7 +73,8 @@ def standing_out(
     """
     ratio_limit, quiet_ratio, seen_share = limits
     channels, n = off.shape
-    margin = reach + gap + 2
+    # Of another channel two rows more are looked at, and two at the ends are off by nothing.
+    margin = reach + gap + 3
     least = 0.1 * share
     for channel in range(channels):
         o = off[channel]

@@ -28,7 +28,7 @@ __all__ = [
 # 3.4 times that while the probes beside it are quiet; 0.01 of the range are 41 codes of 12 bits.
 SPIKE_REACH, SPIKE_GAP = 23, 3
 SPIKE_RATIO, SPIKE_SHARE, QUIET_RATIO, SEEN_SHARE = 5.0, 0.01, 1.5, 0.1
-SPIKE_MARGIN = SPIKE_REACH + SPIKE_GAP + 2
+SPIKE_MARGIN = SPIKE_REACH + SPIKE_GAP + 3
 # A step is compared with the largest of ten on either side. On the same records three quarters of
 # the pressures at the discharge never step at once by more than 1.1 times that; where 25 rows of a
 # cycle were cut out, they do so by more than 1.8 times in nine cases of ten.
@@ -44,12 +44,12 @@ NAMED_PLACES = 3
 Ranges = Mapping[str, tuple[float, float]]
 
 
-def spikes(readings: Sequence[FloatArray]) -> NDArray[np.bool_]:
+def spikes(readings: FloatArray) -> NDArray[np.bool_]:
     """Mark readings, one or two in a row, far off their neighbours in one of some channels alike.
 
     Parameters
     ----------
-    readings : sequence of ndarray of shape (n,)
+    readings : ndarray of shape (n_channels, n)
         Channels that see the same, each over its range: what another shows at once is no fault of
         one. The first and the last `SPIKE_MARGIN` rows are not marked.
 
@@ -58,23 +58,25 @@ def spikes(readings: Sequence[FloatArray]) -> NDArray[np.bool_]:
     ndarray of bool, shape (n_channels, n)
         True at the wrong readings.
     """
-    values = np.array(readings, dtype=np.float64, ndmin=2)
+    values = np.asarray(readings, dtype=np.float64)
     marked = np.zeros(values.shape, dtype=np.bool_)
     if values.shape[1] <= 2 * SPIKE_MARGIN:
         return marked
     off = np.empty_like(values)
     off_neighbours(values, off)
+    if not np.any(off > SPIKE_SHARE):
+        return marked
     limits = (SPIKE_RATIO, QUIET_RATIO, SEEN_SHARE)
     standing_out(off, marked, SPIKE_REACH, SPIKE_GAP, SPIKE_SHARE, limits)
     return marked
 
 
-def splices(readings: Sequence[FloatArray]) -> NDArray[np.int64]:
+def splices(readings: FloatArray) -> NDArray[np.int64]:
     """Return the rows at which most channels jump at once, as where rows were cut out.
 
     Parameters
     ----------
-    readings : sequence of ndarray of shape (n,)
+    readings : ndarray of shape (n_channels, n)
         Pressures of the discharge, each over its range, whose volume does not let them jump. The
         first and the last `SPLICE_MARGIN` rows are not looked at.
 
@@ -83,7 +85,7 @@ def splices(readings: Sequence[FloatArray]) -> NDArray[np.int64]:
     ndarray of int
         The first row behind each jump.
     """
-    values = np.array(readings, dtype=np.float64, ndmin=2)
+    values = np.asarray(readings, dtype=np.float64)
     if values.shape[0] < SPLICE_CHANNELS or values.shape[1] <= 2 * SPLICE_MARGIN + 1:
         return np.zeros(0, dtype=np.int64)
     steps = np.abs(np.diff(values, axis=1))
@@ -135,8 +137,11 @@ def splice_rows(record: Record, ranges: Ranges) -> NDArray[np.int64]:
     return np.concatenate(found)
 
 
-def _over_range(record: Record, ranges: Ranges, rows: slice) -> list[FloatArray]:
-    return [record[name][rows] / (high - low) for name, (low, high) in ranges.items()]
+def _over_range(record: Record, ranges: Ranges, rows: slice) -> FloatArray:
+    values = np.empty((len(ranges), rows.stop - rows.start))
+    for name, over, (low, high) in zip(ranges, values, ranges.values(), strict=True):
+        np.divide(record[name][rows], high - low, out=over)
+    return values
 
 
 def _overlapping(n_rows: int, margin: int) -> list[tuple[slice, slice]]:

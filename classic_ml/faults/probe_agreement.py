@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from classic_ml.columns.order_statistics import mean
+from classic_ml.columns.workspace import GrowingColumns
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Channel, FloatArray, Record
 
-__all__ = ["Agreement", "compare_probes", "drifted_apart", "exchanged_immersions"]
+__all__ = [
+    "Agreement",
+    "compare_probes",
+    "drifted_apart",
+    "exchanged_immersions",
+    "slow_pressures",
+]
 
 # Averages over a 40th of a second, and of two such, leave the surge cycle and little of the stall
 # cells, which pass the rakes one after the other.
 AVERAGE_HZ = 40.0
-# So many at once: 10 MB of 20 channels at 1 kHz.
+# So many of them are compared at once.
 PIECE = 2048
+# So many readings of each channel are averaged at once: 10 MB of 20 channels.
+READINGS = 51_200
 # Fewer than those of three surge cycles tell nothing.
 FEWEST_AVERAGES = 16
 # A pressure that moves less than one per cent is no measure of another's movement.
@@ -48,19 +57,57 @@ class Agreement:
     apart: float
 
 
-def compare_probes(
-    record: Record, test: TestDescription, window: slice, without: Iterable[str] = ()
-) -> dict[str, Agreement]:
-    """Compare each pressure with the median of those of its plane that face its way.
+def slow_pressures(record: Record, test: TestDescription, window: slice) -> Record:
+    """Average the pressures over a 40th of a second each.
 
     Parameters
     ----------
     record : Record
         Calibrated pressures.
     test : TestDescription
-        Their places.
+        Their names.
     window : slice
-        Rows of the surge cycles.
+        Rows of the surge cycles, from whose beginning the averages are taken.
+
+    Returns
+    -------
+    Record
+        The pressures that are in the record, and for each that has faults ``fault_NAME``: 1 where
+        one of the readings does not count.
+    """
+    width = max(1, round(record.sample_rate_hz / AVERAGE_HZ))
+    pressures = [probe.name for probe in test.pressures if probe.name in record]
+    faults = [f"fault_{name}" for name in pressures if f"fault_{name}" in record]
+    n_rows = (window.stop - window.start) // width
+    columns = GrowingColumns(record.workspace, len(pressures) + len(faults), n_rows)
+    some = max(1, READINGS // width)
+    for first in range(0, n_rows, some):
+        n = min(some, n_rows - first)
+        start = window.start + first * width
+        part = slice(start, start + n * width)
+        means = [record[name][part].reshape(n, width).mean(axis=1) for name in pressures]
+        means += [np.any(record[f][part].reshape(n, width), axis=1) for f in faults]
+        columns.append(np.array(means).T)
+        record.workspace.release()
+    values = zip((*pressures, *faults), columns.finished(), strict=True)
+    return replace(
+        record,
+        channels={name: Channel(name, column, "Pa") for name, column in values},
+        sample_rate_hz=record.sample_rate_hz / width,
+    )
+
+
+def compare_probes(
+    slow: Record, test: TestDescription, without: Iterable[str] = ()
+) -> dict[str, Agreement]:
+    """Compare each pressure with the median of those of its plane that face its way.
+
+    Parameters
+    ----------
+    slow : Record
+        From :func:`slow_pressures`.
+    test : TestDescription
+        Places of the probes.
     without : iterable of str
         Channels that do not count.
 
@@ -74,19 +121,19 @@ def compare_probes(
     left_out = set(without)
     groups: dict[tuple[int, str], list[str]] = {}
     for probe in test.pressures:
-        if probe.name in record and probe.name not in left_out:
+        if probe.name in slow and probe.name not in left_out:
             groups.setdefault((probe.plane, probe.facing), []).append(probe.name)
     for names in groups.values():
         if len(names) >= FEWEST_PROBES:
-            out |= _agreements(record, names, window)
+            out |= _agreements(slow, names)
     return out
 
 
-def _agreements(record: Record, names: Sequence[str], window: slice) -> dict[str, Agreement]:
+def _agreements(slow: Record, names: Sequence[str]) -> dict[str, Agreement]:
     sums = np.zeros((5, len(names)))
     origins: FloatArray | None = None
     n = 0
-    for values in _averages(record, names, window):
+    for values in _averages(slow, names):
         if not values.shape[1]:
             continue
         if origins is None:
@@ -114,13 +161,13 @@ def _agreements(record: Record, names: Sequence[str], window: slice) -> dict[str
 
 
 def exchanged_immersions(
-    record: Record, test: TestDescription, window: slice, without: Iterable[str] = ()
+    slow: Record, test: TestDescription, without: Iterable[str] = ()
 ) -> list[tuple[int, str, str]]:
     """Return rakes of a plane of which the hub of one goes with the tip of the other.
 
     Parameters
     ----------
-    record, test, window, without
+    slow, test, without
         As for :func:`compare_probes`.
 
     Returns
@@ -134,39 +181,38 @@ def exchanged_immersions(
         rakes: dict[str, dict[str, tuple[str, str]]] = {}
         for pair in test.pairs(plane):
             names = (pair.forward.name, pair.aft.name)
-            if all(name in record and name not in left_out for name in names):
+            if all(name in slow and name not in left_out for name in names):
                 rakes.setdefault(pair.forward.rake, {})[pair.immersion] = names
         whole = [rake for rake, pairs in rakes.items() if len(pairs) == 2]
         for i, first in enumerate(whole):
             for second in whole[i + 1 :]:
-                if _crosswise(record, rakes[first], rakes[second], window):
+                if _crosswise(slow, rakes[first], rakes[second]):
                     out.append((plane, first, second))
     return out
 
 
 def drifted_apart(
-    record: Record, test: TestDescription, window: slice, without: Iterable[str] = ()
+    slow: Record, test: TestDescription, without: Iterable[str] = ()
 ) -> list[tuple[str, str, float]]:
     """Return probes at one immersion that agree near stall and no longer in the surge cycles.
 
     Parameters
     ----------
-    record, test, window, without
-        As for :func:`compare_probes`; pressures matched near stall.
+    slow, test, without
+        As for :func:`compare_probes`, of pressures matched near stall.
 
     Returns
     -------
     list of (str, str, float)
         The lower and the higher one, and the difference of their means over the lower one's.
     """
-    n = window.stop - window.start
     left_out = set(without)
     groups: dict[tuple[int, str, str], dict[str, float]] = {}
     for probe in test.pressures:
-        if n and probe.name in record and probe.name not in left_out:
+        if slow.n_samples and probe.name in slow and probe.name not in left_out:
             place = (probe.plane, probe.immersion, probe.facing)
-            groups.setdefault(place, {})[probe.name] = mean(record[probe.name], window)
-            record.workspace.release()
+            level = mean(slow[probe.name], workspace=slow.workspace)
+            groups.setdefault(place, {})[probe.name] = level
     out = []
     for means in groups.values():
         low, high = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
@@ -177,37 +223,27 @@ def drifted_apart(
 
 
 def _crosswise(
-    record: Record,
-    first: Mapping[str, tuple[str, str]],
-    second: Mapping[str, tuple[str, str]],
-    window: slice,
+    slow: Record, first: Mapping[str, tuple[str, str]], second: Mapping[str, tuple[str, str]]
 ) -> bool:
     """Tell whether hub and tip of two rakes are nearer to each other crosswise than straight."""
     names = [name for rake in (first, second) for place in ("hub", "tip") for name in rake[place]]
     straight = across = 0.0
-    for values in _averages(record, names, window):
+    for values in _averages(slow, names):
         hub_1, tip_1, hub_2, tip_2 = values[0::2] - values[1::2]
         straight += float(np.sum(np.abs(hub_1 - hub_2) + np.abs(tip_1 - tip_2)))
         across += float(np.sum(np.abs(hub_1 - tip_2) + np.abs(tip_1 - hub_2)))
     return straight > CROSSWISE * across
 
 
-def _averages(record: Record, names: Sequence[str], window: slice) -> Iterator[FloatArray]:
-    """Yield channels averaged over a 40th of a second and the next, where all readings count.
-
-    The pieces are cut from the beginning of the window, whatever the blocks of a reduction.
-    """
-    width = max(1, round(record.sample_rate_hz / AVERAGE_HZ))
-    n_averages = (window.stop - window.start) // width
-    faults = [f"fault_{name}" for name in names if f"fault_{name}" in record]
+def _averages(slow: Record, names: Sequence[str]) -> Iterator[FloatArray]:
+    """Yield the means of each two averages in a row, where all readings of both count."""
+    faults = [f"fault_{name}" for name in names if f"fault_{name}" in slow]
     # A piece begins with the last average of the one before.
-    for first in range(0, n_averages - 1, PIECE - 1):
-        n = min(PIECE, n_averages - first)
-        start = window.start + first * width
-        part = slice(start, start + n * width)
-        means = np.array([record[name][part].reshape(n, width).mean(axis=1) for name in names])
-        sound = np.ones(n, dtype=np.bool_)
+    for first in range(0, slow.n_samples - 1, PIECE - 1):
+        part = slice(first, min(first + PIECE, slow.n_samples))
+        means = np.array([slow[name][part] for name in names])
+        sound = np.ones(means.shape[1], dtype=np.bool_)
         for fault in faults:
-            sound &= ~np.any(record[fault][part].reshape(n, width) != 0.0, axis=1)
+            sound &= slow[fault][part] == 0.0
         yield (0.5 * (means[:, 1:] + means[:, :-1]))[:, sound[1:] & sound[:-1]]
-        record.workspace.release()
+        slow.workspace.release()

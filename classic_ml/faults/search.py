@@ -20,6 +20,7 @@ from classic_ml.faults.probe_agreement import (
     compare_probes,
     drifted_apart,
     exchanged_immersions,
+    slow_pressures,
 )
 from classic_ml.faults.standstill import DROPOUT_ROWS, Tally, still_runs, tallies
 from classic_ml.readers.test_description import (
@@ -299,7 +300,8 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
     """
     verdicts = {name: _judge(record, test, name, window) for name in test.channel_names}
     bad = {name: verdict for name, verdict in verdicts.items() if verdict is not None}
-    agreements = compare_probes(record, test, window, bad)
+    slow = slow_pressures(record, test, window)
+    agreements = compare_probes(slow, test, bad)
     bad |= _come_off(agreements, window)
     dropped, gone = _drop_pairs(record, test, bad)
     for plane in test.areas_m2:
@@ -316,7 +318,7 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
     kept = [p.name for p in test.pressures if p.name not in gone]
     bridged += [_bridged(record, name, SPIKED) for name in kept if _has(record, name, SPIKED)]
     flags = [_kept_flag(record, name, window) for name in test.channel_names if name not in gone]
-    flags += [*_doubts(agreements, gone), *_between_rakes(record, test, window, gone)]
+    flags += [*_doubts(agreements, gone), *_between_rakes(slow, test, gone)]
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
@@ -383,19 +385,17 @@ def _doubts(agreements: Mapping[str, Agreement], gone: Iterable[str]) -> list[st
     ]
 
 
-def _between_rakes(
-    record: Record, test: TestDescription, window: slice, gone: Iterable[str]
-) -> list[str]:
+def _between_rakes(slow: Record, test: TestDescription, gone: Iterable[str]) -> list[str]:
     """Return a flag for each two rakes that do not show the same."""
     exchanged = [
         f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, and the "
         "reverse: are hub and tip exchanged on one of them?"
-        for plane, first, second in exchanged_immersions(record, test, window, gone)
+        for plane, first, second in exchanged_immersions(slow, test, gone)
     ]
     return exchanged + [
         f"{high} is {apart:.1%} above {low} in the window, though both were matched near stall: "
         "has the zero of one drifted, or is its sensitivity wrong?"
-        for low, high, apart in drifted_apart(record, test, window, gone)
+        for low, high, apart in drifted_apart(slow, test, gone)
     ]
 
 

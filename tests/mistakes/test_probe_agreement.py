@@ -7,7 +7,11 @@ import pytest
 from raw_data import RawTest, make_test
 
 from classic_ml.calibration import calibrate, match_near_stall
-from classic_ml.faults.probe_agreement import compare_probes, exchanged_immersions
+from classic_ml.faults.probe_agreement import (
+    compare_probes,
+    exchanged_immersions,
+    slow_pressures,
+)
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
 
@@ -27,7 +31,7 @@ def changed(record: Record, name: str, values: np.ndarray) -> Record:
 
 
 def test_sound_probes_agree(loaded: tuple[Record, TestDescription]) -> None:
-    found = compare_probes(*loaded, CYCLES)
+    found = compare_probes(slow_pressures(*loaded, CYCLES), loaded[1])
     assert set(found) == {p.name for p in loaded[1].pressures}
     assert max(abs(a.gain - 1.0) for a in found.values()) < 0.04
     assert max(a.apart for a in found.values()) < 0.1
@@ -40,7 +44,7 @@ def test_a_wrong_sensitivity_is_read_off(
     record, test = loaded
     mean = record[PROBE][CYCLES].mean()
     spoiled = changed(record, PROBE, mean + factor * (record[PROBE] - mean))
-    found = compare_probes(spoiled, test, CYCLES)
+    found = compare_probes(slow_pressures(spoiled, test, CYCLES), test)
     assert found[PROBE].gain == pytest.approx(factor, abs=0.02)
     others = [a for n, a in found.items() if n != PROBE]
     assert max(abs(a.gain - 1.0) for a in others) < 0.05
@@ -52,10 +56,10 @@ def test_a_probe_that_came_off_has_no_part_in_the_cycles(
     record, test = loaded
     noise = np.random.default_rng(1).normal(0.0, 300.0, record.n_samples)
     spoiled = changed(record, PROBE, record[PROBE][0] + noise)
-    lost = compare_probes(spoiled, test, CYCLES)[PROBE]
+    lost = compare_probes(slow_pressures(spoiled, test, CYCLES), test)[PROBE]
     assert abs(lost.gain) < 0.02
     assert lost.apart == pytest.approx(1.0, abs=0.03)
-    assert PROBE not in compare_probes(spoiled, test, CYCLES, without=[PROBE])
+    assert PROBE not in compare_probes(slow_pressures(spoiled, test, CYCLES), test, without=[PROBE])
 
 
 def test_two_probes_or_a_quiet_record_tell_nothing(
@@ -63,20 +67,24 @@ def test_two_probes_or_a_quiet_record_tell_nothing(
 ) -> None:
     record, test = loaded
     aft = [p.name for p in test.pressures if p.plane == 25 and p.facing == "aft"]
-    assert not set(aft) & set(compare_probes(record, test, CYCLES, without=aft[:2]))
-    assert compare_probes(record, test, slice(0, 290)) == {}
-    assert compare_probes(record, test, slice(700, 900)) == {}
+    assert not set(aft) & set(
+        compare_probes(slow_pressures(record, test, CYCLES), test, without=aft[:2])
+    )
+    assert compare_probes(slow_pressures(record, test, slice(0, 290)), test) == {}
+    assert compare_probes(slow_pressures(record, test, slice(700, 900)), test) == {}
 
 
 def test_a_rake_upside_down_is_found(loaded: tuple[Record, TestDescription]) -> None:
     record, test = loaded
-    assert exchanged_immersions(record, test, CYCLES) == []
+    assert exchanged_immersions(slow_pressures(record, test, CYCLES), test) == []
     channels = dict(record.channels)
     for facing in ("forward", "aft"):
         hub, tip = (f"P25_A_{place}_{facing}" for place in ("hub", "tip"))
         channels[hub] = Channel(hub, record[tip], "Pa")
         channels[tip] = Channel(tip, record[hub], "Pa")
     upside_down = record.after(record.history[-1], add=list(channels.values()))
-    assert exchanged_immersions(upside_down, test, CYCLES) == [(25, "A", "B")]
-    without = exchanged_immersions(upside_down, test, CYCLES, without=["P25_B_tip_aft"])
+    assert exchanged_immersions(slow_pressures(upside_down, test, CYCLES), test) == [(25, "A", "B")]
+    without = exchanged_immersions(
+        slow_pressures(upside_down, test, CYCLES), test, without=["P25_B_tip_aft"]
+    )
     assert without == []
