@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -323,7 +323,13 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
     return record.after(_averages_entry(planes, probes), add=added)
 
 
-def plane_flows(record: Record, test: TestDescription, probes: str = "all") -> Record:
+def plane_flows(
+    record: Record,
+    test: TestDescription,
+    probes: str = "all",
+    *,
+    wanted: Collection[str] | None = None,
+) -> Record:
     """Compute what :func:`plane_averages` makes of :func:`local_flows`, without keeping the latter.
 
     Parameters
@@ -334,6 +340,8 @@ def plane_flows(record: Record, test: TestDescription, probes: str = "all") -> R
         Places and probe constants.
     probes : {"all", "tip", "hub"}
         Immersions to use.
+    wanted : collection of str, optional
+        Which averages are kept; all of them without it.
 
     Returns
     -------
@@ -345,7 +353,7 @@ def plane_flows(record: Record, test: TestDescription, probes: str = "all") -> R
     InputError
         As both do.
     """
-    return PlaneFlows(record, test, probes).evaluated()
+    return PlaneFlows(record, test, probes).evaluated(wanted)
 
 
 class PlaneFlows:
@@ -392,13 +400,16 @@ class PlaneFlows:
         self._n_reversed[rows.start] = counts
         return found
 
-    def evaluated(self) -> Record:
+    def evaluated(self, wanted: Collection[str] | None = None) -> Record:
         """Return the record with the averages over all rows, and the ledger entries."""
         record = self._record
         columns = _columns(record, self._planes)
+        if wanted is not None:
+            columns = {name: column for name, column in columns.items() if name in wanted}
         for rows in blocks(record.n_samples):
-            for name, values in self.block(rows).items():
-                columns[name].append(values)
+            found = self.block(rows)
+            for name, column in columns.items():
+                column.append(found[name])
             record.workspace.release()
         added = [_channel(name, column) for name, column in columns.items()]
         return replace(record.after(self.entries[-1], add=added), history=self._history(record))

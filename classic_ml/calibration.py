@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from classic_ml.columns.order_statistics import mean
-from classic_ml.columns.workspace import blocks, evaluated
+from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
 from classic_ml.flow_kernels import change_scale
 from classic_ml.rates import rate_in
@@ -432,10 +432,8 @@ def invert_thermocouples(record: Record, test: TestDescription, *, invert: bool 
         slope = rate_in(record[couple.name], rows, record.sample_period_s)
         return record[couple.name][rows] + couple.time_constant_s * slope
 
-    n = record.n_samples
-    added = [
-        Channel(c.name, evaluated(record.workspace, n, partial(gas_K, c)), "K") for c in couples
-    ]
+    place, n_rows = record.workspace, record.n_samples
+    added = [Channel(c.name, place.derived(n_rows, partial(gas_K, c)), "K") for c in couples]
     entry = LedgerEntry(
         "thermocouples",
         f"lag of {len(couples)} junctions inverted by T + τ dT/dt",

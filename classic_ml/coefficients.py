@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -141,6 +141,7 @@ def coefficients(
     inertia_factor: float = 1.0,
     work_form: str = "auto",
     cell_period_s: float | None = None,
+    wanted: Collection[str] | None = None,
 ) -> Record:
     """Compute φ, ψ' and, where W31 is known, ψ.
 
@@ -161,6 +162,8 @@ def coefficients(
     cell_period_s : float, optional
         Stall-cell period, where the record holds unfiltered pressures: flows and powers of the
         mass balance are averaged over it before they are divided.
+    wanted : collection of str, optional
+        Which of the coefficients are kept; all of them without it.
 
     Returns
     -------
@@ -172,7 +175,8 @@ def coefficients(
     inertia = inertia_factor * test.compressor.inertia_per_m
     units = {"phi": "1", "psi_p": "1", "pressure_ratio": "1", "Nc_frac": "1"}
     units["dW25_dt_kg_s2"] = "kg/s2"
-    columns = {name: record.workspace.writer(record.n_samples) for name in units}
+    kept = [name for name in units if wanted is None or name in wanted]
+    columns = {name: record.workspace.writer(record.n_samples) for name in kept}
     # Least and largest of φ and ψ', for the ledger.
     ranges = {"phi": (np.inf, -np.inf), "psi_p": (np.inf, -np.inf)}
     for rows in blocks(record.n_samples):
@@ -181,8 +185,8 @@ def coefficients(
         except InputError:
             _refuse_worst(record, test, inertia)
             raise
-        for name, values in found.items():
-            columns[name].append(values)
+        for name, column in columns.items():
+            column.append(found[name])
         for name, (low, high) in ranges.items():
             ranges[name] = min(low, found[name].min()), max(high, found[name].max())
         record.workspace.release()
@@ -235,7 +239,16 @@ def _refuse_worst(record: Record, test: TestDescription, inertia: float) -> None
         return (-np.abs(record["Wc25_kg_s"][rows]) for rows in blocks(record.n_samples))
 
     most = np.array([-lowest(flows, workspace=record.workspace)[0]])
-    mach_from_corrected_flow(most, test.areas_m2[25], test.compressor)
+    try:
+        mach_from_corrected_flow(most, test.areas_m2[25], test.compressor)
+    except InputError as error:
+        raise InputError(
+            f"{record.source}: {error.where} at plane 25",
+            expected=error.expected,
+            found=error.found,
+            remedy=f"check area_m2 of [planes.25] in {test.source}, and the calibration of the "
+            "probes",
+        ) from error
     least_Pa, row = lowest(blading_Pa, workspace=record.workspace)
     if least_Pa <= 0.0:
         raise _no_pressure(least_Pa, row)

@@ -45,6 +45,16 @@ NEAR_STALL_PHI = (0.1, 1.5)
 REGIMES_DIFFER = 0.2
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
 LEAST_CUTOFF_HZ = 1.0
+# What the free run is chosen by, and φ and ψ' are made of.
+UNFILTERED_AVERAGES = (
+    "P25_Pa",
+    "P31_Pa",
+    "T25_K",
+    "W25_kg_s",
+    "Wc25_kg_s",
+    "Wc25_hub_kg_s",
+    "Wc25_tip_kg_s",
+)
 
 
 @dataclass(frozen=True)
@@ -234,10 +244,12 @@ def _unfiltered(
     The thermocouples' lag is undone whatever the settings say: behind no filter it is what it is.
     """
     plain = record.after(LedgerEntry("filter", "no low-pass filter"))
-    plain = plane_flows(invert_thermocouples(plain, test), test, settings.probes)
+    plain = invert_thermocouples(plain, test)
     # Without W31 no ψ is computed, which nobody wants of these.
-    plain = without(plain, ["W31_kg_s"])
-    plain = coefficients(plain, test, inertia_factor=settings.inertia_factor)
+    plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES)
+    plain = coefficients(
+        plain, test, inertia_factor=settings.inertia_factor, wanted=("phi", "psi_p", "Nc_frac")
+    )
     names = {
         "P25_Pa": "P25_unfiltered_Pa",
         "P31_Pa": "P31_unfiltered_Pa",

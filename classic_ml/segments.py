@@ -8,16 +8,15 @@ from numpy.typing import NDArray
 from classic_ml.airflow import LBM_KG
 from classic_ml.columns.intervals import intervals_where, labelled, long_ones
 from classic_ml.columns.order_statistics import median
-from classic_ml.columns.workspace import IN_MEMORY, Workspace, evaluated, mapped
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, evaluated
 from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
-from classic_ml.surge_cycles import DEEP_SHARE, LEAST_SWING, first_reversal
+from classic_ml.surge_cycles import first_reversal
 
 __all__ = [
-    "DEEP_SHARE",
-    "LEAST_SWING",
+    "SHORTEST_S",
     "cell_frequency_hz",
     "hub_tip_difference",
     "hub_tip_stall",
@@ -140,7 +139,7 @@ def cell_frequency_hz(record: Record, window: slice) -> float:
 def hub_tip_difference(record: Record) -> FloatArray:
     """Return how much more corrected flow the hub passes than the tip, in kg/s."""
     hub, tip = record["Wc25_hub_kg_s"], record["Wc25_tip_kg_s"]
-    return mapped(record.workspace, (hub, tip), lambda h, t: (h - t,), 1)[0]
+    return record.workspace.derived(record.n_samples, lambda rows: hub[rows] - tip[rows])
 
 
 def hub_tip_stall(

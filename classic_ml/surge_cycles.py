@@ -19,7 +19,15 @@ from classic_ml.errors import InputError
 from classic_ml.filtering import filter_channels
 from classic_ml.records import FloatArray, Record
 
-__all__ = ["FEW_CYCLES", "SurgeCycles", "find_cycles", "first_reversal"]
+__all__ = [
+    "DEEP_SHARE",
+    "FEW_CYCLES",
+    "LEAST_SWING",
+    "SurgeCycles",
+    "deep_ones",
+    "find_cycles",
+    "first_reversal",
+]
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -158,10 +166,26 @@ def _deep_peaks(
     peaks, rises = prominent_peaks(pressure, LEAST_SWING * level, start, workspace=workspace)
     if peaks.size == 0:
         return peaks, rises
+    deep = deep_ones(rises)
+    return peaks[deep], rises[deep]
+
+
+def deep_ones(rises: FloatArray) -> BoolArray:
+    """Tell the rises of cycles from those of the mild oscillations between them.
+
+    Parameters
+    ----------
+    rises : ndarray of shape (n,)
+        How far the peaks stand out, at least one.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True for at least half of the deepest one's.
+    """
     # The second deepest of many, so that one freak cycle does not set the scale.
     scale = np.sort(rises)[-min(2, rises.size)]
-    deep = rises >= DEEP_SHARE * scale
-    return peaks[deep], rises[deep]
+    return np.asarray(rises >= DEEP_SHARE * scale)
 
 
 def _troughs(pressure: FloatArray, peaks: IntArray, start: int, workspace: Workspace) -> IntArray:
