@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
+from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import median
-from classic_ml.columns.workspace import IN_MEMORY, GrowingColumns, Workspace, blocks, evaluated
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.filtering import period_average
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
 from classic_ml.segments import LOWEST_CELL_HZ, hub_tip_difference, hub_tip_stall

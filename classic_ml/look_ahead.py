@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.airflow import PlaneFlows, local_flows, plane_averages, plane_flows
 from classic_ml.calibration import invert_thermocouples
 from classic_ml.columns.workspace import blocks
 from classic_ml.filtering import LocalFilter, channel_filter, filter_channels, filter_entry
+from classic_ml.plane_averages import PlaneFlows, local_flows, plane_averages, plane_flows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
@@ -87,7 +87,7 @@ def probe_averages(
     Returns
     -------
     Record
-        With the averages of :func:`classic_ml.airflow.plane_averages`.
+        With the averages of :func:`classic_ml.plane_averages.plane_averages`.
     """
     if keep_probes or settings.phase == "none" or settings.thermocouple_inversion:
         return _by_way_of_probes(record, test, settings, keep_probes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import physical_flow, plane_flows
+from classic_ml.airflow import physical_flow
 from classic_ml.calibration import calibrate_and_match, invert_thermocouples, near_stall_rows
 from classic_ml.coefficients import (
     coefficients,
@@ -22,6 +22,7 @@ from classic_ml.faults.near_stall_checks import check_pairs, check_steady
 from classic_ml.faults.search import choose_channels, inspect_readings, with_faults_bridged
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
+from classic_ml.plane_averages import plane_flows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.columns import workspace as places
 from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
-from classic_ml.records import FloatArray
+from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
 
 __all__ = ["Pieces", "Rows", "lowest", "mean", "median", "percentile", "total"]
 

@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -29,7 +29,6 @@ __all__ = [
     "BLOCK_ROWS",
     "IN_MEMORY",
     "ColumnWriter",
-    "GrowingColumns",
     "InMemory",
     "OnDisk",
     "Workspace",
@@ -43,8 +42,6 @@ FloatArray = NDArray[np.float64]
 # One block of 20 channels is 10 MB: more than the caches hold, little beside any memory. A record
 # of a minute at 1 kHz is one block.
 BLOCK_ROWS = 65_536
-# Rows that come in a few at a time are gathered so many before they are put away.
-STAGED_ROWS = 4_096
 # Mapped pages are let go of when there are so many of them: it takes one call a column.
 MAPPED_BYTES = 8 << 20
 
@@ -238,12 +235,6 @@ class OnDisk(Workspace):
             mapped_file.madvise(mmap.MADV_DONTNEED)
         self._mapped_before = self._told.mapped_bytes()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Do nothing: a column that somebody still holds keeps its room."""
-
     def file_of(self, size: int) -> _File:
         """Return a file of so many bytes, whatever is in it."""
         spare = self._spare.get(size)
@@ -253,7 +244,8 @@ class OnDisk(Workspace):
         """Return a file of this place as an array."""
         if size == 0:
             return np.empty(0, dtype=dtype)
-        mapped_file = _Mapped(file.number, size)
+        with _few_files():
+            mapped_file = _Mapped(file.number, size)
         mapped_file.file = file
         # Every view of the column holds the mapping.
         weakref.finalize(mapped_file, _put_aside, weakref.ref(self), file).atexit = False
@@ -284,7 +276,7 @@ class _File:
 
     def __init__(self, folder: Path, size: int = 0) -> None:
         self._folder, self.size = folder, size
-        with tempfile.TemporaryFile(prefix="sindy-surge-", dir=folder) as opened:
+        with _few_files(), tempfile.TemporaryFile(prefix="sindy-surge-", dir=folder) as opened:
             self.number = os.dup(opened.fileno())
         weakref.finalize(self, os.close, self.number).atexit = False
         if size:
@@ -325,6 +317,22 @@ class _File:
                 found="a full disk",
                 remedy="free some, or let TMPDIR name a folder on another disk",
             ) from None
+
+
+@contextmanager
+def _few_files() -> Iterator[None]:
+    """Say how to have more files open where there are too many."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno != errno.EMFILE:
+            raise
+        raise InputError(
+            "columns on disk",
+            expected="two open files for each column",
+            found="more than this process may have",
+            remedy="raise the limit (ulimit -n 8192), or reduce fewer channels at once",
+        ) from None
 
 
 def _address(column: NDArray[Any]) -> int:
@@ -394,75 +402,6 @@ class _Narrowing(ColumnWriter):
 
     def finished(self) -> NDArray[Any]:
         return widened(self._writer.finished())
-
-
-class GrowingColumns:
-    """Columns that grow by rows, as a file is read or as readings come in.
-
-    Parameters
-    ----------
-    workspace : Workspace
-        Where they lie.
-    n_columns : int
-        Number of columns.
-    n_rows : int, optional
-        Rows that are to be expected, where that is known.
-    readings : bool
-        Whether whole numbers are to be expected, as a converter gives them.
-    """
-
-    def __init__(
-        self,
-        workspace: Workspace,
-        n_columns: int,
-        n_rows: int | None = None,
-        *,
-        readings: bool = False,
-    ) -> None:
-        writer = workspace.readings_writer if readings else workspace.writer
-        self._writers = [writer(n_rows) for _ in range(n_columns)]
-        self._staged = np.empty((n_columns, STAGED_ROWS))
-        self._n_staged = 0
-        self._n_put = 0
-
-    @property
-    def n_rows(self) -> int:
-        """Rows so far."""
-        return self._n_put + self._n_staged
-
-    def append(self, rows: ArrayLike) -> None:
-        """Take up further rows.
-
-        Parameters
-        ----------
-        rows : array_like of shape (m, n_columns)
-            One row a sample.
-        """
-        values = np.asarray(rows, dtype=np.float64)
-        if values.ndim != 2 or values.shape[1] != len(self._writers):
-            raise InputError(
-                "rows", expected=f"{len(self._writers)} values in each", found=f"{values.shape}"
-            )
-        if self._n_staged + len(values) > STAGED_ROWS:
-            self._put(self._staged[:, : self._n_staged])
-            self._n_staged = 0
-        if len(values) > STAGED_ROWS:
-            self._put(values.T)
-            return
-        stop = self._n_staged + len(values)
-        self._staged[:, self._n_staged : stop] = values.T
-        self._n_staged = stop
-
-    def _put(self, columns: FloatArray) -> None:
-        for writer, column in zip(self._writers, columns, strict=True):
-            writer.append(column)
-        self._n_put += columns.shape[1]
-
-    def finished(self) -> list[FloatArray]:
-        """Return the columns, each of shape (n_rows,) and read-only; it ends the growth."""
-        self._put(self._staged[:, : self._n_staged])
-        self._n_staged = 0
-        return [writer.finished() for writer in self._writers]
 
 
 def blocks(stop: int, start: int = 0) -> Iterator[slice]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.airflow import local_flows, present_pairs
 from classic_ml.errors import InputError
+from classic_ml.plane_averages import local_flows, present_pairs
 from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Record
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import mean
-from classic_ml.columns.workspace import GrowingColumns
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, Record
 

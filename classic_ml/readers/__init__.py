@@ -9,7 +9,8 @@ import numpy as np
 
 from classic_ml.columns import workspace as places
 from classic_ml.columns.clock import CLOCK_TOLERANCE, uniform_period_s
-from classic_ml.columns.workspace import IN_MEMORY, GrowingColumns, Workspace
+from classic_ml.columns.growing import GrowingColumns
+from classic_ml.columns.workspace import IN_MEMORY, Workspace
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_files import open_raw
 from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, RawFile
@@ -17,7 +18,7 @@ from classic_ml.readers.test_description import TestDescription
 from classic_ml.readers.test_toml import read_test_description
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 
-__all__ = ["TestDescription", "read_raw", "read_test_description"]
+__all__ = ["TestDescription", "possible_ranges", "read_raw", "read_test_description"]
 
 # More than this is the whole of any file, and some libraries count in 32 bits.
 MOST_ROWS = 2**31 - 1
@@ -70,7 +71,7 @@ def read_raw(
     # Room is taken for no more rows than the file can hold, whatever it claims.
     claimed = stored.n_rows if (stored.n_rows or 0) <= os.path.getsize(raw_path) else None
     columns = GrowingColumns(workspace, len(stored.names), claimed, readings=True)
-    possible = _possible(stored, test)
+    possible = possible_ranges(test, stored.names)
     for values in stored.chunks(min(chunk_rows or places.BLOCK_ROWS, MOST_ROWS)):
         _check_readings(values, columns.n_rows, stored, test, possible)
         columns.append(values)
@@ -115,23 +116,41 @@ def _check_clock(
             f"{source}: column {TIME_COLUMN}",
             expected=f"{rate_hz:g} samples a second, as {test.source} [test] sample_rate_hz says",
             found=f"{1.0 / period_s:g}",
-            remedy=_other_clock(period_s * rate_hz),
+            remedy=_other_clock(period_s * rate_hz, rate_hz),
         )
     return rate_hz
 
 
-def _other_clock(periods: float) -> str:
-    """Return what a clock may be that runs so many sample periods from row to row."""
+def _other_clock(periods: float, rate_hz: float) -> str:
+    """Return how to mend a clock that runs so many sample periods from row to row."""
     for factor, unit in ((1e3, "ms"), (1e6, "us"), (1e9, "ns")):
         if abs(periods / factor - 1.0) < RATE_TOLERANCE:
             return f'is it in {unit}? then write time_unit = "{unit}" in [file]'
-    return ""
+    return f"if the clock is right, write sample_rate_hz = {rate_hz / periods:g}"
 
 
-def _possible(stored: RawFile, test: TestDescription) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the greatest reading that each column can have."""
-    names = np.array(stored.names)
-    lowest, highest = np.full(names.size, -np.inf), np.full(names.size, np.inf)
+def possible_ranges(test: TestDescription, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the greatest reading that each column of a record can have.
+
+    Parameters
+    ----------
+    test : TestDescription
+        The test.
+    names : tuple of str
+        Columns: channels of the test, or others, of which anything finite is possible.
+
+    Returns
+    -------
+    ndarray of shape (n_columns,)
+        The least: 0 for counts, the first number above 0 for Pa, K for temperatures, minus
+        infinity for others.
+    ndarray of shape (n_columns,)
+        The greatest: the top code of the converter, K, infinity.
+    """
+    lowest, highest = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    pascals = np.isin(names, [c.name for c in test.pressures if c.record_unit == "Pa"])
+    # Absolute ones: what a gauge or a differential reading is taken against is in them.
+    lowest[pascals] = np.nextafter(0.0, 1.0)
     codes = np.isin(names, [c.name for c in test.pressures if c.record_unit == "count"])
     if codes.any():
         lowest[codes], highest[codes] = 0.0, test.adc.top_code
@@ -147,20 +166,33 @@ def _check_readings(
     test: TestDescription,
     possible: tuple[FloatArray, FloatArray],
 ) -> None:
-    """Refuse codes that the converter does not have, and temperatures that nothing has."""
+    """Refuse codes that the converter does not have, and what no gas or thermocouple has."""
     lowest, highest = possible
     if not values.size or (
         np.all(values.min(axis=0) >= lowest) and np.all(values.max(axis=0) <= highest)
     ):
         return
     row, column = np.argwhere((values < lowest) | (values > highest))[0]
-    low_K, high_K = POSSIBLE_K
-    expected = f"absolute temperatures in K, {low_K:g} to {high_K:g}"
-    if lowest[column] == 0.0:
-        expected = f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})"
+    expected, unit, remedy = _what_is_possible(stored.names[column], test)
     raise InputError(
         f"{stored.source}: channel {stored.names[column]}",
         expected=expected,
-        found=f"{values[row, column]:g} in row {n_before + row + 1}",
-        remedy="check the unit of the column",
+        found=f"{values[row, column]:g}{unit} in row {n_before + row + 1}",
+        remedy=remedy,
     )
+
+
+def _what_is_possible(name: str, test: TestDescription) -> tuple[str, str, str]:
+    """Return what is expected of a channel, the unit of what was found, and what to look at."""
+    remedy = "check the unit of the column"
+    probe = next((probe for probe in test.pressures if probe.name == name), None)
+    if probe is None:
+        low_K, high_K = POSSIBLE_K
+        return f"absolute temperatures in K, {low_K:g} to {high_K:g}", "", remedy
+    if probe.record_unit != "Pa":
+        codes = f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})"
+        return codes, "", remedy
+    against = f"and reference_Pa in [channels.{name}] of {test.source}, "
+    against += "which is added to it" if probe.reference_Pa else "which a gauge reading needs"
+    remedy += f" {against}; leave out a probe that drops out, with its mate"
+    return "absolute pressures above 0 Pa", " Pa", remedy

@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from classic_ml.airflow import local_flows, plane_averages
 from classic_ml.calibration import calibrate
 from classic_ml.coefficients import (
     corrected_speed_fraction,
@@ -21,6 +20,7 @@ from classic_ml.coefficients import (
 )
 from classic_ml.errors import InputError
 from classic_ml.filtering import phase_delay_s
+from classic_ml.plane_averages import local_flows, plane_averages
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from comparisons.live.columns import FeedColumns
 from comparisons.live.near_stall import NearStallMatch

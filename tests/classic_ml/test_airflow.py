@@ -15,16 +15,15 @@ from classic_ml.airflow import (
     calculated_mach,
     corrected_flow,
     corrected_from_physical,
-    local_flows,
     mach_from_corrected_flow,
     physical_flow,
-    plane_averages,
     true_mach,
 )
 from classic_ml.calibration import calibrate
 from classic_ml.columns.elementary import powers
 from classic_ml.errors import InputError
 from classic_ml.flow_kernels import pair_flow
+from classic_ml.plane_averages import local_flows, plane_averages
 from classic_ml.readers.test_description import Compressor
 from classic_ml.records import Record
 

@@ -12,7 +12,6 @@ import pytest
 from raw_data import make_test
 
 from classic_ml import filtering
-from classic_ml.airflow import local_flows, plane_averages, plane_flows
 from classic_ml.calibration import (
     calibrate,
     calibrate_and_match,
@@ -26,6 +25,7 @@ from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.errors import InputError
 from classic_ml.faults.search import choose_channels, inspect_readings
 from classic_ml.filtering import filter_channels, low_pass, period_average
+from classic_ml.plane_averages import local_flows, plane_averages, plane_flows
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
 from classic_ml.work.forms import WORK_FORMS

@@ -12,10 +12,10 @@ import pytest
 
 from classic_ml import CoefficientSeries
 from classic_ml.columns import workspace
+from classic_ml.columns.computed import ComputedColumn
+from classic_ml.columns.growing import STAGED_ROWS, GrowingColumns
 from classic_ml.columns.workspace import (
     IN_MEMORY,
-    STAGED_ROWS,
-    GrowingColumns,
     OnDisk,
     Workspace,
     blocks,
@@ -153,3 +153,60 @@ def test_what_lies_on_disk_can_be_handed_to_another_process(tmp_path: Path) -> N
     again = pickle.loads(pickle.dumps(series))
     assert again.workspace is IN_MEMORY
     np.testing.assert_array_equal(again.psi_p, series.psi_p)
+
+
+def test_readings_on_disk_are_narrow_for_as_long_as_they_can_be(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    codes = rng.integers(0, 65_536, 20_000).astype(float)
+    for spoil in (None, 0, 7_000, 19_999):
+        values = codes.copy()
+        if spoil is not None:
+            values[spoil] = rng.choice([-1.0, 0.5, 65_536.0])
+        writer = OnDisk(tmp_path).readings_writer(values.size)
+        for start in range(0, values.size, 999):
+            writer.append(values[start : start + 999])
+        column = writer.finished()
+        assert column.size == values.size
+        assert isinstance(column, ComputedColumn) is (spoil is None)
+        np.testing.assert_array_equal(np.asarray(column), values)
+        for rows in (slice(3, 3), slice(6_990, 7_010), slice(19_000, None), slice(None, None, 7)):
+            np.testing.assert_array_equal(column[rows], values[rows])
+        assert column[-1] == values[-1]
+        with pytest.raises(ValueError, match="read-only"):
+            column[10:20][:] = 0.0
+
+
+def test_what_follows_from_other_columns_is_the_same_in_both_places(tmp_path: Path) -> None:
+    values = np.random.default_rng(6).standard_normal(5_000)
+    values.setflags(write=False)
+    for place in (IN_MEMORY, OnDisk(tmp_path)):
+        column = place.derived(values.size, lambda rows: 2.0 * values[rows] + 1.0)
+        np.testing.assert_array_equal(np.asarray(column), 2.0 * values + 1.0)
+        assert len(column) == values.size
+        record = Record({"x": Channel("x", column, "1")}, 1000.0, workspace=place)
+        np.testing.assert_array_equal(record["x"][40:90], column[40:90])
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_rows_of_a_finished_column_are_written_anew(on_disk: bool, tmp_path: Path) -> None:
+    place: Workspace = OnDisk(tmp_path) if on_disk else IN_MEMORY
+    column = evaluated(place, 1_000, lambda rows: np.arange(rows.start, rows.stop, dtype=float))
+    place.overwrite(column, slice(200, 203), np.array([-1.0, -2.0, -3.0]))
+    expected = np.arange(1_000.0)
+    expected[200:203] = [-1.0, -2.0, -3.0]
+    np.testing.assert_array_equal(column, expected)
+    assert not column.flags.writeable
+
+
+def test_too_many_columns_for_the_limit_of_open_files_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resource = pytest.importorskip("resource", reason="limits of open files are a matter of POSIX")
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    place, kept = OnDisk(tmp_path), []
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
+    try:
+        with pytest.raises(InputError, match=r"raise the limit \(ulimit -n 8192\)"):
+            kept += [place.column(10) for _ in range(64)]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
