@@ -7,6 +7,7 @@ included, by the clock and of the processor; how many times real time that is by
 of its resident memory; and whether its numbers are those of the first run, to the last bit.
 
     python benchmarks/chunked_reduction.py [--minutes 10 60] [--chunk 65536] [--json FILE]
+    python benchmarks/chunked_reduction.py --minutes 600 --only-chunks
 """
 
 from __future__ import annotations
@@ -18,10 +19,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
 
 from classic_ml import read_series
 from classic_ml.readers import read_raw
@@ -31,6 +36,7 @@ from comparisons.rig import simulate, write_run
 
 CASE = "985"
 RIG_S = 10.0
+PIECE_ROWS, ROW_GROUP = 1 << 20, 1 << 16
 FORMATS = ((".parquet", ".nc"), (".csv", ".nc"), (".csv", ".csv"))
 # The command on one core; it leaves behind what it took of the processor and of memory.
 PROCESS = """
@@ -78,29 +84,34 @@ class Cost:
     same: bool
 
 
-def drawn_out(record: Record, window: slice, n_rows: int) -> dict[str, np.ndarray]:
-    """Return the columns of a longer record: its cycles over and over behind its beginning."""
+def drawn_out(record: Record, window: slice, n_rows: int) -> Iterator[pa.Table]:
+    """Yield a longer record piece by piece: its cycles over and over behind its beginning.
+
+    Counts are whole numbers, as a logger writes them, and the rest is float64.
+    """
     n_cycles = window.stop - window.start
-    rows = np.concatenate(
-        (np.arange(window.start), window.start + np.arange(n_rows - window.start) % n_cycles)
-    )
-    time_s = {"time_s": np.round(np.arange(n_rows) / record.sample_rate_hz, 6)}
-    return time_s | {name: record[name][rows] for name in record.channels}
+    for start in range(0, n_rows, PIECE_ROWS):
+        number = np.arange(start, min(start + PIECE_ROWS, n_rows))
+        rows = np.where(
+            number < window.start, number, window.start + (number - window.start) % n_cycles
+        )
+        columns = {"time_s": np.round(number / record.sample_rate_hz, 6)}
+        for name in record.channels:
+            values = record[name][rows]
+            columns[name] = values.astype(np.int16) if name[0] == "P" else values
+        yield pa.table(columns)
 
 
-def write_tables(columns: dict[str, np.ndarray], folder: Path, suffixes: list[str]) -> None:
-    """Write counts as whole numbers, as a logger does, and the rest as float64."""
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
-    table = pa.table(
-        {name: v.astype(np.int16) if name[0] == "P" else v for name, v in columns.items()}
-    )
-    for suffix in suffixes:
-        if suffix == ".parquet":
-            parquet.write_table(table, folder / "raw.parquet", row_group_size=1 << 16)
-        else:
-            csv.write_csv(table, folder / "raw.csv")
+def write_table(pieces: Iterator[pa.Table], file: Path) -> None:
+    """Write a table piece by piece."""
+    first = next(pieces)
+    make = parquet.ParquetWriter if file.suffix == ".parquet" else csv.CSVWriter
+    with make(file, first.schema) as writer:
+        for piece in chain([first], pieces):
+            if file.suffix == ".parquet":
+                writer.write_table(piece, row_group_size=ROW_GROUP)
+            else:
+                writer.write_table(piece)
 
 
 def run(folder: Path, raw: str, series: str, chunk: int | None) -> tuple[float, dict[str, float]]:
@@ -121,19 +132,19 @@ def run(folder: Path, raw: str, series: str, chunk: int | None) -> tuple[float, 
 
 
 def costs_of(
-    columns: dict[str, np.ndarray],
-    rate_hz: float,
+    record: Record,
+    window: slice,
+    n_rows: int,
     folder: Path,
-    chunk: int,
+    chunks: tuple[int | None, ...],
     formats: tuple[tuple[str, str], ...],
 ) -> list[Cost]:
-    """Run each format in one piece and in chunks."""
-    n_rows = columns["time_s"].size
+    """Run each format with each size of the chunks."""
     costs: list[Cost] = []
     first: dict[str, np.ndarray] = {}
     for raw, series in formats:
-        write_tables(columns, folder, [raw])
-        for rows in (None, chunk):
+        write_table(drawn_out(record, window, n_rows), folder / f"raw{raw}")
+        for rows in chunks:
             seconds, told = run(folder, raw, series, rows)
             out = folder / f"{raw[1:]}-{rows}{series}"
             found = read_series(out).columns()
@@ -147,7 +158,7 @@ def costs_of(
                     rows,
                     seconds,
                     told["cpu"],
-                    n_rows / rate_hz / seconds,
+                    n_rows / record.sample_rate_hz / seconds,
                     told["peak"] / 1e6,
                     same,
                 )
@@ -177,6 +188,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where the files lie (default: TMPDIR)")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="half a minute, Parquet alone")
+    parser.add_argument(
+        "--only-chunks", action="store_true", help="Parquet, not in one piece: for hours"
+    )
     options = parser.parse_args()
     costs: list[Cost] = []
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
@@ -186,9 +200,10 @@ def main() -> None:
         window = record.rows_between(*reduce_record(record, test).window_s)
         print(HEAD)
         for minutes in [0.5] if options.quick else options.minutes:
-            columns = drawn_out(record, window, round(60.0 * minutes * record.sample_rate_hz))
-            formats = FORMATS[:1] if options.quick else FORMATS
-            costs += costs_of(columns, record.sample_rate_hz, folder, options.chunk, formats)
+            n_rows = round(60.0 * minutes * record.sample_rate_hz)
+            formats = FORMATS[:1] if options.quick or options.only_chunks else FORMATS
+            chunks = (options.chunk,) if options.only_chunks else (None, options.chunk)
+            costs += costs_of(record, window, n_rows, folder, chunks, formats)
     if options.json:
         options.json.write_text(json.dumps([asdict(cost) for cost in costs]))
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.computed import as_column
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.errors import InputError
 from classic_ml.filter_kernels import CHANNELS, run_sections
@@ -96,7 +97,7 @@ def low_pass(
     ValueError
         When a signal that is to be filtered forth and back is no longer than a few samples.
     """
-    signal = np.asarray(values, dtype=np.float64)
+    signal = as_column(values)
     if phase == "none":
         return signal
     sections = _sections(order, cutoff_hz, sample_rate_hz)
@@ -289,7 +290,7 @@ def period_average(
     """
     width = period_s * sample_rate_hz
     side = max(0, int(np.ceil(0.5 * (width - 1.0))))
-    signal = np.asarray(values, dtype=np.float64)
+    signal = as_column(values)
 
     def average(rows: slice) -> FloatArray:
         return _averaged(signal, rows, width, side) if side else signal[rows]

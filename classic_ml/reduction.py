@@ -291,10 +291,10 @@ def _regimes_compared(record: Record, window: slice, threshold_lbm_s: float | No
     """Note where the threshold tells the regimes otherwise than hub and tip themselves do."""
     if threshold_lbm_s is None:
         return record
-    other = sum(
-        int(np.count_nonzero(record["in_stall"][rows] != record["stalled"][rows]))
-        for rows in blocks(window.stop, window.start)
-    )
+    other = 0
+    for rows in blocks(window.stop, window.start):
+        other += int(np.count_nonzero(record["in_stall"][rows] != record["stalled"][rows]))
+        record.workspace.release()
     share = other / (window.stop - window.start)
     if share <= REGIMES_DIFFER:
         return record

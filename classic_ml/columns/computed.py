@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["ComputedColumn", "computed", "widened"]
+__all__ = ["ComputedColumn", "as_column", "computed", "widened"]
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +74,20 @@ def computed(n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
         In truth a :class:`ComputedColumn`: whoever works block by block sees no difference.
     """
     return cast("FloatArray", ComputedColumn(n_rows, rows))
+
+
+def as_column(values: ArrayLike) -> FloatArray:
+    """Return values as a column of float64, without computing one that is computed.
+
+    Parameters
+    ----------
+    values : array_like of shape (n,)
+        The values.
+    """
+    given: object = values
+    if isinstance(given, ComputedColumn):
+        return cast("FloatArray", given)
+    return np.asarray(values, dtype=np.float64)
 
 
 def widened(column: NDArray[Any]) -> FloatArray:

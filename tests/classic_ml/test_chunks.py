@@ -22,8 +22,10 @@ from raw_data import RawTest, make_test
 
 from classic_ml import filtering
 from classic_ml.columns import workspace as places
+from classic_ml.columns.computed import ComputedColumn
 from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.errors import InputError
+from classic_ml.faults import probe_agreement
 from classic_ml.readers import read_raw
 from classic_ml.reduction import STEPS, ReductionSettings, reduce_record
 from classic_ml.series import ledger_path
@@ -171,6 +173,33 @@ def test_what_was_looked_at_ahead_is_what_would_have_been_computed(
     assert_same(quick, on_disk)
     monkeypatch.setattr("classic_ml.look_ahead._same_channels", lambda *_: False)
     assert_same(quick, reduced(tmp_path, None, IN_MEMORY))
+
+
+def test_no_column_that_is_computed_is_ever_computed_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    longest = 0
+
+    def rows_of(column: ComputedColumn, key: int | slice) -> Any:
+        nonlocal longest
+        if isinstance(key, slice):
+            longest = max(longest, len(range(*key.indices(column.size))))
+        return cut_rows(column, key)
+
+    def whole(*_: object) -> None:
+        raise AssertionError("computed whole")
+
+    cut_rows = ComputedColumn.__getitem__
+    monkeypatch.setattr(ComputedColumn, "__getitem__", rows_of)
+    monkeypatch.setattr(ComputedColumn, "__array__", whole)
+    monkeypatch.setattr(places, "BLOCK_ROWS", 100)
+    monkeypatch.setattr(filtering, "PIECE_ROWS", 100)
+    monkeypatch.setattr(probe_agreement, "READINGS", 100)
+    raw = made()
+    raw.write(tmp_path)
+    assert reduced(tmp_path, 100, OnDisk(tmp_path), stall_rule="hub-tip").columns
+    # A piece of the filter with what it remembers before and behind, 368 rows each.
+    assert 300 < longest < 1200 < len(raw.columns["time_s"])
 
 
 def command(folder: Path, out: Path, *more: str) -> int:
