@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -81,19 +81,28 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
         ``write(temporary)`` fills the file; if it fails, nothing is left behind.
     """
     check_target(path)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = _new_neighbour(path)
     try:
         write(temporary)
-        # mkstemp makes files for the owner alone; a result is as public as the folder it lies in.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _new_neighbour(path: Path) -> Path:
+    """Make an empty file beside another, with the rights that any new file has.
+
+    The system takes the umask from them: it can be asked for only by setting another one, which
+    would hold for the files of all threads meanwhile.
+    """
+    while True:
+        name = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+        try:
+            os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        except FileExistsError:
+            continue
+        return name
 
 
 def write_whole(path: Path, text: str) -> None:

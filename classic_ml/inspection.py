@@ -1,14 +1,16 @@
-"""What is in a file of channels: clock, ranges, gaps, saturation, in one pass over its rows."""
+"""What is in a file of channels: clock, ranges, gaps, saturation, without holding its rows."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
+from classic_ml.faults.plateaus import REACH, EndSearch
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
@@ -22,9 +24,7 @@ GAP_STEPS = 1.5
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named.
 STILL_S = 0.05
 STILL_ROWS = 50
-# So many rows in a row, or so large a share of all, at the very extreme is a plateau.
-PLATEAU_ROWS = 5
-PLATEAU_SHARE = 0.01
+STILL_LEAST_ROWS = 5
 # Highest codes of converters, unsigned and signed; a channel that reaches one twice may be clipped.
 _TOP_CODES = frozenset(2**bits - 1 for bits in (8, 10, 12, 14, 16, 18, 20, 24)) | frozenset(
     2 ** (bits - 1) - 1 for bits in (12, 14, 16, 18, 20, 24)
@@ -58,6 +58,8 @@ class ChannelFacts:
         The longest run of one value, and its first row, counted from 1.
     whole_numbers : bool
         Whether all values are whole, as codes are.
+    plateaus : tuple of str
+        Ends of its range at which it is cut off: ``"minimum"``, ``"maximum"``.
     """
 
     name: str
@@ -75,31 +77,12 @@ class ChannelFacts:
     longest_run: int
     longest_run_row: int
     whole_numbers: bool
+    plateaus: tuple[str, ...] = ()
 
     @property
     def constant(self) -> bool:
         """Whether it has one value alone."""
         return self.minimum == self.maximum
-
-    @property
-    def plateaus(self) -> tuple[str, ...]:
-        """Ends of its range at which it stays: ``"minimum"``, ``"maximum"``."""
-        if self.constant:
-            return ()
-        ends = (
-            ("minimum", self.at_minimum, self.run_at_minimum),
-            ("maximum", self.at_maximum, self.run_at_maximum),
-        )
-        finite = max(1, self.rows - self.not_finite)
-        return tuple(
-            name
-            for name, rows, run in ends
-            if run >= PLATEAU_ROWS
-            or (run > 1 and rows > PLATEAU_SHARE * finite)
-            or (
-                name == "maximum" and rows > 1 and self.whole_numbers and self.maximum in _TOP_CODES
-            )
-        )
 
 
 @dataclass(frozen=True)
@@ -215,12 +198,13 @@ def inspect_file(
         if rows == 0:
             raise
         fault = str(error)
+    plateaus = _plateaus(stored, tallies, rows)
     return Inspection(
         stored.source,
         rows,
         tuple(
-            tally.facts(name, stored.units.get(name, ""), rows)
-            for name, tally in zip(stored.names, tallies, strict=True)
+            tally.facts(name, stored.units.get(name, ""), rows, plateaus.get(number, ()))
+            for number, (name, tally) in enumerate(zip(stored.names, tallies, strict=True))
         ),
         None if clock is None else clock.facts(),
         dict(stored.unusable),
@@ -239,7 +223,51 @@ def is_still(channel: ChannelFacts, rate_hz: float) -> bool:
         Rows a second; NaN or 0 where it is not known.
     """
     rows = STILL_S * rate_hz if rate_hz > 0.0 else STILL_ROWS
-    return channel.longest_run >= max(PLATEAU_ROWS, rows)
+    return channel.longest_run >= max(STILL_LEAST_ROWS, rows)
+
+
+def _plateaus(stored: RawFile, tallies: list[_Tally], n_rows: int) -> dict[int, tuple[str, ...]]:
+    """Return, by column, the ends of its range at which it is cut off.
+
+    The rows are read once more where a column stands still at one of its ends, by the same rule
+    as in a reduction.
+    """
+    searches = {
+        number: EndSearch(n_rows, tally.minimum, tally.maximum, tally.least_step)
+        for number, tally in enumerate(tallies)
+        if tally.may_be_cut_off
+    }
+    if searches:
+        kept, first = np.empty((0, len(tallies))), 0
+        for block in _up_to(stored, n_rows):
+            kept = np.concatenate((kept, block))
+            last = first + len(kept)
+            stop = last if last == n_rows else last - REACH
+            if stop <= first:
+                continue
+            for number, search in searches.items():
+                search.follow(np.ascontiguousarray(kept[:, number]), first, stop)
+            behind = max(0, stop - REACH)
+            kept, first = kept[behind - first :], behind
+    found = {
+        number: tuple("maximum" if end.upper else "minimum" for end in search.ends)
+        for number, search in searches.items()
+    }
+    for number, tally in enumerate(tallies):
+        ends = found.get(number, ())
+        if tally.at_top_code and "maximum" not in ends:
+            found[number] = (*ends, "maximum")
+    return found
+
+
+def _up_to(stored: RawFile, n_rows: int) -> Iterator[FloatArray]:
+    """Yield the rows that could be read before."""
+    rows = 0
+    for block in stored.chunks(BLOCK_ROWS):
+        yield np.where(np.isfinite(block), block, np.nan)
+        rows += len(block)
+        if rows >= n_rows:
+            return
 
 
 @dataclass
@@ -258,6 +286,7 @@ class _Tally:
     longest_run: int = 0
     longest_run_row: int = 1
     whole_numbers: bool = True
+    least_step: float = np.inf
     run_value: float = np.nan
     run_length: int = 0
 
@@ -274,6 +303,18 @@ class _Tally:
             self.whole_numbers = self.whole_numbers and bool(np.all(finite == np.rint(finite)))
         self._runs(values, first_row)
 
+    @property
+    def may_be_cut_off(self) -> bool:
+        """Whether it stands still at one of its ends at all."""
+        run = max(self.run_at_minimum, self.run_at_maximum)
+        return self.minimum < self.maximum and run > 1
+
+    @property
+    def at_top_code(self) -> bool:
+        """Whether it reaches what is the highest code of a converter more than once."""
+        top = self.minimum < self.maximum and self.whole_numbers and self.maximum in _TOP_CODES
+        return top and self.at_maximum > 1
+
     def _extremes(self, finite: FloatArray) -> None:
         low, high = float(np.min(finite)), float(np.max(finite))
         if low < self.minimum:
@@ -285,6 +326,9 @@ class _Tally:
 
     def _runs(self, values: FloatArray, first_row: int) -> None:
         """Follow the runs of one value, the last of a chunk into the next one."""
+        steps = np.abs(np.diff(values, prepend=self.run_value))
+        least = np.min(steps, where=steps > 0.0, initial=np.inf)
+        self.least_step = min(self.least_step, float(least))
         starts = np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1))
         lengths = np.diff(np.concatenate((starts, [values.size])))
         carried = self.run_length if values[0] == self.run_value else 0
@@ -301,7 +345,7 @@ class _Tally:
                 setattr(self, name, max(getattr(self, name), int(np.max(there))))
         self.run_value, self.run_length = float(heads[-1]), int(lengths[-1])
 
-    def facts(self, name: str, unit: str, rows: int) -> ChannelFacts:
+    def facts(self, name: str, unit: str, rows: int, plateaus: tuple[str, ...]) -> ChannelFacts:
         """Return what was found."""
         some = self.finite > 0
         return ChannelFacts(
@@ -320,6 +364,7 @@ class _Tally:
             self.longest_run,
             self.longest_run_row,
             some and self.whole_numbers,
+            plateaus,
         )
 
 

@@ -11,8 +11,10 @@ import re
 from dataclasses import dataclass
 from difflib import get_close_matches
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
+
+import numpy as np
 
 from classic_ml.columns.workspace import FloatArray
 from classic_ml.errors import InputError
@@ -128,14 +130,15 @@ class Conversion:
     offset: float = 0.0
 
     def to_si(self, values: FloatArray) -> FloatArray:
-        """Return values in SI; unchanged to the last bit where they are in it already."""
-        if self.factor != 1.0:
-            values = values * self.factor
-        return values + self.offset if self.offset != 0.0 else values
+        """Return values in SI; unchanged to the last bit where they are in it already.
 
-    def from_si(self, values: FloatArray) -> FloatArray:
-        """Return SI values in the unit."""
-        return (values - self.offset) / self.factor
+        What is too large for a double there is infinite.
+        """
+        # Whoever converts readings looks for those that are not finite, and says where they are.
+        with np.errstate(over="ignore"):
+            if self.factor != 1.0:
+                values = values * self.factor
+            return values + self.offset if self.offset != 0.0 else values
 
 
 def pressure_reference(unit: str) -> str:
@@ -370,6 +373,9 @@ def quantity_in(text: str, kind: str, where: str) -> float:
 def _split_reference(unit: str) -> tuple[str, str]:
     """Return a unit of pressure without its "a" or "gauge", and what that stood for."""
     text = unit.strip()
+    if len(text) > _LONGEST:
+        # No unit, and the time that a match takes grows with the square of its length.
+        return text, ""
     for pattern in (_LETTERED, _WORDED):
         match = pattern.match(text)
         if match is not None and match["word"].lower() in _REFERENCES:
@@ -416,8 +422,13 @@ def _near(plain: str, kind: str) -> str:
     return folded[close[0]] if close else ""
 
 
-@cache
 def _factor_and_offset(plain: str, kind: str) -> tuple[float, float] | None:
+    return _looked_up(plain, kind) if len(plain) <= _LONGEST else None
+
+
+# A file may label any number of columns, each in another way.
+@lru_cache(maxsize=1024)
+def _looked_up(plain: str, kind: str) -> tuple[float, float] | None:
     name = _SPELLINGS[kind].get(plain.lower(), plain)
     if (kind, name) in _EXACT:
         return float(_EXACT[kind, name]), 0.0

@@ -23,6 +23,7 @@ from comparisons.one_sentence import (
     too_many_digits,
 )
 from comparisons.orders_command import add_orders_parser
+from comparisons.reduction_options import add_reduction_options
 from comparisons.structure_command import add_structure_parser
 from comparisons.study_command import add_study_parser
 from comparisons.total_system_command import add_total_system_parser
@@ -206,59 +207,7 @@ def _add_reduce(commands: _Commands) -> None:
         help="read so many rows at once and keep the columns on disk, beside SERIES or in TMPDIR: "
         "for a record larger than memory, with the same numbers to the last bit",
     )
-    parser.add_argument(
-        "--filter-order",
-        type=int,
-        default=None,
-        metavar="N",
-        help="Butterworth order, 3 or 5 (default: 3)",
-    )
-    parser.add_argument(
-        "--cutoff", type=float, default=None, metavar="HZ", help="filter cut-off (default: 48)"
-    )
-    parser.add_argument(
-        "--phase",
-        choices=("zero", "causal", "none"),
-        default=None,
-        help="filter direction (default: zero)",
-    )
-    parser.add_argument(
-        "--probes",
-        choices=("all", "tip", "hub"),
-        default=None,
-        help="probes that are averaged (default: all)",
-    )
-    parser.add_argument(
-        "--invert-thermocouples", action="store_true", help="undo the lag of the thermocouples"
-    )
-    parser.add_argument(
-        "--work-form",
-        choices=("auto", "exit-flow", "mass-balance", "temperature-rise"),
-        default=None,
-        help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
-    )
-    parser.add_argument(
-        "--threshold",
-        type=float,
-        default=None,
-        metavar="LBM_S",
-        help="corrected flow below which the machine is in stall (default: test.toml's, else 50)",
-    )
-    parser.add_argument(
-        "--hysteresis",
-        type=float,
-        default=None,
-        metavar="LBM_S",
-        help="half width of a band around the threshold (default: test.toml's, else 0)",
-    )
-    parser.add_argument(
-        "--window",
-        type=float,
-        nargs=2,
-        default=None,
-        metavar=("FROM_S", "TO_S"),
-        help="window of the quasi-steady cycles, else from test.toml, else found",
-    )
+    add_reduction_options(parser)
     parser.add_argument(
         "--report",
         type=Path,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,7 +14,7 @@ from classic_ml.series import CoefficientSeries, ledger_path, read_series, write
 from comparisons.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
-    from classic_ml.reduction import Reduction, ReductionSettings
+    from classic_ml.reduction import Reduction
     from comparisons.compare import Comparison
     from comparisons.estimators import EstimatorSpec
     from comparisons.lag_value import FittedLag
@@ -33,16 +32,6 @@ __all__ = [
 
 _T = TypeVar("_T")
 HTML = (".html", ".htm")
-OPTIONS = {
-    "filter_order": "--filter-order",
-    "cutoff_hz": "--cutoff",
-    "phase": "--phase",
-    "probes": "--probes",
-    "work_form": "--work-form",
-    "threshold_lbm_s": "--threshold",
-    "hysteresis_lbm_s": "--hysteresis",
-    "window_s": "--window",
-}
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
@@ -74,17 +63,18 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 def run_reduce(arguments: argparse.Namespace) -> None:
     """Reduce a raw record to a series file."""
     from comparisons.reduce_command import excerpt, reduce_file
+    from comparisons.reduction_options import options_named, reduction_settings
 
     _check_targets(
         [arguments.raw, arguments.test],
         (arguments.out, (".csv", ".nc", ".nc4", ".netcdf")),
         (arguments.report, HTML),
     )
-    with _options_named():
+    with options_named():
         reduction = reduce_file(
             arguments.raw,
             arguments.test,
-            _settings(arguments),
+            reduction_settings(arguments),
             chunk_rows=arguments.chunk,
             out=arguments.out,
         )
@@ -211,40 +201,6 @@ def run_demo(arguments: argparse.Namespace) -> None:
         _print_comparison(comparison, work)
     print(done.summary)
     print(f"report: {done.report}")
-
-
-def _settings(arguments: argparse.Namespace) -> ReductionSettings:
-    """Take over what was given; the rest keeps the defaults of the reduction."""
-    from classic_ml.reduction import ReductionSettings
-
-    given = {
-        "filter_order": arguments.filter_order,
-        "cutoff_hz": arguments.cutoff,
-        "phase": arguments.phase,
-        "probes": arguments.probes,
-        "work_form": arguments.work_form,
-        "thermocouple_inversion": arguments.invert_thermocouples or None,
-        "threshold_lbm_s": arguments.threshold,
-        "hysteresis_lbm_s": arguments.hysteresis,
-        "window_s": tuple(arguments.window) if arguments.window else None,
-    }
-    return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
-
-
-@contextmanager
-def _options_named() -> Iterator[None]:
-    """Name the option in an error: a user of the command line does not know the field behind it."""
-    try:
-        yield
-    except InputError as error:
-        field = error.where.replace(": ", ".").rsplit(".", 1)[-1]
-        if field not in OPTIONS:
-            raise
-        # An option that is not given is what None is in Python.
-        expected = error.expected.replace(", 'none' or None", "").replace(", or None", "")
-        raise InputError(
-            OPTIONS[field], expected=expected, found=error.found, remedy=error.remedy
-        ) from None
 
 
 def _compare(

@@ -66,9 +66,12 @@ def _jobs(text: str) -> int:
 def run_study_command(arguments: argparse.Namespace) -> None:
     """Run the study that the arguments name."""
     from comparisons.study.design import count_cells, count_points
+    from comparisons.study.run import check_study
     from comparisons.study.spec import read_spec
 
     spec = read_spec(arguments.spec)
+    if not arguments.dry_run:
+        check_study(spec, arguments.out, resume=arguments.resume)
     cells = count_cells(spec)
     axes = ", ".join(spec.axes) or "none"
     methods = ", ".join(method.name for method in spec.methods)

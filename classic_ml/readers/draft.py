@@ -61,7 +61,10 @@ _COUNT_KEYS = """\
 _OPEN_REFERENCE = """\
 # reference_Pa =                # of a reading of 0: the barometer of a gauge, 0 if absolute
 """
-_FACING = {"forward": "forward", "fwd": "forward", "fore": "forward", "aft": "aft", "rear": "aft"}
+_FACING = {
+    **dict.fromkeys(("forward", "fwd", "fore", "for", "front"), "forward"),
+    **dict.fromkeys(("aft", "rear"), "aft"),
+}
 _GUESSED = "    # guessed from the name"
 _WIDTH = 32
 
@@ -99,7 +102,7 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
     others = [channel for channel in channels if not places[channel.name].kind]
     keys: set[str] = set()
     parts = [
-        _HEAD.format(source=inspection.source),
+        _HEAD.format(source=_comment(inspection.source)),
         _TEST.format(name=_text(Path(inspection.source).stem), rate=_rate(clock)),
         _file(clock, group, others),
     ]
@@ -188,7 +191,7 @@ def _is_codes(channel: ChannelFacts, place: _Place) -> bool:
 def _described(channel: ChannelFacts) -> str:
     unit = f" {channel.unit}" if channel.unit else ""
     name = " ".join(channel.name.split())
-    return f"{name}: {channel.minimum:.6g} to {channel.maximum:.6g}{unit}"
+    return _comment(f"{name}: {channel.minimum:.6g} to {channel.maximum:.6g}{unit}")
 
 
 def _place(channel: ChannelFacts) -> _Place:
@@ -213,9 +216,19 @@ def _place(channel: ChannelFacts) -> _Place:
 
 
 def _without_unit(name: str) -> str:
-    return re.sub(r"\s*[(\[{][^()\[\]{}]*[)\]}]\s*$", "", name)
+    # Without a leading \s*, which would look at long runs of spaces over and over.
+    return re.sub(r"[(\[{][^()\[\]{}]*[)\]}]\s*$", "", name).rstrip()
 
 
 def _text(value: str) -> str:
     """Return a TOML string, whose escapes are those of JSON."""
-    return json.dumps(value, ensure_ascii=False)
+    text = value.encode("utf-8", "replace").decode("utf-8")
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _comment(text: str) -> str:
+    """Return a text as a comment can hold it: in one line, nothing in it but what is printed."""
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )

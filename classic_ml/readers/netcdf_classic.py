@@ -87,7 +87,8 @@ def read_header(file: Path) -> list[ClassicVariable]:
     record_dimension = next((n for n, (_, length) in enumerate(dimensions) if length == 0), None)
     if any(axis >= len(names) for variable in found for axis in variable.axes):
         raise ValueError("a variable has a dimension that is not there")
-    with_records = [v for v in found if v.axes and v.axes[0] == record_dimension]
+    runs_along = [bool(v.axes) and v.axes[0] == record_dimension for v in found]
+    with_records = [v for v, is_record in zip(found, runs_along, strict=True) if is_record]
     # One record variable alone is not padded to four bytes.
     sizes = [v.record_size([length for _, length in dimensions]) for v in with_records]
     record_bytes = sizes[0] if len(sizes) == 1 else sum(-(-n // 4) * 4 for n in sizes)
@@ -95,8 +96,7 @@ def read_header(file: Path) -> list[ClassicVariable]:
         begin = min((v.begin for v in with_records), default=size)
         records = (size - begin) // record_bytes if record_bytes else 0
     variables = []
-    for v in found:
-        is_record = v in with_records
+    for v, is_record in zip(found, runs_along, strict=True):
         lengths = [dimensions[axis][1] for axis in v.axes]
         shape = (records, *lengths[1:]) if is_record else tuple(lengths)
         step = record_bytes if is_record else 0

@@ -21,8 +21,9 @@ __all__ = ["Vector", "as_columns", "made_clock", "one_line"]
 # How many groups or sizes a sentence names.
 NAMED = 6
 LONGEST_CAUSE = 160
-# Times that were computed twice differ in their last digits.
+# Times that were computed twice differ in their last digits, which near zero are those of a step.
 SAME_CLOCK = 1e-9
+SAME_STEP = 1e-6
 
 Path = tuple[str, ...]
 
@@ -143,11 +144,14 @@ def made_clock(path: Path, size: int, start_s: float, step_s: float, clock: str)
 def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop: int) -> FloatArray:
     block = np.empty((stop - start, len(columns)))
     times: tuple[Vector, FloatArray] | None = None
+    slack_s = 0.0
     for number, vector in enumerate(columns):
         try:
             block[:, number] = vector.read(handle, start, stop)
             own = vector.own_clock
             own_s = None if own is None else np.asarray(own.read(handle, start, stop), np.float64)
+            if own is not None and times is None:
+                slack_s = SAME_STEP * _first_step(own, handle)
         except Exception as error:
             # The readers of binary formats raise whatever they stumble over.
             raise InputError(
@@ -160,7 +164,7 @@ def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop:
             continue
         if times is None:
             times = vector, own_s
-        elif not np.allclose(times[1], own_s, rtol=SAME_CLOCK, atol=0.0, equal_nan=True):
+        elif not np.allclose(times[1], own_s, rtol=SAME_CLOCK, atol=slack_s, equal_nan=True):
             raise InputError(
                 f"{source}: channels {times[0].path[-1]} and {vector.path[-1]}",
                 expected="the same times for both",
@@ -168,6 +172,13 @@ def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop:
                 remedy="resample them to one clock",
             )
     return block
+
+
+def _first_step(clock: Vector, handle: Any) -> float:
+    """Return the step of a clock, whichever of its rows are looked at; 0 where it has none."""
+    first = np.asarray(clock.read(handle, 0, 2), dtype=np.float64)
+    step = float(abs(first[-1] - first[0]))
+    return step if np.isfinite(step) else 0.0
 
 
 def one_line(error: BaseException) -> str:

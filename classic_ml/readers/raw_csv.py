@@ -7,20 +7,22 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_table import RawFile, check_unique, rebatched
+from classic_ml.readers.raw_table import RawFile, arrow_file, check_unique, rebatched
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 from classic_ml.units import is_unit_label, kind_of_unit, unit_in_brackets
 
-__all__ = ["open_csv", "open_csv_leniently"]
+__all__ = ["open_csv", "open_csv_leniently", "row_of_units"]
 
 # Enough lines for pyarrow to be quick, little beside any memory.
 BLOCK_BYTES = 1 << 20
+# More than any table has columns for: a file without line ends is one line.
+LONGEST_LINE = BLOCK_BYTES
 # Rows that the slow look takes at once.
 SLOW_ROWS = 1024
 
@@ -62,7 +64,7 @@ def open_csv_leniently(file: Path, layout: FileLayout | None = None) -> RawFile:
     file, layout
         As for :func:`open_csv`.
     """
-    names: list[str] = []
+    names: dict[str, None] = {}
     renamed: dict[str, str] = {}
     for number, name in enumerate(_header(file), start=1):
         shown = name or f"column {number}"
@@ -71,7 +73,7 @@ def open_csv_leniently(file: Path, layout: FileLayout | None = None) -> RawFile:
         elif shown in names:
             shown = f"{name} (column {number})"
             renamed[shown] = f"a second column named {name}"
-        names.append(shown)
+        names[shown] = None
     return replace(_opened(file, tuple(names), lenient=True), unusable=renamed)
 
 
@@ -92,11 +94,13 @@ def _opened(file: Path, names: tuple[str, ...], *, lenient: bool) -> RawFile:
 def _header(file: Path) -> tuple[str, ...]:
     what = "a CSV table with a header"
     with file.open("rb") as opened:
-        line = opened.readline().removeprefix(b"\xef\xbb\xbf")
+        line = opened.readline(LONGEST_LINE + 1).removeprefix(b"\xef\xbb\xbf")
     if line.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(str(file), expected=what, found="UTF-16 text", remedy="save it as UTF-8")
     if not line.strip():
         raise InputError(str(file), expected=what, found="an empty file")
+    if len(line) > LONGEST_LINE:
+        raise _too_long(file)
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError:
@@ -131,14 +135,30 @@ def _header(file: Path) -> tuple[str, ...]:
 def _units(file: Path, names: tuple[str, ...]) -> tuple[dict[str, str], int]:
     """Return the units that the file states, and the lines above the numbers."""
     with file.open(encoding="utf-8", errors="replace", newline="") as lines:
-        next(lines)
-        second = next((line for line in lines if line.strip()), "")
-    cells = [cell.strip() for cell in second.rstrip("\r\n").replace('"', "").split(",")]
-    bracketed = {name: unit_in_brackets(name) for name in names}
-    are_units = any(map(kind_of_unit, cells)) and all(map(is_unit_label, cells))
-    if len(cells) != len(names) or not are_units:
+        below = islice(_lines(file, lines), 1, None)
+        second = next((line for line in below if line.strip()), "")
+    cells = row_of_units(second, len(names))
+    if not cells:
+        bracketed = {name: unit_in_brackets(name) for name in names}
         return {name: unit for name, unit in bracketed.items() if unit}, 1
     return {name: cell for name, cell in zip(names, cells, strict=True) if cell}, 2
+
+
+def row_of_units(line: str, n_columns: int) -> tuple[str, ...]:
+    """Return the cells of a line that holds units alone; empty for another line.
+
+    Parameters
+    ----------
+    line : str
+        The line below the header.
+    n_columns : int
+        Columns of the table.
+    """
+    cells = tuple(cell.strip() for cell in line.rstrip("\r\n").replace('"', "").split(","))
+    if len(cells) != n_columns:
+        return ()
+    are_units = any(map(kind_of_unit, cells)) and all(map(is_unit_label, cells))
+    return cells if are_units else ()
 
 
 def _rows(
@@ -149,20 +169,20 @@ def _rows(
     from pyarrow import csv as arrow_csv
 
     n_rows = 0
+    read = arrow_csv.ReadOptions(
+        use_threads=False,
+        block_size=BLOCK_BYTES,
+        column_names=list(names),
+        skip_rows=header_rows,
+    )
+    convert = arrow_csv.ConvertOptions(
+        column_types={name: pa.float64() for name in names}, null_values=[]
+    )
     try:
-        reader = arrow_csv.open_csv(
-            file,
-            read_options=arrow_csv.ReadOptions(
-                use_threads=False,
-                block_size=BLOCK_BYTES,
-                column_names=list(names),
-                skip_rows=header_rows,
-            ),
-            convert_options=arrow_csv.ConvertOptions(
-                column_types={name: pa.float64() for name in names}, null_values=[]
-            ),
-        )
-        with reader:
+        with (
+            arrow_file(file) as opened,
+            arrow_csv.open_csv(opened, read_options=read, convert_options=convert) as reader,
+        ):
             for batch in reader:
                 n_rows += batch.num_rows
                 yield _block(batch)
@@ -183,7 +203,8 @@ def _slow(
 ) -> Iterator[FloatArray]:
     """Yield the rows after the first ``skipped`` ones, as far as they are rows of numbers."""
     with file.open(encoding="utf-8", errors="replace", newline="") as lines:
-        below = islice((line for line in lines if line.strip("\r\n")), header_rows, None)
+        filled = (line for line in _lines(file, lines) if line.strip("\r\n"))
+        below = islice(filled, header_rows, None)
         rows = (line.rstrip("\r\n") for line in below if line.strip())
         found: list[list[float]] = []
         for number, text in enumerate(rows, start=1):
@@ -198,6 +219,23 @@ def _slow(
                 yield np.array(found)
                 found = []
         yield np.array(found).reshape(-1, len(names))
+
+
+def _lines(file: Path, opened: TextIO) -> Iterator[str]:
+    """Yield the lines of a text, none of which is read beyond the longest that may be."""
+    while line := opened.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
+            raise _too_long(file)
+        yield line
+
+
+def _too_long(file: Path) -> InputError:
+    return InputError(
+        str(file),
+        expected="a CSV table with a header",
+        found=f"a line of more than {LONGEST_LINE:,} letters",
+        remedy="does each row end with a line feed?",
+    )
 
 
 def _row(

@@ -28,7 +28,7 @@ from classic_ml.units import (
     time_conversion,
 )
 
-__all__ = ["FeedColumn", "feeds", "nearest_names", "open_raw"]
+__all__ = ["FeedColumn", "check_columns", "check_units", "feeds", "nearest_names", "open_raw"]
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,8 @@ def open_raw(raw_path: str | os.PathLike[str], test: TestDescription) -> RawFile
     """
     stored = open_stored(raw_path, test.file)
     columns = feeds(stored, test)
-    _check_columns(stored, test, columns)
-    if test.file.units == "check":
-        _check_units(stored, test, columns)
+    check_columns(stored, test, columns)
+    check_units(stored, test, columns)
     names = tuple(column.name for column in columns)
     made = test.file.clock == "from rate"
 
@@ -180,7 +179,23 @@ def _temperature_feed(channel: TemperatureChannel, test: TestDescription) -> Fee
     return FeedColumn(channel.name, channel.file_column, channel.unit, "K", conversion)
 
 
-def _check_columns(stored: RawFile, test: TestDescription, columns: tuple[FeedColumn, ...]) -> None:
+def check_columns(stored: RawFile, test: TestDescription, columns: tuple[FeedColumn, ...]) -> None:
+    """Refuse a table that lacks a described column, or has one that nobody described.
+
+    Parameters
+    ----------
+    stored : RawFile
+        The table as it is.
+    test : TestDescription
+        The description.
+    columns : tuple of FeedColumn
+        What it asks for, of :func:`feeds`.
+
+    Raises
+    ------
+    InputError
+        Naming the column.
+    """
     needed = [column for column in columns if column.column]
     missing = [column for column in needed if column.column not in stored.names]
     fed = {column.column for column in needed}
@@ -259,8 +274,25 @@ def _shortened(names: tuple[str, ...]) -> str:
     return text if len(text) <= 120 else text[:117] + "..."
 
 
-def _check_units(stored: RawFile, test: TestDescription, columns: tuple[FeedColumn, ...]) -> None:
-    """Refuse a unit of test.toml that is not the one the file states."""
+def check_units(stored: RawFile, test: TestDescription, columns: tuple[FeedColumn, ...]) -> None:
+    """Refuse a unit of test.toml that is not the one the file states.
+
+    Parameters
+    ----------
+    stored : RawFile
+        The file as it is.
+    test : TestDescription
+        The description; its ``[file] units`` may say that the units of the file are of no account.
+    columns : tuple of FeedColumn
+        What :func:`feeds` gives for the two.
+
+    Raises
+    ------
+    InputError
+        Naming the channel and both units.
+    """
+    if test.file.units != "check":
+        return
     references: Mapping[str, float | None] = {c.name: c.reference_Pa for c in test.pressures}
     kinds = {"count": "pressure", "Pa": "pressure", "K": "temperature", "s": "time"}
     for column in columns:
@@ -288,7 +320,9 @@ def _converted(
             values[:, number] = 0.0
             continue
         readings = block[:, stored.names.index(column.column)]
-        bad = np.flatnonzero(~np.isfinite(readings))
+        converted = column.conversion.to_si(readings)
+        # A reading that is finite may be infinite in SI.
+        bad = np.flatnonzero(~np.isfinite(converted))
         if bad.size:
             raise InputError(
                 f"{stored.source}: {column.title}",
@@ -296,5 +330,5 @@ def _converted(
                 found=f"'{readings[bad[0]]}' in row {first_row + bad[0] + 1}",
                 remedy="cut the record there or repair the channel",
             )
-        values[:, number] = column.conversion.to_si(readings)
+        values[:, number] = converted
     return values

@@ -13,7 +13,7 @@ from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.readers.toml_file import no_file
 
-__all__ = ["RAW_SUFFIXES", "open_stored"]
+__all__ = ["open_stored"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ _MARKS = (
     (b"\xd0\xcf\x11\xe0", "an old workbook of Excel"),
     (b"\x1f\x8b", "a gzip archive"),
 )
-RAW_SUFFIXES = tuple(suffix for known in _FORMATS for suffix in known.suffixes)
+_SUFFIXES = tuple(suffix for known in _FORMATS for suffix in known.suffixes)
 
 
 def open_stored(
@@ -99,7 +99,7 @@ def open_stored(
     if known is None:
         raise InputError(
             str(file),
-            expected="a raw record ending in " + " or ".join(RAW_SUFFIXES),
+            expected="a raw record ending in " + " or ".join(_SUFFIXES),
             found=f"the suffix '{file.suffix}'",
         )
     _check_mark(file, known)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,11 @@ from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
 
-__all__ = [
-    "attribute_texts",
-    "hdf5_columns",
-    "hdf5_node",
-    "hdf5_tree",
-    "open_hdf5",
-    "opened_hdf5",
-    "unit_of",
-]
+__all__ = ["Walk", "hdf5_columns", "open_hdf5", "opened_hdf5", "unit_of"]
+
+# More than any logger writes; links can make so many of two groups that nobody sees the end.
+MOST_ITEMS = 20_000
+DEEPEST = 100
 
 _UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units", "engineeringunits")
 _COLUMN_ATTRIBUTES = ("columns", "column_names", "channel_names", "channels", "names")
@@ -32,8 +29,15 @@ _MOST_TEXTS = 4096
 # Deflate reaches 1032 to 1.
 _MOST_COMPRESSED = 100_000
 
-# Takes a dataset and says what it is, or None where it is what it looks like.
-Decoder = Callable[[Any], "Node | None"]
+_OTHER_FILE = "a link to another file"
+# What h5py and numpy raise where they stumble over what a file claims to be.
+_SPOILED = (
+    *(ArithmeticError, AttributeError, LookupError, OSError, RuntimeError),
+    *(TypeError, ValueError),
+)
+
+# Takes a dataset or group and says what it is, or None where it is what it looks like.
+Decoder = Callable[[Any, "Walk"], "Node | None"]
 
 
 def open_hdf5(file: Path, layout: FileLayout) -> RawFile:
@@ -62,7 +66,7 @@ def open_hdf5(file: Path, layout: FileLayout) -> RawFile:
 
 
 def hdf5_columns(
-    file: Path, layout: FileLayout, what: str, decoder: Decoder = lambda _: None
+    file: Path, layout: FileLayout, what: str, decoder: Decoder = lambda *_: None
 ) -> RawFile:
     """Open an HDF5 file whose datasets may mean more than HDF5 says.
 
@@ -75,11 +79,14 @@ def hdf5_columns(
     what : str
         What the file is called in an error.
     decoder : callable
-        Takes a dataset or group; returns what it is, or None where it is what it looks like.
+        Takes a dataset or group and the walk that came by it; returns what it is, or None where
+        it is what it looks like.
     """
     with opened_hdf5(file, what) as handle:
         try:
-            found, aside = vectors(hdf5_tree(handle, decoder))
+            found, aside = vectors(Walk(handle, str(file), decoder).tree(handle))
+        except InputError:
+            raise
         except (OSError, RuntimeError, KeyError, ValueError) as error:
             raise InputError(str(file), expected=what, found=one_line(error)) from None
     return as_columns(str(file), found, layout, lambda: opened_hdf5(file, what), aside)
@@ -100,50 +107,129 @@ def opened_hdf5(file: Path, what: str) -> Iterator[Any]:
         yield handle
 
 
-def hdf5_tree(group: Any, decoder: Decoder, above: tuple[Any, ...] = ()) -> Tree:
-    """Return a group of an open HDF5 file as a tree, without reading the numbers."""
-    import h5py
+class Walk:
+    """A walk through an open HDF5 file: it comes to an end, whatever in the file leads to what.
 
-    tree: Tree = {}
-    for name in group:
+    Parameters
+    ----------
+    handle : h5py.File
+        The file.
+    source : str
+        What to call it in an error.
+    decoder : callable
+        As for :func:`hdf5_columns`.
+    """
+
+    def __init__(self, handle: Any, source: str, decoder: Decoder) -> None:
+        import h5py
+
+        self._source = source
+        self._decoder = decoder
+        self._file_number = h5py.h5o.get_info(handle.id).fileno
+        self._above: list[int] = []
+        self._visits_left = MOST_ITEMS
+
+    def tree(self, group: Any) -> Tree:
+        """Return a group as a tree, without reading the numbers."""
+        tree: Tree = {}
+        for name in group:
+            if isinstance(name, bytes):
+                # h5py takes such a name for no argument.
+                tree[name.decode("utf-8", "replace")] = Unreadable("a name that is not UTF-8")
+                continue
+            node = self._guarded(partial(self._linked, group, name))
+            # A group may hold itself.
+            if node is not None:
+                tree[name] = node
+        return tree
+
+    def referred(self, file: Any, reference: Any) -> Node:
+        """Return what a reference leads to."""
+        self.count()
+        if not reference:
+            return Unreadable("nothing in it")
+        node = self._guarded(lambda: self._node(file[reference]))
+        return Unreadable("a group that holds itself") if node is None else node
+
+    def count(self, visits: int = 1) -> None:
+        """Take note of visits, and refuse the file where there are too many."""
+        self._visits_left -= visits
+        if self._visits_left < 0:
+            raise InputError(
+                self._source,
+                expected=f"at most {MOST_ITEMS:,} groups, datasets and references",
+                found="more",
+                remedy="do its links lead to the same group in many ways?",
+            )
+
+    def _guarded(self, look: Callable[[], Node | None]) -> Node | None:
+        """Return one item, or why it cannot be read: the others may be good."""
+        try:
+            return look()
+        except InputError:
+            raise
+        except _SPOILED as error:
+            return Unreadable(f"what cannot be read ({one_line(error)})")
+
+    def _linked(self, group: Any, name: str) -> Node | None:
+        import h5py
+
+        self.count()
         if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
-            tree[name] = Unreadable("a link to another file")
-            continue
+            return Unreadable(_OTHER_FILE)
         try:
             item = group[name]
         except KeyError:
-            tree[name] = Unreadable("a link that leads nowhere")
-            continue
-        # A group may hold itself.
-        address = h5py.h5o.get_info(item.id).addr
-        if address not in above:
-            tree[name] = hdf5_node(item, decoder, (*above, address))
-    return tree
+            return Unreadable("a link that leads nowhere")
+        return self._node(item)
+
+    def _node(self, item: Any) -> Node | None:
+        """Return one item; None where it is a group that it lies in itself."""
+        import h5py
+
+        info = h5py.h5o.get_info(item.id)
+        if info.fileno != self._file_number:
+            # A soft link may lead through one to another file.
+            return Unreadable(_OTHER_FILE)
+        if info.addr in self._above:
+            return None
+        if len(self._above) == DEEPEST:
+            return Unreadable(f"more than {DEEPEST} groups within one another")
+        self._above.append(info.addr)
+        try:
+            return self._decoded(item)
+        finally:
+            self._above.pop()
+
+    def _decoded(self, item: Any) -> Node:
+        import h5py
+
+        why_not = _without_values(item)
+        if why_not:
+            return Unreadable(why_not)
+        decoded = self._decoder(item, self)
+        if decoded is not None:
+            return decoded
+        if isinstance(item, h5py.Group):
+            return self.tree(item)
+        if not isinstance(item, h5py.Dataset) or item.shape is None:
+            return Unreadable("nothing in it")
+        return _dataset(item)
 
 
-def hdf5_node(item: Any, decoder: Decoder, above: tuple[Any, ...] = ()) -> Node:
-    """Return one item of an open HDF5 file."""
+def _without_values(item: Any) -> str:
+    """Return why the values of a dataset are not its own; empty where they are."""
     import h5py
 
-    if _is_unwritten(item):
-        return Unreadable("rows that were never written")
-    decoded = decoder(item)
-    if decoded is not None:
-        return decoded
-    if isinstance(item, h5py.Group):
-        return hdf5_tree(item, decoder, above)
-    if not isinstance(item, h5py.Dataset) or item.shape is None:
-        return Unreadable("nothing in it")
-    return _dataset(item)
-
-
-def _is_unwritten(item: Any) -> bool:
-    """Tell whether a dataset claims far more rows than anybody wrote: they would all be read."""
-    import h5py
-
-    if not isinstance(item, h5py.Dataset) or not item.size:
-        return False
-    return bool(item.nbytes > _MOST_COMPRESSED * item.id.get_storage_size())
+    if not isinstance(item, h5py.Dataset):
+        return ""
+    if item.external:
+        return "values that lie in another file"
+    if item.is_virtual:
+        return "a view of other datasets without values of its own"
+    # It claims far more rows than anybody wrote, and they would all be read.
+    unwritten = item.size and item.nbytes > _MOST_COMPRESSED * item.id.get_storage_size()
+    return "rows that were never written" if unwritten else ""
 
 
 def _dataset(item: Any) -> Node:
@@ -160,7 +246,7 @@ def _dataset(item: Any) -> Node:
         item.shape,
         lambda handle, index: np.asarray(handle[path][index]),
         unit_of(item.attrs),
-        attribute_texts(item.attrs, _COLUMN_ATTRIBUTES),
+        _attribute_texts(item.attrs, _COLUMN_ATTRIBUTES),
     )
 
 
@@ -181,15 +267,20 @@ def _texts(item: Any) -> str | list[str] | Unreadable:
 
 def unit_of(attributes: Mapping[str, Any]) -> str:
     """Return the unit among the attributes of a dataset; empty without."""
-    return next(iter(attribute_texts(attributes, _UNIT_ATTRIBUTES)), "")
+    return next(iter(_attribute_texts(attributes, _UNIT_ATTRIBUTES)), "")
 
 
-def attribute_texts(attributes: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, ...]:
+def _attribute_texts(attributes: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the texts of the first attribute of one of some names, in any case of letters."""
+    import h5py
+
     by_name = {str(key).lower(): key for key in attributes}
     for name in names:
         if name in by_name:
-            values = np.atleast_1d(np.asarray(attributes[by_name[name]], dtype=object)).ravel()
+            stated = attributes[by_name[name]]
+            if isinstance(stated, h5py.Empty):
+                continue
+            values = np.atleast_1d(np.asarray(stated, dtype=object)).ravel()
             return tuple(
                 value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
                 for value in values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import as_columns, one_line
-from classic_ml.readers.raw_hdf5 import hdf5_columns, hdf5_node
+from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.raw_tree import Node, Tree, Unreadable, array_leaf, vectors
 from classic_ml.readers.test_description import FileLayout
@@ -110,7 +111,7 @@ def _list(items: list[Any]) -> Node:
     return Unreadable("a cell array")
 
 
-def _matlab_node(item: Any) -> Node | None:
+def _matlab_node(item: Any, walk: Walk) -> Node | None:
     """Return what MATLAB has written into HDF5: texts as numbers, cells as references."""
     import h5py
 
@@ -119,11 +120,11 @@ def _matlab_node(item: Any) -> Node | None:
     if "MATLAB_object_decode" in item.attrs:
         return Unreadable(_AS_STRUCT)
     if isinstance(item, h5py.Group):
-        return _struct_array(item)
-    return _matlab_dataset(item)
+        return _struct_array(item, walk)
+    return _matlab_dataset(item, walk)
 
 
-def _matlab_dataset(item: Any) -> Node | None:
+def _matlab_dataset(item: Any, walk: Walk) -> Node | None:
     import h5py
 
     if "MATLAB_empty" in item.attrs:
@@ -131,51 +132,71 @@ def _matlab_dataset(item: Any) -> Node | None:
     if _class_of(item) == "char":
         return _text(item)
     if h5py.check_ref_dtype(item.dtype) is not None:
-        return _cells(item)
+        return _cells(item, walk)
     return None
 
 
 def _class_of(item: Any) -> str:
     kind = item.attrs.get("MATLAB_class", b"")
-    return kind.decode() if isinstance(kind, bytes) else str(kind)
+    return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
 
 
-def _text(item: Any) -> str:
+def _text(item: Any) -> str | Unreadable:
+    if item.dtype.kind not in "iu":
+        return Unreadable("a text whose letters are no codes")
     codes = np.asarray(item[()]) if item.size <= _MOST_TEXTS else np.zeros(0, dtype=np.uint16)
-    # MATLAB writes columns first, so that a row of letters is a column here.
-    return "".join(chr(int(code)) for code in codes.ravel())
+    if codes.size and not 0 <= codes.min() <= codes.max() <= sys.maxunicode:
+        return Unreadable("a text whose letters are no codes")
+    # MATLAB writes columns first, so that a row of letters is a column here, and in UTF-16, where
+    # some letters take two codes.
+    text = "".join(chr(int(code)) for code in codes.ravel())
+    return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
 
 
-def _cells(item: Any) -> Node:
+def _cells(item: Any, walk: Walk) -> Node:
     if item.size > _MOST_TEXTS:
         return Unreadable("a cell array")
+    walk.count(item.size)
     inner = [item.file[reference] for reference in np.ravel(item[()]) if reference]
-    if inner and all(_class_of(part) == "char" for part in inner):
-        return [_text(part) for part in inner]
+    if all(_class_of(part) == "char" for part in inner):
+        texts = [text for text in map(_text, inner) if isinstance(text, str)]
+        if texts and len(texts) == len(inner):
+            return texts
     return Unreadable("a cell array")
 
 
-def _struct_array(group: Any) -> Node | None:
+def _struct_array(group: Any, walk: Walk) -> Node | None:
     """Return an array of structs, which is written as one array of references for each field."""
-    import h5py
-
-    fields = dict(group.items())
-    references = [
-        isinstance(field, h5py.Dataset)
-        and h5py.check_ref_dtype(field.dtype) is not None
-        and "MATLAB_class" not in field.attrs
-        for field in fields.values()
-    ]
-    sizes = {field.size for field in fields.values()} if all(references) else set()
+    fields: dict[str, Any] = {}
+    for name in group:
+        field = _reference_array(group, name)
+        if field is None:
+            return None
+        fields[name] = field
+    sizes = {field.size for field in fields.values()}
     if len(sizes) != 1:
         return None
     n = sizes.pop()
     if n > _MOST_TEXTS:
         return Unreadable("an array of structs")
+    references = {name: np.ravel(field[()]) for name, field in fields.items()}
     return [
-        {
-            name: hdf5_node(field.file[np.ravel(field[()])[number]], _matlab_node)
-            for name, field in fields.items()
-        }
+        {name: walk.referred(group.file, some[number]) for name, some in references.items()}
         for number in range(n)
     ]
+
+
+def _reference_array(group: Any, name: str | bytes) -> Any | None:
+    """Return a member of a group if it may be a field of an array of structs."""
+    import h5py
+
+    own = isinstance(name, str) and isinstance(group.get(name, getlink=True), h5py.HardLink)
+    try:
+        field = group[name] if own else None
+    except (KeyError, OSError, RuntimeError):
+        # The walk through the group says so.
+        return None
+    if not isinstance(field, h5py.Dataset) or field.shape is None:
+        return None
+    is_reference = h5py.check_ref_dtype(field.dtype) is not None
+    return field if is_reference and "MATLAB_class" not in field.attrs else None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from classic_ml.errors import InputError
 from classic_ml.readers.netcdf_classic import ClassicVariable, read_header
 from classic_ml.readers.raw_columns import as_columns, one_line
-from classic_ml.readers.raw_hdf5 import hdf5_columns, unit_of
+from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns, unit_of
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
@@ -28,6 +28,7 @@ __all__ = ["open_netcdf"]
 _UNWRITTEN = 9.969209968386869e36
 _SINCE = re.compile(r"^\s*(?P<unit>\w+)\s+since\s+(?P<date>.+?)\s*$", re.IGNORECASE)
 _CLASSIC = b"CDF"
+_PACKING = ("_FillValue", "missing_value", "scale_factor", "add_offset")
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 Read = Callable[[Any, tuple[Any, ...]], NDArray[Any]]
@@ -68,7 +69,7 @@ def open_netcdf(file: Path, layout: FileLayout) -> RawFile:
     return as_columns(str(file), found, layout, lambda: file.open("rb"), aside)
 
 
-def _decoded(item: Any) -> Node | None:
+def _decoded(item: Any, _: Walk) -> Node | None:
     """Return a variable of a netCDF-4 file with its attributes heeded."""
     import h5py
 
@@ -76,7 +77,8 @@ def _decoded(item: Any) -> Node | None:
         return None
     attributes = dict(item.attrs)
     title = attributes.get("NAME", b"")
-    if (title.decode() if isinstance(title, bytes) else str(title)).startswith(_NO_VARIABLE):
+    title = title.decode("utf-8", "replace") if isinstance(title, bytes) else str(title)
+    if title.startswith(_NO_VARIABLE):
         return Unreadable("a dimension without values")
     path = item.name
     return _leaf(item.shape, item.dtype, attributes, lambda h, i: np.asarray(h[path][i]), item.file)
@@ -122,23 +124,44 @@ class _Packing:
 
 def _leaf(
     shape: tuple[int, ...], dtype: Any, attributes: Mapping[str, Any], read: Read, handle: Any
-) -> Leaf:
+) -> Leaf | Unreadable:
     unit = unit_of(attributes)
     since = _SINCE.match(unit)
     is_date = since is not None and kind_of_unit(since["unit"].lower()) == "time"
     if since is not None and is_date and sum(size > 1 for size in shape) == 1:
         return _dated(shape, since, read, handle)
-    missing = [attributes[key] for key in ("_FillValue", "missing_value") if key in attributes]
-    numbers = [float(n) for n in np.concatenate([np.ravel(m) for m in missing])] if missing else []
+    packing = _packing(dtype, attributes)
+    if isinstance(packing, Unreadable):
+        return packing
+    return Leaf(shape, lambda h, index: packing(np.asarray(read(h, index))), unit)
+
+
+def _packing(dtype: Any, attributes: Mapping[str, Any]) -> _Packing | Unreadable:
+    """Return how the numbers of a variable are to be taken, as its attributes say."""
+    stated: dict[str, list[float]] = {}
+    for key in _PACKING:
+        try:
+            stated[key] = _numbers(attributes.get(key))
+        except (TypeError, ValueError, OverflowError):
+            return Unreadable(f"a variable whose {key} is no number")
+    for key in ("scale_factor", "add_offset"):
+        if key in attributes and not stated[key]:
+            return Unreadable(f"a variable whose {key} is empty")
+    missing = stated["_FillValue"] + stated["missing_value"]
     if dtype.kind == "f":
         # The fill value of a float is no double's, and is compared as the float that it is.
-        numbers.append(float(np.asarray(_UNWRITTEN).astype(dtype)))
-    packing = _Packing(
-        tuple(numbers),
-        float(np.ravel(attributes.get("scale_factor", 1.0))[0]),
-        float(np.ravel(attributes.get("add_offset", 0.0))[0]),
-    )
-    return Leaf(shape, lambda h, index: packing(np.asarray(read(h, index))), unit)
+        missing.append(float(np.asarray(_UNWRITTEN).astype(dtype)))
+    factor, offset = [*stated["scale_factor"], 1.0][0], [*stated["add_offset"], 0.0][0]
+    return _Packing(tuple(missing), factor, offset)
+
+
+def _numbers(attribute: Any) -> list[float]:
+    """Return the numbers of an attribute; none where it is not there, or empty."""
+    import h5py
+
+    if attribute is None or isinstance(attribute, h5py.Empty):
+        return []
+    return [float(number) for number in np.ravel(attribute)]
 
 
 def _dated(shape: tuple[int, ...], since: re.Match[str], read: Read, handle: Any) -> Leaf:

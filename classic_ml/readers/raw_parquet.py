@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import one_line
-from classic_ml.readers.raw_table import RawFile, check_unique, in_one_line, rebatched
+from classic_ml.readers.raw_table import RawFile, arrow_file, check_unique, in_one_line, rebatched
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 
@@ -46,17 +47,14 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
         When the file is spoiled or encrypted, or holds no column of numbers.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        # Neither buffered whole nor read by threads: a row group may be larger than memory.
-        opened = pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES)
+        with _opened(file) as opened:
+            schema, n_rows = opened.schema_arrow, opened.metadata.num_rows
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(
             str(file), expected="a Parquet file", found=f"what cannot be read ({one_line(error)})"
         ) from None
-    with opened:
-        schema, n_rows = opened.schema_arrow, opened.metadata.num_rows
     fields = [
         field
         for field in schema
@@ -78,7 +76,7 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
     }
 
     def pieces(rows: int) -> Iterator[FloatArray]:
-        with pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES) as table:
+        with _opened(file) as table:
             try:
                 for batch in table.iter_batches(rows, columns=list(names), use_threads=False):
                     columns = np.empty((len(fields), batch.num_rows))
@@ -138,14 +136,25 @@ def _numbers(column: Any, kind: Any, origin: int | None) -> NDArray[Any]:
     return np.asarray(column.to_numpy(zero_copy_only=not column.null_count), dtype=np.float64)
 
 
+@contextmanager
+def _opened(file: Path) -> Iterator[Any]:
+    import pyarrow.parquet as pq
+
+    # Neither buffered whole nor read by threads: a row group may be larger than memory.
+    with (
+        arrow_file(file) as opened,
+        pq.ParquetFile(opened, pre_buffer=False, buffer_size=BUFFER_BYTES) as table,
+    ):
+        yield table
+
+
 def _first_stamps(file: Path, names: list[str]) -> dict[str, int]:
     """Return the first value of each column of timestamps, in its own ticks."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     if not names:
         return {}
-    with pq.ParquetFile(file, pre_buffer=False, buffer_size=BUFFER_BYTES) as table:
+    with _opened(file) as table:
         batch = next(table.iter_batches(1, columns=names, use_threads=False))
     return {
         name: batch.column(number).cast(pa.int64())[0].as_py() or 0

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 
-__all__ = ["MINIMUM_ROWS", "TIME_COLUMN", "RawFile", "check_unique", "in_one_line", "rebatched"]
+__all__ = [
+    "MINIMUM_ROWS",
+    "TIME_COLUMN",
+    "RawFile",
+    "arrow_file",
+    "check_unique",
+    "in_one_line",
+    "rebatched",
+]
 
 TIME_COLUMN = "time_s"
 # The same floor as a series file: less is not a record of anything.
@@ -74,6 +85,13 @@ def check_unique(source: str, names: tuple[str, ...]) -> None:
 def in_one_line(label: str) -> str:
     """Return a label of a file as a sentence can hold it."""
     return " ".join(label.split())[:LONGEST_LABEL]
+
+
+def arrow_file(file: Path) -> Any:
+    """Open a file for pyarrow, which takes a name that is not UTF-8 as bytes alone."""
+    import pyarrow as pa
+
+    return pa.OSFile(os.fsencode(file))
 
 
 def rebatched(pieces: Iterator[FloatArray], rows: int) -> Iterator[FloatArray]:

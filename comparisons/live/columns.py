@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_files import FeedColumn, feeds
-from classic_ml.readers.raw_table import RawFile
+from classic_ml.readers import possible_ranges
+from classic_ml.readers.raw_files import FeedColumn, check_columns, check_units, feeds
+from classic_ml.readers.raw_table import RawFile, check_unique
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, Record
-from classic_ml.units import COUNT
+from classic_ml.units import unit_in_brackets
 
 __all__ = ["FEED", "FeedColumns", "described_columns", "feed_columns"]
 
@@ -65,22 +66,21 @@ class FeedColumns:
         }
         return Record(channels, self.test.sample_rate_hz, start_s, FEED)
 
-    def impossible(self, readings: FloatArray) -> NDArray[np.bool_]:
+    def impossible(self, time_s: FloatArray, readings: FloatArray) -> NDArray[np.bool_]:
         """Mark the rows for which the reader of raw files would refuse the whole record."""
-        bad = np.zeros(len(readings), dtype=np.bool_)
-        for channel, column in zip(self.channels, readings.T, strict=True):
-            if channel.record_unit == COUNT:
-                bad |= (column < 0) | (column > self.test.adc.top_code)
-            elif channel.record_unit == "K":
-                bad |= column <= 0.0
-        return bad
+        names = tuple(channel.name for channel in self.channels)
+        lowest, highest = possible_ranges(self.test, names)
+        possible = np.isfinite(readings) & (readings >= lowest) & (readings <= highest)
+        return np.asarray(~(possible.all(axis=1) & np.isfinite(time_s)))
 
     def _of(self, values: FloatArray, column: FeedColumn) -> FloatArray:
         readings: FloatArray = values[:, self.names.index(column.column)]
         return column.conversion.to_si(readings)
 
 
-def feed_columns(names: tuple[str, ...], test: TestDescription) -> FeedColumns:
+def feed_columns(
+    names: tuple[str, ...], test: TestDescription, units: tuple[str, ...] = ()
+) -> FeedColumns:
     """Check the header of a feed against the description of the test.
 
     Parameters
@@ -89,36 +89,38 @@ def feed_columns(names: tuple[str, ...], test: TestDescription) -> FeedColumns:
         Names of the columns.
     test : TestDescription
         The test.
+    units : tuple of str
+        Their units, where a line below the header states them.
 
     Raises
     ------
     InputError
-        When the feed has no clock, lacks a channel, or has a column too many.
+        When the feed has no clock, lacks a channel, has a column too many, or one that
+        states another unit than the test does.
     """
-    described = described_columns(test)
-    clock, channels = described.clock, described.channels
-    wanted = list(described.names)
-    missing = [name for name in wanted if name not in names]
-    extra = [name for name in names if name not in wanted]
-    doubled = [name for name in names if names.count(name) > 1]
-    if missing:
+    table = _table(names, units)
+    columns = _layout(table, test)
+    check_columns(table, test, columns)
+    check_unique(FEED, names)
+    check_units(table, test, columns)
+    return FeedColumns(names, columns[0], columns[1:], test)
+
+
+def _table(names: tuple[str, ...], units: tuple[str, ...] = ()) -> RawFile:
+    """Return a feed as a table of which nothing is known but names and units of its columns."""
+    labels = units or tuple(map(unit_in_brackets, names))
+    stated = {name: label for name, label in zip(names, labels, strict=True) if label}
+    return RawFile(FEED, names, lambda _: iter(()), stated)
+
+
+def _layout(table: RawFile, test: TestDescription) -> tuple[FeedColumn, ...]:
+    if test.file.clock != "column":
         raise InputError(
-            f"{FEED}: column {missing[0]}",
-            expected=f"it in the header, as {test.source} describes it",
-            found="a header without it" + (f" and {len(missing) - 1} more" if missing[1:] else ""),
+            f"{test.source}: [file] clock",
+            expected='"column": rows of a feed are put in order by the clock they bring',
+            found=f'"{test.file.clock}"',
         )
-    if doubled:
-        raise InputError(
-            f"{FEED}: column {doubled[0]}", expected="it once", found="it more often in the header"
-        )
-    if extra and test.file.other_columns == "refuse":
-        raise InputError(
-            f"{FEED}: column {extra[0]}",
-            expected=f"a table [channels.{extra[0]}] in {test.source}",
-            found="none" + (f" (nor for {len(extra) - 1} more)" if extra[1:] else ""),
-            remedy='describe the channel, or write other_columns = "ignore" in [file]',
-        )
-    return FeedColumns(names, clock, channels, test)
+    return feeds(table, test)
 
 
 def described_columns(test: TestDescription) -> FeedColumns:
@@ -134,12 +136,6 @@ def described_columns(test: TestDescription) -> FeedColumns:
     InputError
         When it describes rows without a clock.
     """
-    if test.file.clock != "column":
-        raise InputError(
-            f"{test.source}: [file] clock",
-            expected='"column": rows of a feed are put in order by the clock they bring',
-            found=f'"{test.file.clock}"',
-        )
-    clock, *channels = feeds(RawFile(FEED, (), lambda _: iter(())), test)
+    clock, *channels = _layout(_table(()), test)
     names = (clock.column, *(channel.column for channel in channels))
     return FeedColumns(names, clock, tuple(channels), test)

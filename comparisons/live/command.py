@@ -8,13 +8,20 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from comparisons.reduction_options import (
+    add_reduction_options,
+    options_named,
+    reduction_settings,
+)
+
 if TYPE_CHECKING:
     from classic_ml.readers import TestDescription
+    from classic_ml.reduction import ReductionSettings
     from comparisons.live.display import Screen
     from comparisons.live.ending import Result
     from comparisons.live.feed import Feed
@@ -34,11 +41,11 @@ has passed, and says so. Surge is told when the filtered flow at plane 25 has ru
 of its mean behind its trough. The time constant is that of `reduce` and `compare` over the rows so
 far, made anew behind every cycle in a process of its own, and provisional.
 
-A feed may stall or break. Rows that were had already are dropped, rows out of order are put in
-order, what is no row is counted and left out. Where rows are missing the record goes on as a new
+A feed may fall silent or break. Rows that were had already are dropped, rows out of order are put
+in order, what is no row is counted and left out. Where rows are missing the record goes on as a new
 piece, which is reduced by itself. The run ends with the input, with the end mark of the format,
-after --timeout, or with Ctrl-C or SIGTERM; then the rows are reduced as `reduce` would. They are
-on disk all the time: after a crash, reduce that file."""
+after --timeout, or with Ctrl-C or SIGTERM; then the rows are reduced as `reduce` would with the
+same options. They are on disk all the time: after a crash, reduce that file."""
 
 
 def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -99,6 +106,13 @@ def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument(
         "--page", type=_port, metavar="PORT", help="show a page on 127.0.0.1 (0: any free port)"
     )
+    add_reduction_options(
+        parser.add_argument_group(
+            "options of `reduce`",
+            "for the running estimate and for the series at the end; the state that is shown "
+            "during the run is told by test.toml alone",
+        )
+    )
     parser.add_argument("--no-estimate", action="store_true", help="without a running estimate")
     parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
     parser.set_defaults(run=_run)
@@ -124,15 +138,18 @@ def _run(arguments: argparse.Namespace) -> None:
 
     out, raw = _targets(arguments)
     test = read_test_description(arguments.test)
-    estimator = _estimator(arguments, test)
-    try:
+    with options_named():
+        settings = reduction_settings(arguments)
+    with ExitStack() as begun:
+        # What is begun is ended where the rest cannot begin; a session ends it itself.
+        estimator = _estimator(arguments, test, settings)
+        begun.callback(estimator.close)
         feed = _feed(arguments)
+        begun.callback(feed.close)
         screens, tell = _screens(arguments)
         meter = LatencyMeter(1e-3 * arguments.budget)
         display = Display(screens, meter)
-    except BaseException:
-        estimator.close()
-        raise
+        begun.pop_all()
     decoder = _decoder(arguments.format)
     session = Session(
         SessionParts(test, feed, decoder, raw, estimator, display, meter, tell, arguments.timeout)
@@ -142,7 +159,8 @@ def _run(arguments: argparse.Namespace) -> None:
         with _stopped_by_signals(session):
             session.run()
         session.show("reducing")
-        results = reduce_pieces(session, arguments.test, out)
+        with options_named():
+            results = reduce_pieces(session, arguments.test, out, settings)
         session.sum_up()
         session.show("done")
     finally:
@@ -218,14 +236,16 @@ def _decoder(name: str) -> Callable[[Tally], Decoder]:
     return TextDecoder if name == "csv" else FrameDecoder
 
 
-def _estimator(arguments: argparse.Namespace, test: TestDescription) -> Estimator:
+def _estimator(
+    arguments: argparse.Namespace, test: TestDescription, settings: ReductionSettings
+) -> Estimator:
     """Return the running estimate, once all that takes time to load is loaded."""
     from comparisons.live.columns import described_columns
     from comparisons.live.monitor import warm_up
     from comparisons.live.running_estimate import NoEstimate, RunningEstimate
 
     columns = described_columns(test)
-    estimator = NoEstimate() if arguments.no_estimate else RunningEstimate(columns)
+    estimator = NoEstimate() if arguments.no_estimate else RunningEstimate(columns, settings)
     warm_up(test)
     estimator.begin()
     return estimator

@@ -46,7 +46,9 @@ class Result:
     error: InputError | None = None
 
 
-def reduce_pieces(session: Session, test: Path, out: Path) -> list[Result]:
+def reduce_pieces(
+    session: Session, test: Path, out: Path, settings: ReductionSettings | None = None
+) -> list[Result]:
     """Reduce the pieces of a record, the longest one that can be to the series' own name.
 
     Parameters
@@ -57,6 +59,8 @@ def reduce_pieces(session: Session, test: Path, out: Path) -> list[Result]:
         Description of the test.
     out : path
         Series file; those of further pieces are numbered.
+    settings : ReductionSettings, optional
+        The switches; the defaults of the reduction without them.
 
     Returns
     -------
@@ -79,7 +83,7 @@ def reduce_pieces(session: Session, test: Path, out: Path) -> list[Result]:
     for piece in sorted(received, key=lambda piece: -piece.n_rows):
         first = all(result.error is not None for result in results)
         path = out if first else out.with_stem(f"{out.stem}-piece{piece.number}")
-        results.append(_reduced(piece, test, path, entry))
+        results.append(_reduced(piece, test, path, entry, settings or ReductionSettings()))
     longest = results[0]
     if longest.error is not None and all(result.error is not None for result in results):
         error = longest.error
@@ -93,13 +97,15 @@ def reduce_pieces(session: Session, test: Path, out: Path) -> list[Result]:
     return sorted(results, key=lambda result: result.piece.number)
 
 
-def _reduced(piece: Piece, test_path: Path, out: Path, entry: LedgerEntry) -> Result:
+def _reduced(
+    piece: Piece, test_path: Path, out: Path, entry: LedgerEntry, settings: ReductionSettings
+) -> Result:
     try:
         _check_clock(piece, test_path)
         reduction = reduce_file(
             piece.path,
             test_path,
-            ReductionSettings(),
+            settings,
             chunk_rows=BLOCK_ROWS if piece.n_rows > ROWS_IN_MEMORY else None,
             out=out,
         )
@@ -146,7 +152,7 @@ def _entry(session: Session) -> LedgerEntry:
             "rows": sum(p.n_rows for p in pieces),
             "pieces": len(pieces),
             "connections": session.silence.n_connections,
-            "stalls": session.silence.n_stalls,
+            "silences": session.silence.n_silences,
             "rows_out_of_order": order.late,
         },
         tuple(dropped),

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns
+
+if TYPE_CHECKING:
+    from classic_ml.reduction import ReductionSettings
 
 __all__ = ["Estimate", "estimate_of"]
 
@@ -51,7 +55,12 @@ class Estimate:
     seconds: float = 0.0
 
 
-def estimate_of(columns: FeedColumns, readings: FloatArray, start_s: float) -> Estimate:
+def estimate_of(
+    columns: FeedColumns,
+    readings: FloatArray,
+    start_s: float,
+    settings: ReductionSettings | None = None,
+) -> Estimate:
     """Reduce rows and fit the lag model to them, as `reduce` and `compare` do.
 
     Parameters
@@ -62,6 +71,8 @@ def estimate_of(columns: FeedColumns, readings: FloatArray, start_s: float) -> E
         Counts, Pa and K of rows that follow one another.
     start_s : float
         Clock of the first row.
+    settings : ReductionSettings, optional
+        The switches of the reduction; the defaults without them.
 
     Returns
     -------
@@ -74,7 +85,7 @@ def estimate_of(columns: FeedColumns, readings: FloatArray, start_s: float) -> E
 
     begun = time.monotonic()
     try:
-        reduction = reduce_record(columns.record(readings, start_s), columns.test)
+        reduction = reduce_record(columns.record(readings, start_s), columns.test, settings)
         series = reduction.series
         if not has_whole_run(series):
             return Estimate("no row so far can be scored", seconds=time.monotonic() - begun)

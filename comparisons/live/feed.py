@@ -20,7 +20,15 @@ POLL_S = 0.2
 
 @dataclass(frozen=True)
 class Opened:
-    """A connection begins: its first line or frame is the header."""
+    """A connection begins: its first line or frame is the header.
+
+    Parameters
+    ----------
+    number : int
+        Of the connection, from 1.
+    """
+
+    number: int = 1
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,8 @@ class Feed(ABC):
     def __init__(self) -> None:
         self._arrivals: queue.Queue[Arrival] = queue.Queue(WAITING_CHUNKS)
         self._stop = threading.Event()
-        self._drop = threading.Event()
+        self._n_opened = 0
+        self._dropped = 0
         self._thread = threading.Thread(target=self._run, name="feed", daemon=True)
 
     @property
@@ -96,13 +105,29 @@ class Feed(ABC):
         except queue.Empty:
             return None
 
-    def drop(self) -> None:
-        """Close the present connection."""
-        self._drop.set()
+    def drop(self, number: int) -> None:
+        """Close a connection, if it is still there.
+
+        Parameters
+        ----------
+        number : int
+            Its number: by now another one may have taken its place.
+        """
+        self._dropped = number
 
     def close(self) -> None:
         """Stop reading."""
         self._stop.set()
+
+    def _opened(self) -> None:
+        """Tell of a connection, which is the present one from now on."""
+        self._n_opened += 1
+        self._put(Opened(self._n_opened))
+
+    @property
+    def _is_dropped(self) -> bool:
+        """Whether the present connection is to be closed."""
+        return self._dropped == self._n_opened
 
     def _put(self, arrival: Arrival) -> None:
         while not self._stop.is_set():
@@ -133,7 +158,7 @@ class PipeFeed(Feed):
         return "waiting for the standard input"
 
     def _run(self) -> None:
-        self._put(Opened())
+        self._opened()
         while not self._stop.is_set():
             try:
                 data = os.read(self._handle, CHUNK)

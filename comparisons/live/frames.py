@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,9 @@ COLUMNS, ROWS, END = 0, 1, 2
 # magic, version, kind, zero, sequence number, rows, bytes of payload
 _HEAD = struct.Struct("<4sBBHIII")
 _CRC = struct.Struct("<I")
-# 1 MiB is seven seconds of twenty channels at 1 kHz as float64: no latency needs longer frames.
-LONGEST_PAYLOAD = 1 << 20
+# 64 KiB are 0.4 s of twenty channels at 1 kHz as float64: no latency needs longer frames. What
+# looks like the head of a frame and is none costs a checksum over so many bytes.
+LONGEST_PAYLOAD = 1 << 16
 _TYPES = {"f8": "<f8", "f4": "<f4", "i2": "<i2", "u2": "<u2", "i4": "<i4"}
 
 FRAME_FORMAT = f"""\
@@ -76,14 +77,14 @@ class FrameDecoder:
             whole = _HEAD.size + length + _CRC.size
             if len(self._buffer) < whole:
                 break
-            body = bytes(self._buffer[: whole - _CRC.size])
-            if _CRC.unpack_from(self._buffer, len(body))[0] != zlib.crc32(body):
+            if not self._is_whole(whole):
                 self._out_of_step()
                 continue
+            payload = bytes(self._buffer[_HEAD.size : _HEAD.size + length])
             del self._buffer[:whole]
             self._in_step = True
             self._count_missing(number)
-            items += self._item(kind, n_rows, body[_HEAD.size :])
+            items += self._item(kind, n_rows, payload)
         return items
 
     def close(self) -> None:
@@ -103,6 +104,13 @@ class FrameDecoder:
             self._count_damage()
             del self._buffer[:start]
         return len(self._buffer) >= len(MAGIC)
+
+    def _is_whole(self, size: int) -> bool:
+        """Tell whether the frame of so many bytes at the front has the checksum it states."""
+        covered = size - _CRC.size
+        with memoryview(self._buffer) as view:
+            checksum = zlib.crc32(view[:covered])
+        return bool(_CRC.unpack_from(self._buffer, covered)[0] == checksum)
 
     def _out_of_step(self) -> None:
         """Give up this frame, and look for the next one behind its first byte."""
@@ -136,10 +144,11 @@ class FrameDecoder:
             for entry in payload.decode("utf-8", errors="replace").split(",")
         ]
         names = tuple(name for name, _, _ in columns)
-        if not all(kind in _TYPES for _, _, kind in columns) or len(set(names)) < len(names):
+        known = all(kind in _TYPES for _, _, kind in columns)
+        if not known or not all(map(_is_name, names)) or len(set(names)) < len(names):
             self._tally.refuse("a frame of columns that cannot be read")
             return []
-        self._row = np.dtype([(name, _TYPES[kind]) for name, _, kind in columns])
+        self._row = _row_type(kind for _, _, kind in columns)
         return [Header(names)]
 
     def _rows(self, table: NDArray[np.void]) -> list[Item]:
@@ -154,6 +163,16 @@ class FrameDecoder:
         cells = [map(repr, _exact(table[name][good]).tolist()) for name in names]
         lines = tuple(",".join(row).encode("ascii") for row in zip(*cells, strict=True))
         return [Rows(values[good], lines)]
+
+
+def _is_name(name: str) -> bool:
+    """Tell whether a name can stand in the one line that heads the raw record."""
+    return bool(name) and not any(ord(letter) < 32 or ord(letter) == 127 for letter in name)
+
+
+def _row_type(kinds: Iterable[str]) -> np.dtype[np.void]:
+    """Return the layout of a row, its fields by their numbers: numpy has names of its own."""
+    return np.dtype([(f"{number}", _TYPES[kind]) for number, kind in enumerate(kinds)])
 
 
 def _matrix(table: NDArray[np.void]) -> FloatArray:
@@ -193,12 +212,20 @@ def rows_frame(columns: Mapping[str, str], values: FloatArray, number: int) -> b
     columns : mapping of str to str
         As in :func:`columns_frame`.
     values : ndarray of shape (n, n_columns)
-        The rows, in the order of the columns.
+        The rows, in the order of the columns; as many as a frame can hold.
     number : int
         Number of the frame.
+
+    Raises
+    ------
+    ValueError
+        When they are more.
     """
-    table = np.empty(len(values), dtype=[(name, _TYPES[kind]) for name, kind in columns.items()])
-    for name, column in zip(columns, values.T, strict=True):
+    table = np.empty(len(values), dtype=_row_type(columns.values()))
+    if table.nbytes > LONGEST_PAYLOAD:
+        most = LONGEST_PAYLOAD // table.dtype.itemsize
+        raise ValueError(f"a frame holds {most} rows of these columns at most, not {len(values)}")
+    for name, column in zip(table.dtype.names or (), values.T, strict=True):
         table[name] = column
     return _frame(ROWS, number, len(values), table.tobytes())
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from classic_ml.records import FloatArray
 
-__all__ = ["Decoder", "End", "Header", "Item", "Rows", "Tally"]
+__all__ = ["Decoder", "End", "Header", "Item", "Rows", "Tally", "Units"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,22 @@ class Header:
     """
 
     names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Units:
+    """The units of the columns, where the line below the header states them.
+
+    Parameters
+    ----------
+    labels : tuple of str
+        In the order of the values.
+    line : bytes
+        That line, without its end.
+    """
+
+    labels: tuple[str, ...]
+    line: bytes
 
 
 @dataclass(frozen=True)
@@ -68,7 +84,7 @@ class End:
     """The sender says that the run is over."""
 
 
-Item: TypeAlias = Header | Rows | End
+Item: TypeAlias = Header | Units | Rows | End
 
 
 @dataclass

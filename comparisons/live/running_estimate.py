@@ -11,13 +11,16 @@ import os
 import signal
 import time
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns
 from comparisons.live.estimate import Estimate, estimate_of
+
+if TYPE_CHECKING:
+    from classic_ml.reduction import ReductionSettings
 
 __all__ = ["MOST_ROWS", "Estimator", "NoEstimate", "RunningEstimate"]
 
@@ -82,13 +85,17 @@ class RunningEstimate:
     ----------
     columns : FeedColumns
         The channels.
+    settings : ReductionSettings, optional
+        The switches of its reductions; the defaults without them.
     """
 
-    def __init__(self, columns: FeedColumns) -> None:
+    def __init__(self, columns: FeedColumns, settings: ReductionSettings | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         self._connection = ours
-        self._process = context.Process(target=_serve, args=(theirs, columns), daemon=True)
+        self._process = context.Process(
+            target=_serve, args=(theirs, columns, settings), daemon=True
+        )
         self._process.start()
         theirs.close()
         self._near_stall = columns.test.near_stall
@@ -182,7 +189,9 @@ class RunningEstimate:
         self._wanted, self._busy = False, True
 
 
-def _serve(connection: Connection[Any, Any], columns: FeedColumns) -> None:
+def _serve(
+    connection: Connection[Any, Any], columns: FeedColumns, settings: ReductionSettings | None
+) -> None:
     """Answer each job with an estimate until the other end is closed."""
     from threadpoolctl import threadpool_limits
 
@@ -198,15 +207,17 @@ def _serve(connection: Connection[Any, Any], columns: FeedColumns) -> None:
             while True:
                 fresh, start_s, more = connection.recv()
                 rows = [more] if fresh else [np.concatenate([*rows, more])]
-                connection.send(_tried(columns, rows[0], start_s))
+                connection.send(_tried(columns, rows[0], start_s, settings))
         except (EOFError, OSError):
             return
 
 
-def _tried(columns: FeedColumns, readings: FloatArray, start_s: float) -> Estimate:
+def _tried(
+    columns: FeedColumns, readings: FloatArray, start_s: float, settings: ReductionSettings | None
+) -> Estimate:
     """Return an estimate, whatever happens: no provisional fit is worth the end of a session."""
     try:
-        return estimate_of(columns, readings, start_s)
+        return estimate_of(columns, readings, start_s, settings)
     except Exception as error:
         return Estimate(f"the fit failed: {type(error).__name__}: {error}")
 

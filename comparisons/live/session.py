@@ -10,11 +10,14 @@ from datetime import datetime
 
 import numpy as np
 
+from classic_ml.errors import InputError
+from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns, described_columns, feed_columns
 from comparisons.live.feed import Arrival, Closed, Data, Opened
 from comparisons.live.monitor import Monitor
+from comparisons.live.rate import RateCheck
 from comparisons.live.row_order import RowOrder, Stretch
-from comparisons.live.rows import Decoder, End, Header, Rows, Tally
+from comparisons.live.rows import Decoder, End, Header, Rows, Tally, Units
 from comparisons.live.session_parts import SessionParts
 from comparisons.live.silence import Silence
 from comparisons.live.spool import RawSpool
@@ -47,7 +50,13 @@ class Session:
         self._columns: FeedColumns | None = None
         self._estimator = parts.estimator
         self._monitor: Monitor | None = None
+        self._rate: RateCheck | None = None
+        self._shift_s: float | None = None
+        self._connection_number = 0
         self._decoder: Decoder | None = None
+        # Whether the present connection began with the header of this test.
+        self._welcome = False
+        self._has_units = False
         self._stopped = ""
         self._next_update_s = 0.0
         self._last_update_s = 0.0
@@ -69,7 +78,7 @@ class Session:
         Raises
         ------
         InputError
-            When the first header does not fit the test.
+            When the first header does not fit the test, or the first rows its sample rate.
         """
         parts = self._parts
         parts.feed.start()
@@ -102,7 +111,7 @@ class Session:
             phase=phase,
             feed=f"ended: {self._stopped}" if self._stopped else self.silence.words(),
             latency=self._parts.meter.read(),
-            stalled=self.silence.stopped and not self._stopped,
+            feed_silent=self.silence.stopped and not self._stopped,
             n_rows=sum(piece.n_rows for piece in pieces),
             n_pieces=len(pieces),
             n_refused=self.tally.total,
@@ -172,6 +181,8 @@ class Session:
     def _connection(self, arrival: Arrival) -> None:
         if isinstance(arrival, Opened):
             self._decoder = self._parts.decoder(self.tally)
+            self._connection_number = arrival.number
+            self._welcome = False
             self.silence.connected = True
             self.silence.n_connections += 1
             if self.silence.n_connections > 1:
@@ -193,9 +204,14 @@ class Session:
         for item in self._decoder.feed(data):
             if isinstance(item, Header):
                 self._header(item)
+            elif not self._welcome:
+                # Whoever sent another header, or none, has no say in this run.
+                continue
+            elif isinstance(item, Units):
+                self._units(item)
             elif isinstance(item, End):
                 self.stop("the sender says that the run is over")
-            elif self._columns is not None and self._decoder is not None:
+            else:
                 rows.append(item)
         return rows
 
@@ -205,13 +221,35 @@ class Session:
             self._refuse("it did not begin with a header of this test")
         elif self._columns is None:
             self._columns = feed_columns(header.names, parts.test)
+            self._rate = RateCheck(parts.test, self._columns.clock.column)
             self.spool = RawSpool(parts.raw, header.names)
             self.spool.begin()
             self._monitor = Monitor(self._columns, self._estimator)
+            self._welcome = True
             self.say("feed", f"receiving {len(header.names)} columns")
         elif header.names != self._columns.names:
             # Its rows would be read as other channels.
             self._refuse("it began with another header than the first one")
+        else:
+            self._welcome = True
+
+    def _units(self, units: Units) -> None:
+        """Heed a line of units as the reader of files does; it stays with the record."""
+        if self._columns is None or self.spool is None:
+            return
+        is_first = not any(piece.n_rows for piece in self.spool.pieces)
+        try:
+            stated = feed_columns(self._columns.names, self._parts.test, units.labels)
+        except InputError:
+            if is_first:
+                self.discard()
+                raise
+            stated = None
+        if is_first and not self._has_units:
+            self._columns, self._has_units = stated or self._columns, True
+            self.spool.state_units(units.line)
+        elif stated != self._columns:
+            self._refuse("it states other units than the first one")
 
     def _is_stranger(self, header: Header) -> bool:
         """Tell a program that connected by mistake from a sender with a wrong header."""
@@ -220,21 +258,44 @@ class Session:
 
     def _refuse(self, why: str) -> None:
         self.say("feed", f"a connection was refused: {why}")
-        self._parts.feed.drop()
+        self._parts.feed.drop(self._connection_number)
         self._decoder = None
+        self._welcome = False
 
     def _take(self, rows: list[Rows]) -> None:
         if not rows or self._columns is None:
             return
         batch = Rows.joined(rows)
-        readings = self._columns.readings(batch.values)
-        bad = self._columns.impossible(readings)
+        time_s = self._columns.time_s(batch.values)
+        bad = self._columns.impossible(time_s, self._columns.readings(batch.values))
         if bad.any():
             self.tally.refuse("a row with an impossible reading", int(np.sum(bad)))
-            batch = batch.those(~bad)
+            batch, time_s = batch.those(~bad), time_s[~bad]
         self.silence.heard()
-        for stretch in self.order.take(self._columns.time_s(batch.values), batch):
+        self._check_rate(time_s)
+        time_s = self._set(time_s)
+        for stretch in self.order.take(time_s, batch):
             self._place(stretch)
+
+    def _check_rate(self, time_s: FloatArray) -> None:
+        """Refuse the feed where its first rows run at another rate: most would be lost."""
+        try:
+            if self._rate is not None:
+                self._rate.take(time_s)
+        except InputError:
+            if self.spool is not None:
+                self.spool.close()
+            self.discard()
+            raise
+
+    def _set(self, time_s: FloatArray) -> FloatArray:
+        """Return the clock as [file] start_s sets it at the first row, as it does in a file."""
+        start_s = self._parts.test.file.start_s
+        if start_s is None or not time_s.size:
+            return time_s
+        if self._shift_s is None:
+            self._shift_s = start_s - float(time_s[0])
+        return time_s + self._shift_s
 
     def _place(self, stretch: Stretch) -> None:
         if self.spool is None or self._columns is None or self._monitor is None:

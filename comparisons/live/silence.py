@@ -1,4 +1,4 @@
-"""How a feed does: receiving, stalled, broken, or silent for too long."""
+"""How a feed does: receiving, silent, broken, or silent for too long."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import time
 
 __all__ = ["Silence"]
 
-# No rows for so long, and the feed is said to be stalled.
-STALL_S = 1.0
+# No rows for so long, and the feed is said to be silent.
+SILENT_S = 1.0
 
 
 class Silence:
@@ -24,9 +24,9 @@ class Silence:
     ----------
     connected : bool
         Whether there is a connection.
-    n_connections, n_stalls : int
+    n_connections, n_silences : int
         How many there were.
-    stalled : bool
+    silent : bool
         Whether rows have stopped to come over a connection that is still there.
     """
 
@@ -36,9 +36,9 @@ class Silence:
         self._heard_s = time.monotonic()
         self._begun = False
         self.connected = False
-        self.stalled = False
+        self.silent = False
         self.n_connections = 0
-        self.n_stalls = 0
+        self.n_silences = 0
 
     @property
     def silent_s(self) -> float:
@@ -48,7 +48,7 @@ class Silence:
     @property
     def stopped(self) -> bool:
         """Whether rows came before, and none come now."""
-        return self._begun and (self.stalled or not self.connected)
+        return self._begun and (self.silent or not self.connected)
 
     @property
     def too_long(self) -> str:
@@ -63,13 +63,13 @@ class Silence:
         self._begun = True
 
     def news(self) -> str:
-        """Return what is worth telling since it was last asked: that the feed stalls or goes on."""
-        was, silent_s = self.stalled, self.silent_s
-        self.stalled = self._begun and self.connected and silent_s > STALL_S
-        if self.stalled and not was:
-            self.n_stalls += 1
-            return f"stalled: no data for {silent_s:.1f} s"
-        if was and silent_s <= STALL_S:
+        """Return what is worth telling since it was last asked: that it fell silent, or goes on."""
+        was, silent_s = self.silent, self.silent_s
+        self.silent = self._begun and self.connected and silent_s > SILENT_S
+        if self.silent and not was:
+            self.n_silences += 1
+            return f"silent: no data for {silent_s:.1f} s"
+        if was and silent_s <= SILENT_S:
             return "data come again"
         return ""
 
@@ -80,6 +80,6 @@ class Silence:
             return lost + self._waiting
         if not self._begun:
             return "connected, no rows yet"
-        if self.silent_s > 0.5 * STALL_S:
+        if self.silent_s > 0.5 * SILENT_S:
             return f"no data for {self.silent_s:.1f} s"
         return "receiving"

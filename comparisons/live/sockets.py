@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from classic_ml.errors import InputError
-from comparisons.live.feed import CHUNK, POLL_S, Closed, Data, Feed, Opened
+from comparisons.live.feed import CHUNK, POLL_S, Closed, Data, Feed
 
 __all__ = ["CallingFeed", "ListeningFeed", "parse_address"]
 
@@ -85,7 +85,8 @@ class ListeningFeed(Feed):
     def close(self) -> None:
         """Stop listening."""
         super().close()
-        self._thread.join(2.0 * POLL_S + 1.0)
+        if self._thread.is_alive():
+            self._thread.join(2.0 * POLL_S + 1.0)
         self._server.close()
         if self._path is not None:
             self._path.unlink(missing_ok=True)
@@ -98,7 +99,7 @@ class ListeningFeed(Feed):
                 connection = self._accepted()
                 if connection is None:
                     continue
-            self._put(Opened())
+            self._opened()
             with connection:
                 connection, why = self._read(connection)
             self._put(Closed(why))
@@ -106,12 +107,11 @@ class ListeningFeed(Feed):
     def _read(self, connection: socket.socket) -> tuple[socket.socket | None, str]:
         """Read until the connection ends; return the one that takes over, and why it ended."""
         heard_s = time.monotonic()
-        self._drop.clear()
         while not self._stop.is_set():
             silent = time.monotonic() - heard_s > SILENT_S
             watched = [connection, self._server] if silent else [connection]
             ready = select.select(watched, [], [], POLL_S)[0]
-            if self._drop.is_set():
+            if self._is_dropped:
                 return None, "it was refused"
             if connection in ready:
                 heard_s = time.monotonic()
@@ -162,15 +162,14 @@ class CallingFeed(Feed):
                 self._stop.wait(POLL_S)
                 continue
             with connection:
-                self._put(Opened())
+                self._opened()
                 self._put(Closed(self._read(connection)))
             # A server that hangs up at once is not to be called a thousand times a second.
             self._stop.wait(POLL_S)
 
     def _read(self, connection: socket.socket) -> str:
         connection.settimeout(POLL_S)
-        self._drop.clear()
-        while not (self._stop.is_set() or self._drop.is_set()):
+        while not (self._stop.is_set() or self._is_dropped):
             try:
                 data = connection.recv(CHUNK)
             except TimeoutError:
@@ -180,7 +179,7 @@ class CallingFeed(Feed):
             if not data:
                 return "the server closed it"
             self._put(Data(data, time.monotonic()))
-        return "it was refused" if self._drop.is_set() else "the session ended"
+        return "it was refused" if self._is_dropped else "the session ended"
 
 
 def _remove_left_over(path: Path) -> None:

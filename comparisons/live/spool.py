@@ -60,6 +60,17 @@ class RawSpool:
         self._handle: int | None = None
         self.pieces: list[Piece] = []
 
+    def state_units(self, line: bytes) -> None:
+        """Write the line of units below the header, in this piece and those to come.
+
+        Parameters
+        ----------
+        line : bytes
+            Without its end; nothing but the header may have been written.
+        """
+        self._header += line + b"\n"
+        self._write(line + b"\n")
+
     def begin(self, why: str = "") -> None:
         """Begin the next piece.
 

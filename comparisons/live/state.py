@@ -69,7 +69,7 @@ class LiveState:
     test, phase, feed : str
         Name of the test; ``"waiting"``, ``"running"``, ``"reducing"`` or ``"done"``; how the feed
         does, in words.
-    stalled : bool
+    feed_silent : bool
         Whether rows have stopped to come.
     n_rows, n_pieces, n_refused, n_repeated : int
         Rows kept, pieces of the record, lines or frames left out, rows that were sent twice.
@@ -98,7 +98,7 @@ class LiveState:
     phase: str
     feed: str
     latency: Latency
-    stalled: bool = False
+    feed_silent: bool = False
     n_rows: int = 0
     n_pieces: int = 0
     n_refused: int = 0
@@ -238,7 +238,7 @@ def page_document(state: LiveState) -> dict[str, Any]:
         "test": state.test,
         "phase": state.phase,
         "machine": state.machine,
-        "stalled": state.stalled,
+        "feed_silent": state.feed_silent,
         "fields": [{"label": label, "value": value} for label, value in field_rows(state)],
         "point": None if point is None else _finite([point.phi, point.psi_p]),
         "trail": [_finite(row) for row in state.trail],

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from classic_ml.readers.raw_csv import row_of_units
 from classic_ml.records import FloatArray
-from comparisons.live.rows import End, Header, Item, Rows, Tally
+from comparisons.live.rows import End, Header, Item, Rows, Tally, Units
 
-__all__ = ["END_LINE", "LONGEST_LINE", "TEXT_FORMAT", "TextDecoder"]
+__all__ = ["LONGEST_LINE", "TEXT_FORMAT", "TextDecoder"]
 
 # 2,000 columns of 30 characters: more than any test has, and nothing beside the memory.
 LONGEST_LINE = 65_536
@@ -20,9 +21,10 @@ _TOO_LONG = "a line longer than the limit"
 
 TEXT_FORMAT = f"""\
 csv: lines of text, as `cat raw.csv` gives them. The first line of every connection holds the names
-of the columns, every further one a row of plain decimal numbers, separated by commas. Lines end
-with a line feed and have at most {LONGEST_LINE:,} bytes. Empty lines, and lines that begin with #,
-count for nothing, but for "{END_LINE.decode()}", which ends the run."""
+of the columns, the second one may hold their units, every further one a row of plain decimal
+numbers, separated by commas. Lines end with a line feed and have at most {LONGEST_LINE:,} bytes.
+Empty lines, and lines that begin with #, count for nothing, but for "{END_LINE.decode()}", which
+ends the run."""
 
 
 class TextDecoder:
@@ -40,6 +42,7 @@ class TextDecoder:
         self._skipping = False
         self._header: bytes | None = None
         self._n_columns = 0
+        self._below_header = False
 
     def feed(self, data: bytes) -> list[Item]:
         """Return what is complete by now.
@@ -73,8 +76,14 @@ class TextDecoder:
                 continue
             if self._header is None:
                 items += self._head(stripped)
+                self._below_header = True
             else:
-                rows.append(line)
+                units = self._units(stripped) if self._below_header else ()
+                self._below_header = False
+                if units:
+                    items.append(Units(units, stripped))
+                else:
+                    rows.append(line)
         return [*items, *self._rows(rows)]
 
     def close(self) -> None:
@@ -89,6 +98,11 @@ class TextDecoder:
         names = tuple(name.strip().strip('"') for name in text.split(","))
         self._n_columns = len(names)
         return [Header(names)]
+
+    def _units(self, line: bytes) -> tuple[str, ...]:
+        if _numbers([line], self._n_columns) is not None:
+            return ()
+        return row_of_units(line.decode("utf-8", "replace"), self._n_columns)
 
     def _rows(self, lines: list[bytes]) -> list[Item]:
         if not lines:

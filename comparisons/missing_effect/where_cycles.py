@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from classic_ml.columns.peaks import prominent_peaks
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
+from classic_ml.surge_cycles import deep_ones
 from comparisons.missing_effect.where_rows import BoolArray, IntArray, ResidualRuns
 
 __all__ = ["Blocks", "Cycles", "blocks_of", "cycles_of", "falls"]
@@ -182,16 +184,30 @@ def blocks_of(
 
 
 def _rises(phi: FloatArray, time_s: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the row before φ rises through its mean, and when; small wiggles do not count."""
+    """Return the row before φ rises through its mean into a cycle, and when.
+
+    Neither small wiggles nor the mild oscillations in stall between deep cycles count: a cycle is
+    what the reduction takes for one in P31.
+    """
     level = phi - np.mean(phi) if phi.size else phi
     swing = SWING * float(np.std(level)) if phi.size else 0.0
     side = np.where(level > swing, 1, np.where(level < -swing, -1, 0))
     clear = np.flatnonzero(side)
     arrived = clear[1:][(side[clear[1:]] == 1) & (side[clear[:-1]] == -1)]
+    arrived = _into_cycles(arrived, phi, swing)
     through = np.flatnonzero((level[:-1] < 0.0) & (level[1:] >= 0.0))
     last = through[np.searchsorted(through, arrived) - 1] if arrived.size else arrived
     share = -level[last] / (level[last + 1] - level[last])
     return last, np.asarray(time_s[last] + share * (time_s[last + 1] - time_s[last]))
+
+
+def _into_cycles(arrived: IntArray, phi: FloatArray, swing: float) -> IntArray:
+    """Return the arrivals above the mean that a deep peak follows before the next."""
+    peaks, rises = prominent_peaks(phi, swing)
+    if not arrived.size or not peaks.size:
+        return arrived[:0]
+    before = np.searchsorted(arrived, peaks[deep_ones(rises)], side="right") - 1
+    return arrived[np.unique(before[before >= 0])]
 
 
 def _joined(time_s: FloatArray, edges: FloatArray) -> tuple[IntArray, FloatArray]:

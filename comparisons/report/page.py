@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from comparisons.report.blocks import Part, Table
 
-__all__ = ["content_policy", "render_page"]
+__all__ = ["render_page"]
 
 
 def render_page(
@@ -56,7 +56,7 @@ def render_page(
         version=version,
         versions=versions,
         sections=sections,
-        policy=content_policy(style, script),
+        policy=_content_policy(style, script),
         style=Markup(style),
         script=Markup(script),
     )
@@ -64,7 +64,7 @@ def render_page(
     return page.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def content_policy(style: str, script: str) -> str:
+def _content_policy(style: str, script: str) -> str:
     """Return the content security policy of a page: nothing but one style, one script, its images.
 
     Parameters

@@ -29,7 +29,7 @@ from comparisons.study.work import failed_row
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["StudyFiles", "resolved", "run_study", "study_table"]
+__all__ = ["StudyFiles", "check_study", "resolved", "run_study", "study_table"]
 
 # Workers to reckon with where their number is not known.
 CLUSTER = 16
@@ -123,8 +123,10 @@ def run_study(
         return retry_failed or row["reason"] == DIED
 
     files = StudyFiles(folder)
-    check_methods(spec.methods)
-    _prepare_folder(spec, files, resume)
+    check_study(spec, folder, resume=resume)
+    if not files.spec.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(files.spec, json.dumps(resolved(spec), indent=2, ensure_ascii=False) + "\n")
     done = finished_cells(files.journal, lambda row: row["state"] == "failed" and again(row))
     told(len(done))
     begun, begun_at = time.perf_counter(), datetime.now(UTC)
@@ -163,45 +165,84 @@ def _dead_rows(task: Task) -> list[dict[str, Any]]:
     return [failed_row(number, point, method.name, DIED) for number, point, method in task.cells]
 
 
-def _prepare_folder(spec: StudySpec, files: StudyFiles, resume: bool) -> None:
-    """Write the specification into a fresh folder, or see that the folder's is the same."""
-    document = resolved(spec)
+def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
+    """Refuse, before anything is computed or written, a study that cannot be run into a folder.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        The study.
+    folder : path
+        Where its files are to go.
+    resume : bool
+        Go on with what is in the folder.
+
+    Raises
+    ------
+    InputError
+        When the folder holds another study or cannot be made, or a class cannot be had.
+    """
+    check_methods(spec.methods)
+    files = StudyFiles(folder)
     if files.spec.exists():
-        if not resume:
-            raise InputError(
-                str(files.folder),
-                expected="a folder without a study",
-                found=files.spec.name,
-                remedy="--resume goes on with it; or name another folder",
-            )
-        held = _read_json(files.spec)
-        if held != json.loads(json.dumps(document)):
-            changed = sorted(k for k in {*held, *document} if held.get(k) != document.get(k))
-            raise InputError(
-                str(files.spec),
-                expected="the same study as the one that is resumed",
-                found="another " + ", ".join(changed),
-                remedy="name another folder for it",
-            )
-        return
-    if files.journal.exists():
+        _check_same(spec, files, resume)
+    elif files.journal.exists():
         raise InputError(
             str(files.folder),
             expected=f"{files.spec.name} beside {files.journal.name}",
             found="a journal alone",
             remedy="name another folder",
         )
-    if files.folder.exists() and not files.folder.is_dir():
-        raise InputError(str(files.folder), expected="a folder", found="a file")
-    files.folder.mkdir(parents=True, exist_ok=True)
-    write_whole(files.spec, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    _check_folder(folder)
+
+
+def _check_same(spec: StudySpec, files: StudyFiles, resume: bool) -> None:
+    if not resume:
+        raise InputError(
+            str(files.folder),
+            expected="a folder without a study",
+            found=files.spec.name,
+            remedy="--resume goes on with it; or name another folder",
+        )
+    document = resolved(spec)
+    held = _read_json(files.spec)
+    if held != json.loads(json.dumps(document)):
+        changed = sorted(k for k in {*held, *document} if held.get(k) != document.get(k))
+        raise InputError(
+            str(files.spec),
+            expected="the same study as the one that is resumed",
+            found="another " + ", ".join(changed),
+            remedy="name another folder for it",
+        )
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be made, or that nothing can be written to."""
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    if not there.is_dir():
+        found = "a file" if there == folder else f"the file {there} on the way to it"
+        raise InputError(
+            str(folder), expected="a folder", found=found, remedy="name another folder"
+        )
+    if not os.access(there, os.W_OK):
+        raise InputError(
+            str(folder),
+            expected="a folder that can be written to",
+            found=f"no right to write to {there}",
+            remedy="name another folder",
+        )
 
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
         held = json.loads(path.read_text("utf-8"))
-    except ValueError as error:
-        raise InputError(str(path), expected="JSON", found=str(error)) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            str(path),
+            expected="the JSON that a study wrote",
+            found="something else",
+            remedy="name another folder",
+        ) from error
     return held if isinstance(held, dict) else {}
 
 

@@ -8,13 +8,13 @@ from ranges ``{from = 0.1, to = 5.0, log = true}``.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from classic_ml.errors import InputError
+from classic_ml.readers.toml_file import load_toml
 from comparisons.study.scores import SCORES
 from comparisons.study.settings import SOURCES, TABLES, Setting
 
@@ -157,19 +157,7 @@ def read_spec(path: Path) -> StudySpec:
     InputError
         Naming the file and the key at fault.
     """
-    try:
-        text = path.read_text("utf-8-sig")
-    except IsADirectoryError as error:
-        raise InputError(str(path), expected="a TOML file", found="a folder") from error
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), expected="text in UTF-8", found="other bytes") from error
-    except FileNotFoundError as error:
-        raise InputError(str(path), expected="a study's TOML file", found="no such file") from error
-    try:
-        given = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), expected="valid TOML", found=str(error)) from error
-    return spec_from(given, str(path))
+    return spec_from(load_toml(path, "a study's TOML file"), str(path))
 
 
 def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
 from pathlib import Path
 
 from classic_ml.errors import InputError
+from classic_ml.readers.toml_file import load_toml
 from classic_ml.readers.toml_tables import Table
 
 __all__ = ["Facility", "facility_toml", "read_facility"]
@@ -255,16 +255,7 @@ def read_facility(path: str | Path) -> Facility:
         that is not possible, or holds a key that nobody reads.
     """
     file = Path(path)
-    if not file.is_file():
-        raise InputError(
-            str(file),
-            expected="a facility description (.toml)",
-            found="a folder" if file.is_dir() else "no such file",
-        )
-    try:
-        values = tomllib.loads(file.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(file), expected="a TOML file", found=str(error)) from None
+    values = load_toml(file, "a facility description (.toml)")
     top = Table(str(file), "", values, _SCHEMA)
     numbers: dict[str, float] = {}
     for section, keys in _SCHEMA.items():

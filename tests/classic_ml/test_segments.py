@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import LBM, surge_waves
 
+from classic_ml import segments
 from classic_ml.columns import workspace
 from classic_ml.columns.intervals import intervals_where, label_intervals, labelled
 from classic_ml.errors import InputError
@@ -20,7 +21,7 @@ from classic_ml.segments import (
     segment,
     window_rows,
 )
-from classic_ml.surge_cycles import find_cycles
+from classic_ml.surge_cycles import deep_ones, find_cycles
 
 RATE = 1000.0
 
@@ -316,3 +317,12 @@ def test_a_stall_without_recovery_needs_no_flag_where_no_regime_was_declared() -
     assert segment(mild, window, threshold_lbm_s=None).history[-1].flags == ()
     (flag,) = segment(mild, window, threshold_lbm_s=50.0).history[-1].flags
     assert "never rises above 50 lbm/s in the window" in flag
+
+
+def test_a_deep_rise_is_half_of_the_second_deepest() -> None:
+    assert deep_ones(np.array([4.0, 1.9, 2.1, 9.0])).tolist() == [True, False, True, True]
+    assert deep_ones(np.array([3.0])).tolist() == [True]
+
+
+def test_what_a_cycle_is_has_one_home() -> None:
+    assert not {"DEEP_SHARE", "LEAST_SWING"} & set(vars(segments))

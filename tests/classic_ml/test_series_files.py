@@ -227,6 +227,14 @@ def test_a_written_file_is_as_public_as_its_folder_allows(tmp_path: Path) -> Non
     assert file.stat().st_mode & 0o777 == 0o666 & ~mask
 
 
+def test_the_umask_of_the_process_stays_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is that of all threads: another one's files would be open to everybody meanwhile."""
+    monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("the umask was set"))
+    assert written(tmp_path).stat().st_mode & 0o600 == 0o600
+
+
 def test_truth_values_as_pandas_writes_them_are_read(tmp_path: Path) -> None:
     file = written(tmp_path)
     table = pd.read_csv(file)

@@ -21,6 +21,8 @@ import public  # noqa: E402
 # Modules all of whose names are public; those behind them are the inside of the house.
 PUBLIC = (
     "classic_ml",
+    "classic_ml.inspection",
+    "classic_ml.inspection_with_test",
     "classic_ml.order_selection",
     "classic_ml.readers",
     "classic_ml.records",
@@ -33,6 +35,12 @@ PUBLIC = (
     "comparisons.estimators",
     "comparisons.fit_quality",
     "comparisons.lag_value",
+    "comparisons.live.columns",
+    "comparisons.live.detection",
+    "comparisons.live.estimate",
+    "comparisons.live.frames",
+    "comparisons.live.near_stall",
+    "comparisons.live.operating_point",
     "comparisons.missing_effect",
     "comparisons.missing_effect.extended_file",
     "comparisons.missing_effect.extended_lag",

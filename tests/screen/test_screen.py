@@ -50,7 +50,10 @@ return out;
 def test_no_request_leaves_and_the_console_stays_silent(browser: Browser, page: Path) -> None:
     browser.messages(), browser.requests()
     browser.open(page)
-    for image in browser.all("figure img"):
+    images = browser.all("figure img")
+    # Every kind of report has pictures.
+    assert images
+    for image in images:
         assert browser.run("return arguments[0].naturalWidth", image) > 300
     assert browser.messages() == []
     assert browser.requests() == []
@@ -99,7 +102,9 @@ def test_pages_are_built_so_that_they_can_be_listened_to(browser: Browser, page:
     assert alts
     assert all(len(alt) > 40 and re.search(r"\d", alt) for alt in alts)
     assert len(set(alts)) == len(alts)
-    for figure in browser.all("figure"):
+    figures = browser.all("figure")
+    assert figures
+    for figure in figures:
         title = figure.find_element("css selector", "h4").text
         alt = figure.find_element("css selector", "img").get_dom_attribute("alt")
         assert alt.strip(" .") != title
@@ -190,7 +195,9 @@ def test_hostile_names_show_as_text_and_run_nothing(
         ".filter((name) => name.startsWith('on') || name === 'style')"
     )
     assert handlers == []
-    for image in browser.all("main img"):
+    images = browser.all("main img")
+    assert images
+    for image in images:
         assert image.get_dom_attribute("src").startswith("data:image/png")
     # Sorting and enlarging put names into other places of the page.
     for button in browser.all("button.sort, button.enlarge"):

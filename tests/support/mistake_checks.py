@@ -34,8 +34,7 @@ def check(mistake: Mistake, answer: Answer, clean: Path, folder: Path) -> None:
     assert not [n for n in answer.made if Path(n).name.startswith(".")], "temporary files are left"
     assert not answer.changed, f"changed {answer.changed}"
     if mistake.outcome == REFUSED:
-        # A study says what it is about before it makes its folder.
-        check_sentence(answer, mistake.says, quiet=not mistake.command.startswith("study"))
+        check_sentence(answer, mistake.says)
         # What came in live and cannot come again is kept, and the sentence says where.
         kept = [n for n in answer.made if mistake.feed and n in answer.err.partition(" kept: ")[2]]
         assert not set(answer.made) - set(kept), f"left {answer.made}"
@@ -58,10 +57,10 @@ def check_printable(answer: Answer) -> None:
     assert steering <= {"\n", "\t"}, steering
 
 
-def check_sentence(answer: Answer, says: tuple[str, ...] = (), *, quiet: bool = True) -> None:
+def check_sentence(answer: Answer, says: tuple[str, ...] = ()) -> None:
     """Fail unless the input was refused in one sentence with these words."""
     assert answer.code == 2, answer.out + answer.err
-    assert answer.out == "" or not quiet
+    assert answer.out == ""
     assert answer.err.count("\n") == 1, answer.err
     assert answer.err.endswith("\n")
     assert answer.err.startswith("sindy-surge")

@@ -102,6 +102,24 @@ MODELS = (
         _model(lambda m: {**m, "time_constant_s": -0.018}),
     ),
     _refused_model(
+        "tau-endless",
+        "τ is 1e999, more than any number",
+        ("time_constant_s", "above 0 s", "infinity", "save the model anew"),
+        replaced('"time_constant_s": 0.018', '"time_constant_s": 1e999', "model.json"),
+    ),
+    _refused_model(
+        "tau-nan",
+        "τ is NaN",
+        ("time_constant_s", "above 0 s", "NaN", "save the model anew"),
+        replaced('"time_constant_s": 0.018', '"time_constant_s": NaN', "model.json"),
+    ),
+    _refused_model(
+        "target",
+        "the model is of another coefficient",
+        ("target", "psi_p", "'phi'", "save the model anew"),
+        _model(lambda m: {**m, "target": "phi"}),
+    ),
+    _refused_model(
         "tau-missing",
         "τ is missing",
         ("time_constant_s",),
@@ -119,7 +137,7 @@ MODELS = (
     _refused_model(
         "coefficient-text",
         "a coefficient is a word",
-        ("model",),
+        ("terms[0].coefficient", "a finite number", "'big'"),
         _model(lambda m: {**m, "terms": [{**m["terms"][0], "coefficient": "big"}]}),
     ),
     Mistake(
@@ -147,7 +165,7 @@ MODELS = (
     _refused_model(
         "nested",
         "the model file is nested a hundred thousand deep",
-        ("model",),
+        ("nested too deeply",),
         written("model.json", '{"a":' * 100_000 + "1" + "}" * 100_000),
     ),
 )
@@ -244,7 +262,7 @@ EXPERIMENTS = (
         "npz-pickle",
         "an .npz file holds pickled objects, which would be executed",
         REFUSED,
-        ("train.npz",),
+        ("train.npz: position", "never executed", "Python objects", "position.astype(float)"),
         OWN.replace("train.csv", "train.npz"),
         spoil=lambda folder: np.savez(
             folder / "train.npz",
@@ -257,7 +275,7 @@ EXPERIMENTS = (
         "npz-is-pickle",
         "a pickle is named .npz",
         REFUSED,
-        ("train.npz",),
+        ("train.npz", "plain arrays, each with its name", "save it with savez"),
         OWN.replace("train.csv", "train.npz"),
         spoil=written("train.npz", pickle.dumps(Trap())),
     ),
@@ -286,6 +304,11 @@ EXPERIMENTS = (
         spoil=written("train.mat", NOISE),
     ),
 )
+
+
+def _written_into(folder: Path, name: str) -> None:
+    folder.mkdir()
+    (folder / name).write_text("", "utf-8")
 
 
 def _study(id_: str, did: str, says: tuple[str, ...], spoil: Spoil) -> Mistake:
@@ -374,9 +397,55 @@ STUDIES = (
         ("nested",),
         as_text(lambda t: "x = " + "[" * 100_000 + "]" * 100_000 + "\n" + t, "study.toml"),
     ),
+    _study(
+        "utf16",
+        "the study is saved as UTF-16",
+        ("UTF-16", "save it as UTF-8"),
+        lambda folder: (folder / "study.toml").write_text(
+            (folder / "study.toml").read_text("utf-8"), "utf-16"
+        ),
+    ),
+    Mistake(
+        "study-out-file",
+        "a file is given for the folder of the study",
+        REFUSED,
+        ("train.csv", "expected a folder", "a file"),
+        STUDY.replace("--out study", "--out train.csv"),
+    ),
+    Mistake(
+        "study-out-within-file",
+        "the folder of the study is to lie in a file",
+        REFUSED,
+        ("train.csv", "expected a folder", "on the way"),
+        STUDY.replace("--out study", "--out train.csv/study"),
+    ),
+    Mistake(
+        "study-out-taken",
+        "the folder holds the cells of a study and not what they are of",
+        REFUSED,
+        ("study.json", "a journal alone"),
+        STUDY,
+        spoil=lambda folder: _written_into(folder / "study", "journal.jsonl"),
+    ),
 )
 
 FACILITIES = (
+    Mistake(
+        "facility-nested",
+        "a value is nested a hundred thousand deep",
+        REFUSED,
+        ("facility.toml", "nested too deeply"),
+        SYSTEM,
+        spoil=written("facility.toml", "x = " + "[" * 100_000 + "]" * 100_000),
+    ),
+    Mistake(
+        "facility-utf16",
+        "the facility is saved as UTF-16",
+        REFUSED,
+        ("facility.toml", "UTF-16", "save it as UTF-8"),
+        SYSTEM,
+        spoil=written("facility.toml", "[volumes]\n".encode("utf-16")),
+    ),
     Mistake(
         "facility-digits",
         "a number has 5000 digits",

@@ -6,6 +6,8 @@ const EVERY_MS = 250;
 const SVG = "http://www.w3.org/2000/svg";
 const LBM_KG = 0.45359237;
 const EVENTS_SHOWN = 40;
+// More toFixed does not take.
+const MOST_DIGITS = 100;
 
 function make(name, attributes, text) {
   const node = document.createElementNS(SVG, name);
@@ -22,7 +24,7 @@ function ticks(low, high, wanted) {
   const first = Math.ceil(low / step - 1e-9);
   const last = Math.floor(high / step + 1e-9);
   return Array.from({ length: Math.max(0, last - first + 1) }, (_, i) => {
-    return { at: (first + i) * step, text: ((first + i) * step).toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9))) };
+    return { at: (first + i) * step, text: ((first + i) * step).toFixed(Math.min(MOST_DIGITS, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))) };
   });
 }
 
@@ -161,7 +163,7 @@ async function update() {
       drawTrace(flow, state, 3, 1 / LBM_KG, "Corrected inlet flow", " lbm/s");
       drawTrace(ratio, state, 4, 1, "Pressure ratio", "");
       ended = state.phase === "done" || state.phase === "reducing";
-      notice(state.stalled && !ended ? "No data are coming in; what is shown is the last that came." : "");
+      notice(state.feed_silent && !ended ? "No data are coming in; what is shown is the last that came." : "");
     }
   } catch {
     notice(ended ? "The session has ended; what is shown is its last moment." : "The session does not answer; what is shown is its last moment.");

@@ -100,7 +100,7 @@ INPUT_EFFECTS = (
         _delayed,
         no_shape,
         1.0,
-        "τ reads high by about the delay",
+        "τ reads high by more than the delay, typically by 1.6 times as much",
         "a pressure step applied to both rakes at once; the skew of the recorder from a common "
         "test signal",
     ),
@@ -116,7 +116,7 @@ LAG_EFFECTS = (
         _second_order,
         no_shape,
         1.0,
-        "τ reads high by about the second time constant",
+        "τ reads high, typically by half of the second time constant",
         "a second tap without a tube, or a step calibration of the pressure line",
     ),
     Effect(

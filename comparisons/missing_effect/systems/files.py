@@ -29,6 +29,7 @@ LARGEST_JITTER, GAP = 1e-3, 1.5
 LEAST_JITTER, MOST_DIGITS = 1e-6, 12
 HDF5 = b"\x89HDF\r\n\x1a\n"
 MATLAB_73 = b"MATLAB 7.3"
+ZIP = b"PK"
 LONGEST_CAUSE = 200
 
 
@@ -277,16 +278,39 @@ def _read_mat(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArra
 
 def _read_npz(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
     arrays: dict[str, np.ndarray] = {}
-    with _parsed(file, "an .npz file of plain arrays"), file.open("rb") as binary:
-        # Pickled objects would be executed; they are refused.
-        opened = np.load(binary, allow_pickle=False)
-        if isinstance(opened, np.ndarray):
-            raise ValueError("a single array without a name")
-        with opened:
-            for name in opened.files:
-                if wanted is None or name in (*TIMES, *wanted):
-                    arrays[name] = opened[name]
+    with file.open("rb") as binary:
+        if not binary.read(len(ZIP)).startswith(ZIP):
+            raise InputError(
+                str(file),
+                expected="an .npz file of plain arrays, each with its name",
+                found="a file of another kind",
+                remedy="save it with savez and the name of each column",
+            )
+    # Objects would be executed as they are loaded; they are refused.
+    with (
+        _parsed(file, "an .npz file of plain arrays"),
+        file.open("rb") as binary,
+        np.load(binary, allow_pickle=False) as opened,
+    ):
+        for name in opened.files:
+            if wanted is None or name in (*TIMES, *wanted):
+                arrays[name] = _plain(file, name, opened)
     return _vectors(file, arrays, wanted)
+
+
+def _plain(file: Path, name: str, opened: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return an array of a file; refuse one of objects, which only a program can make again."""
+    try:
+        return np.asarray(opened[name])
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise
+        raise InputError(
+            f"{file}: {name}",
+            expected="numbers, since a file is read as data and never executed",
+            found="an array of Python objects",
+            remedy=f"save it as numbers, with {name}.astype(float)",
+        ) from error
 
 
 def _read_netcdf(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
@@ -303,6 +327,8 @@ def _parsed(file: Path, what: str) -> Iterator[None]:
     """Tell any failure of a reader as one sentence: they raise whatever they stumble over."""
     try:
         yield
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(
             str(file), expected=what, found=f"what cannot be read ({_cause(error)})"

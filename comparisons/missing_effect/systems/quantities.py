@@ -174,7 +174,7 @@ def _term_factor(model: Model, placed: Placed, slot: int) -> tuple[float, str]:
     signal = units[place.signal] if place.signal >= 0 else ""
     enters = f"{units[place.at]}/s"
     if kind == Kind.HYSTERESIS:
-        return (into, enters) if slot == 0 else (own * other, f"{signal}·s")
+        return (into, enters) if slot == 0 else (own * other, _times_seconds(signal))
     if slot > 0:
         return (own, signal) if slot == 1 else (1.0, "1")
     if code == Term.PRODUCT:
@@ -183,6 +183,15 @@ def _term_factor(model: Model, placed: Placed, slot: int) -> tuple[float, str]:
     grouped = signal if signal.isalpha() else f"({signal})"
     per = "" if not power else f"/{grouped}" + POWER_SIGNS[power]
     return into / own**power, enters + per
+
+
+def _times_seconds(unit: str) -> str:
+    """Return the unit of a rate times that of time: the reach of a speed is a length."""
+    if unit.endswith("/s²"):
+        return unit.removesuffix("²")
+    if unit.endswith("/s"):
+        return unit.removesuffix("/s")
+    return "s" if unit == "1" else f"{unit}·s"
 
 
 def _channel_unit(model: Model, placed: Placed) -> str:

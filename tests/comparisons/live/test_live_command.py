@@ -122,6 +122,50 @@ def test_a_pipe_with_page_and_estimate_ends_with_what_reduce_gives(
     assert re.search(r"latency: median \d+ ms, longest \d+ ms of a budget of 200 ms", session.said)
 
 
+OPTIONS = ("--cutoff", "60", "--probes", "tip", "--hysteresis", "1.5", "--window", "1", "2.6")
+
+
+def test_with_options_of_reduce_it_ends_with_what_reduce_gives_with_them(
+    record: LiveRecord, tmp_path: Path
+) -> None:
+    reduced = tmp_path / "reduced.csv"
+    where = ("--test", str(record.test_path), "-o", str(reduced))
+    assert main(["reduce", str(record.raw), *where, *OPTIONS]) == 0
+    with running(record, tmp_path, "-", "--quiet", "--no-estimate", *OPTIONS) as session:
+        assert session.process.stdin is not None
+        pipe = session.process.stdin.buffer  # type: ignore[attr-defined]
+        pipe.write(record.header + b"".join(record.lines))
+        pipe.close()
+        session.process.stdin = None
+        assert session.ended() == 0, session.said
+    series = (tmp_path / "series.csv").read_bytes()
+    assert series == reduced.read_bytes()
+    # Each of them matters to this record.
+    assert series != record.series
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--cutoff", "-1"), "--cutoff: expected a number above 0, found -1.0"),
+        (("--filter-order", "4"), "--filter-order: expected 3 or 5, found 4"),
+        (("--window", "2", "1"), "--window: expected two times, the earlier first"),
+    ],
+)
+def test_an_option_of_reduce_that_cannot_be_is_refused_before_the_feed_is_read(
+    record: LiveRecord,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    says: str,
+) -> None:
+    where = ("--test", str(record.test_path), "-o", str(tmp_path / "series.csv"))
+    assert main(["live", "--listen", "0", *where, *options]) == 2
+    said = capsys.readouterr()
+    assert (said.out, says in said.err) == ("", True)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_tcp_goes_on_behind_a_lost_connection(record: LiveRecord, tmp_path: Path) -> None:
     rng = np.random.default_rng(9)
     content = record.content
@@ -201,7 +245,7 @@ def test_binary_frames_over_a_unix_socket(record: LiveRecord, tmp_path: Path) ->
     path = tmp_path / "feed.sock"
     columns = dict.fromkeys(record.names, "f8")
     parts = [columns_frame(columns)]
-    parts += [rows_frame(columns, record.values[i : i + 500], 1) for i in range(0, 3001, 500)]
+    parts += [rows_frame(columns, record.values[i : i + 300], 1) for i in range(0, 3001, 300)]
     options = ("--unix", str(path), "--format", "binary", "--no-estimate", "--quiet")
     with running(record, tmp_path, *options) as session:
         until_s = time.monotonic() + PATIENCE_S
@@ -265,7 +309,7 @@ def test_what_cannot_be_used_is_said_in_one_sentence(
             return refused(capsys, record, "-", *out, *options, test=test)
 
     said = fed(record.header.replace(b",T25_A", b"") + b"1,2\n")
-    assert "column T25_A: expected it in the header" in said
+    assert "the feed: channel T25_A: expected it in the table" in said
     assert "expected a table [channels.extra]" in fed(b"extra," + record.header)
     assert "found none" in fed(b"")
     assert "1 line or frame that was left out" in fed(b"\0\1\2" * 500, "--format", "binary")

@@ -10,7 +10,7 @@ import pytest
 from live_records import LiveRecord, made_record
 
 from classic_ml.readers import read_raw
-from classic_ml.reduction import reduce_record
+from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.live import running_estimate
 from comparisons.live.columns import FeedColumns, feed_columns
@@ -37,6 +37,19 @@ def test_over_all_rows_it_is_the_estimate_of_compare(record: LiveRecord) -> None
     curve, stderr = fit.characteristic(np.array(estimate.phi))
     assert np.allclose(estimate.psi_p, curve, rtol=1e-6)
     assert np.allclose(estimate.psi_p_stderr, stderr, rtol=1e-4)
+
+
+def test_the_switches_of_the_reduction_are_those_of_its_estimate(record: LiveRecord) -> None:
+    columns = feed_columns(record.names, record.test)
+    rows, start_s = columns.readings(record.values), float(columns.time_s(record.values)[0])
+    settings = ReductionSettings(probes="tip", window_s=(1.0, 2.6))
+    estimate = estimate_of(columns, rows, start_s, settings)
+    fit = fit_whole_runs(
+        [reduce_record(columns.record(rows, start_s), record.test, settings).series]
+    )
+    assert estimate.tau_s == fit.time_constant_s_
+    assert estimate.tau_s != estimate_of(columns, rows, start_s).tau_s
+    assert (estimate.from_s, estimate.to_s) == (1.0, 2.6)
 
 
 @pytest.mark.parametrize("seed", range(4))

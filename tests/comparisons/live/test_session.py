@@ -46,17 +46,21 @@ def test_from_binary_frames_it_is_that_of_the_file(record: LiveRecord, tmp_path:
     assert played.out.read_bytes() == record.series
 
 
+def _frames(columns: dict[str, str], values: np.ndarray, n_rows: int = 300) -> list[bytes]:
+    starts = range(0, len(values), n_rows)
+    return [rows_frame(columns, values[s : s + n_rows], i + 1) for i, s in enumerate(starts)]
+
+
 def test_a_damaged_frame_that_is_sent_again_after_a_reconnect_is_not_missed(
     record: LiveRecord, tmp_path: Path
 ) -> None:
     columns = dict.fromkeys(record.names, "f8")
     v = record.values
-    first = [columns_frame(columns), rows_frame(columns, v[:1500], 1)]
-    spoiled = bytearray(rows_frame(columns, v[1500:1600], 2))
+    first = [columns_frame(columns), *_frames(columns, v[:1500])]
+    spoiled = bytearray(rows_frame(columns, v[1500:1600], len(first)))
     spoiled[500] ^= 1
-    again = [columns_frame(columns), rows_frame(columns, v[1400:2400], 1)]
-    rest = rows_frame(columns, v[2400:], 2)
-    arrivals = [*first, bytes(spoiled), LOST, Opened(), *again, rest]
+    again = [columns_frame(columns), *_frames(columns, v[1400:])]
+    arrivals = [*first, bytes(spoiled), LOST, Opened(), *again]
     played = play(record, tmp_path, arrivals, decoder=FrameDecoder)
     played.results()
     assert played.out.read_bytes() == record.series
@@ -81,7 +85,7 @@ def test_a_connection_lost_in_the_middle_of_a_line_goes_on_with_the_rows_by_thei
     assert "reconnected" in played.told
 
 
-def test_a_stalled_feed_is_told_and_waited_for(record: LiveRecord, tmp_path: Path) -> None:
+def test_a_silent_feed_is_told_and_waited_for(record: LiveRecord, tmp_path: Path) -> None:
     half = len(record.content) // 2
     shown: list[LiveState] = []
     played = play(
@@ -92,11 +96,13 @@ def test_a_stalled_feed_is_told_and_waited_for(record: LiveRecord, tmp_path: Pat
     )
     played.results()
     assert played.out.read_bytes() == record.series
-    assert "stalled: no data for 1." in played.told
+    assert "silent: no data for 1." in played.told
     assert "data come again" in played.told
-    words = [s.feed for s in shown if s.stalled]
+    words = [s.feed for s in shown if s.feed_silent]
     assert words
     assert all("no data for" in w for w in words)
+    ledger = json.loads(played.out.with_suffix(".ledger.json").read_text("utf-8"))
+    assert next(e for e in ledger if e["step"] == "live feed")["parameters"]["silences"] == 1
 
 
 def test_garbage_between_the_lines_changes_nothing(record: LiveRecord, tmp_path: Path) -> None:
@@ -167,9 +173,9 @@ def test_nothing_received_is_said(record: LiveRecord, tmp_path: Path, sent: list
 @pytest.mark.parametrize(
     ("header", "said"),
     [
-        (b"time_s,P25_A_tip_forward\n", "it in the header"),
+        (b"time_s,P25_A_tip_forward\n", "no such column"),
         (b"extra,", "a table \\[channels.extra\\]"),
-        (b"time_s,", "column time_s: expected it once"),
+        (b"time_s,", "channel time_s: expected each column once"),
     ],
 )
 def test_a_header_that_does_not_fit_the_test_is_refused(

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from comparisons.live import frames as frames_module
+from comparisons.live.frames import COLUMNS as COLUMNS_KIND
 from comparisons.live.frames import (
     LONGEST_PAYLOAD,
     FrameDecoder,
+    _frame,
     columns_frame,
     end_frame,
     rows_frame,
@@ -200,3 +207,46 @@ def test_a_cut_frame_counts_once() -> None:
     tally = Tally()
     decoded(FrameDecoder(tally), [parts[0], parts[1][:-3]])
     assert dict(tally.refused) == {"a frame cut off by the end of the connection": 1}
+
+
+@pytest.mark.parametrize("text", [":f8,f0:f8", "f8", "time_s:f8, :f8", "a\x07:f8", "a\nb:f8"])
+def test_columns_without_a_name_of_their_own_are_left_out(text: str) -> None:
+    tally = Tally()
+    items = decoded(FrameDecoder(tally), [_frame(COLUMNS_KIND, 0, 0, text.encode()), end_frame(1)])
+    assert items == [End()]
+    assert dict(tally.refused) == {"a frame of columns that cannot be read": 1}
+
+
+def test_columns_may_be_called_as_numpy_calls_its_own() -> None:
+    columns = {"f1": "f8", "f0": "i2", "0": "f4"}
+    table = np.array([[0.5, 7.0, 1.5], [1.5, 8.0, 2.5]])
+    items = decoded(FrameDecoder(Tally()), [columns_frame(columns), rows_frame(columns, table, 1)])
+    assert items[0] == Header(("f1", "f0", "0"))
+    assert np.array_equal(values_of(items), table)
+
+
+def test_noise_that_claims_long_frames_costs_no_checksums(monkeypatch: pytest.MonkeyPatch) -> None:
+    covered: list[int] = []
+    parts, table = frames()
+
+    def crc32(data: bytes) -> int:
+        covered.append(len(data))
+        return zlib.crc32(data)
+
+    monkeypatch.setattr(frames_module, "zlib", SimpleNamespace(crc32=crc32))
+    head = struct.Struct("<4sBBHIII")
+    noise = head.pack(b"SSLV", 1, 1, 0, 0, 1, 1 << 20) * 53_000
+    items = decoded(FrameDecoder(Tally()), [noise, *parts])
+    assert np.array_equal(values_of(items), table)
+    assert sum(covered) == sum(len(part) - 4 for part in parts)
+
+
+def test_a_frame_holds_64_KiB_and_no_more() -> None:
+    most = 65_536 // 20
+    table = np.zeros((most + 1, len(COLUMNS)))
+    items = decoded(
+        FrameDecoder(Tally()), [columns_frame(COLUMNS), rows_frame(COLUMNS, table[:most], 1)]
+    )
+    assert len(values_of(items)) == most
+    with pytest.raises(ValueError, match=f"a frame holds {most} rows .* not {most + 1}"):
+        rows_frame(COLUMNS, table, 1)

@@ -281,6 +281,24 @@ def test_a_phase_is_counted_from_where_the_flow_rises_through_its_mean() -> None
     assert "0.25 to 0.33 of a cycle" in where.words[3]
 
 
+def test_mild_oscillations_between_deep_cycles_are_no_cycles_of_their_own() -> None:
+    """As in a surge record: recovery, blowdown, and half as long a wave in stall behind it."""
+    data = three_records(np.random.default_rng(8))
+    turn = data.time_s % 1.0
+    deep = np.exp(-(((turn - 0.35) / 0.08) ** 2))
+    mild = 0.4 * np.exp(-(((turn - 0.85) / 0.08) ** 2))
+    # Before the first deep cycle it oscillates in stall alone.
+    waiting = data.time_s < data.time_s[0] + 4.0
+    phi = 0.3 * np.where(waiting, mild + 0.4 * deep, deep + mild)
+    data = replace(data, phi=phi + 1e-3 * np.random.default_rng(1).standard_normal(phi.size))
+    late = (data.time_s - 0.27) % 1.0
+    pulse = (late >= 0.25) & (late < 1.0 / 3.0) & ~waiting
+    where = run(data, np.random.default_rng(9).standard_normal(6000) + pulse)
+    assert [row.surge_hz for row in where.regime] == pytest.approx([1.0] * 3, rel=0.02)
+    row = max(where.phase, key=lambda r: abs(r.z))
+    assert (row.from_cycle, row.to_cycle) == pytest.approx((0.25, 1.0 / 3.0))
+
+
 def test_no_cycle_leads_across_a_gap() -> None:
     rng = np.random.default_rng(10)
     data = short_segments(rng)

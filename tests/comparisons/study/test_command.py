@@ -67,7 +67,7 @@ def test_a_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixtur
     ("text", "told"),
     [
         ("seeds = 'many'", "study.toml: seeds: expected a whole number from 1 on"),
-        ("title = ", "study.toml: expected valid TOML"),
+        ("title = ", "study.toml: expected a TOML file"),
         ("[record]\nsource = 'moon'", "study.toml: record.source"),
         ("[[method]]\nname='m'\nclass='no_such_package:A'", "method m: expected a class at"),
     ],
@@ -77,7 +77,37 @@ def test_a_mistake_is_one_sentence(
 ) -> None:
     out = tmp_path / "out"
     assert main(["study", declared(tmp_path, text), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert told in said
-    assert said.count("\n") == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert told in said.err
+    assert said.err.count("\n") == 1
     assert not out.exists()
+
+
+@pytest.mark.parametrize("place", ["taken", "taken/deep/out"])
+def test_a_folder_that_cannot_be_is_refused_before_anything_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str
+) -> None:
+    (tmp_path / "taken").write_text("mine", "utf-8")
+    out = tmp_path / place
+    assert main(["study", declared(tmp_path), "--out", str(out), "--jobs", "1"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"{out}: expected a folder, found" in said.err
+    assert (tmp_path / "taken").read_text("utf-8") == "mine"
+
+
+def test_a_study_that_is_there_is_not_run_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    for text in ("{", "[" * 100_000):
+        (out / "study.json").write_text(text, "utf-8")
+        assert main(["study", declared(tmp_path), "--out", str(out), "--resume"]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert "study.json: expected the JSON that a study wrote" in said.err
+    assert main(["study", declared(tmp_path), "--out", str(out)]) == 2
+    said = capsys.readouterr()
+    assert (said.out, "--resume goes on with it" in said.err) == ("", True)

@@ -195,7 +195,7 @@ def test_a_mistake_is_named_before_anything_is_computed(case: str) -> None:
 
 @pytest.mark.parametrize(
     ("content", "told"),
-    [(b"title = ", "valid TOML"), (b"\xff\xfe\x00", "UTF-8"), (None, "no such file")],
+    [(b"title = ", "a TOML file"), (b"\xff\xfe\x00", "UTF-8"), (None, "no such file")],
 )
 def test_a_file_that_is_no_declaration_is_named(
     tmp_path: Path, content: bytes | None, told: str

@@ -200,7 +200,7 @@ BAD = {
     "cut.npz": (lambda: packed(np.savez)()[:2000], "an .npz file of plain arrays"),
     "pickle.npz": (
         packed(np.savez, y=np.array([{}] * 200, dtype=object)),
-        "an .npz file of plain arrays",
+        "y: expected numbers, since a file is read as data and never executed",
     ),
     "no_input.npz": (packed(np.savez, F=None), "F: expected columns F, y, found y"),
     "text.nc": (lambda: text(good()), "a netCDF file, found what cannot be read"),

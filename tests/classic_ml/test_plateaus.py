@@ -1,0 +1,430 @@
+"""Readings cut off at an end of the range are found in channels of any unit, and no others."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from raw_data import make_test, to_toml, write_csv
+
+from classic_ml.columns import workspace
+from classic_ml.columns.workspace import OnDisk
+from classic_ml.errors import InputError
+from classic_ml.faults import plateaus
+from classic_ml.faults.plateaus import End, cut_off_ends
+from classic_ml.faults.search import CLIPPED, inspect_readings
+from classic_ml.inspection import inspect_file
+from classic_ml.readers import TestDescription, read_raw
+from classic_ml.records import FloatArray, Record
+from classic_ml.reduction import reduce_record
+from comparisons.rig import SensorSettings, simulate, write_run
+
+PSI = 6894.757
+COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
+
+
+def least_step(values: FloatArray) -> float:
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps[steps > 0.0], initial=np.inf))
+
+
+def ends_of(values: FloatArray, **more: Any) -> tuple[End, ...]:
+    values = np.ascontiguousarray(values, dtype=np.float64)
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return cut_off_ends(values, low, high, least_step(values), **more)
+
+
+# ---------------------------------------------------------------- the same record in other units
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A surge whose inlet pressures clip at the blowdown, as counts and as psia and degF."""
+    folder = tmp_path_factory.mktemp("rig")
+    write_run(simulate("985", seed=2), folder)
+    return folder
+
+
+def in_other_units(folder: Path, *, limits: dict[str, list[float]] | None = None) -> Path:
+    """The record as a test cell writes it: four digits of psia, two of degF, no converter."""
+    import tomllib
+
+    raw = np.genfromtxt(folder / "raw.csv", delimiter=",", names=True, deletechars="")
+    tables = tomllib.loads((folder / "test.toml").read_text("utf-8"))
+    columns = {"time_s": raw["time_s"]}
+    for name, table in tables["channels"].items():
+        if table["kind"] == "pressure":
+            counts = table["calibrate_count"] - table["zero_count"]
+            pascals = table["zoc_reference_Pa"]
+            pascals += table["calibrate_pressure_Pa"] * (raw[name] - table["zero_count"]) / counts
+            columns[name] = (pascals / PSI).round(4)
+            table["unit"] = "psia"
+            for key in COUNT_KEYS:
+                del table[key]
+        else:
+            columns[name] = (1.8 * raw[name] - 459.67).round(2)
+            table["unit"] = "degF"
+    del tables["adc"], tables["limits"]
+    if limits:
+        tables["limits"] = limits
+    cell = folder / f"cell-{len(limits or ())}"
+    cell.mkdir(exist_ok=True)
+    write_csv(cell / "raw.csv", columns)
+    (cell / "test.toml").write_text(to_toml(tables), "utf-8")
+    return cell
+
+
+def read(folder: Path, **more: Any) -> tuple[Record, TestDescription]:
+    return read_raw(folder / "raw.csv", folder / "test.toml", **more)
+
+
+def test_what_clips_in_counts_clips_in_any_unit(rig: Path) -> None:
+    """Where the converter says which readings are cut off, the channel itself says the same."""
+    counted = inspect_readings(*read(rig))
+    found = inspect_readings(*read(in_other_units(rig)))
+    clipped = [n for n in counted.channels if n.startswith("fault_P25")]
+    assert len(clipped) == 8
+    for name in clipped:
+        np.testing.assert_array_equal(found[name] == CLIPPED, counted[name] == CLIPPED, name)
+    # The exit temperatures end at what their limits say in the other description.
+    for name in ("fault_T31_A", "fault_T31_B"):
+        np.testing.assert_array_equal(found[name] == CLIPPED, counted[name] > 0.0, name)
+    assert {n for n in found.channels if n.startswith("fault_")} == {
+        n for n in counted.channels if n.startswith("fault_")
+    }
+    assert "looked for clipped readings, " in found.history[-1].did
+
+
+def test_the_reduction_is_that_of_the_counts(rig: Path) -> None:
+    expected = reduce_record(*read(rig))
+    found = reduce_record(*read(in_other_units(rig)))
+    assert found.window_s == expected.window_s
+    np.testing.assert_array_equal(found.series.free_run, expected.series.free_run)
+    np.testing.assert_array_equal(found.series.segment, expected.series.segment)
+    np.testing.assert_allclose(found.series.psi_p, expected.series.psi_p, atol=2e-3)
+    (chosen,) = (e for e in found.record.history if e.step == "choose channels")
+    assert [d.what for d in chosen.dropped] == ["T31_A", "T31_B", "W31 and ψ"]
+    assert "clipped in" in chosen.dropped[0].why
+
+
+@pytest.mark.parametrize("rows", [7, 97, 1000])
+def test_no_bit_depends_on_blocks_chunks_or_where_the_columns_lie(
+    rig: Path, rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = in_other_units(rig)
+    whole = inspect_readings(*read(cell))
+    monkeypatch.setattr(workspace, "BLOCK_ROWS", rows)
+    pieces = inspect_readings(*read(cell, chunk_rows=rows + 3, workspace=OnDisk(tmp_path)))
+    assert pieces.history[-1] == whole.history[-1]
+    for name in whole.channels:
+        np.testing.assert_array_equal(pieces[name][:], whole[name], name)
+
+
+def test_stated_limits_are_believed_and_what_they_let_through_is_flagged(rig: Path) -> None:
+    """Of one channel the end is known, another is said to go on beyond its end."""
+    known, doubtful = "P25_A_tip_forward", "P25_B_tip_aft"
+    limits = {known: [2e4, 1.42e5], doubtful: [2e4, 3e5], "T31_A": [200.0, 600.0]}
+    found = inspect_readings(*read(in_other_units(rig, limits=limits)))
+    assert f"fault_{doubtful}" not in found
+    assert set(np.unique(found[f"fault_{known}"])) == {0.0, 4.0}
+    assert np.max(found["fault_P25_A_tip_aft"]) == CLIPPED
+    flags = [flag for flag in found.history[-1].flags if "does its range end there?" in flag]
+    assert len(flags) == 1
+    assert flags[0].startswith(f"{doubtful}: ")
+    assert "at its largest reading of 1" in flags[0]
+    assert "test.toml lets them count" in flags[0]
+
+
+def test_channels_of_counts_are_not_looked_at(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[float] = []
+
+    def noted(values: FloatArray, low: float, high: float, *_: Any, **__: Any) -> tuple[End, ...]:
+        seen.append(high)
+        return ()
+
+    monkeypatch.setattr(plateaus, "cut_off_ends", noted)
+    record, test = read(rig)
+    inspect_readings(record, test)
+    assert seen == [float(record[couple.name].max()) for couple in test.temperatures]
+
+
+def test_inspect_tells_the_same_as_the_reduction(rig: Path) -> None:
+    cell = in_other_units(rig)
+    told = {c.name: c.plateaus for c in inspect_file(cell / "raw.csv").channels}
+    found = inspect_readings(*read(cell))
+    clipped = {n[6:] for n in found.channels if n.startswith("fault_")}
+    assert {name for name, ends in told.items() if ends} == clipped
+    assert {ends for ends in told.values() if ends} == {("maximum",)}
+
+
+# ------------------------------------------------------------------------------- false alarms
+
+
+@cache
+def sound(noise_percent: float) -> dict[str, FloatArray]:
+    """Channels of three rigs in SI, exact: no converter, and nothing that ends their range."""
+    sensors = SensorSettings(
+        noise_percent=noise_percent,
+        thermocouple_noise_k=2.0 * noise_percent,
+        bits=None,
+        acquisition_limits=False,
+    )
+    out = {}
+    for case in ("985", "90", "75-stall"):
+        run = simulate(case, seed=3, duration_s=3.0, sensors=sensors)
+        for name, channel in run.raw.channels.items():
+            if "_A" in name:
+                out[f"{case} {name}"] = channel.values
+    return out
+
+
+@cache
+def periodic() -> dict[str, FloatArray]:
+    """A surge that repeats itself to the last digit, sampled at the same phases each time."""
+    made = make_test(seconds=2.4, quantise=False)
+    return {name: v for name, v in made.columns.items() if name != "time_s"}
+
+
+def coarse(values: FloatArray, bits: int) -> FloatArray:
+    step = float(np.ptp(values)) / 2**bits
+    return np.asarray(np.floor(values / step + 0.3) * step)
+
+
+def recorded(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the ways in which a sound signal may be recorded."""
+    yield "as it is", values
+    yield "single precision", values.astype(np.float32).astype(np.float64)
+    rows = np.arange(values.size)
+    for bits in (3, 4, 6, 8, 10, 12, 16):
+        read_off = coarse(values, bits)
+        yield f"{bits} bits", read_off
+        yield f"{bits} bits in psi", (read_off / PSI).round(4)
+        for held in (2, 4, 10):
+            yield f"{bits} bits held {held}", np.repeat(read_off[::held], held)[: rows.size]
+        for every in (4, 20):
+            slow = np.interp(rows, rows[::every], read_off[::every])
+            yield f"{bits} bits, lines between {every}", slow
+    smooth = np.convolve(values, np.hanning(33) / 16.0, "valid")
+    for bits in (4, 6, 8, 10):
+        yield f"smooth, {bits} bits", coarse(smooth, bits)
+        often = np.interp(np.arange(0, smooth.size - 1, 0.1), np.arange(smooth.size), smooth)
+        yield f"smooth, often, {bits} bits", coarse(often, bits)
+
+
+@pytest.mark.parametrize("noise_percent", [0.0, 0.02, 0.2])
+def test_no_sound_channel_is_cut_off_however_it_is_recorded(noise_percent: float) -> None:
+    for name, values in sound(noise_percent).items():
+        for way, read_off in recorded(values):
+            assert ends_of(read_off) == (), f"{name}, {way}"
+
+
+def test_what_repeats_itself_exactly_is_not_cut_off() -> None:
+    for name, values in periodic().items():
+        for way, read_off in recorded(values):
+            assert ends_of(read_off) == (), f"{name}, {way}"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_of_any_colour_and_resolution_is_not_cut_off(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    white = rng.standard_normal(40_000)
+    slow = np.cumsum(white) / 30.0 + 0.2 * rng.standard_normal(white.size)
+    for step in (1e-6, 0.01, 0.1, 0.5, 1.0, 2.0, 5.0):
+        for values in (white, slow, np.tanh(slow) * 3.0 + 0.3 * white):
+            assert ends_of(np.round(values / step) * step) == (), step
+
+
+def test_constant_and_switching_channels_are_not_cut_off() -> None:
+    rng = np.random.default_rng(5)
+    n = 5000
+    assert ends_of(np.full(n, 7.0)) == ()
+    flicker = 288.0 - (rng.random(n) < 0.02)
+    assert ends_of(flicker) == ()
+    # Two values for long, as a valve has.
+    assert ends_of(np.where(np.arange(n) // 250 % 2, 3.0, 1.0)) == ()
+    # A channel that rests, and has a spike now and then: it rests at its largest reading.
+    spikes = np.full(n, 288.0)
+    spikes[rng.integers(10, n - 10, 40)] -= rng.uniform(1.0, 30.0, 40)
+    assert ends_of(spikes) == ()
+
+
+def test_dropouts_to_the_least_reading_are_no_end_of_the_range() -> None:
+    """The readings before do not lead there; a probe that drops out is left out for that."""
+    rng = np.random.default_rng(6)
+    values = np.round(500.0 + 100.0 * np.sin(np.arange(4000) / 20.0) + rng.normal(0.0, 3.0, 4000))
+    for start in range(200, 3900, 311):
+        values[start : start + 6] = 3.0
+    assert ends_of(values) == ()
+
+
+# ------------------------------------------------------------------------- what is really cut off
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16, 0])
+@pytest.mark.parametrize("share", [0.005, 0.02, 0.1])
+def test_a_surge_that_is_cut_off_is_found_at_any_resolution(bits: int, share: float) -> None:
+    for noise_percent in (0.02, 0.2):
+        for name, values in sound(noise_percent).items():
+            if not name.startswith("985 P25"):
+                continue
+            cut = np.minimum(values, np.quantile(values, 1.0 - share))
+            cut = coarse(cut, bits) if bits else cut
+            (end,) = ends_of(cut)
+            assert end.upper
+            assert (end.reading, end.rows) == (cut.max(), np.count_nonzero(cut == cut.max()))
+            np.testing.assert_array_equal(end.beyond(cut), cut == cut.max())
+            # Turned over it is the other end.
+            (end,) = ends_of(-cut)
+            assert not end.upper
+            np.testing.assert_array_equal(end.beyond(-cut), cut == cut.max())
+
+
+def test_both_ends_are_found_at_once() -> None:
+    rng = np.random.default_rng(1)
+    wave = 300.0 * np.sin(np.arange(3000) / 9.0) + rng.normal(0.0, 4.0, 3000)
+    low, high = ends_of(np.clip(np.round(wave), -200.0, 230.0))
+    assert (low.upper, low.reading, high.upper, high.reading) == (False, -200.0, True, 230.0)
+
+
+def as_a_list_says(values: list[float]) -> list[tuple[bool, int, int]]:
+    """The rule once more, run by run, from the whole channel at once."""
+    finite = [v for v in values if v == v]
+    low, high = min(finite), max(finite)
+    changes = [abs(b - a) for a, b in zip(values, values[1:], strict=False) if a == a and b == b]
+    step = min((c for c in changes if c > 0.0), default=np.inf)
+    if low == high or step == np.inf:
+        return []
+    runs, at = [], 0
+    for value, group in groupby(values):
+        rows = len(list(group))
+        runs.append((value, at, at + rows))
+        at += rows
+
+    def plain(start: int, stop: int) -> bool:
+        if start < 4 or stop + 4 > len(values):
+            return False
+        away = max(1, min((stop - start - 1) // 2, 4))
+        straight = []
+        for side in (values[start - 4 : start][::-1], values[stop : stop + 4]):
+            jump = side[0] - values[start]
+            if not abs(side[away - 1] - values[start]) > 5.5 * step:
+                return False
+            if not abs(jump) <= 2.0 * (np.nanmax(side) - np.nanmin(side)):
+                return False
+            straight.append(
+                all(
+                    abs(b - a - jump) <= 1e-6 * abs(jump)
+                    for a, b in zip(side, side[1:], strict=False)
+                )
+            )
+        return not all(straight)
+
+    elsewhere = sum(stop - start >= 3 and low < v < high and plain(start, stop)
+                    for v, start, stop in runs)  # fmt: skip
+    found = []
+    for upper, extreme in ((False, low), (True, high)):
+        there = [(a, b) for v, a, b in runs if v == extreme]
+        near = sum(v != extreme and abs(v - extreme) <= 8.5 * step for v in values)
+        times, behind = [], -3
+        for start, stop in there:
+            if stop - start > 1 and start - behind >= 3 and plain(start, stop):
+                times.append(stop - start)
+                behind = stop
+        several = sum(t >= 3 for t in times) >= 2 or sum(b - a == 1 for a, b in there) >= 3
+        rows = sum(b - a for a, b in there)
+        if len(times) >= 3 and several and rows > near and 2 * elsewhere <= len(times):
+            found.append((upper, rows, len(times)))
+    return found
+
+
+@given(
+    seed=st.integers(0, 100_000),
+    n=st.sampled_from([1, 4, 9, 60, 400, 900]),
+    block=st.sampled_from([1, 2, 5, 64, 1000]),
+)
+@settings(max_examples=150, deadline=None)
+def test_the_search_in_blocks_is_the_rule_on_the_whole(seed: int, n: int, block: int) -> None:
+    rng = np.random.default_rng(seed)
+    wave = rng.choice([5.0, 40.0]) * np.sin(np.arange(n) / rng.choice([1.5, 4.0, 15.0]))
+    values = np.round(wave + rng.choice([0.0, 0.5, 3.0]) * rng.standard_normal(n))
+    high = np.quantile(values, rng.choice([0.6, 0.9, 1.0]))
+    values = np.clip(values, np.quantile(values, rng.choice([0.0, 0.2])), high)
+    if rng.random() < 0.3:
+        for start in rng.integers(0, n, rng.integers(1, 6)):
+            values[start : start + rng.integers(1, 9)] = values[start]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workspace, "BLOCK_ROWS", block)
+        found = ends_of(values)
+    assert [(e.upper, e.rows, e.times) for e in found] == as_a_list_says(values.tolist())
+
+
+def test_the_random_channels_are_cut_off_often_and_often_not() -> None:
+    found = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        wave = 40.0 * np.sin(np.arange(600) / 4.0) + rng.standard_normal(600)
+        values = np.round(np.clip(wave, -50.0, rng.choice([30.0, 60.0])))
+        found.append(len(as_a_list_says(values.tolist())))
+    assert {0, 1} == set(found)
+
+
+# ------------------------------------------------------------------------- impossible pressures
+
+
+@pytest.mark.parametrize(
+    ("unit", "more", "value", "words"),
+    [
+        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa .* which a gauge reading needs"),
+        ("psia", {}, -1.0, r"found -6894\.\d+ Pa in row 301"),
+        ("kPa", {"reference_Pa": 0.0}, -0.5, "found -500 Pa in row 301"),
+        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa .* which is added to it"),
+        ("psid", {"reference_Pa": 2.5e5}, -40.0, "found -2.* reference_Pa .* which is added to it"),
+    ],
+)
+def test_no_pressure_is_below_nothing(
+    unit: str, more: dict[str, float], value: float, words: str, tmp_path: Path
+) -> None:
+    raw = one_in(unit, **more)
+    raw.columns[ODD][300] = value
+    with pytest.raises(
+        InputError, match=f"channel {ODD}: expected absolute pressures above 0 Pa, {words}"
+    ):
+        raw.load()
+
+
+@pytest.mark.parametrize(
+    ("unit", "more"), [("psig", {"reference_Pa": 1e5}), ("psid", {"reference_Pa": 2.5e5})]
+)
+def test_readings_below_what_they_are_taken_against_are_pressures(
+    unit: str, more: dict[str, float]
+) -> None:
+    raw = one_in(unit, **more)
+    assert raw.columns[ODD].min() < 0.0
+    record, _ = raw.load()
+    assert record[ODD].min() > 0.0
+
+
+ODD = "P25_A_tip_aft"
+
+
+def one_in(unit: str, **more: float) -> Any:
+    """A test with one pressure in a unit of its own."""
+    made = make_test(seconds=0.5)
+    table = made.description["channels"][ODD]
+    gain = (table["calibrate_count"] - table["zero_count"]) / table["calibrate_pressure_Pa"]
+    pascals = (made.columns[ODD] - table["zero_count"]) / gain + table["zoc_reference_Pa"]
+    size = 1e3 if unit.startswith("kPa") else PSI
+    kept = {key: value for key, value in table.items() if key not in COUNT_KEYS}
+    columns = {**made.columns, ODD: (pascals - more.get("reference_Pa", 0.0)) / size}
+    channels = {**made.description["channels"], ODD: {**kept, "unit": unit, **more}}
+    return dataclasses.replace(
+        made, columns=columns, description={**made.description, "channels": channels}
+    )
