@@ -163,11 +163,11 @@ def extend_while_settled(
             start = rows.start + int(found[-1]) + 1
             break
     stop = record.n_samples
-    for rows in blocks(record.n_samples, window.stop - 1):
+    for rows in blocks(record.n_samples, window.stop):
         found = np.flatnonzero(bad(rows))
         place.release()
         if found.size:
-            stop = max(window.stop, rows.start + int(found[0]))
+            stop = rows.start + int(found[0])
             break
     return slice(start, stop)
 

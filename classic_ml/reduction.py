@@ -139,28 +139,17 @@ def reduce_record(
     window = window_rows(record, window_s, _window_name(record, test, chosen))
     record = choose_channels(record.after(found), test, window)
     step(1)
-    in_use = tuple(name for name in test.channel_names if name in record)
     averaged = probe_averages(record, test, chosen, keep_probes=keep_probes, ahead=ahead)
-    del ahead
     step(1)
     plain, unfiltered = _unfiltered(record, test, chosen)
-    # The matched readings are not needed any more, nor is their room.
-    record = averaged
-    del averaged
-    record = coefficients(
-        record,
-        test,
-        inertia_factor=chosen.inertia_factor,
-        work_form=chosen.work_form,
-        cell_period_s=_cell_period_s(_with_channels(record, unfiltered), chosen, window),
-    )
+    in_use = tuple(name for name in test.channel_names if name in record)
+    # A window that somebody named is not extended.
+    inside = window if ahead is None else extend_while_settled(plain, window, in_use)
+    record = _with_coefficients(averaged, unfiltered, test, chosen, window)
     step(1)
-    record = _segmented(_with_channels(record, unfiltered), test, chosen, window)
-    named = chosen.window_s is not None or test.window_s is not None
-    inside = window if named else extend_while_settled(plain, window, in_use)
+    record = _segmented(record, test, chosen, window)
     record = _with_free_run(record, plain, window, inside, chosen.probes)
     record = _regimes_compared(record, window, _threshold(test, chosen))
-    del plain
     if not keep_probes:
         record = without(record, [name for name in record.channels if name.startswith("fault_")])
     step(1)
@@ -195,9 +184,8 @@ def _near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
             )
         )
     )
-    inlet, leaving, how = *_steady_flows(steady, test), ""
-    if "W31_kg_s" not in steady:
-        how = " (with the facility's T31)"
+    inlet, leaving = _steady_flows(steady, test)
+    how = "" if "W31_kg_s" in steady else " (with the facility's T31)"
     differ = abs(leaving / inlet - 1.0)
     areas = f"area_m2 of [planes.25] and [planes.31] in {test.source}"
     if differ > FLOWS_REFUSED and not how:
@@ -264,9 +252,26 @@ def _unfiltered(
     return without(plain, gone), kept
 
 
-def _cell_period_s(record: Record, settings: ReductionSettings, window: slice) -> float | None:
-    """Return what the mass balance averages over where no filter takes the cells out."""
-    return 1.0 / cell_frequency_hz(record, window) if settings.phase == "none" else None
+def _with_coefficients(
+    averaged: Record,
+    unfiltered: list[Channel],
+    test: TestDescription,
+    settings: ReductionSettings,
+    window: slice,
+) -> Record:
+    """Compute the coefficients of the averages, and lay the unfiltered ones beside them."""
+    # What the mass balance averages over where no filter takes the cells out.
+    period_s = None
+    if settings.phase == "none":
+        period_s = 1.0 / cell_frequency_hz(_with_channels(averaged, unfiltered), window)
+    record = coefficients(
+        averaged,
+        test,
+        inertia_factor=settings.inertia_factor,
+        work_form=settings.work_form,
+        cell_period_s=period_s,
+    )
+    return _with_channels(record, unfiltered)
 
 
 def _with_free_run(

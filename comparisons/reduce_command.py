@@ -79,7 +79,7 @@ def reduce_file(
         workspace = OnDisk(folder)
     with _bar("reading", n_rows, "row") as read:
         records = [
-            read_raw(raw, test_path, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
+            read_raw(raw, test, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
         ]
     with _bar("reducing", STEPS, "step") as done:
         # Nobody but the reduction holds the raw record, so that it can let go of it.

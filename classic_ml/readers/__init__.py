@@ -30,7 +30,7 @@ POSSIBLE_K = (50.0, 3000.0)
 
 def read_raw(
     raw_path: str | os.PathLike[str],
-    test_path: str | os.PathLike[str],
+    test: str | os.PathLike[str] | TestDescription,
     *,
     chunk_rows: int | None = None,
     workspace: Workspace = IN_MEMORY,
@@ -42,8 +42,8 @@ def read_raw(
     ----------
     raw_path : str or path
         Table of ``time_s`` and one column a channel, as test.toml describes it.
-    test_path : str or path
-        Its test.toml.
+    test : str or path or TestDescription
+        Its test.toml, read or not.
     chunk_rows : int, optional
         Rows that are read at once; no number depends on it.
     workspace : Workspace
@@ -66,7 +66,8 @@ def read_raw(
     """
     if chunk_rows is not None and chunk_rows < 1:
         raise InputError("chunk_rows", expected="at least 1 row", found=f"{chunk_rows}")
-    test = read_test_description(test_path)
+    if not isinstance(test, TestDescription):
+        test = read_test_description(test)
     stored = open_raw(raw_path, test)
     # Room is taken for no more rows than the file can hold, whatever it claims.
     claimed = stored.n_rows if (stored.n_rows or 0) <= os.path.getsize(raw_path) else None

@@ -12,7 +12,7 @@ from classic_ml.filtering import period_average
 from classic_ml.fit_state import FitState
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows, near
 from classic_ml.lag.first_order_lag import FirstOrderLag
-from classic_ml.records import LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import (
     COMMON_CURVE_SHARE,
@@ -308,3 +308,15 @@ def test_the_window_grows_over_the_settled_machine_only() -> None:
     # N_c settles at 0.5 s (its average a little about that), readings fail from 3.8 s on.
     assert 450 <= grown.start <= 580
     assert grown.stop == 3801
+
+
+@pytest.mark.parametrize("row", [1500, 2998, 2999])
+def test_a_fault_inside_the_window_does_not_keep_it_from_growing(row: int) -> None:
+    record, _, _ = made_record(2, cells=8.0, shift=4.0)
+    faults = np.zeros(N_ROWS)
+    faults[[row, 3400]] = 1.0
+    record = replace(
+        record, channels={**record.channels, "fault_P": Channel("fault_P", faults, "1")}
+    )
+    in_use = {"P"}
+    assert extend_while_settled(record, slice(1500, 3000), in_use).stop == 3400
