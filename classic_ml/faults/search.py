@@ -440,16 +440,22 @@ def _counts(record: Record, name: str, rows: slice) -> dict[int, int]:
         if marks.any():
             by_marks += np.bincount(marks.astype(np.int64), minlength=by_marks.size)
         record.workspace.release()
-    with_kind = {kind: (np.arange(by_marks.size) & kind) != 0 for kind in _WORDS}
-    counts = {kind: int(by_marks[which].sum()) for kind, which in with_kind.items()}
+    counts = {kind: int(by_marks[which].sum()) for kind, which in _WITH_KIND.items()}
     return {**counts, 0: int(by_marks[1:].sum())}
+
+
+# Which sums of kinds have a kind in them.
+_WITH_KIND = {kind: np.flatnonzero(np.arange(1 << len(_WORDS)) & kind) for kind in _WORDS}
 
 
 def _has(record: Record, name: str, kind: int) -> bool:
     """Tell whether a channel has a fault of a kind anywhere."""
     if fault_name(name) not in record:
         return False
-    return _counts(record, name, slice(0, record.n_samples))[kind] > 0
+    fault = record[fault_name(name)]
+    return any(
+        bool(np.any(fault[rows].astype(np.int64) & kind)) for rows in blocks(record.n_samples)
+    )
 
 
 def _bridged(record: Record, name: str, kinds: int = -1) -> Channel:
