@@ -26,7 +26,7 @@ from classic_ml.faults.standstill import Tally
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, Record
 
-__all__ = ["REACH", "End", "EndSearch", "cut_off_ends", "ends_of_ranges"]
+__all__ = ["LEAST_TIMES", "REACH", "End", "EndSearch", "cut_off_ends", "ends_of_ranges"]
 
 IntArray = NDArray[np.int64]
 

@@ -13,9 +13,14 @@ from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.results import Diagnosis, Gap, MissingEffect
+from comparisons.missing_effect.results import SIZE, Diagnosis, Gap, MissingEffect
 from comparisons.missing_effect.search import Leftover, Round
-from comparisons.missing_effect.uncertainty import fitted_parameters, on_all_rows
+from comparisons.missing_effect.uncertainty import (
+    LEAST_SIZE,
+    fitted_parameters,
+    on_all_rows,
+    size_in_errors,
+)
 
 __all__ = ["concluded", "evidence_numbers"]
 
@@ -41,7 +46,7 @@ def concluded(
     Parameters
     ----------
     verdict : str
-        One of the seven.
+        One of the seven; a name whose effect is not told from none makes it provisional.
     base, final : Bench
         The model before and after, on the same rows.
     sets : mapping of str to sequence of Candidate
@@ -66,13 +71,19 @@ def concluded(
     averaged_again = data.also_average_s != base.data.also_average_s
     after = on_all_rows(final.fit, final) if found or averaged_again else before
     values = fitted_parameters(after, final)
+    sizes = {e.name: size_in_errors(e, after, final) for e in found if not e.unnamed}
+    if verdict in ("named", "alias_set") and min(sizes.values(), default=np.inf) < LEAST_SIZE:
+        verdict = "provisional"
     missing = tuple(
         MissingEffect(
             effect.name,
             tuple(c.name for c in sets[effect.name]) or (effect.name,),
-            provisional and not effect.unnamed,
+            not effect.unnamed and (provisional or sizes[effect.name] < LEAST_SIZE),
             values[effect.name],
-            evidence_numbers(sets[effect.name][0]) if sets[effect.name] else {},
+            {
+                **(evidence_numbers(sets[effect.name][0]) if sets[effect.name] else {}),
+                **({SIZE: sizes[effect.name]} if effect.name in sizes else {}),
+            },
         )
         for effect in found
     )

@@ -19,6 +19,7 @@ from comparisons.missing_effect.excitation import block_rows
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.limit_table import CHECKED_AT, Limit, Limits, size_words
 from comparisons.missing_effect.planting import Planter
+from comparisons.missing_effect.uncertainty import LEAST_SIZE, size_in_errors
 from comparisons.missing_effect.whole_run_diagnosis import CHAIN_ERROR, LARGEST_MODEL_ERROR
 from comparisons.missing_effect.whole_runs import alias_by_share, plain_bench, weighed_by_share
 
@@ -302,7 +303,8 @@ class _Drill:
         data, fit = self._measured(effect, size, kind, trial), self.planter.fit
         if self.planter.whole_runs:
             bench = plain_bench(data, self.terms, len(CATALOGUE), block_rows(data))
-            return any(c.evidence.accepted for c in weighed_by_share(bench, [effect]))
+            _, candidates = weighed_by_share(bench, [effect])
+            return any(c.evidence.accepted for c in candidates)
         metric = self.planter.source.noise.metric().on(np.arange(data.n_samples))
         bench = Bench.start(
             data, fit.structure, metric, fit.nonlinear, block_rows(data), len(CATALOGUE)
@@ -337,7 +339,7 @@ def _names_in_whole_runs(data: LagData, terms: tuple[str, ...]) -> set[str]:
     left, found = math.inf, 0
     while found < MOST_EFFECTS and left > CHAIN_ERROR:
         rest = [e for e in effects if e.name not in bench.fit.structure.names]
-        candidates = weighed_by_share(bench, rest)
+        bench, candidates = weighed_by_share(bench, rest)
         winner = next((c for c in candidates if c.evidence.accepted), None)
         if winner is None:
             break
@@ -345,7 +347,9 @@ def _names_in_whole_runs(data: LagData, terms: tuple[str, ...]) -> set[str]:
         bench, found = replace(bench, fit=winner.fit), found + 1
         errors = bench.fit.errors(data, replace(bench.metric, sigma=1.0))[scored]
         left = float(np.sqrt(np.mean(errors**2))) / mean
-    return named if left <= LARGEST_MODEL_ERROR else set()
+    effects = list(bench.fit.structure.effects)
+    told = all(size_in_errors(effect, bench.fit, bench) >= LEAST_SIZE for effect in effects)
+    return named if told and left <= LARGEST_MODEL_ERROR else set()
 
 
 def _largest(effect: Effect) -> float:

@@ -12,7 +12,10 @@ from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.whole_runs import RippleLine
 
-__all__ = ["Diagnosis", "FittedParameter", "Gap", "MissingEffect"]
+__all__ = ["SIZE", "Diagnosis", "FittedParameter", "Gap", "MissingEffect"]
+
+# Under this name the evidence holds how many standard errors large an effect is as a whole.
+SIZE = "size_in_errors"
 
 
 @dataclass(frozen=True)
@@ -70,12 +73,13 @@ class MissingEffect:
     alias_set : tuple of str
         The names that these data cannot tell apart, the first among them.
     provisional : bool
-        True where the model still leaves structure in its errors: then the name stands for
-        something that may be another.
+        True where the model still leaves structure in its errors, or where what the effect does
+        is not told from nothing: then the name stands for something that may be another.
     parameters : tuple of FittedParameter
         Its numbers.
     evidence : mapping
-        Gains in log-units on the fitted rows, later time and the other record, and their z.
+        Gains in log-units on the fitted rows, later time and the other record, and their z; how
+        many standard errors large all that the effect does is.
     """
 
     effect: str

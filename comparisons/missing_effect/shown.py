@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.diagnosis import Diagnosis
-from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.excitation import surge_frequency_hz
 from comparisons.missing_effect.fit import Fit
@@ -19,7 +18,7 @@ from comparisons.missing_effect.lag_data import LATER, OTHER, LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.open_terms import with_state
 from comparisons.missing_effect.ports import Ports
-from comparisons.missing_effect.uncertainty import fitted_parameters, linear_columns
+from comparisons.missing_effect.uncertainty import fitted_parameters, without_amplitude
 from comparisons.missing_effect.where import ResidualRuns, Where, localise
 from comparisons.missing_effect.whole_runs import cycles_left_out
 
@@ -238,7 +237,7 @@ def contributions(d: Diagnosis) -> tuple[Contribution, ...]:
     full, shown = fit.output(data), _settled(fit, data)
     out = []
     for effect in fit.structure.effects:
-        value = full - _without_amplitude(fit, effect, data).output(data)
+        value = full - without_amplitude(fit, effect, data).output(data)
         rms = float(np.sqrt(np.mean(value[shown] ** 2)))
         out.append(Contribution(effect.name, np.where(shown, value, np.nan), rms))
     return tuple(out)
@@ -285,20 +284,6 @@ def _rows_shown(data: LagData) -> int:
         return MOST_SHOWN
     rows = CYCLES_SHOWN / (surge_hz * data.sample_period_s)
     return int(min(max(rows, FEWEST_SHOWN), MOST_SHOWN))
-
-
-def _without_amplitude(fit: Fit, effect: Effect, data: LagData) -> Fit:
-    """Return the fit with one effect's amplitude at zero, everything else as it is."""
-    nonlinear, coefficients = fit.nonlinear.copy(), fit.coefficients.copy()
-    if effect.linear:
-        coefficients[linear_columns(fit, data)[effect.name]] = 0.0
-    else:
-        at = 1
-        for other in fit.structure.effects:
-            if other.name == effect.name:
-                nonlinear[at] = 0.0
-            at += len(other.nonlinear)
-    return replace(fit, nonlinear=nonlinear, coefficients=coefficients)
 
 
 def _sweep(fit: Fit, data: LagData, label: str, clock: float, speed: float) -> tuple[Curve, ...]:

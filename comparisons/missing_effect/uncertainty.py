@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,18 @@ if TYPE_CHECKING:
     from comparisons.missing_effect.candidates import Bench
     from comparisons.missing_effect.results import FittedParameter
 
-__all__ = ["covariance_of", "fitted_parameters", "linear_columns", "on_all_rows"]
+__all__ = [
+    "LEAST_SIZE",
+    "covariance_of",
+    "fitted_parameters",
+    "linear_columns",
+    "on_all_rows",
+    "size_in_errors",
+    "without_amplitude",
+]
+
+# An effect below this many standard errors is not told from none: its 95 % interval holds zero.
+LEAST_SIZE = 2.0
 
 # Steps of a threshold, as shares of the range of φ.
 JUMP_STEPS = (1e-4, 2e-4, 3e-4, 5e-4, 7e-4, 1e-3, 2e-3, 3e-3)
@@ -189,3 +201,81 @@ def covariance_of(fit: Fit, data: LagData, bench: Bench) -> FloatArray:
     meat = sums.T @ sums * (sums.shape[0] / max(sums.shape[0] - 1, 1))
     covariance = inverse @ meat @ inverse
     return np.asarray(covariance / np.multiply.outer(scale, scale))
+
+
+def size_in_errors(effect: Effect, fit: Fit, bench: Bench) -> float:
+    """Return how many standard errors large what an effect does to the answer is.
+
+    It is taken as a whole, since its numbers may each be worth nothing where what they make
+    together is well known (a slow drift has a rate, and neither a size nor a time), and both may
+    stand at their bounds, where slopes tell no error. Of what the answer loses with the amplitude
+    at zero, the part that nothing else in the model can make up for is compared with what the
+    errors are in that direction; those of one block may depend on each other.
+
+    Parameters
+    ----------
+    effect : Effect
+        One that the model has.
+    fit : Fit
+        The model, fitted to all rows.
+    bench : Bench
+        Records, metric and blocks.
+    """
+    data, structure = with_own_state(bench.data, fit), fit.structure
+    solution = solved(structure, data, bench.metric, fit.nonlinear)
+    fit = replace(fit, coefficients=solution.coefficients)
+    lost = fit.output(data) - without_amplitude(fit, effect, data).output(data)
+    own = _own_numbers(fit, effect)
+    free = [i for i in structure.free if i not in own]
+    slopes = structure.slopes(data, fit.nonlinear, solution.coefficients, free)
+    columns = structure.respond(data, fit.nonlinear).columns
+    if effect.linear:
+        columns = np.delete(columns, linear_columns(fit, data)[effect.name], axis=1)
+    joint = np.column_stack([lost, slopes, columns])
+    seen = bench.metric.seen(joint, solution.decay, data)
+    alone = _apart_from(seen[:, 0], seen[:, 1:])
+    counted = bench.rows.block >= 0
+    sums = np.bincount(bench.rows.block[counted], (alone * solution.errors)[counted])
+    n_blocks = int(np.unique(bench.rows.block[counted]).size)
+    error = float(np.sqrt(np.sum(sums**2) * n_blocks / max(n_blocks - 1, 1)))
+    squared = float(alone @ alone)
+    return squared / error if error > 0.0 else (np.inf if squared > 0.0 else 0.0)
+
+
+def _own_numbers(fit: Fit, effect: Effect) -> range:
+    """Return which parameters that are not linear belong to an effect."""
+    at = 1
+    for other in fit.structure.effects:
+        if other.name == effect.name:
+            break
+        at += len(other.nonlinear)
+    return range(at, at + len(effect.nonlinear))
+
+
+def _apart_from(column: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the part of a column that others cannot make up."""
+    scale = np.sqrt(np.einsum("ij,ij->j", others, others))
+    others = others[:, scale > 0.0] / scale[scale > 0.0]
+    left, size, _ = np.linalg.svd(others, full_matrices=False)
+    basis = left[:, size > 1e-9 * size.max(initial=0.0)]
+    return np.asarray(column - basis @ (basis.T @ column))
+
+
+def without_amplitude(fit: Fit, effect: Effect, data: LagData) -> Fit:
+    """Return a fit with the amplitude of one effect at zero, everything else as it is.
+
+    Parameters
+    ----------
+    fit : Fit
+        A fitted model.
+    effect : Effect
+        One that it has.
+    data : LagData
+        What it was fitted to.
+    """
+    nonlinear, coefficients = fit.nonlinear.copy(), fit.coefficients.copy()
+    if effect.linear:
+        coefficients[linear_columns(fit, data)[effect.name]] = 0.0
+    else:
+        nonlinear[_own_numbers(fit, effect)[0]] = 0.0
+    return replace(fit, nonlinear=nonlinear, coefficients=coefficients)

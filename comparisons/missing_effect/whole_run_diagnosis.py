@@ -17,8 +17,15 @@ from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.noise import NoiseModel
-from comparisons.missing_effect.results import Diagnosis, FittedParameter, Gap, MissingEffect
+from comparisons.missing_effect.results import (
+    SIZE,
+    Diagnosis,
+    FittedParameter,
+    Gap,
+    MissingEffect,
+)
 from comparisons.missing_effect.search import Leftover, Round
+from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.missing_effect.whole_runs import (
     RippleLine,
     alias_by_share,
@@ -77,7 +84,9 @@ def diagnose_whole_runs(
     sets: dict[str, tuple[Candidate, ...]] = {}
     # What a second pattern of cells leaves takes other names: they are looked for once it is gone.
     while len(sets) < most_effects and line is None:
-        candidates = weighed_by_share(bench, [e for e in effects if e.name not in sets])
+        bench, candidates = weighed_by_share(bench, [e for e in effects if e.name not in sets])
+        if not sets:
+            base = start = bench
         winner = next((c for c in candidates if c.evidence.accepted), None)
         rounds.append(Round(bench, _noise(bench), candidates, (), (), winner, NOTHING_LEFT))
         if winner is None:
@@ -198,6 +207,8 @@ def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
     # Neighbouring rows of an average say the same; one a reversal is what there is.
     reversals = 1 + int(np.count_nonzero(np.diff(np.flatnonzero(rows)) > 1))
     stderr = float(np.sqrt(np.mean(after**2) / (np.mean(loss**2) * reversals)))
+    if size < LEAST_SIZE * stderr:
+        return diagnosis
     found = MissingEffect(
         "reverse_flow_branch",
         ("reverse_flow_branch",),
@@ -206,7 +217,7 @@ def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
             FittedParameter("c", size, stderr, "1"),
             FittedParameter("lagged", 0.0, 0.0, "1"),
         ),
-        {"share_of_reversed_rows": share},
+        {"share_of_reversed_rows": share, SIZE: size / stderr if stderr > 0.0 else np.inf},
     )
     verdict = "named" if diagnosis.verdict == "nothing_missing" else diagnosis.verdict
     remark = (

@@ -19,7 +19,9 @@ from comparisons.missing_effect.quantities import (
     tau_ms,
 )
 from comparisons.missing_effect.ranked import CandidateRow, candidate_rows, effect_of, not_fitted
+from comparisons.missing_effect.results import SIZE
 from comparisons.missing_effect.shown import tau_before_stderr_s
+from comparisons.missing_effect.uncertainty import LEAST_SIZE
 from comparisons.rounding import significant
 
 if TYPE_CHECKING:
@@ -197,7 +199,7 @@ def _effect_words(d: Diagnosis, item: MissingEffect) -> str:
         )
     return (
         f"{opening} {effect.name}, at the port “{effect.port}”: {effect.equation}. "
-        f"{_sentence(effect.says)}; {numbers}."
+        f"{_sentence(effect.says)}; {numbers}{_together_words(item)}."
     )
 
 
@@ -271,26 +273,52 @@ def _distance_words(d: Diagnosis, item: MissingEffect) -> list[str]:
 
 
 def _doubt_words(d: Diagnosis) -> list[str]:
-    if not any(item.provisional for item in d.missing):
-        return []
-    names = _listed([item.effect for item in d.missing if item.provisional])
-    several = sum(item.provisional for item in d.missing) > 1
-    word = "the names stand" if several else "the name stands"
+    doubted = [item for item in d.missing if item.provisional]
+    small = [item for item in doubted if item.evidence.get(SIZE, np.inf) < LEAST_SIZE]
+    said = []
+    if small:
+        names, sizes = (
+            _listed([i.effect for i in small]),
+            [f"{i.evidence[SIZE]:.1f}" for i in small],
+        )
+        said.append(
+            f"What {names} does to ψ' is not told from nothing ({_listed(sizes)} standard errors, "
+            f"all its numbers together): {_word(small)} for something that may be another effect."
+        )
+    if len(small) == len(doubted):
+        return said
+    names, word = _listed([item.effect for item in doubted]), _word(doubted)
     if d.whole_runs:
-        return [
-            f"The model with {names} leaves more than untouched records do: {word} for something "
-            "that may be another effect, and the numbers with it."
-        ]
-    if d.leftover.structured:
-        return [
+        why = f"The model with {names} leaves more than untouched records do"
+    elif d.leftover.structured:
+        why = (
             f"The model with {names} still leaves structure in its errors (what else was tested "
-            f"would win {d.leftover.gain:.0f} log-units together, p {chance(d.leftover.p_value)}): "
-            f"{word} for something that may be another effect, and the numbers with it."
-        ]
+            f"would win {d.leftover.gain:.0f} log-units together, p {chance(d.leftover.p_value)})"
+        )
+    else:
+        why = f"A term without a name had to stand beside {names}"
     return [
-        f"A term without a name had to stand beside {names}: {word} for something that may be "
-        f"another effect, and the numbers with it."
+        *said,
+        f"{why}: {word} for something that may be another effect, and the numbers with it.",
     ]
+
+
+def _word(items: Sequence[MissingEffect]) -> str:
+    return "the names stand" if len(items) > 1 else "the name stands"
+
+
+def _together_words(item: MissingEffect) -> str:
+    """Say what is known of an effect whose numbers are not known one by one."""
+    free = [p for p in item.parameters if p.stderr > 0.0]
+    size = item.evidence.get(SIZE, 0.0)
+    if len(free) < 2 or size < LEAST_SIZE:
+        return ""
+    if all(abs(p.value) >= LEAST_SIZE * p.stderr for p in free):
+        return ""
+    return (
+        ", which are not told one by one; what they do together is "
+        f"{size:.0f} standard errors large"
+    )
 
 
 def _base_words(d: Diagnosis) -> list[str]:

@@ -1,0 +1,221 @@
+"""An effect is named firmly only where all that it does is told from nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from effect_data import CUBIC, hidden, series_of
+
+from classic_ml.faults import search
+from classic_ml.readers import read_raw
+from classic_ml.reduction import reduce_record
+from comparisons.missing_effect import diagnose, find_effect
+from comparisons.missing_effect.candidates import Bench
+from comparisons.missing_effect.conclusion import concluded
+from comparisons.missing_effect.diagnosis import first_bench
+from comparisons.missing_effect.excitation import block_rows
+from comparisons.missing_effect.fit import Fit, fit_structure
+from comparisons.missing_effect.loading import load_data
+from comparisons.missing_effect.results import SIZE, Diagnosis, Gap
+from comparisons.missing_effect.search import Leftover
+from comparisons.missing_effect.uncertainty import (
+    LEAST_SIZE,
+    fitted_parameters,
+    on_all_rows,
+    size_in_errors,
+    without_amplitude,
+)
+from comparisons.missing_effect.whole_runs import plain_bench, weighed_by_share
+from comparisons.missing_effect.words import verdict_words
+
+SHORT = {"seed": 3, "n_samples": 1000}
+
+
+def bench_of(planted: str | None) -> Bench:
+    return first_bench(load_data(series_of(hidden(planted, **SHORT))), CUBIC, 15)
+
+
+def with_effect(bench: Bench, name: str, *values: float) -> Bench:
+    """The model with an effect, fitted from these values on."""
+    structure = bench.fit.structure.with_effect(find_effect(name))
+    start = np.array([*bench.fit.nonlinear, *values])
+    fit = fit_structure(structure, bench.train, bench.train_metric, [start])
+    return replace(bench, fit=fit)
+
+
+def size_of(bench: Bench, fit: Fit | None = None) -> float:
+    whole = on_all_rows(bench.fit, bench) if fit is None else fit
+    return size_in_errors(whole.structure.effects[-1], whole, bench)
+
+
+@pytest.mark.parametrize("planted", ["flow_inertia", "bias_drift", None])
+def test_of_an_effect_of_one_coefficient_the_size_is_its_t(planted: str | None) -> None:
+    bench = with_effect(bench_of(planted), planted or "bias_drift")
+    whole = on_all_rows(bench.fit, bench)
+    (number,) = fitted_parameters(whole, bench)[planted or "bias_drift"]
+    assert size_of(bench, whole) == pytest.approx(abs(number.value) / number.stderr, rel=1e-3)
+    assert (size_of(bench, whole) > 10.0) is (planted is not None)
+
+
+def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
+    """Much slower than the records are long, only the ratio of the two is in them."""
+    bench = with_effect(bench_of("sensitivity_drift"), "facility_heating", -0.5, 2e3)
+    held = np.array([*bench.fit.nonlinear[:-1], 3e4])
+    held[-2] = bench.fit.nonlinear[-2] * 3e4 / bench.fit.nonlinear[-1]
+    slow = replace(bench.fit, nonlinear=held)
+    numbers = fitted_parameters(slow, bench)["facility_heating"]
+    assert all(number.stderr > abs(number.value) for number in numbers)
+    assert size_of(bench, slow) > 10.0
+
+
+def test_numbers_that_do_nothing_together_are_nothing() -> None:
+    bench = bench_of(None)
+    structure = bench.fit.structure.with_effect(find_effect("facility_heating"))
+    nonlinear = np.array([*bench.fit.nonlinear, -1e-3, 1e5])
+    nothing = Fit(structure, nonlinear, bench.fit.coefficients, bench.fit.cost)
+    assert size_of(bench, nothing) < 0.2
+
+
+def test_the_size_has_no_unit() -> None:
+    test = hidden("transport_delay", **SHORT)
+    sizes = []
+    for unit in (1.0, 20.0):
+        records = [replace(r, psi_p=unit * np.asarray(r.psi_p)) for r in series_of(test)]
+        bench = with_effect(first_bench(load_data(records), CUBIC, 15), "transport_delay", 0.01)
+        sizes.append(size_of(bench))
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
+
+
+def test_without_its_amplitude_an_effect_does_nothing() -> None:
+    bench = with_effect(bench_of("transport_delay"), "transport_delay", 0.01)
+    bare = without_amplitude(bench.fit, find_effect("transport_delay"), bench.data)
+    rest, nonlinear = bare.structure.without(find_effect("transport_delay"), bare.nonlinear)
+    alone = Fit(rest, nonlinear, bare.coefficients, 0.0)
+    np.testing.assert_allclose(bare.output(bench.data), alone.output(bench.data), rtol=1e-9)
+
+
+def conclusion(bench: Bench, base: Bench) -> Diagnosis:
+    effect = bench.fit.structure.effects[-1]
+    return concluded(
+        "named",
+        base,
+        bench,
+        sets={effect.name: ()},
+        provisional=False,
+        noise=bench.noise(bench.fit),
+        leftover=Leftover(0.0, 0, 1.0),
+        rounds=(),
+        unavailable={},
+        floor_rms=1e-3,
+        gap=Gap(2e-3, 1.1e-3, 1e-3),
+    )
+
+
+def test_a_name_whose_effect_is_not_told_from_nothing_is_not_firm() -> None:
+    base = bench_of(None)
+    d = conclusion(with_effect(base, "facility_heating", 0.01, 20.0), base)
+    (item,) = d.missing
+    assert item.evidence[SIZE] < LEAST_SIZE
+    assert item.provisional
+    assert d.verdict == "provisional"
+
+
+def test_a_name_whose_effect_is_told_stays_firm() -> None:
+    base = bench_of("facility_heating")
+    d = conclusion(with_effect(base, "facility_heating", 0.05, 20.0), base)
+    (item,) = d.missing
+    assert item.evidence[SIZE] > 10.0
+    assert not item.provisional
+    assert d.verdict == "named"
+
+
+@pytest.fixture(scope="module")
+def clipped(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """A late record whose clipped pressures nobody noticed: what is fitted begins in them."""
+    from comparisons.rig import simulate, write_run
+
+    folder = tmp_path_factory.mktemp("clipped")
+    write_run(simulate("985", hide="transport_delay"), folder)
+    record, test = read_raw(folder / "raw.csv", folder / "test.toml")
+    with pytest.MonkeyPatch.context() as patch:
+        # Their converter is said to go on, so that its codes are readings like others.
+        patch.setattr(search, "_cut_off", lambda *_: iter(()))
+        return diagnose([reduce_record(record, test).series])
+
+
+def test_a_lower_low_of_the_errors_is_no_effect(clipped: Diagnosis) -> None:
+    """The search once named a heating of a = 0 ± 400000: its fit had found another τ, no more."""
+    assert "facility_heating" not in clipped.names
+    assert "transport_delay" in clipped.names
+    for item in clipped.missing:
+        assert item.provisional or item.evidence[SIZE] > LEAST_SIZE
+    later = [c for step in clipped.rounds[1:] for c in step.candidates]
+    heating = next(c for c in later if c.name == "facility_heating")
+    assert not heating.evidence.accepted
+    assert heating.evidence.share < 0.1
+
+
+def test_what_a_candidate_wins_is_weighed_against_the_model_from_where_it_ended(
+    clipped: Diagnosis,
+) -> None:
+    data, terms = clipped.data, clipped.before.structure.terms
+    base = plain_bench(data, terms, 15, clipped.rounds[0].bench.block_rows)
+    # The model with a delay has two lows; the search starts in the one of the longer τ.
+    long = fit_structure(
+        base.fit.structure.with_effect(find_effect("transport_delay")),
+        data,
+        base.metric,
+        [np.array([np.log(0.053), 0.005])],
+    )
+    assert long.tau_s > 0.05
+    heating = [find_effect("facility_heating")]
+    bench, (candidate,) = weighed_by_share(replace(base, fit=long), heating)
+    assert bench.fit.tau_s < 0.035
+    assert bench.fit.cost < 0.9 * long.cost
+    assert candidate.evidence.share < 0.1
+
+
+def test_a_longer_tau_is_not_followed_however_low_the_errors(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """A drift is had in part as a slow lag: the errors fall towards a τ that nothing has."""
+    from comparisons.rig import simulate, write_run
+
+    folder = tmp_path_factory.mktemp("drifting")
+    write_run(simulate("985", hide="sensitivity_drift"), folder)
+    data = load_data([reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series])
+    base = plain_bench(data, ("1", "phi", "phi^2"), 15, block_rows(data))
+    couple = base.prober().probe(find_effect("thermocouple_lag"))
+    alone = base.without_added(base.fitted(couple))
+    assert alone.cost < 0.6 * base.fit.cost
+    assert alone.tau_s > 1.0
+    names = ("thermocouple_lag", "hysteresis", "bias_drift")
+    bench, candidates = weighed_by_share(base, [find_effect(name) for name in names])
+    assert bench is base
+    assert candidates[0].name == "bias_drift"
+    assert candidates[0].evidence.share > 0.85
+    assert candidates[0].fit.tau_s == pytest.approx(0.018, abs=0.004)
+    # Of what a lag of the thermocouple would win, the τ of a second alone wins most.
+    late = next(c for c in candidates if c.name == "thermocouple_lag")
+    assert late.evidence.share < 0.5 < 1.0 - late.fit.cost / base.fit.cost
+
+
+def test_doubt_and_togetherness_are_said(clipped: Diagnosis) -> None:
+    item = clipped.missing[0]
+    wide = tuple(replace(item.parameters[0], name=name, stderr=1.0) for name in ("a", "b"))
+    told = replace(item, parameters=wide, evidence={SIZE: 12.6})
+    words = verdict_words(replace(clipped, missing=(told,)))
+    assert "not told one by one; what they do together is 13 standard errors large" in words
+    doubted = replace(item, provisional=True, evidence={SIZE: 0.4})
+    words = verdict_words(replace(clipped, missing=(doubted,), verdict="provisional"))
+    assert (
+        f"What {item.effect} does to ψ' is not told from nothing (0.4 standard errors, all its "
+        "numbers together): the name stands for something that may be another effect." in words
+    )
+    assert "leaves more than untouched records do" not in words
+    both = (doubted, replace(told, effect="flow_inertia", provisional=True))
+    words = verdict_words(replace(clipped, missing=both, verdict="provisional"))
+    assert "is not told from nothing" in words
+    assert "leaves more than untouched records do: the names stand" in words
