@@ -4,13 +4,17 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test screen docs lint clean
+.PHONY: demo test benchmarks screen docs lint clean
 
 demo: $(STAMP)
 	$(BIN)/sindy-surge demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2 --dist worksteal --ignore tests/screen
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal --ignore tests/screen --ignore tests/benchmarks
+
+# That each benchmark runs, at its shortest, and that what it measures with is right.
+benchmarks: $(STAMP)
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal tests/benchmarks
 
 screen: $(STAMP)
 	tests/screen/run

@@ -13,7 +13,7 @@ import pytest
 import comparisons.missing_effect
 from comparisons.rig.coefficient_tests import EFFECTS, OUTSIDE, simulate_test
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 # The others take their time and have no short setting.
 QUICK = [
     path
