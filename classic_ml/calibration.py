@@ -11,9 +11,13 @@ import numpy as np
 from classic_ml.columns.order_statistics import mean
 from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
+from classic_ml.faults.marks import fault_name
+from classic_ml.faults.near_stall_levels import common_shifts
 from classic_ml.flow_kernels import change_scale
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import (
+    PLAUSIBLE_BIAS,
+    PLAUSIBLE_BIAS_K,
     Converter,
     PressureChannel,
     ProbePair,
@@ -28,6 +32,7 @@ __all__ = [
     "check_facing",
     "invert_thermocouples",
     "match_near_stall",
+    "near_stall_match",
     "near_stall_rows",
     "pressure_from_counts",
     "probe_pressure_Pa",
@@ -36,11 +41,6 @@ __all__ = [
 
 # Fewer rows than this and the match is worth no more than one noisy reading.
 MINIMUM_NEAR_STALL_ROWS = 20
-# The match mends the drift of an amplifier. A reading that is off by more has another unit,
-# or its zero and calibrate readings belong to another channel.
-PLAUSIBLE_BIAS = 0.2
-# No thermocouple is off by an eighth; 698 K written in °F is off by a seventh.
-PLAUSIBLE_BIAS_K = 0.12
 # What a probe in the wake of its mate reads, over the total pressure, up to sonic flow.
 LEAST_IN_WAKE = 0.5
 
@@ -142,18 +142,49 @@ def calibrate_and_match(record: Record, test: TestDescription, match: str = "pai
         As these and :func:`check_facing` do.
     """
     _check_units(record, test)
-    rows = near_stall_rows(record, test)
-    steady = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
-    near = calibrate(replace(record, channels=steady), test)
-    all_rows = slice(0, near.n_samples)
-    _check_facing(near, test, all_rows)
-    shifts, entry = _match(near, test, all_rows, match)
+    shifts, entry = near_stall_match(record, test, match)
     changes = {
         name: replace(change, shift=shifts.get(name, 0.0))
         for name, change in _calibrations(test).items()
     }
     changes = {name: change for name, change in changes.items() if change != _Change()}
     return record.after(_calibrated(test), add=_changed(record, changes)).after(entry)
+
+
+def near_stall_match(
+    record: Record, test: TestDescription, match: str = "pair"
+) -> tuple[dict[str, float], LedgerEntry]:
+    """Return what the near-stall match adds to each channel that it moves, and how it was found.
+
+    Parameters
+    ----------
+    record : Record
+        Counts or Pa, and kelvin, as read.
+    test : TestDescription
+        Calibration of each channel, and the facility's reading.
+    match : {"pair", "forward", "none"}
+        As :func:`match_near_stall` takes it.
+
+    Returns
+    -------
+    dict of str to float
+        By channel, in Pa and K; 0 for one whose reading does not count.
+    LedgerEntry
+        The step.
+
+    Raises
+    ------
+    InputError
+        As :func:`match_near_stall` and :func:`check_facing` do.
+    """
+    if test.near_stall_shifts:
+        return _match(record, test, slice(0, 0), match)
+    rows = near_stall_rows(record, test)
+    steady = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
+    near = calibrate(replace(record, channels=steady), test)
+    all_rows = slice(0, near.n_samples)
+    _check_facing(near, test, all_rows)
+    return _match(near, test, all_rows, match)
 
 
 @dataclass(frozen=True)
@@ -309,7 +340,7 @@ def _sound_mean(record: Record, rows: slice, name: str, less: str | None = None)
     None where they do not count in most of the rows.
     """
     names = [name] if less is None else [name, less]
-    faults = [record[f"fault_{n}"] for n in names if f"fault_{n}" in record]
+    faults = [record[fault_name(n)] for n in names if fault_name(n) in record]
     n_rows = rows.stop - rows.start
 
     def readings() -> Iterator[FloatArray]:
@@ -354,7 +385,8 @@ def match_near_stall(record: Record, test: TestDescription, match: str = "pair")
     InputError
         When a channel is off by more than a fifth of the reading.
     """
-    rows = near_stall_rows(record, test) if match != "none" else slice(0, 0)
+    found = match != "none" and not test.near_stall_shifts
+    rows = near_stall_rows(record, test) if found else slice(0, 0)
     shifts, entry = _match(record, test, rows, match)
     changes = {name: _Change(shift=shift) for name, shift in shifts.items()}
     return record.after(entry, add=_changed(record, changes))
@@ -363,29 +395,40 @@ def match_near_stall(record: Record, test: TestDescription, match: str = "pair")
 def _match(
     record: Record, test: TestDescription, rows: slice, match: str
 ) -> tuple[dict[str, float], LedgerEntry]:
-    """Return the shift of each channel that is moved, from the rows near stall."""
+    """Return the shift of each channel that is moved: as stated, or from the rows near stall."""
     if match == "none":
         return {}, LedgerEntry("near-stall match", "not applied", {"match": match})
+    stated = test.near_stall_shifts
+
+    def shift_of(name: str, target: float, unit: str) -> float:
+        return stated.get(name, 0.0) if stated else _shift(record, name, rows, target, unit, test)
+
     by_channel: dict[str, float] = {}
     shifts: dict[str, str | int | float | bool] = {}
     for plane in test.areas_m2:
         for pair in test.pairs(plane):
             target = test.near_stall.pressure_Pa(plane)
-            shift = _shift(record, pair.forward.name, rows, target, "Pa", test)
+            shift = shift_of(pair.forward.name, target, "Pa")
             moved = (pair.forward, pair.aft) if match == "pair" else (pair.forward,)
             shifts[f"shift_{pair.name}_Pa"] = round(shift, 2)
             by_channel |= {p.name: shift for p in moved}
         for couple in test.thermocouples(plane):
             target = test.near_stall.temperature_K(plane)
-            shift = _shift(record, couple.name, rows, target, "K", test)
+            shift = shift_of(couple.name, target, "K")
             shifts[f"shift_{couple.name}_K"] = round(shift, 4)
             by_channel[couple.name] = shift
     word = "forward probes with their aft mates" if match == "pair" else "forward probes alone"
+    reading = test.near_stall
+    how = f"to the facility reading of {reading.from_s:g} to {reading.to_s:g} s"
+    flags: tuple[str, ...] = ()
+    if stated:
+        how = f"as {test.source} [near_stall_shifts] says"
+        flags = ("the near-stall reading that it is matched by is not in this record",)
     return by_channel, LedgerEntry(
         "near-stall match",
-        f"{word} and thermocouples moved to the facility reading of {test.near_stall.from_s:g} to "
-        f"{test.near_stall.to_s:g} s",
+        f"{word} and thermocouples moved {how}",
         {"match": match, **shifts},
+        flags=(*flags, *common_shifts(test, by_channel)),
     )
 
 

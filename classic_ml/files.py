@@ -41,6 +41,8 @@ def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
         raise InputError(str(path), expected="an existing folder", found=f"no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise InputError(str(path), expected="a folder that can be written to", found="no right")
+    # The right alone does not tell a folder of the system, or a disk that can only be read.
+    _new_neighbour(path).unlink()
 
 
 def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
@@ -58,16 +60,25 @@ def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
     InputError
         Naming the file.
     """
-    taken = {path.resolve(): "an input of this command" for path in inputs}
+    taken = {_identity(path): "an input of this command" for path in inputs}
     for path in outputs:
-        if path.resolve() in taken:
+        if _identity(path) in taken:
             raise InputError(
                 str(path),
                 expected="a file of its own for each output",
-                found=taken[path.resolve()],
+                found=taken[_identity(path)],
                 remedy="nothing was written; choose another name",
             )
-        taken[path.resolve()] = "another output of this command"
+        taken[_identity(path)] = "another output of this command"
+
+
+def _identity(path: Path) -> object:
+    """Return what two names of one file have in common, links of either kind among them."""
+    try:
+        found = path.stat()
+    except OSError:
+        return path.resolve()
+    return found.st_dev, found.st_ino
 
 
 def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -85,6 +96,12 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
     try:
         write(temporary)
         temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        if error.filename not in (None, str(temporary)):
+            raise
+        # Nobody but us knows the neighbour, and some libraries name no file at all.
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -102,6 +119,12 @@ def _new_neighbour(path: Path) -> Path:
             os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         except FileExistsError:
             continue
+        except OSError as error:
+            raise InputError(
+                str(path),
+                expected="a folder in which files can be made",
+                found=error.strerror or "none",
+            ) from None
         return name
 
 

@@ -10,9 +10,12 @@ import numpy as np
 
 from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
-from classic_ml.faults.plateaus import REACH, EndSearch
+from classic_ml.faults.held import held_in_chunks
+from classic_ml.faults.plateaus import LEAST_TIMES, REACH, EndSearch
+from classic_ml.readers.passed_over_clock import CLOCK_NAMES
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
+from classic_ml.readers.sampled_together import sampled_apart
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 from classic_ml.units import Conversion, time_conversion
@@ -21,7 +24,8 @@ __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file", "is_still
 
 # A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.
 GAP_STEPS = 1.5
-# A surging machine moves every probe by many counts in 50 ms; what stands still longer is named.
+# A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
+# whatever the rate from so many rows on.
 STILL_S = 0.05
 STILL_ROWS = 50
 STILL_LEAST_ROWS = 5
@@ -29,7 +33,6 @@ STILL_LEAST_ROWS = 5
 _TOP_CODES = frozenset(2**bits - 1 for bits in (8, 10, 12, 14, 16, 18, 20, 24)) | frozenset(
     2 ** (bits - 1) - 1 for bits in (12, 14, 16, 18, 20, 24)
 )
-_CLOCKS = ("time_s", "time", "t", "time (s)", "time [s]", "timestamp", "times", "elapsed time")
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,9 @@ class ChannelFacts:
         Whether all values are whole, as codes are.
     plateaus : tuple of str
         Ends of its range at which it is cut off: ``"minimum"``, ``"maximum"``.
+    held_rows : float
+        Rows that each value stands for, on average where it is no whole number; 1 for a channel
+        that is not held, or of which nobody can tell.
     """
 
     name: str
@@ -78,6 +84,7 @@ class ChannelFacts:
     longest_run_row: int
     whole_numbers: bool
     plateaus: tuple[str, ...] = ()
+    held_rows: float = 1.0
 
     @property
     def constant(self) -> bool:
@@ -142,6 +149,10 @@ class Inspection:
         What is in the file and no column of the record, and why.
     fault : str
         The sentence that the reading ended with; empty where it went through.
+    other_groups : mapping of str to str
+        Groups of the file of which there is nothing in the record, and what they hold.
+    sampled_apart : str
+        Which channels the file says were not sampled together; empty where it says nothing so.
     """
 
     source: str
@@ -150,6 +161,8 @@ class Inspection:
     clock: ClockFacts | None
     left_aside: dict[str, str]
     fault: str
+    other_groups: dict[str, str] = field(default_factory=dict)
+    sampled_apart: str = ""
 
     def channel(self, name: str) -> ChannelFacts | None:
         """Return one column, or None where there is none of that name."""
@@ -198,17 +211,25 @@ def inspect_file(
         if rows == 0:
             raise
         fault = str(error)
-    plateaus = _plateaus(stored, tallies, rows)
+    plateaus, held = _plateaus(stored, tallies, rows), _held_rows(stored, tallies, rows)
     return Inspection(
         stored.source,
         rows,
         tuple(
-            tally.facts(name, stored.units.get(name, ""), rows, plateaus.get(number, ()))
+            tally.facts(
+                name,
+                stored.units.get(name, ""),
+                rows,
+                plateaus.get(number, ()),
+                held.get(number, 1.0),
+            )
             for number, (name, tally) in enumerate(zip(stored.names, tallies, strict=True))
         ),
         None if clock is None else clock.facts(),
         dict(stored.unusable),
         fault,
+        dict(stored.other_groups),
+        str(sampled_apart(stored, stored.names) or ""),
     )
 
 
@@ -260,6 +281,15 @@ def _plateaus(stored: RawFile, tallies: list[_Tally], n_rows: int) -> dict[int, 
     return found
 
 
+def _held_rows(stored: RawFile, tallies: list[_Tally], n_rows: int) -> dict[int, float]:
+    """Return, by column, how many rows each value stands for, where that may be more than one.
+
+    The rows are read once more where half of the values of a column stand for several.
+    """
+    steps = {number: tally.least_step for number, tally in enumerate(tallies) if tally.may_be_held}
+    return held_in_chunks(_up_to(stored, n_rows), steps) if steps else {}
+
+
 def _up_to(stored: RawFile, n_rows: int) -> Iterator[FloatArray]:
     """Yield the rows that could be read before."""
     rows = 0
@@ -287,6 +317,8 @@ class _Tally:
     longest_run_row: int = 1
     whole_numbers: bool = True
     least_step: float = np.inf
+    runs: int = 0
+    long_runs: int = 0
     run_value: float = np.nan
     run_length: int = 0
 
@@ -305,9 +337,18 @@ class _Tally:
 
     @property
     def may_be_cut_off(self) -> bool:
-        """Whether it stands still at one of its ends at all."""
-        run = max(self.run_at_minimum, self.run_at_maximum)
-        return self.minimum < self.maximum and run > 1
+        """Whether it stands still at one of its ends so often that a search is worth while."""
+        ends = (
+            (self.at_minimum, self.run_at_minimum),
+            (self.at_maximum, self.run_at_maximum),
+        )
+        least = 2 * LEAST_TIMES
+        return self.minimum < self.maximum and any(at >= least and run > 1 for at, run in ends)
+
+    @property
+    def may_be_held(self) -> bool:
+        """Whether at least half of its values stand for some rows."""
+        return self.minimum < self.maximum and 2 * self.long_runs >= self.runs
 
     @property
     def at_top_code(self) -> bool:
@@ -326,13 +367,16 @@ class _Tally:
 
     def _runs(self, values: FloatArray, first_row: int) -> None:
         """Follow the runs of one value, the last of a chunk into the next one."""
-        steps = np.abs(np.diff(values, prepend=self.run_value))
+        with np.errstate(invalid="ignore"):
+            steps = np.abs(np.diff(values, prepend=self.run_value))
         least = np.min(steps, where=steps > 0.0, initial=np.inf)
         self.least_step = min(self.least_step, float(least))
         starts = np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1))
         lengths = np.diff(np.concatenate((starts, [values.size])))
         carried = self.run_length if values[0] == self.run_value else 0
         lengths[0] += carried
+        self.runs += lengths.size
+        self.long_runs += int(np.count_nonzero(lengths > 1))
         heads = values[starts]
         longest = int(np.argmax(np.where(np.isnan(heads), 0, lengths)))
         if lengths[longest] > self.longest_run and np.isfinite(heads[longest]):
@@ -345,7 +389,9 @@ class _Tally:
                 setattr(self, name, max(getattr(self, name), int(np.max(there))))
         self.run_value, self.run_length = float(heads[-1]), int(lengths[-1])
 
-    def facts(self, name: str, unit: str, rows: int, plateaus: tuple[str, ...]) -> ChannelFacts:
+    def facts(
+        self, name: str, unit: str, rows: int, plateaus: tuple[str, ...], held_rows: float
+    ) -> ChannelFacts:
         """Return what was found."""
         some = self.finite > 0
         return ChannelFacts(
@@ -365,6 +411,7 @@ class _Tally:
             self.longest_run_row,
             some and self.whole_numbers,
             plateaus,
+            held_rows,
         )
 
 
@@ -384,7 +431,8 @@ def _clock_tally(
     steps = np.diff(conversion.to_si(block[:, column]))
     steps = steps[np.isfinite(steps) & (steps > 0.0)]
     usual = float(np.median(steps)) if steps.size else np.nan
-    return _ClockTally(column, name, unit, stored.clock, conversion, usual)
+    about = stored.stamps.get(name, stored.clock if name == layout.time else "")
+    return _ClockTally(column, name, unit, about, conversion, usual)
 
 
 def _clock_column(
@@ -395,9 +443,11 @@ def _clock_column(
     if named:
         return None
     folded = [name.strip().lower() for name in stored.names]
-    for name in _CLOCKS:
+    for name in CLOCK_NAMES:
         if name in folded:
             return folded.index(name)
+    if stored.stamps:
+        return stored.names.index(next(iter(stored.stamps)))
     for number in range(len(stored.names)):
         steps = np.diff(block[:, number])
         # A clock rises, and by the same step nearly always.

@@ -237,9 +237,12 @@ def _match(
     why_not = ""
     if facts is None and column.column:
         near = nearest_names(column.column, left_over, 3)
-        why_not = inspection.left_aside.get(
-            column.column, "perhaps " + ", ".join(near) if near else ""
+        elsewhere = (
+            why
+            for name, why in inspection.left_aside.items()
+            if name == column.column or name.endswith(f"/{column.column}")
         )
+        why_not = next(elsewhere, "perhaps " + ", ".join(near) if near else "")
     return ChannelMatch(
         column.name,
         column.column,

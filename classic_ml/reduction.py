@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import physical_flow
-from classic_ml.calibration import calibrate_and_match, invert_thermocouples, near_stall_rows
+from classic_ml.calibration import (
+    calibrate_and_match,
+    invert_thermocouples,
+    near_stall_match,
+    near_stall_rows,
+)
 from classic_ml.coefficients import (
     coefficients,
     corrected_speed_fraction,
@@ -18,8 +23,10 @@ from classic_ml.coefficients import (
 from classic_ml.columns.workspace import blocks, evaluated, mapped
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
+from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall_checks import check_pairs, check_steady
-from classic_ml.faults.search import choose_channels, inspect_readings, with_faults_bridged
+from classic_ml.faults.near_stall_levels import beside_the_record, unusual_machine
+from classic_ml.faults.search import inspect_readings
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
 from classic_ml.plane_averages import plane_flows
@@ -28,9 +35,9 @@ from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import cell_frequency_hz, segment, window_rows
 from classic_ml.series import CoefficientSeries
-from classic_ml.surge_cycles import FEW_CYCLES, find_cycles
+from classic_ml.surge_cycles import FEW_CYCLES, cycles_within, find_cycles
 
-__all__ = ["STEPS", "Reduction", "ReductionSettings", "reduce_record"]
+__all__ = ["STEPS", "Reduction", "ReductionSettings", "near_stall_shifts", "reduce_record"]
 
 # As often as a reduction tells that it has got further.
 STEPS = 6
@@ -130,7 +137,7 @@ def reduce_record(
             found=f"{chosen.cutoff_hz:g}",
         )
     step = progress if progress is not None else _nobody
-    record = inspect_readings(record, test)
+    record = inspect_readings(record, test, whole=True)
     step(1)
     record = calibrate_and_match(record, test, chosen.near_stall_match)
     record = record.after(_near_stall_flows(record, test))
@@ -147,6 +154,8 @@ def reduce_record(
     inside = window if ahead is None else extend_while_settled(plain, window, in_use)
     record = _with_coefficients(averaged, unfiltered, test, chosen, window)
     step(1)
+    if ahead is None:
+        record = _few_cycles_told(record, window_s)
     record = _segmented(record, test, chosen, window)
     record = _with_free_run(record, plain, window, inside, chosen.probes)
     record = _regimes_compared(record, window, _threshold(test, chosen))
@@ -156,12 +165,45 @@ def reduce_record(
     return Reduction(_series(record), record, chosen, test, window_s)
 
 
+def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]:
+    """Return what the near-stall match of a record adds, for a record that goes on with its test.
+
+    Parameters
+    ----------
+    record : Record
+        As read, with the near-stall reading in it.
+    test : TestDescription
+        Its test.
+
+    Returns
+    -------
+    dict of str to float
+        As ``TestDescription.near_stall_shifts`` takes them, in Pa and K: by forward probe and
+        thermocouple, without those that cannot be matched.
+
+    Raises
+    ------
+    InputError
+        When :func:`reduce_record` would refuse the reading.
+    """
+    inspected = inspect_readings(record, test, whole=True)
+    shifts, _ = near_stall_match(inspected, test)
+    matched = calibrate_and_match(inspected, test)
+    _near_stall_flows(matched, test)
+    sound = choose_channels(matched, test, slice(0, 0))
+    forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
+    named = [*forward, *(couple.name for couple in test.temperatures)]
+    return {name: shifts[name] for name in named if name in sound}
+
+
 def _nobody(_: int) -> None:
     """Tell nobody."""
 
 
 def _near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
     """Check φ, and the flow of one plane against the other's, in the steady flow near stall."""
+    if test.near_stall_shifts:
+        return LedgerEntry("near-stall flow", "not known: the reading is not in this record")
     rows = near_stall_rows(record, test)
     steady = replace(
         record,
@@ -204,6 +246,7 @@ def _near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
             remedy=f"check rotor_speed_rpm and mean_radius_m in {test.source}, and the zero and "
             "calibrate readings",
         )
+    flags += (*unusual_machine(test, phi), *beside_the_record(record, test))
     if differ > FLOWS_DIFFER:
         flags += (
             f"near stall W25 is {inlet:.4g} kg/s and W31 {leaving:.4g} kg/s{how}: check {areas}",
@@ -362,6 +405,14 @@ def _window(
         flags=flags,
     )
     return (cycles.from_s, cycles.to_s), entry, ahead
+
+
+def _few_cycles_told(record: Record, window_s: tuple[float, float]) -> Record:
+    """Note where the window that somebody named is too short."""
+    flags = cycles_within(record, window_s)
+    if not flags:
+        return record
+    return record.after(LedgerEntry("cycles", "counted in the window", flags=flags))
 
 
 def _corrected_speed(record: Record, test: TestDescription) -> Channel:

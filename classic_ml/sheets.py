@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from classic_ml.records import LedgerEntry, Record
     from classic_ml.reduction import Reduction
     from classic_ml.series import CoefficientSeries
+    from classic_ml.whole_run import WholeRunFit
 
-__all__ = ["lag_sheet", "record_sheet", "reduction_sheet", "series_sheet"]
+__all__ = ["lag_sheet", "record_sheet", "reduction_sheet", "series_sheet", "whole_run_sheet"]
 
 SIGNALS = {
     "phi": ("φ", 1.0, ""),
@@ -61,16 +62,39 @@ def lag_sheet(fitted: LagRegressor) -> Sheet:
         Field("residual (std)", significant(fitted.residual_std_, 3)),
         Field("scored", f"{fitted.n_scored_} rows; errors from {fitted.n_blocks_} blocks"),
     ]
-    errors = np.sqrt(np.maximum(np.diag(fitted.covariance_), 0.0))
-    rows = tuple(
-        (name, round_to_error(float(value), float(error)))
-        for name, value, error in zip(fitted.terms_, fitted.coef_, errors, strict=True)
+    return Sheet("LagRegressor", tuple(fields), (_characteristic(fitted),))
+
+
+def whole_run_sheet(fitted: WholeRunFit) -> Sheet:
+    """Return what is shown of a fit to whole runs.
+
+    Parameters
+    ----------
+    fitted : WholeRunFit
+        The fit.
+    """
+    state = fitted.fit_state_
+    held = " (held)" if fitted.model_.time_constant_s is not None else ""
+    n_rows = sum(row.phi.size for row in fitted.rows_)
+    fields = (
+        Field("equation", _equation(fitted)),
+        Field("state", state.advice, "good" if state is FitState.CONVERGED else "advice"),
+        Field(
+            "time constant τ",
+            _milliseconds(fitted.time_constant_s_, fitted.time_constant_stderr_s_) + held,
+        ),
+        Field(
+            "fitted to",
+            f"{_count(len(fitted.rows_), 'run')} of unfiltered signals, {n_rows} rows, averaged "
+            "over one period of the stall cells",
+        ),
+        Field(
+            "scored",
+            f"{fitted.n_scored_} rows in forward flow in stall; errors from {fitted.n_blocks_} "
+            "blocks, with those that all cycles share",
+        ),
     )
-    return Sheet(
-        "LagRegressor",
-        tuple(fields),
-        (Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows),),
-    )
+    return Sheet("WholeRunFit", fields, (_characteristic(fitted),))
 
 
 def record_sheet(record: Record) -> Sheet:
@@ -135,7 +159,16 @@ def reduction_sheet(reduction: Reduction) -> Sheet:
     return Sheet("Reduction", fields, _ledger_grid(reduction.record.history))
 
 
-def _equation(fitted: LagRegressor) -> str:
+def _characteristic(fitted: LagRegressor | WholeRunFit) -> Grid:
+    errors = np.sqrt(np.maximum(np.diag(fitted.covariance_), 0.0))
+    rows = tuple(
+        (name, round_to_error(float(value), float(error)))
+        for name, value, error in zip(fitted.terms_, fitted.coef_, errors, strict=True)
+    )
+    return Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
+
+
+def _equation(fitted: LagRegressor | WholeRunFit) -> str:
     """Write the model with the error of each number in its last digits."""
     errors = np.sqrt(np.maximum(np.diag(fitted.covariance_), 0.0))
     right = ""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.characteristics import polynomial_basis, term_names
+from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.fit_state import FitState
 from classic_ml.lag.first_order_lag import Hold
@@ -90,7 +91,7 @@ class Ending(Protocol):
 
 
 @dataclass(frozen=True)
-class WholeRunFit:
+class WholeRunFit(Displayed):
     """A fitted lag model, with the attributes of an estimator (DESIGN section 5).
 
     Parameters
@@ -129,6 +130,11 @@ class WholeRunFit:
     model_: LagRegressor
     rows_: tuple[WholeRunRows, ...]
     kept_: tuple[int, ...]
+
+    def _sheet(self) -> Sheet:
+        from classic_ml.sheets import whole_run_sheet
+
+        return whole_run_sheet(self)
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""

@@ -12,6 +12,7 @@ from typing import TextIO, TypeAlias, cast
 
 from comparisons.diagnose_command import add_diagnose_parser
 from comparisons.inspect_command import add_inspect_parser
+from comparisons.interrupts import interrupts_heeded
 from comparisons.live.command import add_live_parser
 from comparisons.one_sentence import (
     OneLineParser,
@@ -50,18 +51,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         0: done, whatever the verdict; 2: unusable input, said in one sentence on stderr; 130:
         interrupted.
     """
-    for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show Greek gets a replacement sign, not an exception.
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")
-    return _run(build_parser().parse_args(argv))
+    try:
+        with interrupts_heeded():
+            for stream in (sys.stdout, sys.stderr):
+                # A terminal that cannot show Greek gets a replacement sign, not an exception.
+                if isinstance(stream, TextIOWrapper):
+                    stream.reconfigure(errors="replace")
+            return _run(build_parser().parse_args(argv))
+    except KeyboardInterrupt:
+        print("sindy-surge: interrupted; files that were finished are whole", file=sys.stderr)
+        return EXIT_INTERRUPTED
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from classic_ml.errors import InputError
     from sindy_surge.errors import InputError as SparseInputError
 
-    code = EXIT_UNUSABLE
     try:
         with _printed(arguments):
             arguments.run(arguments)
@@ -72,8 +77,6 @@ def _run(arguments: argparse.Namespace) -> int:
         words = beyond_memory(arguments)
     except RecursionError:
         words = too_deep(arguments)
-    except KeyboardInterrupt:
-        code, words = EXIT_INTERRUPTED, "interrupted; files that were finished are whole"
     except BrokenPipeError:
         # `sindy-surge … | head` closes our output: that is not a failure.
         sys.stderr.close()
@@ -88,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         return EXIT_DONE
     print(f"sindy-surge: {words}", file=sys.stderr)
-    return code
+    return EXIT_UNUSABLE
 
 
 def _printed(arguments: argparse.Namespace) -> AbstractContextManager[object]:
@@ -164,7 +167,11 @@ def _add_simulate(commands: _Commands) -> None:
     )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
     parser.add_argument(
-        "--duration", type=float, default=4.0, metavar="SECONDS", help="length (default: 4)"
+        "--duration",
+        type=float,
+        default=4.0,
+        metavar="SECONDS",
+        help="length, 0.2 to 120 (default: 4)",
     )
     parser.add_argument(
         "--hide",

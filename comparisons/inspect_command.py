@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,6 +103,8 @@ def inspect_document(
             for c in inspection.channels
         ],
         "left_aside": dict(inspection.left_aside),
+        "other_groups": dict(inspection.other_groups),
+        "sampled_apart": inspection.sampled_apart,
         "remarks": list(remarks),
         "test": None if match is None else _match_document(match),
         "reduction": None if reduction is None else asdict(reduction),
@@ -129,13 +133,29 @@ def _file_text(inspection: Inspection) -> str:
             f"{channel.name:{width}s}  {channel.unit or '-':{units}s}{channel.minimum:12.6g}"
             f"{channel.mean:12.6g}{channel.maximum:12.6g}  {'; '.join(notes)}".rstrip()
         )
-    if inspection.left_aside:
-        aside = list(inspection.left_aside.items())
-        lines += ["", "left aside:"]
-        lines += [f"  {name}: {why}" for name, why in aside[:MOST_LEFT_ASIDE]]
-        if len(aside) > MOST_LEFT_ASIDE:
-            lines.append(f"  and {len(aside) - MOST_LEFT_ASIDE} more (--json holds all)")
-    return "\n".join(lines)
+    return "\n".join((*lines, *_beside(inspection)))
+
+
+def _beside(inspection: Inspection) -> Iterator[str]:
+    """Yield lines on what is in the file beside the columns of the record."""
+    if inspection.sampled_apart:
+        yield from ("", inspection.sampled_apart)
+    if inspection.other_groups:
+        yield ""
+        yield "other groups, which are no part of this record, since their length is another:"
+        yield 'resample what is needed of them, or take one alone (--group NAME, or group = "NAME"'
+        yield "in [file] of test.toml)"
+        yield from _listed(inspection.other_groups)
+    groups = tuple(f"{name}/" for name in inspection.other_groups)
+    aside = {n: why for n, why in inspection.left_aside.items() if not n.startswith(groups)}
+    if aside:
+        yield from ("", "left aside:", *_listed(aside))
+
+
+def _listed(items: Mapping[str, str]) -> Iterator[str]:
+    yield from (f"  {name}: {what}" for name, what in islice(items.items(), MOST_LEFT_ASIDE))
+    if len(items) > MOST_LEFT_ASIDE:
+        yield f"  and {len(items) - MOST_LEFT_ASIDE} more (--json holds all)"
 
 
 def _clock_text(clock: ClockFacts) -> str:
@@ -157,9 +177,12 @@ def _clock_text(clock: ClockFacts) -> str:
 
 
 def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
+    from classic_ml.faults.held import times_held
     from classic_ml.inspection import is_still
 
     notes = []
+    if channel.not_finite == channel.rows:
+        return ("no number in it",)
     if channel.not_finite:
         first = channel.first_not_finite
         notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite, from row {first}")
@@ -170,6 +193,8 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
         run = channel.run_at_minimum if end == "minimum" else channel.run_at_maximum
         share = rows / max(1, channel.rows - channel.not_finite)
         notes.append(f"{rows} rows ({share:.2%}) at its {end}, up to {run} together: saturated?")
+    if channel.held_rows > 1.0:
+        notes.append(f"each value {times_held(channel.held_rows)}: held from a lower rate?")
     if is_still(channel, rate_hz):
         notes.append(f"{channel.longest_run} rows alike from row {channel.longest_run_row}: stuck?")
     return tuple(notes)
@@ -251,6 +276,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from classic_ml.inspection import inspect_file
     from classic_ml.readers.draft import draft_test_toml
     from comparisons.json_output import to_strict_json
+    from comparisons.progress import shown_steps
 
     targets = [path for path in (arguments.json, arguments.draft) if path is not None]
     for path in targets:
@@ -259,25 +285,31 @@ def _run(arguments: argparse.Namespace) -> None:
     inputs = [path for path in (arguments.file, arguments.test) if path is not None]
     check_apart(inputs, targets)
     test, remarks = _test(arguments)
-    inspection = inspect_file(
-        arguments.file, None if test is None else test.file, group=arguments.group
-    )
     match = reduction = None
-    if test is not None:
-        from classic_ml.inspection_with_test import match_test, preview
+    with shown_steps(1 if test is None else 3) as told:
+        told("looking through the file")
+        inspection = inspect_file(
+            arguments.file, None if test is None else test.file, group=arguments.group
+        )
+        if test is not None:
+            from classic_ml.inspection_with_test import match_test, preview
 
-        match = match_test(arguments.file, test, inspection)
-        reduction = preview(arguments.file, arguments.test, rows=inspection.rows)
-    elif {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
+            told("setting it beside the test")
+            match = match_test(arguments.file, test, inspection)
+            told("reducing it")
+            reduction = preview(arguments.file, arguments.test, rows=inspection.rows)
+    if test is None and {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
         remarks = (*remarks, _series_remark(arguments.file))
     found: dict[str, Any] = {"match": match, "reduction": reduction, "remarks": remarks}
-    print(inspect_text(inspection, **found))
+    text = inspect_text(inspection, **found)
+    # The files first: whoever reads the text may go away after its first lines.
     if arguments.json:
         write_whole(arguments.json, to_strict_json(inspect_document(inspection, **found)))
-        print(f"\nfindings: {arguments.json}")
+        text += f"\n\nfindings: {arguments.json}"
     if arguments.draft:
         write_whole(arguments.draft, draft_test_toml(inspection, group=arguments.group))
-        print(f"\ndraft: {arguments.draft}")
+        text += f"\n\ndraft: {arguments.draft}"
+    print(text)
 
 
 def _check_draft(arguments: argparse.Namespace) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
 from typing import Any, TypeVar
 
-__all__ = ["shown_over", "shown_steps"]
+__all__ = ["bar_size", "shown_over", "shown_steps"]
 
 _T = TypeVar("_T")
+# As large as a terminal is that says nothing of its size.
+_COLUMNS, _LINES = 80, 24
 # So often a bar is drawn anew while a step lasts, in seconds: a clock that stands looks like death.
 _TICK_S = 0.5
 
@@ -63,13 +66,26 @@ def shown_steps(steps: int) -> Iterator[Callable[[str], None]]:
         yield told
 
 
+def bar_size() -> dict[str, Any]:
+    """Return how large tqdm is to take the terminal for; nothing where it says so itself.
+
+    A pseudo-terminal that nobody gave a size has no columns and no lines, and a bar that fits it
+    has no letter.
+    """
+    try:
+        known = min(os.get_terminal_size(sys.stderr.fileno())) > 0
+    except (OSError, ValueError):
+        return {}
+    return {} if known else {"ncols": _COLUMNS, "nrows": _LINES}
+
+
 @contextmanager
 def _bar(total: int, unit: str) -> Iterator[Any]:
     """Draw a bar whose clock goes on while a step lasts, and take it away at the end."""
     from tqdm import tqdm
 
     shown = sys.stderr.isatty()
-    with tqdm(total=total, unit=unit, leave=False, disable=not shown) as bar:
+    with tqdm(total=total, unit=unit, leave=False, disable=not shown, **bar_size()) as bar:
         if not shown:
             yield bar
             return

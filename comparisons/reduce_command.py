@@ -16,9 +16,10 @@ from classic_ml.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.readers import TestDescription
+    from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["excerpt", "reduce_file"]
+__all__ = ["excerpt", "read_file", "reduce_file"]
 
 # A number takes so many bytes.
 NUMBER_BYTES = 8
@@ -65,9 +66,42 @@ def reduce_file(
     InputError
         When the record cannot be used, or there is too little room on the disk.
     """
+    from classic_ml.reduction import STEPS, reduce_record
+
+    records, test = read_file(raw, test_path, chunk_rows=chunk_rows, out=out)
+    with _bar("reducing", STEPS, "step") as done:
+        # Nobody but the reduction holds the raw record, so that it can let go of it.
+        return reduce_record(records.pop(), test, settings, keep_probes=False, progress=done)
+
+
+def read_file(
+    raw: Path, test_path: Path, *, chunk_rows: int | None, out: Path
+) -> tuple[list[Record], TestDescription]:
+    """Read a raw record, in memory or chunk by chunk, and show how far it is on a terminal.
+
+    Parameters
+    ----------
+    raw, test_path : path
+        The record and its test.toml.
+    chunk_rows : int, optional
+        As :func:`reduce_file` takes it.
+    out : path
+        As there.
+
+    Returns
+    -------
+    list of Record
+        The record alone, to be taken out by whoever works on it.
+    TestDescription
+        Its test.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or there is too little room on the disk for its reduction.
+    """
     from classic_ml.readers import read_raw, read_test_description
     from classic_ml.readers.raw_files import open_raw
-    from classic_ml.reduction import STEPS, reduce_record
 
     test = read_test_description(test_path)
     stored = open_raw(raw, test)
@@ -81,9 +115,7 @@ def reduce_file(
         records = [
             read_raw(raw, test, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
         ]
-    with _bar("reducing", STEPS, "step") as done:
-        # Nobody but the reduction holds the raw record, so that it can let go of it.
-        return reduce_record(records.pop(), test, settings, keep_probes=False, progress=done)
+    return records, test
 
 
 def excerpt(reduction: Reduction) -> tuple[Reduction, str]:
@@ -150,6 +182,8 @@ def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], object]]:
     """Show how far a work is, on a terminal only."""
     from tqdm import tqdm
 
+    from comparisons.progress import bar_size
+
     with tqdm(
         total=total,
         desc=what,
@@ -157,5 +191,6 @@ def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], object]]:
         unit_scale=unit == "row",
         leave=False,
         disable=not sys.stderr.isatty(),
+        **bar_size(),
     ) as bar:
         yield bar.update

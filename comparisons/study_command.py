@@ -87,6 +87,7 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
     from joblib import cpu_count
     from tqdm import tqdm
 
+    from comparisons.progress import bar_size
     from comparisons.study.engines import engine_for
     from comparisons.study.run import StudyFiles, run_study
 
@@ -94,7 +95,13 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
     engine = engine_for(jobs, arguments.scheduler)
     # A scheduler of jobs ends a process by SIGTERM: as Ctrl-C, workers end with it.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    bar = tqdm(total=cells, unit="cell", disable=not sys.stderr.isatty(), smoothing=0.05)
+    bar = tqdm(
+        total=cells,
+        unit="cell",
+        disable=not sys.stderr.isatty(),
+        smoothing=0.05,
+        **bar_size(),
+    )
     try:
         with bar as progress:
             table = run_study(

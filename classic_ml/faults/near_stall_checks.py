@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.errors import InputError
+from classic_ml.faults.marks import fault_name
 from classic_ml.plane_averages import local_flows, present_pairs
 from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Record
@@ -44,7 +45,7 @@ def check_steady(steady: Record, test: TestDescription) -> None:
     moves = {}
     for probe in test.pressures:
         # What is clipped or stuck there is left out when the channels are chosen.
-        if f"fault_{probe.name}" in steady and np.any(steady[f"fault_{probe.name}"]):
+        if fault_name(probe.name) in steady and np.any(steady[fault_name(probe.name)]):
             continue
         values = steady[probe.name]
         moves[probe.name] = float(np.mean(values[last]) / np.mean(values[before]) - 1.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import mean
+from classic_ml.faults.marks import fault_name
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, Record
 
@@ -77,7 +78,7 @@ def slow_pressures(record: Record, test: TestDescription, window: slice) -> Reco
     """
     width = max(1, round(record.sample_rate_hz / AVERAGE_HZ))
     pressures = [probe.name for probe in test.pressures if probe.name in record]
-    faults = [f"fault_{name}" for name in pressures if f"fault_{name}" in record]
+    faults = [fault_name(name) for name in pressures if fault_name(name) in record]
     n_rows = (window.stop - window.start) // width
     columns = GrowingColumns(record.workspace, len(pressures) + len(faults), n_rows)
     some = max(1, READINGS // width)
@@ -237,7 +238,7 @@ def _crosswise(
 
 def _averages(slow: Record, names: Sequence[str]) -> Iterator[FloatArray]:
     """Yield the means of each two averages in a row, where all readings of both count."""
-    faults = [f"fault_{name}" for name in names if f"fault_{name}" in slow]
+    faults = [fault_name(name) for name in names if fault_name(name) in slow]
     # A piece begins with the last average of the one before.
     for first in range(0, slow.n_samples - 1, PIECE - 1):
         part = slice(first, min(first + PIECE, slow.n_samples))

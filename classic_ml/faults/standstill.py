@@ -41,12 +41,15 @@ class Tally:
         Least change from row to row, of those that are one; infinite without any.
     usual_step : float
         Their median; infinite without any, or where no run of equal readings needs it.
+    still_rows : int
+        Rows whose reading is that of the row before.
     """
 
     low: float
     high: float
     least_step: float
     usual_step: float
+    still_rows: int
 
 
 def tallies(record: Record, names: Sequence[str]) -> dict[str, Tally]:
@@ -85,7 +88,7 @@ def tallies(record: Record, names: Sequence[str]) -> dict[str, Tally]:
             usual = _usual_step(record, name)
         else:
             usual = _median_of_counts(counts[name][1:]) + 1.0 if sizes.size else np.inf
-        found[name] = Tally(low, high, min(least, whole), usual)
+        found[name] = Tally(low, high, min(least, whole), usual, int(counts[name][0]))
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,6 +106,7 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
         _HEAD.format(source=_comment(inspection.source)),
         _TEST.format(name=_text(Path(inspection.source).stem), rate=_rate(clock)),
         _file(clock, group, others),
+        *_other_groups(inspection),
     ]
     if any(_is_codes(channel, places[channel.name]) for channel in channels):
         parts.append(_ADC)
@@ -137,6 +139,17 @@ def _file(clock: ClockFacts | None, group: str | None, others: list[ChannelFacts
     if others:
         lines.append('other_columns = "ignore"')
     return "\n[file]\n" + "\n".join(lines) + "\n"
+
+
+def _other_groups(inspection: Inspection) -> Iterator[str]:
+    """Yield comments on the groups of the file that are not in the draft."""
+    if inspection.other_groups:
+        yield (
+            "# Groups of the file that are not described here, since a record has one length and "
+            "rate:\n# resample what is needed of them, or draft one by itself with --group.\n"
+        )
+    for name, what in inspection.other_groups.items():
+        yield f"# {_comment(f'{name}: {what}')}\n"
 
 
 def _channel(channel: ChannelFacts, place: _Place, taken: set[str]) -> str:

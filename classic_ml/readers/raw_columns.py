@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_table import RawFile, check_unique, in_one_line
+from classic_ml.readers.raw_table import RawFile, Sampling, check_unique, in_one_line
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 
@@ -24,6 +24,8 @@ LONGEST_CAUSE = 160
 # Times that were computed twice differ in their last digits, which near zero are those of a step.
 SAME_CLOCK = 1e-9
 SAME_STEP = 1e-6
+# How the words for a clock begin that was a date.
+FROM_DATE = "seconds from the first sample"
 
 Path = tuple[str, ...]
 
@@ -46,6 +48,8 @@ class Vector:
         For times that the reader has made or converted, what they count from.
     own_clock : Vector, optional
         Times that lie beside this channel alone; they must be those of the others.
+    sampling : Sampling, optional
+        When it was sampled, where the file states that instead.
     """
 
     path: Path
@@ -54,6 +58,7 @@ class Vector:
     unit: str = ""
     clock: str = ""
     own_clock: Vector | None = None
+    sampling: Sampling | None = None
 
 
 def as_columns(
@@ -91,11 +96,7 @@ def as_columns(
         base = _only_group(source, columns)
     names = tuple("/".join(vector.path[len(base) :]) for vector in columns)
     check_unique(source, names)
-    unusable = {
-        _relative(vector.path, base): f"{vector.size} values where the record has {size}"
-        for vector in vectors
-        if vector.size != size and vector.path[: len(base)] == base
-    }
+    unusable, other_groups = _left_out(vectors, base, size)
     for path, why in (left_aside or {}).items():
         if path[: len(base)] == base:
             unusable[_relative(path, base)] = why
@@ -114,10 +115,49 @@ def as_columns(
         size,
         next((v.clock for n, v in zip(names, columns, strict=True) if n == layout.time), ""),
         unusable,
+        stamps={
+            n: v.clock for n, v in zip(names, columns, strict=True) if v.clock.startswith(FROM_DATE)
+        },
+        sampled={
+            n: v.sampling for n, v in zip(names, columns, strict=True) if v.sampling is not None
+        },
+        # Who names a group knows of the others.
+        other_groups=other_groups if layout.group is None else {},
     )
 
 
-def made_clock(path: Path, size: int, start_s: float, step_s: float, clock: str) -> Vector:
+def _left_out(
+    vectors: Sequence[Vector], base: Path, size: int
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return why vectors are no columns, by name, and what the groups hold that give none."""
+    unusable: dict[str, str] = {}
+    groups: dict[Path, list[Vector]] = {}
+    given = {vector.path[:-1] for vector in vectors if vector.size == size}
+    for vector in vectors:
+        if vector.clock and vector.sampling is not None and vector.size != size:
+            # It is made here, and nobody misses it.
+            continue
+        inside = vector.path[: len(base)] == base
+        if vector.size != size and inside:
+            why = f"{vector.size} values where the record has {size}"
+            unusable[_relative(vector.path, base)] = why
+        elif not inside:
+            why = f"in the group '{'/'.join(vector.path[:-1])}', {vector.size} values where the "
+            unusable["/".join(vector.path)] = f"{why}record has {size}"
+        if vector.path[:-1] and (not inside or vector.path[:-1] not in given):
+            groups.setdefault(vector.path[:-1], []).append(vector)
+    return unusable, {"/".join(path): _contents(held) for path, held in groups.items()}
+
+
+def _contents(held: Sequence[Vector]) -> str:
+    sizes = sorted({vector.size for vector in held})
+    steps_s = {vector.sampling.step_s for vector in held if vector.sampling is not None}
+    n = len(held)
+    text = f"{n} channel{'s' if n > 1 else ''} of {' or '.join(map(str, sizes[:NAMED]))} values"
+    return f"{text}, {1.0 / steps_s.pop():g} a second" if len(steps_s) == 1 else text
+
+
+def made_clock(path: Path, size: int, sampling: Sampling, clock: str) -> Vector:
     """Return the times of a file that states its first time and its step alone.
 
     Parameters
@@ -126,11 +166,12 @@ def made_clock(path: Path, size: int, start_s: float, step_s: float, clock: str)
         What to call it.
     size : int
         Number of rows.
-    start_s, step_s : float
-        In seconds.
+    sampling : Sampling
+        Its first time and its step.
     clock : str
         Where they are from.
     """
+    start_s, step_s = sampling.offset_s, sampling.step_s
     rate_hz = 1.0 / step_s
 
     def read(_: Any, start: int, stop: int) -> FloatArray:
@@ -138,7 +179,7 @@ def made_clock(path: Path, size: int, start_s: float, step_s: float, clock: str)
         # A step of 1e-3 is no double; its rate is, and gives the times of a printed clock.
         return start_s + (rows / rate_hz if rate_hz == round(rate_hz) else rows * step_s)
 
-    return Vector(path, size, read, "s", clock)
+    return Vector(path, size, read, "s", clock, sampling=sampling)
 
 
 def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop: int) -> FloatArray:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 import numpy as np
 
 from classic_ml.errors import InputError
+from classic_ml.readers.passed_over_clock import passed_over_clock
 from classic_ml.readers.raw_formats import open_stored
+from classic_ml.readers.raw_parquet import INDEX
 from classic_ml.readers.raw_table import TIME_COLUMN, RawFile
+from classic_ml.readers.sampled_together import check_rate, check_sampled_together
 from classic_ml.readers.test_description import (
     PressureChannel,
     TemperatureChannel,
@@ -68,7 +71,8 @@ def open_raw(raw_path: str | os.PathLike[str], test: TestDescription) -> RawFile
     """Open a raw record as the table that test.toml describes.
 
     Nothing but the layout is read before the first chunk is asked for. Each chunk is checked for
-    values that are no finite numbers; the clock and the range of the readings are not checked.
+    values that are no finite numbers; the clock and the range of the readings are not checked. A
+    clock that is passed over is looked at until the last chunk has been read.
 
     Parameters
     ----------
@@ -87,21 +91,32 @@ def open_raw(raw_path: str | os.PathLike[str], test: TestDescription) -> RawFile
     Raises
     ------
     InputError
-        Naming the file and the channel: not there, left over, or in another unit than the file
-        says; while the chunks are read, a value that is no finite number, with its row.
+        Naming the file and the channel: not there, left over, in another unit than the file
+        says, or not sampled with the others; while the chunks are read, a value that is no finite
+        number, with its row; after the last, a clock of the file that contradicts the one that is
+        made.
     """
     stored = open_stored(raw_path, test.file)
     columns = feeds(stored, test)
     check_columns(stored, test, columns)
     check_units(stored, test, columns)
+    asked = {column.column for column in columns}
+    check_sampled_together(stored, [column.column for column in (*columns[1:], columns[0])])
     names = tuple(column.name for column in columns)
     made = test.file.clock == "from rate"
+    passed_over = passed_over_clock(stored, asked, test.sample_rate_hz) if made else None
+    if made:
+        check_rate(stored, asked, test)
+    read = stored.only((*asked, passed_over.name) if passed_over is not None else tuple(asked))
 
     def chunks(rows: int) -> Iterator[FloatArray]:
         first_row = 0
         shift_s: float | None = None
-        for block in stored.chunks(rows):
-            values = _converted(stored, columns, block, first_row)
+        watch = replace(passed_over) if passed_over is not None else None
+        for block in read.chunks(rows):
+            values = _converted(read, columns, block, first_row)
+            if watch is not None:
+                watch.add(block[:, read.names.index(watch.name)])
             if made:
                 number = np.arange(first_row, first_row + len(values), dtype=np.float64)
                 values[:, 0] = (test.file.start_s or 0.0) + number / test.sample_rate_hz
@@ -111,6 +126,8 @@ def open_raw(raw_path: str | os.PathLike[str], test: TestDescription) -> RawFile
                 values[:, 0] += shift_s
             first_row += len(values)
             yield values
+        if watch is not None:
+            watch.finish(f"{test.source} [test] sample_rate_hz")
 
     return RawFile(
         stored.source,
@@ -203,8 +220,8 @@ def check_columns(stored: RawFile, test: TestDescription, columns: tuple[FeedCol
         raise _missing(stored, test, missing, [name for name in stored.names if name not in fed])
     if test.file.clock == "from rate":
         # The clock that is replaced is no column left over.
-        fed.add(TIME_COLUMN)
-    extra = [name for name in stored.names if name not in fed]
+        fed |= {TIME_COLUMN, *stored.stamps}
+    extra = [name for name in stored.names if name not in fed and not name.startswith(INDEX)]
     if extra and test.file.other_columns == "refuse":
         name = extra[0]
         raise InputError(
@@ -246,6 +263,16 @@ def _missing(
     stored: RawFile, test: TestDescription, missing: list[FeedColumn], spare: list[str]
 ) -> InputError:
     first = missing[0]
+    elsewhere = [n for n in stored.unusable if n.endswith(f"/{first.column}")]
+    if first.column not in stored.unusable and elsewhere:
+        group = elsewhere[0].removesuffix(f"/{first.column}")
+        return InputError(
+            f"{stored.source}: {first.title}",
+            expected=f"it in the table, as {test.source} describes it",
+            found=stored.unusable[elsewhere[0]],
+            remedy="resample that group to the clock of the others, or write "
+            f'group = "{group}" in [file] for its channels alone',
+        )
     why = stored.unusable.get(first.column)
     found = why if why else "no such column"
     near = nearest_names(first.column, spare)

@@ -29,6 +29,7 @@ class _Format:
 
 
 _HDF5, _MAT, _MAT73, _CLASSIC = "an HDF5 file", "a MAT file", "a MAT file (7.3)", "a netCDF-3 file"
+_TEXT = "a table of text"
 _TDMS, _PARQUET, _SEALED = "a TDMS file", "a Parquet file", "an encrypted Parquet file"
 _FORMATS = (
     _Format("a CSV table", "raw_csv", "open_csv", (".csv",), ("",), "open_csv_leniently"),
@@ -60,6 +61,19 @@ _MARKS = (
     (b"\xd0\xcf\x11\xe0", "an old workbook of Excel"),
     (b"\x1f\x8b", "a gzip archive"),
 )
+# What a file of each kind is to end in; a netCDF-4 or MAT 7.3 file is an HDF5 file too.
+_ENDINGS = {
+    _TEXT: ".csv",
+    _HDF5: ".h5 (.nc, if a program for netCDF wrote it)",
+    _MAT: ".mat",
+    _MAT73: ".mat",
+    _CLASSIC: ".nc",
+    _TDMS: ".tdms",
+    _PARQUET: ".parquet",
+    _SEALED: ".parquet",
+}
+# Controls that are in no text: all but the tabulator and ends of lines.
+_NOT_TEXT = frozenset(range(32)) - frozenset(b"\t\n\r\f\v")
 _SUFFIXES = tuple(suffix for known in _FORMATS for suffix in known.suffixes)
 
 
@@ -119,14 +133,18 @@ def _check_mark(file: Path, known: _Format) -> None:
         mark = _HDF5
     if not head and known.marks != ("",):
         raise InputError(str(file), expected=known.what, found="an empty file")
+    if not mark and "" not in known.marks[:1] and _is_text(head):
+        mark = _TEXT
     if mark in known.marks:
         return
-    other = next((f for f in _FORMATS if mark and f.marks[0] == mark), None)
-    if mark == _MAT73:
-        other = next(f for f in _FORMATS if _MAT in f.marks)
     raise InputError(
         str(file),
         expected=f"{known.what}, as the suffix '{file.suffix}' says",
         found=mark or "bytes that begin like no such file",
-        remedy=f"rename it, so that it ends in {other.suffixes[0]}" if other is not None else "",
+        remedy=f"rename it, so that it ends in {_ENDINGS[mark]}" if mark in _ENDINGS else "",
     )
+
+
+def _is_text(head: bytes) -> bool:
+    """Tell whether the first bytes of a file are lines of text."""
+    return not _NOT_TEXT & set(head) and any(separator in head for separator in b",;\t")

@@ -12,7 +12,7 @@ import numpy as np
 
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import as_columns, one_line
-from classic_ml.readers.raw_table import RawFile
+from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
 
@@ -100,9 +100,7 @@ def opened_hdf5(file: Path, what: str) -> Iterator[Any]:
     try:
         handle = h5py.File(file, "r")
     except OSError as error:
-        raise InputError(
-            str(file), expected=what, found=f"what cannot be read ({one_line(error)})"
-        ) from None
+        raise cannot_be_read(file, what, one_line(error)) from None
     with handle:
         yield handle
 

@@ -13,7 +13,7 @@ import numpy as np
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import as_columns, one_line
 from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns
-from classic_ml.readers.raw_table import RawFile
+from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Node, Tree, Unreadable, array_leaf, vectors
 from classic_ml.readers.test_description import FileLayout
 
@@ -78,9 +78,7 @@ def _loaded(file: Path) -> Tree:
         content = loadmat(str(file), appendmat=False, simplify_cells=True)
     except Exception as error:
         # scipy's reader raises whatever it stumbles over in a spoiled file.
-        raise InputError(
-            str(file), expected="a MAT file", found=f"what cannot be read ({one_line(error)})"
-        ) from None
+        raise cannot_be_read(file, "a MAT file", one_line(error)) from None
     return {name: _node(value) for name, value in content.items() if not name.startswith("__")}
 
 

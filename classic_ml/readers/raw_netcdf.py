@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.netcdf_classic import ClassicVariable, read_header
 from classic_ml.readers.raw_columns import as_columns, one_line
 from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns, unit_of
-from classic_ml.readers.raw_table import RawFile
+from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
@@ -63,9 +62,7 @@ def open_netcdf(file: Path, layout: FileLayout) -> RawFile:
     try:
         found, aside = vectors(_classic_tree(file))
     except (ValueError, OSError) as error:
-        raise InputError(
-            str(file), expected="a netCDF file", found=f"what cannot be read ({one_line(error)})"
-        ) from None
+        raise cannot_be_read(file, "a netCDF file", one_line(error)) from None
     return as_columns(str(file), found, layout, lambda: file.open("rb"), aside)
 
 

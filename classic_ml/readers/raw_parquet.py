@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,22 @@ from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import one_line
-from classic_ml.readers.raw_table import RawFile, arrow_file, check_unique, in_one_line, rebatched
+from classic_ml.readers.raw_table import (
+    RawFile,
+    arrow_file,
+    cannot_be_read,
+    check_unique,
+    in_one_line,
+    rebatched,
+)
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 
-__all__ = ["open_parquet"]
+__all__ = ["INDEX", "open_parquet"]
 
 _UNIT_KEYS = (b"units", b"unit")
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-_INDEX = "__index_level_"
+INDEX = "__index_level_"
 BUFFER_BYTES = 1 << 20
 
 
@@ -34,7 +41,7 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
         of timestamps counts from the first sample; a missing value is NaN.
     layout : FileLayout
         Which column is the clock; an index without a name that pandas wrote is left aside unless
-        it is that.
+        it is that, or holds timestamps.
 
     Returns
     -------
@@ -52,14 +59,16 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
         with _opened(file) as opened:
             schema, n_rows = opened.schema_arrow, opened.metadata.num_rows
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(
-            str(file), expected="a Parquet file", found=f"what cannot be read ({one_line(error)})"
-        ) from None
+        raise cannot_be_read(file, "a Parquet file", one_line(error)) from None
     fields = [
         field
         for field in schema
         if (_is_numeric(field.type) or pa.types.is_timestamp(field.type))
-        and (field.name == layout.time or not field.name.startswith(_INDEX))
+        and (
+            field.name == layout.time
+            or not field.name.startswith(INDEX)
+            or pa.types.is_timestamp(field.type)
+        )
     ]
     if not fields:
         raise InputError(str(file), expected="columns of numbers", found="none")
@@ -70,17 +79,20 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
     units = {field.name: _unit(field) for field in fields}
     origins = _first_stamps(file, [f.name for f in fields if pa.types.is_timestamp(f.type)])
     unusable = {
-        f.name: "an index of pandas" if f.name.startswith(_INDEX) else f"a column of {f.type}"
+        f.name: "an index of pandas" if f.name.startswith(INDEX) else f"a column of {f.type}"
         for f in schema
         if f.name not in names
     }
 
-    def pieces(rows: int) -> Iterator[FloatArray]:
+    def pieces(rows: int, kept: tuple[str, ...]) -> Iterator[FloatArray]:
+        read = [field for field in fields if field.name in kept]
         with _opened(file) as table:
             try:
-                for batch in table.iter_batches(rows, columns=list(names), use_threads=False):
-                    columns = np.empty((len(fields), batch.num_rows))
-                    for number, field in enumerate(fields):
+                for batch in table.iter_batches(
+                    rows, columns=[field.name for field in read], use_threads=False
+                ):
+                    columns = np.empty((len(read), batch.num_rows))
+                    for number, field in enumerate(read):
                         column = batch.column(number)
                         columns[number] = _numbers(column, field.type, origins.get(field.name))
                     yield columns.T
@@ -89,14 +101,20 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
                     str(file), expected="rows that can be read", found=one_line(error)
                 ) from None
 
+    def selected(kept: tuple[str, ...]) -> Callable[[int], Iterator[FloatArray]]:
+        return lambda rows: rebatched(pieces(rows, kept), rows)
+
+    stamps = {name: _from_date(name, origins, schema) for name in origins}
     return RawFile(
         str(file),
         names,
-        lambda rows: rebatched(pieces(rows), rows),
+        selected(names),
         {name: unit for name, unit in units.items() if unit},
         n_rows,
-        _clock(layout.time, origins, schema),
+        stamps.get(layout.time, ""),
         unusable,
+        stamps,
+        selected=selected,
     )
 
 
@@ -162,8 +180,6 @@ def _first_stamps(file: Path, names: list[str]) -> dict[str, int]:
     }
 
 
-def _clock(time: str, origins: dict[str, int], schema: Any) -> str:
-    if time not in origins:
-        return ""
-    ticks = np.datetime64(origins[time], schema.field(time).type.unit)
+def _from_date(name: str, origins: dict[str, int], schema: Any) -> str:
+    ticks = np.datetime64(origins[name], schema.field(name).type.unit)
     return f"seconds from the first sample at {ticks}"

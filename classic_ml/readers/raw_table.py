@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,9 @@ __all__ = [
     "MINIMUM_ROWS",
     "TIME_COLUMN",
     "RawFile",
+    "Sampling",
     "arrow_file",
+    "cannot_be_read",
     "check_unique",
     "in_one_line",
     "rebatched",
@@ -27,6 +29,32 @@ TIME_COLUMN = "time_s"
 # The same floor as a series file: less is not a record of anything.
 MINIMUM_ROWS = 100
 LONGEST_LABEL = 60
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """When a channel was sampled, as the file states it beside the channel.
+
+    Parameters
+    ----------
+    start_ns : int or None
+        Date of its first row, in nanoseconds of any one epoch; None where the file has none.
+    offset_s : float
+        Of the first row behind that date.
+    step_s : float
+        From row to row.
+    """
+
+    start_ns: int | None
+    offset_s: float
+    step_s: float
+
+    def later_s(self, other: Sampling) -> float:
+        """Return by how much the first row is later than that of another channel."""
+        dated = self.start_ns is not None and other.start_ns is not None
+        # The difference first: a date in nanoseconds is no double.
+        whole_ns = (self.start_ns or 0) - (other.start_ns or 0) if dated else 0
+        return whole_ns * 1e-9 + (self.offset_s - other.offset_s)
 
 
 @dataclass(frozen=True)
@@ -50,7 +78,16 @@ class RawFile:
         What the clock is, where it is no column of times: "from the sample rate", "seconds from
         the first sample at 2024-05-01T12:00:00"; empty otherwise.
     unusable : mapping of str to str
-        Columns that are none of this table, and why: text, another length, no vector.
+        Columns that are none of this table, and why: text, another length, no vector. One of
+        another group has the group before its name.
+    stamps : mapping of str to str
+        Columns that are dates in the file and seconds here, and what they count from.
+    sampled : mapping of str to Sampling
+        By column, when it was sampled, where the file states that for each.
+    other_groups : mapping of str to str
+        Groups of the file that are none of this table, and what is in them.
+    selected : callable, optional
+        ``selected(names)`` is as `chunks`, of some of the columns; the others are not looked at.
     """
 
     source: str
@@ -60,6 +97,23 @@ class RawFile:
     n_rows: int | None = None
     clock: str = ""
     unusable: Mapping[str, str] = field(default_factory=dict)
+    stamps: Mapping[str, str] = field(default_factory=dict)
+    sampled: Mapping[str, Sampling] = field(default_factory=dict)
+    other_groups: Mapping[str, str] = field(default_factory=dict)
+    selected: Callable[[tuple[str, ...]], Callable[[int], Iterator[FloatArray]]] | None = None
+
+    def only(self, names: tuple[str, ...]) -> RawFile:
+        """Return the same file without the columns that nobody asks for, where it can be read so.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Columns that are asked for.
+        """
+        kept = tuple(name for name in self.names if name in names)
+        if self.selected is None or kept == self.names:
+            return self
+        return replace(self, names=kept, chunks=self.selected(kept))
 
 
 def check_unique(source: str, names: tuple[str, ...]) -> None:
@@ -85,6 +139,28 @@ def check_unique(source: str, names: tuple[str, ...]) -> None:
 def in_one_line(label: str) -> str:
     """Return a label of a file as a sentence can hold it."""
     return " ".join(label.split())[:LONGEST_LABEL]
+
+
+def cannot_be_read(file: Path, what: str, cause: str) -> InputError:
+    """Return the refusal of a file over which the library that reads such files stumbles.
+
+    Parameters
+    ----------
+    file : path
+        The file.
+    what : str
+        What it should be.
+    cause : str
+        What the library says.
+    """
+    return InputError(
+        str(file),
+        expected=what,
+        found="one that was cut short"
+        if "truncated file" in cause
+        else f"what cannot be read ({cause})",
+        remedy="was it cut short? copy it again from where it was recorded",
+    )
 
 
 def arrow_file(file: Path) -> Any:

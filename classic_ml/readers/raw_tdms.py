@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import numpy as np
 from classic_ml.errors import InputError
 from classic_ml.readers.optional_package import needed
 from classic_ml.readers.raw_columns import Vector, as_columns, made_clock, one_line
-from classic_ml.readers.raw_table import RawFile
+from classic_ml.readers.raw_table import RawFile, Sampling, cannot_be_read
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 
@@ -28,7 +30,8 @@ def open_tdms(file: Path, layout: FileLayout) -> RawFile:
     ----------
     file : path
         An existing file. Without a channel of the clock's name, ``wf_start_offset`` and
-        ``wf_increment`` of the channels are the clock; ``unit_string`` states a unit.
+        ``wf_increment`` of the channels are the clock; with ``wf_start_time`` they say which
+        channels were sampled together; ``unit_string`` states a unit.
     layout : FileLayout
         The group to take.
 
@@ -40,8 +43,8 @@ def open_tdms(file: Path, layout: FileLayout) -> RawFile:
     Raises
     ------
     InputError
-        When npTDMS is missing, the file is spoiled or cut short, channels of one group have
-        different clocks, or it is open which group is meant.
+        When npTDMS is missing, the file is spoiled or cut short, or it is open which group is
+        meant.
     """
     return _columns(file, layout, lenient=False)
 
@@ -63,6 +66,13 @@ def _columns(file: Path, layout: FileLayout, *, lenient: bool) -> RawFile:
     aside: dict[tuple[str, ...], str] = {}
     with _opened(file) as handle:
         short = _cut_short(handle)
+        if short and not any(short.values()):
+            raise InputError(
+                str(file),
+                expected="a whole TDMS file",
+                found="it cut short before the first row of all its channels",
+                remedy="copy it again from the logger",
+            )
         if short and not lenient:
             raise InputError(
                 str(file),
@@ -77,12 +87,12 @@ def _columns(file: Path, layout: FileLayout, *, lenient: bool) -> RawFile:
                 path = (group.name, channel.name)
                 node = _vector(path, channel, short.get(channel.path, len(channel)))
                 if isinstance(node, Vector):
-                    vectors.append(node)
+                    vectors.append(replace(node, sampling=_sampling(channel)))
                 else:
                     aside[path] = node
             names = {channel.name for channel in channels}
             if layout.clock == "column" and layout.time not in names:
-                vectors += _clock(file, group.name, channels, short, layout)
+                vectors += _clock(group.name, channels, short, layout)
     return as_columns(str(file), vectors, layout, lambda: _opened(file), aside)
 
 
@@ -99,9 +109,7 @@ def _opened(file: Path) -> Iterator[Any]:
         handle = TdmsFile.open(file)
     except Exception as error:
         # npTDMS raises whatever it stumbles over in a spoiled file.
-        raise InputError(
-            str(file), expected="a TDMS file", found=f"what cannot be read ({one_line(error)})"
-        ) from None
+        raise cannot_be_read(file, "a TDMS file", one_line(error)) from None
     finally:
         for logger in loud:
             logger.disabled = False
@@ -153,28 +161,40 @@ def _vector(path: tuple[str, ...], channel: Any, size: int) -> Vector | str:
     return Vector(path, size, read, unit)
 
 
+def _sampling(channel: Any) -> Sampling | None:
+    """Return what the properties of a channel say of when it was sampled."""
+    stated = channel.properties
+    try:
+        step_s = float(stated.get("wf_increment", 0.0) or 0.0)
+        offset_s = float(stated.get("wf_start_offset", 0.0) or 0.0)
+    except (TypeError, ValueError):
+        return None
+    if not (step_s > 0.0 and np.isfinite([step_s, offset_s]).all()):
+        return None
+    start = stated.get("wf_start_time")
+    dated = isinstance(start, np.datetime64) and not np.isnat(start)
+    start_ns = int(start.astype("datetime64[us]").astype(np.int64)) * 1000 if dated else None
+    return Sampling(start_ns, offset_s, step_s)
+
+
 def _clock(
-    file: Path, group: str, channels: list[Any], short: dict[str, int], layout: FileLayout
+    group: str, channels: list[Any], short: dict[str, int], layout: FileLayout
 ) -> list[Vector]:
-    """Return the clock that the properties of the channels of a group state, if they do."""
-    # By length, the clocks that are stated, each with a channel that states it.
-    stated: dict[int, dict[tuple[float, float], str]] = {}
+    """Return the clock that the properties of the channels of a group state, if they do.
+
+    Where they state several it is that of most; whoever reads them compares those he needs.
+    """
+    stated: dict[int, Counter[Sampling]] = {}
     for channel in channels:
-        step_s = float(channel.properties.get("wf_increment", 0.0) or 0.0)
+        sampling = _sampling(channel)
         size = short.get(channel.path, len(channel))
-        if step_s > 0.0 and size > 0:
-            offset_s = float(channel.properties.get("wf_start_offset", 0.0))
-            stated.setdefault(size, {}).setdefault((offset_s, step_s), channel.name)
+        if sampling is not None and size > 0:
+            stated.setdefault(size, Counter())[sampling] += 1
     made = []
     for size, clocks in stated.items():
-        if len(clocks) > 1:
-            (one, other), names = list(clocks)[:2], list(clocks.values())
-            raise InputError(
-                f"{file}: channels {names[0]} and {names[1]}",
-                expected="one wf_start_offset and wf_increment for all channels of a group",
-                found=f"{one} and {other}",
-            )
-        ((offset_s, step_s),) = clocks
-        words = f"from wf_start_offset {offset_s:g} s and wf_increment {step_s:g} s"
-        made.append(made_clock((group, layout.time), size, offset_s, step_s, words))
+        ((sampling, _),) = clocks.most_common(1)
+        words = (
+            f"from wf_start_offset {sampling.offset_s:g} s and wf_increment {sampling.step_s:g} s"
+        )
+        made.append(made_clock((group, layout.time), size, sampling, words))
     return made

@@ -32,6 +32,8 @@ from classic_ml.series import (
 
 __all__ = ["ledger_path", "read_series", "write_series"]
 
+# A compressor surges a few times a second: what is sampled more slowly shows no cycle.
+LONGEST_STEP_S = 0.05
 # The columns of a file by name: numbers, or texts where they may be something else.
 _Columns = dict[str, NDArray[Any]]
 
@@ -85,9 +87,22 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
             expected=f"at least {MINIMUM_ROWS} rows",
             found=f"{known['time_s'].size}",
         )
+    _check_step(known["time_s"], file)
     known.setdefault("segment", np.ones(known["time_s"].size))
     history += _other_record(known["time_s"], history, file)
     return CoefficientSeries(**known, source=str(file), history=history)  # type: ignore[arg-type]
+
+
+def _check_step(time_s: FloatArray, file: Path) -> None:
+    """Refuse a clock in whose steps no surge could be seen: it is in another unit."""
+    step = float(np.median(np.diff(time_s)))
+    if step > LONGEST_STEP_S:
+        raise InputError(
+            f"{file}: column time_s",
+            expected=f"seconds, with steps of at most {LONGEST_STEP_S:g} s",
+            found=f"steps of {step:g}",
+            remedy="is time_s in ms? then divide it by 1000",
+        )
 
 
 def _other_record(
@@ -110,8 +125,9 @@ def _other_record(
 def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
     """Write a series file, whole or not at all, with its ledger.
 
-    A netCDF file carries the ledger as the attribute ``history``; beside a CSV file it is
-    written as ``NAME.ledger.json``.
+    A netCDF file carries the ledger as the attribute ``history``, as JSON and without the dates
+    that the CF conventions want there, so that the same record gives the same file; beside a CSV
+    file it is written as ``NAME.ledger.json``.
 
     Parameters
     ----------
@@ -133,7 +149,7 @@ def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> Non
             found=f"the suffix '{file.suffix}'",
         )
     if file.suffix.lower() != ".csv":
-        replace_whole(file, lambda temporary: _write_netcdf(series, temporary))
+        replace_whole(file, lambda temporary: _write_netcdf_or_tell(series, temporary))
         return
 
     def write_ledger_and_table(temporary: Path) -> None:
@@ -348,6 +364,13 @@ def _read_netcdf(file: Path) -> tuple[_Columns, tuple[LedgerEntry, ...]]:
     return columns, history
 
 
+# No `Conventions`: those of CF want dated lines in `history`, and with a date in it the same record
+# would not give the same file.
+_ABOUT = {
+    "title": "Flow and pressure coefficients of a compressor in surge, row by row",
+    "comment": "history is the ledger of the reduction as JSON, one entry a step; it has no dates, "
+    "so that the same record gives the same file",
+}
 _Reader = Callable[[Path], tuple[_Columns, tuple[LedgerEntry, ...]]]
 _READERS: dict[str, _Reader] = {
     ".csv": _read_csv,
@@ -376,6 +399,17 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
                 series.workspace.release()
 
 
+def _write_netcdf_or_tell(series: CoefficientSeries, file: Path) -> None:
+    try:
+        _write_netcdf(series, file)
+    except RuntimeError as error:
+        # HDF5 finds only when it closes a file that there is no room for it.
+        cause = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
+        if cause is None:
+            raise
+        raise OSError(int(cause[1]), cause[2]) from error
+
+
 def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
     import h5netcdf
     import h5py
@@ -383,6 +417,8 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
     columns = series.columns()
     types = {name: np.int8 if name in TRUTH_COLUMNS else v.dtype for name, v in columns.items()}
     with h5netcdf.File(file, "w") as out:
+        for name, text in _ABOUT.items():
+            out.attrs[name] = text
         out.attrs["history"] = _ledger_json(series.history)
         out.attrs["source"] = series.source
         out.dimensions = {"time_s": series.n_samples}

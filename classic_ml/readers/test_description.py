@@ -12,6 +12,8 @@ from classic_ml.units import COUNT
 
 __all__ = [
     "DEFAULT_THRESHOLD_LBM_S",
+    "PLAUSIBLE_BIAS",
+    "PLAUSIBLE_BIAS_K",
     "Compressor",
     "Converter",
     "FileLayout",
@@ -22,6 +24,11 @@ __all__ = [
     "TestDescription",
 ]
 
+# The match mends the drift of an amplifier. A reading that is off by more has another unit,
+# or its zero and calibrate readings belong to another channel.
+PLAUSIBLE_BIAS = 0.2
+# No thermocouple is off by an eighth; 698 K written in °F is off by a seventh.
+PLAUSIBLE_BIAS_K = 0.12
 # The paper's corrected inlet flow between in-stall and unstalled (98.5 % case).
 DEFAULT_THRESHOLD_LBM_S = 50.0
 
@@ -302,6 +309,9 @@ class TestDescription:
         Quasi-steady cycles, on the facility clock; None when they are to be found.
     limits : mapping of str to tuple of float
         By channel, the readings that count, in Pa or K whatever the unit of the column.
+    near_stall_shifts : mapping of str to float
+        By forward probe and thermocouple, what the near-stall match adds, in Pa and K, for a record
+        that does not hold the near-stall reading itself; empty where the match is to be found.
     file : FileLayout
         How the record lies in its file.
     source : str
@@ -325,17 +335,21 @@ class TestDescription:
     hysteresis_lbm_s: float = 0.0
     window_s: tuple[float, float] | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    near_stall_shifts: Mapping[str, float] = field(default_factory=dict)
     file: FileLayout = FileLayout()
     source: str = "test.toml"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "areas_m2", MappingProxyType(dict(self.areas_m2)))
         object.__setattr__(self, "limits", MappingProxyType(dict(self.limits)))
+        shifts = MappingProxyType(dict(self.near_stall_shifts))
+        object.__setattr__(self, "near_stall_shifts", shifts)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Survive pickling, which a mapping proxy does not."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        values.update(areas_m2=dict(self.areas_m2), limits=dict(self.limits))
+        for name in ("areas_m2", "limits", "near_stall_shifts"):
+            values[name] = dict(getattr(self, name))
         return (_rebuild, (values,))
 
     @property

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from classic_ml.errors import InputError
 from classic_ml.readers.test_description import (
     DEFAULT_THRESHOLD_LBM_S,
+    PLAUSIBLE_BIAS,
+    PLAUSIBLE_BIAS_K,
     Compressor,
     Converter,
     FileLayout,
@@ -76,6 +78,7 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
     channels = top.table("channels")
     pressures, temperatures = _channels(channels, adc)
     threshold, hysteresis = _segmentation(top)
+    near_stall = _near_stall(top)
     description = TestDescription(
         name=test.text("name"),
         sample_rate_hz=test.number("sample_rate_hz", above=0.0),
@@ -84,13 +87,14 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
         compressor=_compressor(top),
         areas_m2=_areas(top),
         converter=adc,
-        near_stall=_near_stall(top),
+        near_stall=near_stall,
         pressures=pressures,
         temperatures=temperatures,
         threshold_lbm_s=threshold,
         hysteresis_lbm_s=hysteresis,
         window_s=_window(top),
         limits=_limits(top, tuple(channels)),
+        near_stall_shifts=_near_stall_shifts(top, near_stall, pressures, temperatures),
         file=_file(top),
         source=str(file),
     )
@@ -135,7 +139,13 @@ def _compressor(top: Table) -> Compressor:
         mean_radius_m=table.number(
             "mean_radius_m", least=0.02, most=2.0, unit="m", remedy="is it in mm or inches?"
         ),
-        inertia_per_m=table.number("inertia_per_m", least=0.0, most=1e4, unit="1/m"),
+        inertia_per_m=table.number(
+            "inertia_per_m",
+            above=0.0,
+            most=1e4,
+            unit="1/m",
+            remedy="it is ∫dx/A; ReductionSettings.inertia_factor of 0 leaves its term out",
+        ),
         internal_volume_m3=table.number(
             "internal_volume_m3", least=0.0, most=10.0, unit="m³", remedy="is it in litres?"
         ),
@@ -391,6 +401,34 @@ def _limits(top: Table, channels: tuple[str, ...]) -> dict[str, tuple[float, flo
         if name not in channels:
             raise table.error(name, "the name of a channel", "no such channel in [channels]")
     return {name: table.interval(name) for name in table}
+
+
+def _near_stall_shifts(
+    top: Table,
+    reading: NearStall,
+    pressures: tuple[PressureChannel, ...],
+    temperatures: tuple[TemperatureChannel, ...],
+) -> dict[str, float]:
+    """Return by how much each channel is off near stall, where the record does not show it."""
+    if "near_stall_shifts" not in top:
+        return {}
+    table = top.table("near_stall_shifts")
+    most = {p.name: PLAUSIBLE_BIAS * reading.pressure_Pa(p.plane) for p in pressures}
+    most |= {c.name: PLAUSIBLE_BIAS_K * reading.temperature_K(c.plane) for c in temperatures}
+    aft = {probe.name for probe in pressures if probe.facing == "aft"}
+    shifts = {}
+    for name in table:
+        if name not in most or name in aft:
+            found = "an aft probe" if name in aft else "no such channel in [channels]"
+            remedy = "it moves with its forward mate" if name in aft else ""
+            expected = "the name of a forward probe or a thermocouple"
+            raise table.error(name, expected, found, remedy)
+        # A difference: a text with a unit that has a zero of its own would be none.
+        remedy = "it is added to the calibrated reading, in Pa or K"
+        shifts[name] = table.number(name, least=-most[name], most=most[name], remedy=remedy)
+    if not shifts:
+        raise InputError(table.where, expected="a shift for each channel", found="none")
+    return shifts
 
 
 def _check_columns_apart(test: TestDescription) -> None:

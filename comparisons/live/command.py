@@ -43,9 +43,16 @@ far, made anew behind every cycle in a process of its own, and provisional.
 
 A feed may fall silent or break. Rows that were had already are dropped, rows out of order are put
 in order, what is no row is counted and left out. Where rows are missing the record goes on as a new
-piece, which is reduced by itself. The run ends with the input, with the end mark of the format,
-after --timeout, or with Ctrl-C or SIGTERM; then the rows are reduced as `reduce` would with the
-same options. They are on disk all the time: after a crash, reduce that file."""
+piece, which is reduced by itself; one without a near-stall reading is matched by that of the piece
+before it, and its ledger says so. `reduce` does the same with the test.toml that lies beside its
+raw record (--raw), where the table [near_stall_shifts] holds the match. Whoever else connects to a
+socket is heard aside, and takes the place of a sender that has closed its connection, or has been
+silent for 5 s, with a header of this test alone.
+
+The run ends with the input, with the end mark of the format, after --timeout, or with Ctrl-C or
+SIGTERM; then the rows are reduced as `reduce` would with the same options. They are on disk all the
+time: after a crash, reduce that file; for a piece behind a gap copy the shifts that the ledger of
+the first one tells into [near_stall_shifts]."""
 
 
 def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -170,7 +177,8 @@ def _run(arguments: argparse.Namespace) -> None:
         session.discard()
     elif not arguments.quiet:
         for result in results:
-            print(f"raw record: {result.piece.path}")
+            described = f" with {result.piece.test}" if result.piece.test else ""
+            print(f"raw record: {result.piece.path}{described}")
 
 
 def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
 from classic_ml.readers import read_test_description
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings
 from classic_ml.series import write_series
+from comparisons.live.carried_match import carry_matches
 from comparisons.live.columns import FEED
 from comparisons.live.session import Session
 from comparisons.live.spool import Piece
@@ -18,10 +18,6 @@ from comparisons.live.state import counted
 from comparisons.reduce_command import reduce_file
 
 __all__ = ["Result", "reduce_pieces"]
-
-# A piece of more rows is reduced chunk by chunk, which gives the same numbers: with 20 channels
-# the columns of half a million rows take a good half of a gigabyte.
-ROWS_IN_MEMORY = 500_000
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,13 @@ def reduce_pieces(
     if session.spool is None or not received:
         if session.spool is not None:
             session.spool.discard()
-        raise InputError(FEED, expected="rows", found=f"none{_left_out(session)}")
+        raise InputError(
+            FEED,
+            expected="rows",
+            found=f"none{_left_out(session)}",
+            remedy="; ".join(session.tally.remedies.values()),
+        )
+    carry_matches(received, test, read_test_description(test))
     entry = _entry(session)
     results: list[Result] = []
     for piece in sorted(received, key=lambda piece: -piece.n_rows):
@@ -104,9 +106,9 @@ def _reduced(
         _check_clock(piece, test_path)
         reduction = reduce_file(
             piece.path,
-            test_path,
+            piece.test or test_path,
             settings,
-            chunk_rows=BLOCK_ROWS if piece.n_rows > ROWS_IN_MEMORY else None,
+            chunk_rows=piece.chunk_rows,
             out=out,
         )
     except InputError as error:
@@ -161,14 +163,24 @@ def _entry(session: Session) -> LedgerEntry:
 
 
 def _with_piece(entry: LedgerEntry, piece: Piece) -> LedgerEntry:
-    return replace(entry, parameters={**entry.parameters, "piece": piece.number})
+    """Tell which piece it is, and whose near-stall reading it is matched by."""
+    parameters, flags = {**entry.parameters, "piece": piece.number}, entry.flags
+    if piece.matched_by:
+        parameters["matched_by_piece"] = piece.matched_by
+        flags += (
+            f"piece {piece.number} has no near-stall reading of its own: it is matched by that of "
+            f"piece {piece.matched_by}",
+        )
+    return replace(entry, parameters=parameters, flags=flags)
 
 
 def _left_out(session: Session) -> str:
-    total = session.tally.total
-    left_out = counted(total, "line or frame that was", "lines or frames that were")
-    return f", and {left_out} left out" if total else ""
+    refused = session.tally.refused
+    if not refused:
+        return ""
+    left_out = counted(session.tally.total, "line or frame that was", "lines or frames that were")
+    return f", and {left_out} left out: {', '.join(sorted(refused))}"
 
 
 def _paths(pieces: list[Piece]) -> str:
-    return ", ".join(str(piece.path) for piece in pieces)
+    return ", ".join(str(path) for piece in pieces for path in (piece.path, piece.test) if path)

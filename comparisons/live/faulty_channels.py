@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.faults.search import (
-    BEYOND_LIMITS,
-    BEYOND_SHARE,
-    CLIPPED,
-    CLIPPED_SHARE,
-    STUCK,
-    inspect_readings,
-)
+from classic_ml.faults.choice import BEYOND_SHARE, CLIPPED_SHARE
+from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK, fault_name
+from classic_ml.faults.search import inspect_readings
 from classic_ml.records import FloatArray, Record
 from comparisons.live.columns import FeedColumns
 
@@ -100,9 +95,9 @@ class FaultyChannels:
         inspected = inspect_readings(record, test)
         faulty = {}
         for name in test.channel_names:
-            if f"fault_{name}" not in inspected:
+            if fault_name(name) not in inspected:
                 continue
-            mark = inspected[f"fault_{name}"].astype(np.int64)
+            mark = inspected[fault_name(name)].astype(np.int64)
             for kind, word, share in _RULES:
                 if np.count_nonzero(mark & kind) > share * n_rows:
                     faulty[name] = word

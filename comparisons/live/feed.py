@@ -7,6 +7,7 @@ import queue
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -77,6 +78,9 @@ class Feed(ABC):
         self._stop = threading.Event()
         self._n_opened = 0
         self._dropped = 0
+        # Whether the first bytes of a connection begin a feed of this test; None while that is
+        # open. Asked in the thread that reads.
+        self.accepts: Callable[[bytes], bool | None] = _anything
         self._thread = threading.Thread(target=self._run, name="feed", daemon=True)
 
     @property
@@ -135,6 +139,11 @@ class Feed(ABC):
                 return self._arrivals.put(arrival, timeout=POLL_S)
             except queue.Full:
                 continue
+
+
+def _anything(head: bytes) -> bool | None:
+    """Take whatever comes."""
+    return True if head else None
 
 
 class PipeFeed(Feed):

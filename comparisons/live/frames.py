@@ -30,6 +30,12 @@ _CRC = struct.Struct("<I")
 # 64 KiB are 0.4 s of twenty channels at 1 kHz as float64: no latency needs longer frames. What
 # looks like the head of a frame and is none costs a checksum over so many bytes.
 LONGEST_PAYLOAD = 1 << 16
+# So many bytes at its beginning show whether a connection sends text.
+LOOKED_AT = 64
+# Letters of a name or a type of a column that are shown.
+LONGEST_SHOWN = 40
+_NO_FRAME = "bytes that are no frame"
+_OTHER_VERSION = "a frame of another version"
 _TYPES = {"f8": "<f8", "f4": "<f4", "i2": "<i2", "u2": "<u2", "i4": "<i4"}
 
 FRAME_FORMAT = f"""\
@@ -40,7 +46,8 @@ connection, from 0, the number of rows and the number of bytes of payload (uint3
 Kind {COLUMNS} begins every connection: the payload is text, the columns as NAME:TYPE separated by
 commas, the types being f8 and f4 (floats) and i2, u2 and i4 (integers). Kind {ROWS} holds that many
 rows, each with its values in the order and of the types of the columns, without padding. Kind {END}
-has no payload and ends the run. A frame whose checksum is wrong is left out."""
+has no payload and ends the run. A frame whose checksum is wrong is left out, and the next one is
+searched for from its second byte on: a length that is damaged costs no other frame."""
 
 
 class FrameDecoder:
@@ -58,6 +65,9 @@ class FrameDecoder:
         self._row: np.dtype[np.void] | None = None
         self._next_number = 0
         self._in_step = True
+        # Bytes that went through the buffer before those in it, and heads there that are none.
+        self._passed = 0
+        self._no_frames: set[int] = set()
 
     def feed(self, data: bytes) -> list[Item]:
         """Return what is complete by now.
@@ -70,21 +80,23 @@ class FrameDecoder:
         self._buffer += data
         items: list[Item] = []
         while self._at_magic() and len(self._buffer) >= _HEAD.size:
-            _, version, kind, zero, number, n_rows, length = _HEAD.unpack_from(self._buffer)
-            if version != VERSION or kind > END or zero or length > LONGEST_PAYLOAD:
+            size = self._size_at(0)
+            if len(self._buffer) < size:
+                behind = self._whole_frame_behind()
+                if not behind:
+                    break
+                # What is waited for is damaged: it would hold the head of that frame.
+                self._count_damage()
+                self._drop(behind)
+            elif not size or not self._is_whole(0, size):
                 self._out_of_step()
-                continue
-            whole = _HEAD.size + length + _CRC.size
-            if len(self._buffer) < whole:
-                break
-            if not self._is_whole(whole):
-                self._out_of_step()
-                continue
-            payload = bytes(self._buffer[_HEAD.size : _HEAD.size + length])
-            del self._buffer[:whole]
-            self._in_step = True
-            self._count_missing(number)
-            items += self._item(kind, n_rows, payload)
+            else:
+                _, version, kind, _, number, n_rows, length = _HEAD.unpack_from(self._buffer)
+                payload = bytes(self._buffer[_HEAD.size : _HEAD.size + length])
+                self._drop(size)
+                self._in_step = True
+                self._count_missing(number)
+                items += self._item(version, kind, n_rows, payload)
         return items
 
     def close(self) -> None:
@@ -102,25 +114,58 @@ class FrameDecoder:
             start = len(self._buffer) - next(begun, 0)
         if start:
             self._count_damage()
-            del self._buffer[:start]
+            self._drop(start)
         return len(self._buffer) >= len(MAGIC)
 
-    def _is_whole(self, size: int) -> bool:
-        """Tell whether the frame of so many bytes at the front has the checksum it states."""
-        covered = size - _CRC.size
+    def _size_at(self, place: int) -> int:
+        """Return the size of the frame that begins at a place; 0 where what is there is none."""
+        _, version, kind, zero, _, _, length = _HEAD.unpack_from(self._buffer, place)
+        if zero or length > LONGEST_PAYLOAD or (version == VERSION and kind > END):
+            return 0
+        return int(_HEAD.size + length + _CRC.size)
+
+    def _is_whole(self, place: int, size: int) -> bool:
+        """Tell whether a frame of so many bytes has the checksum it states."""
+        if self._passed + place in self._no_frames:
+            return False
+        covered = place + size - _CRC.size
         with memoryview(self._buffer) as view:
-            checksum = zlib.crc32(view[:covered])
+            checksum = zlib.crc32(view[place:covered])
         return bool(_CRC.unpack_from(self._buffer, covered)[0] == checksum)
+
+    def _whole_frame_behind(self) -> int:
+        """Return where a whole frame begins behind the first one, which is not complete; else 0.
+
+        A length that is damaged may claim whatever comes within the next minutes.
+        """
+        last = len(self._buffer) - _HEAD.size - _CRC.size
+        place = self._buffer.find(MAGIC, 1)
+        while 0 < place <= last:
+            size = self._size_at(place)
+            if size and place + size <= len(self._buffer):
+                if self._is_whole(place, size):
+                    return place
+                # No checksum is taken twice, however often more bytes come.
+                self._no_frames.add(self._passed + place)
+            place = self._buffer.find(MAGIC, place + 1)
+        return 0
 
     def _out_of_step(self) -> None:
         """Give up this frame, and look for the next one behind its first byte."""
         self._count_damage()
-        del self._buffer[:1]
+        self._drop(1)
+
+    def _drop(self, n_bytes: int) -> None:
+        del self._buffer[:n_bytes]
+        self._passed += n_bytes
+        if self._no_frames:
+            self._no_frames = {place for place in self._no_frames if place >= self._passed}
 
     def _count_damage(self) -> None:
         # Whatever was passed over between two whole frames counts once.
         if self._in_step:
-            self._tally.refuse("damaged bytes between two frames")
+            begins = b"" if self._passed else bytes(self._buffer[:LOOKED_AT])
+            self._tally.refuse(*_damage(begins))
         self._in_step = False
 
     def _count_missing(self, number: int) -> None:
@@ -128,12 +173,21 @@ class FrameDecoder:
             self._tally.refuse("a frame missing by its number", number - self._next_number)
         self._next_number = number + 1
 
-    def _item(self, kind: int, n_rows: int, payload: bytes) -> list[Item]:
+    def _item(self, version: int, kind: int, n_rows: int, payload: bytes) -> list[Item]:
+        if version != VERSION:
+            self._tally.refuse(_OTHER_VERSION, remedy=_send_version(version))
+            return []
         if kind == END:
             return [End()]
         if kind == COLUMNS:
             return self._columns(payload)
-        if self._row is None or self._row.itemsize * n_rows != len(payload):
+        if self._row is None:
+            # Where the columns were refused, the reason is known.
+            told = bool(self._tally.remedies)
+            remedy = "" if told else "begin every connection with a frame of columns"
+            self._tally.refuse("a frame of rows before one of columns", remedy=remedy)
+            return []
+        if self._row.itemsize * n_rows != len(payload):
             self._tally.refuse("a frame that does not fit its columns")
             return []
         return self._rows(np.frombuffer(payload, dtype=self._row))
@@ -144,9 +198,9 @@ class FrameDecoder:
             for entry in payload.decode("utf-8", errors="replace").split(",")
         ]
         names = tuple(name for name, _, _ in columns)
-        known = all(kind in _TYPES for _, _, kind in columns)
-        if not known or not all(map(_is_name, names)) or len(set(names)) < len(names):
-            self._tally.refuse("a frame of columns that cannot be read")
+        remedy = _unusable(names, tuple(kind for _, _, kind in columns))
+        if remedy:
+            self._tally.refuse("a frame of columns that cannot be read", remedy=remedy)
             return []
         self._row = _row_type(kind for _, _, kind in columns)
         return [Header(names)]
@@ -163,6 +217,38 @@ class FrameDecoder:
         cells = [map(repr, _exact(table[name][good]).tolist()) for name in names]
         lines = tuple(",".join(row).encode("ascii") for row in zip(*cells, strict=True))
         return [Rows(values[good], lines)]
+
+
+def _damage(begins: bytes) -> tuple[str, int, str]:
+    """Return what to count where no frame is, and the remedy where that is how a feed begins."""
+    if begins.startswith(MAGIC) and begins[len(MAGIC) :][:1] not in (b"", bytes([VERSION])):
+        return _OTHER_VERSION, 1, _send_version(begins[len(MAGIC)])
+    if not begins or begins.startswith(MAGIC):
+        return "damaged bytes between two frames", 1, ""
+    if any(byte < 32 and byte not in b"\t\r\n" for byte in begins):
+        return _NO_FRAME, 1, f"a frame begins with {MAGIC.decode()}: see sindy-surge live --help"
+    return _NO_FRAME, 1, "they are text: if that is CSV, leave out --format binary"
+
+
+def _send_version(version: int) -> str:
+    return f"its version is {version}: send frames of version {VERSION}"
+
+
+def _unusable(names: tuple[str, ...], kinds: tuple[str, ...]) -> str:
+    """Tell why columns cannot be read, and what to write instead; empty where they can be."""
+    for name, kind in zip(names, kinds, strict=True):
+        if not _is_name(name):
+            return "each column is NAME:TYPE, such as time_s:f8"
+        if kind not in _TYPES:
+            shown = [_shortened(text) for text in (name, kind)]
+            known = ", ".join(_TYPES)
+            return f"the type of column {shown[0]} is '{shown[1]}': write one of {known}"
+    doubled = next((name for name in names if names.count(name) > 1), "")
+    return f"column {_shortened(doubled)} is there twice: name each once" if doubled else ""
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
 
 
 def _is_name(name: str) -> bool:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.calibration import calibrate, check_facing, match_near_stall
+from classic_ml.calibration import (
+    calibrate,
+    check_facing,
+    match_near_stall,
+    near_stall_match,
+)
 from classic_ml.errors import InputError
 from classic_ml.faults.search import inspect_readings
 from classic_ml.readers.test_description import TestDescription
@@ -38,13 +43,21 @@ class NearStallMatch:
         self._rows: list[FloatArray] = []
         self._n_rows = 0
         self._start_s = 0.0
-        self.shifts: dict[str, float] | None = None
+        self.shifts = self._stated()
         self.problem = ""
 
     @property
     def test(self) -> TestDescription:
         """The test."""
         return self._columns.test
+
+    def _stated(self) -> dict[str, float] | None:
+        """Return the shifts that the description of the test states, if it does."""
+        if not self.test.near_stall_shifts:
+            return None
+        nothing = self._columns.record(np.zeros((2, len(self._columns.channels))), 0.0)
+        shifts, _ = near_stall_match(nothing, self.test)
+        return {name: shifts.get(name, 0.0) for name in self.test.channel_names}
 
     def restart(self) -> None:
         """Forget rows of a reading that a gap cut short; shifts that are known stay."""

@@ -95,13 +95,18 @@ class Tally:
     ----------
     refused : Counter of str
         Lines or frames by the reason why they were left out.
+    remedies : dict of str to str
+        By such a reason what was found the first time and how to mend it, where that is known.
     """
 
     refused: Counter[str] = field(default_factory=Counter)
+    remedies: dict[str, str] = field(default_factory=dict)
 
-    def refuse(self, why: str, count: int = 1) -> None:
+    def refuse(self, why: str, count: int = 1, remedy: str = "") -> None:
         """Count something that is left out."""
         self.refused[why] += count
+        if remedy:
+            self.remedies.setdefault(why, remedy)
 
     @property
     def total(self) -> int:

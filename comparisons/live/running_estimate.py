@@ -6,10 +6,13 @@ display wait for it.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -96,10 +99,15 @@ class RunningEstimate:
         self._process = context.Process(
             target=_serve, args=(theirs, columns, settings), daemon=True
         )
-        self._process.start()
+        with _interrupts_held_back():
+            self._process.start()
         theirs.close()
-        self._near_stall = columns.test.near_stall
-        self._margin_s = 0.5 / columns.test.sample_rate_hz
+        reading, half_s = columns.test.near_stall, 0.5 / columns.test.sample_rate_hz
+        # Without its near-stall reading a piece cannot be reduced, unless the test says what the
+        # match would be.
+        stated = bool(columns.test.near_stall_shifts)
+        self._from_s = -math.inf if stated else reading.from_s - half_s
+        self._to_s = math.inf if stated else reading.to_s
         # The process says once that it has begun.
         self._busy = True
         self._dead = False
@@ -133,12 +141,11 @@ class RunningEstimate:
         if self._shut:
             return
         if self._start_s is None:
-            wanted = time_s >= self._near_stall.from_s - self._margin_s
+            wanted = time_s >= self._from_s
             if not wanted.any():
                 return
             self._start_s = float(time_s[wanted][0])
-            # Without its near-stall reading a piece cannot be reduced.
-            self._shut = self._start_s > self._near_stall.to_s
+            self._shut = self._start_s > self._to_s
             readings = readings[wanted]
         self._pending.append(readings)
         self._n_rows += len(readings)
@@ -187,6 +194,26 @@ class RunningEstimate:
         self._connection.send((self._fresh, self._start_s, rows))
         self._pending, self._fresh = [], False
         self._wanted, self._busy = False, True
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Hold interrupts back, which a process that is begun here will never get then.
+
+    One from the terminal goes to both: the other process would say so while it loads.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    # This process of multiprocessing's own, once begun, would let interrupts through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(

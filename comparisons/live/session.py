@@ -12,8 +12,9 @@ import numpy as np
 
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
-from comparisons.live.columns import FeedColumns, described_columns, feed_columns
+from comparisons.live.columns import FEED, FeedColumns, described_columns, feed_columns
 from comparisons.live.feed import Arrival, Closed, Data, Opened
+from comparisons.live.frames import MAGIC
 from comparisons.live.monitor import Monitor
 from comparisons.live.rate import RateCheck
 from comparisons.live.row_order import RowOrder, Stretch
@@ -57,6 +58,7 @@ class Session:
         # Whether the present connection began with the header of this test.
         self._welcome = False
         self._has_units = False
+        self._n_remedies_told = 0
         self._stopped = ""
         self._next_update_s = 0.0
         self._last_update_s = 0.0
@@ -81,6 +83,7 @@ class Session:
             When the first header does not fit the test, or the first rows its sample rate.
         """
         parts = self._parts
+        parts.feed.accepts = self._accepts
         parts.feed.start()
         self.say("feed", parts.feed.waiting)
         try:
@@ -173,6 +176,7 @@ class Session:
                 break
             arrival = feed.next(0.0)
         self._take(rows)
+        self._tell_remedies()
         if self._monitor is not None:
             self._tell(self._monitor.poll())
         self._watch_silence()
@@ -218,7 +222,12 @@ class Session:
     def _header(self, header: Header) -> None:
         parts = self._parts
         if self._columns is None and self._is_stranger(header):
-            self._refuse("it did not begin with a header of this test")
+            frames = " but with a binary frame: use --format binary" * _is_frame(header)
+            self._refuse(f"it did not begin with a header of this test{frames}")
+        elif self._columns is None and _is_frame(header):
+            raise InputError(
+                FEED, expected="lines of text", found="binary frames", remedy="use --format binary"
+            )
         elif self._columns is None:
             self._columns = feed_columns(header.names, parts.test)
             self._rate = RateCheck(parts.test, self._columns.clock.column)
@@ -255,6 +264,16 @@ class Session:
         """Tell a program that connected by mistake from a sender with a wrong header."""
         known = described_columns(self._parts.test).names
         return self._parts.feed.comes_back and not set(known) & set(header.names)
+
+    def _accepts(self, head: bytes) -> bool | None:
+        """Tell whether a connection begins with a header of this test; None while that is open."""
+        items = self._parts.decoder(Tally()).feed(head)
+        header = next((item for item in items if isinstance(item, Header)), None)
+        if header is None:
+            return None
+        if self._columns is None:
+            return not self._is_stranger(header)
+        return header.names == self._columns.names
 
     def _refuse(self, why: str) -> None:
         self.say("feed", f"a connection was refused: {why}")
@@ -327,6 +346,12 @@ class Session:
         self._last_update_s = now_s
         self.show("waiting" if self._columns is None else "running")
 
+    def _tell_remedies(self) -> None:
+        """Say at once what can be mended: where nothing is as expected, no end may ever come."""
+        for why, remedy in list(self.tally.remedies.items())[self._n_remedies_told :]:
+            self.say("feed", f"left out: {why}; {remedy}")
+        self._n_remedies_told = len(self.tally.remedies)
+
     def _tell(self, notes: list[tuple[str, str]]) -> None:
         for kind, text in notes:
             self.say(kind, text)
@@ -344,3 +369,8 @@ class Session:
         event = Event(datetime.now().strftime("%H:%M:%S"), kind, text)
         self._events.append(event)
         self._parts.tell(event)
+
+
+def _is_frame(header: Header) -> bool:
+    """Tell a line of text from binary frames that were read as one."""
+    return header.names[0].startswith(MAGIC.decode())

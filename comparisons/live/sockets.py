@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import os
-import select
 import socket
 import stat
 import time
 from pathlib import Path
 
 from classic_ml.errors import InputError
+from comparisons.live.callers import Caller, Callers
 from comparisons.live.feed import CHUNK, POLL_S, Closed, Data, Feed
 
 __all__ = ["CallingFeed", "ListeningFeed", "parse_address"]
 
-# A sender that has been silent for so long gives way to another one that wants in.
-SILENT_S = 1.0
+# A sender that has been silent for so long gives way to another one with a header of this test.
+# One that sends every few seconds keeps its place; one that was cut off, and comes back while its
+# old connection is still thought to be there, does not wait for long.
+SILENT_S = 5.0
 
 
 class ListeningFeed(Feed):
     """A server that one sender at a time connects to, as often as it likes.
+
+    Whoever else connects is heard aside, and takes the place of the sender only with a header of
+    this test, and only when the sender has closed its connection, is silent, or has sent no such
+    header itself.
 
     Parameters
     ----------
@@ -92,46 +98,43 @@ class ListeningFeed(Feed):
             self._path.unlink(missing_ok=True)
 
     def _run(self) -> None:
-        connection: socket.socket | None = None
-        while not self._stop.is_set():
-            if connection is None:
-                select.select([self._server], [], [], POLL_S)
-                connection = self._accepted()
-                if connection is None:
+        others = Callers(self._server, self.accepts)
+        with others:
+            while not self._stop.is_set():
+                caller = others.next()
+                if caller is None:
                     continue
-            self._opened()
-            with connection:
-                connection, why = self._read(connection)
-            self._put(Closed(why))
+                self._opened()
+                with caller.connection:
+                    if caller.head:
+                        self._put(Data(caller.head, time.monotonic()))
+                    why = self._read(caller, others)
+                self._put(Closed(why))
 
-    def _read(self, connection: socket.socket) -> tuple[socket.socket | None, str]:
-        """Read until the connection ends; return the one that takes over, and why it ended."""
+    def _read(self, caller: Caller, others: Callers) -> str:
+        """Read until the connection ends; return why it ended."""
         heard_s = time.monotonic()
         while not self._stop.is_set():
-            silent = time.monotonic() - heard_s > SILENT_S
-            watched = [connection, self._server] if silent else [connection]
-            ready = select.select(watched, [], [], POLL_S)[0]
+            ready = others.ready(caller.connection)
             if self._is_dropped:
-                return None, "it was refused"
-            if connection in ready:
-                heard_s = time.monotonic()
+                return "it was refused"
+            if caller.connection in ready:
+                at_s = time.monotonic()
                 try:
-                    data = connection.recv(CHUNK)
+                    data = caller.connection.recv(CHUNK)
                 except OSError as error:
-                    return None, error.strerror or str(error)
+                    return error.strerror or str(error)
                 if not data:
-                    return None, "the sender closed it"
-                self._put(Data(data, heard_s))
-            elif ready and (other := self._accepted()) is not None:
-                return other, "another sender took over"
-        return None, "the session ended"
-
-    def _accepted(self) -> socket.socket | None:
-        try:
-            return self._server.accept()[0]
-        except OSError:
-            # Nobody, or somebody who is gone again.
-            return None
+                    return "the sender closed it"
+                caller.hear(data, self.accepts)
+                self._put(Data(data, at_s))
+                # Where the session has much to do, it is not the sender that was silent.
+                heard_s = time.monotonic()
+            others.hear(ready)
+            silent = time.monotonic() - heard_s > SILENT_S
+            if others.has_sender and (silent or not caller.is_sender):
+                return "another sender took over"
+        return "the session ended"
 
 
 class CallingFeed(Feed):

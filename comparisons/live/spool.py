@@ -8,9 +8,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
 
 __all__ = ["Piece", "RawSpool", "numbered"]
+
+# A piece of more rows is reduced chunk by chunk, which gives the same numbers: with 20 channels
+# the columns of half a million rows take a good half of a gigabyte.
+ROWS_IN_MEMORY = 500_000
 
 
 @dataclass
@@ -29,6 +34,10 @@ class Piece:
         Rows so far.
     from_s, to_s : float
         Facility clock of its first and last row.
+    test : path, optional
+        A description of the test for this piece alone, beside it.
+    matched_by : int
+        Number of the piece whose near-stall reading it is matched by; 0 for its own.
     """
 
     number: int
@@ -37,6 +46,13 @@ class Piece:
     n_rows: int = 0
     from_s: float = 0.0
     to_s: float = 0.0
+    test: Path | None = None
+    matched_by: int = 0
+
+    @property
+    def chunk_rows(self) -> int | None:
+        """How many rows to read at once; None for all."""
+        return BLOCK_ROWS if self.n_rows > ROWS_IN_MEMORY else None
 
 
 class RawSpool:
@@ -117,9 +133,11 @@ class RawSpool:
             os.close(handle)
 
     def discard(self) -> None:
-        """Remove the files of all pieces."""
+        """Remove the files of all pieces, and the descriptions beside them."""
         for piece in self.pieces:
             piece.path.unlink(missing_ok=True)
+            if piece.test is not None:
+                piece.test.unlink(missing_ok=True)
 
     def _write(self, data: bytes) -> None:
         if self._handle is None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.airflow import LBM_KG
-from classic_ml.faults.search import fault_name
+from classic_ml.faults.marks import fault_name
 from classic_ml.records import FloatArray, Record
 from classic_ml.runs import runs_of
 from comparisons.plots_style import INK, MARK, QUIET, SHADE, dress, new_figure

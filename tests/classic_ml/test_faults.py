@@ -15,13 +15,9 @@ from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
 from classic_ml.faults import standstill
-from classic_ml.faults.search import (
-    BEYOND_LIMITS,
-    CLIPPED,
-    STUCK,
-    choose_channels,
-    inspect_readings,
-)
+from classic_ml.faults.choice import choose_channels
+from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK
+from classic_ml.faults.search import inspect_readings
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
 

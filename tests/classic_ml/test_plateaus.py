@@ -19,8 +19,9 @@ from classic_ml.columns import workspace
 from classic_ml.columns.workspace import OnDisk
 from classic_ml.errors import InputError
 from classic_ml.faults import plateaus
+from classic_ml.faults.marks import CLIPPED
 from classic_ml.faults.plateaus import End, cut_off_ends
-from classic_ml.faults.search import CLIPPED, inspect_readings
+from classic_ml.faults.search import inspect_readings
 from classic_ml.inspection import inspect_file
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record

@@ -80,6 +80,18 @@ def test_columns_of_other_names_are_let_pass(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_series(file).phi, made().phi)
 
 
+def test_a_netcdf_file_says_what_it_is_and_claims_no_conventions(tmp_path: Path) -> None:
+    import xarray as xr
+
+    write_series(made(), tmp_path / "s.nc")
+    with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as dataset:
+        assert "compressor in surge" in dataset.attrs["title"]
+        assert "no dates" in dataset.attrs["comment"]
+        # Those of CF would want dated lines of text.
+        assert dataset.attrs["history"].startswith("[")
+        assert "Conventions" not in dataset.attrs
+
+
 def test_a_netcdf_file_of_another_program_is_read_with_its_history(tmp_path: Path) -> None:
     import xarray as xr
 

@@ -13,7 +13,8 @@ from raw_data import make_test
 
 from classic_ml.calibration import pressure_from_counts
 from classic_ml.columns import workspace
-from classic_ml.faults.search import BEYOND_LIMITS, CLIPPED, STUCK, fault_name, inspect_readings
+from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK, fault_name
+from classic_ml.faults.search import inspect_readings
 from classic_ml.faults.standstill import tallies
 from classic_ml.readers import TestDescription
 from classic_ml.records import Record

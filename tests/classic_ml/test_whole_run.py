@@ -320,3 +320,21 @@ def test_a_fault_inside_the_window_does_not_keep_it_from_growing(row: int) -> No
     )
     in_use = {"P"}
     assert extend_while_settled(record, slice(1500, 3000), in_use).stop == 3400
+
+
+def test_a_fit_shows_itself_in_a_notebook_and_on_a_terminal() -> None:
+    """τ with its error, the characteristic and how the fit ended; a refused one says so."""
+    fit = fit_whole_runs([series(8)])
+    shown = fit._repr_mimebundle_()
+    assert f"{1e3 * fit.time_constant_s_:.1f}"[:3] in shown["text/plain"]
+    for text in shown.values():
+        for word in ("WholeRunFit", "phi^2", f"{fit.n_scored_} rows", "blocks"):
+            assert word in text
+        assert "array(" not in text
+    assert str(fit) == shown["text/plain"]
+    held = fit_whole_runs([series(8)], time_constant_s=0.025)
+    assert "(held)" in str(held)
+    record = series(9)
+    refused = fit_whole_runs([replace(record, free_run=np.minimum(record.free_run, 1))])
+    assert "not known" in str(refused)
+    assert refused.fit_state_.advice.split()[0] in str(refused)

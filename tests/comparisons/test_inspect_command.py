@@ -76,6 +76,36 @@ def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
     assert (clock.gaps, clock.repeats, clock.steps_back) == (0, 0, 0)
 
 
+def test_columns_of_a_slower_logger_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(3)
+    n = 1200
+    walk = np.round(np.cumsum(rng.normal(0.0, 20.0, n)))
+    columns = {
+        "time_s": np.arange(n) / 500.0,
+        "quick": walk,
+        "pairs": np.repeat(walk[::2], 2),
+        "fives": np.repeat(walk[::5], 5),
+        "coarse": np.round(walk / 100.0),
+    }
+    found = inspected(tmp_path, columns)
+    assert {c.name: c.held_rows for c in found.channels} == {
+        "time_s": 1.0,
+        "quick": 1.0,
+        "pairs": 2.0,
+        "fives": 5.0,
+        "coarse": 1.0,
+    }
+    assert main(["inspect", str(tmp_path / "raw.csv")]) == 0
+    shown = capsys.readouterr().out
+    assert "each value 2 times: held from a lower rate?" in shown
+    assert shown.count("held from a lower rate?") == 2
+    monkeypatch.setattr("classic_ml.inspection.BLOCK_ROWS", 7)
+    again = inspect_file(tmp_path / "raw.csv")
+    assert [c.held_rows for c in again.channels] == [c.held_rows for c in found.channels]
+
+
 def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) -> None:
     steps = np.full(1999, 2e-3)
     steps[[99, 700]] = 0.5, 0.01

@@ -31,11 +31,11 @@ class Terminal:
 
 
 @contextmanager
-def terminal(patch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+def terminal(patch: pytest.MonkeyPatch, size: tuple[int, int] = (24, 100)) -> Iterator[Terminal]:
     """Put a pseudo-terminal in the place of stderr, and read what is written to it."""
     seen = Terminal()
     master, slave = pty.openpty()
-    termios.tcsetwinsize(slave, (24, 100))
+    termios.tcsetwinsize(slave, size)
     pieces: list[bytes] = []
 
     def read() -> None:
@@ -63,12 +63,16 @@ def terminal(patch: pytest.MonkeyPatch) -> Iterator[Terminal]:
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("series")
     write_series(made_series(n=900, n_segments=3), folder / "series.csv")
+    make_test(seconds=2.0, cells_lbm_s=6.0, noise_counts=1.0).write(folder)
     return folder
 
 
 def arguments(folder: Path, command: str) -> list[str]:
     series = str(folder / "series.csv")
+    raw, test = str(folder / "raw.csv"), str(folder / "test.toml")
     return {
+        "inspect": ["inspect", raw, "--test", test],
+        "reduce": ["reduce", raw, "--test", test, "-o", str(folder / "reduced.csv")],
         "compare": ["compare", series],
         "orders": ["orders", series, "--degrees", "1", "2", "--lags", "0"],
         "structure": ["structure", series, "--bootstrap", "0", "--max-terms", "3"],
@@ -78,6 +82,8 @@ def arguments(folder: Path, command: str) -> list[str]:
 
 # What each bar says, and how many steps it counts.
 BARS = {
+    "inspect": (r"\d/3", "reducing it"),
+    "reduce": (r"\d/6", "reading"),
     "compare": (r"\d/\d", "fit"),
     "orders": (r"\d/8", "model"),
     "structure": (r"\d/3", "choosing terms"),
@@ -99,6 +105,15 @@ def test_a_bar_is_drawn_on_a_terminal_and_taken_away(
     assert "|" not in seen.text.rsplit("\r", 2)[-2].strip()
     # What the command has to say is not mixed with it.
     assert "\r" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["inspect", "reduce", "orders"])
+def test_a_bar_is_drawn_on_a_terminal_that_says_nothing_of_its_size(
+    files: Path, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with terminal(monkeypatch, (0, 0)) as seen:
+        assert main(arguments(files, command)) == 0
+    assert re.search(BARS[command][0], seen.text)
 
 
 @pytest.mark.parametrize("command", BARS)

@@ -50,6 +50,19 @@ def test_a_flipped_bit_is_found_where_it_is(rig: Record) -> None:
     assert set(found[name]) == set(rows)
 
 
+def test_single_wrong_codes_among_stall_cells_are_mostly_found(rig: Record) -> None:
+    """At plane 25 the cells are as jagged as a spike of a sixth of the range is high."""
+    ranges = of_plane(rig, 25, "forward")
+    rng = np.random.default_rng(6)
+    hits = 0
+    for row in rng.integers(900, 2400, 60).tolist():
+        name = list(ranges)[row % 4]
+        codes = rig[name].copy()
+        codes[row] += 700.0 if codes[row] < 2048.0 else -700.0
+        hits += row in spike_rows(changed(rig, name, codes), ranges).get(name, [])
+    assert hits >= 42
+
+
 def test_a_spike_that_all_see_is_none() -> None:
     rng = np.random.default_rng(3)
     values = rng.normal(0.5, 1e-3, (4, 400))

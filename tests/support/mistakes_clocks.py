@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from mistake import FLAGGED, REFUSED, UNNOTICED, Mistake, Spoil
 from mistake_desk import CLEAN
 from raw_data import make_test
 from spoiling import Values, as_lines, at_rows, channel, table, toml
+
+from comparisons.rig import simulate, write_run
 
 __all__ = ["CLOCKS", "TESTS"]
 
@@ -54,6 +57,27 @@ def _made(**settings: Any) -> Spoil:
         make_test(**{**CLEAN, **settings}).write(folder)
 
     return spoil
+
+
+def _renumbered(rows: Callable[[int], np.ndarray]) -> Spoil:
+    """Write other rows under an even clock."""
+
+    def change(read: pd.DataFrame) -> pd.DataFrame:
+        again = read.iloc[rows(len(read))].reset_index(drop=True)
+        return again.assign(time_s=np.arange(len(again)) / 1000.0)
+
+    return table(change)
+
+
+def _ends_in_stall(folder: Path) -> None:
+    """Put the beginning of a surge in place: the stall before the cycles oscillates mildly."""
+    for file in ("raw.csv", "test.toml"):
+        (folder / file).unlink()
+    run = folder / "run"
+    write_run(simulate("985", seed=1, duration_s=1.5), run)
+    for file in ("raw.csv", "test.toml"):
+        (run / file).replace(folder / file)
+    shutil.rmtree(run)
 
 
 def _stalled(read: pd.DataFrame) -> pd.DataFrame:
@@ -106,12 +130,22 @@ CLOCKS = (
         "clock-block-renumbered",
         "a block of 100 rows is there twice and the clock was renumbered",
         FLAGGED,
-        ("twice",),
-        spoil=table(
-            lambda t: pd.concat([t.iloc[:1100], t.iloc[1000:]], ignore_index=True).assign(
-                time_s=np.arange(len(t) + 100) / 1000.0
-            )
-        ),
+        ("100 rows repeat earlier ones", "1.1"),
+        spoil=_renumbered(lambda n: np.r_[0:1100, 1000:n]),
+    ),
+    Mistake(
+        "clock-row-renumbered",
+        "a row is there twice and the clock was renumbered",
+        FLAGGED,
+        ("1 row repeats the readings of the row before", "1.201"),
+        spoil=_renumbered(lambda n: np.r_[0:1201, 1200:n]),
+    ),
+    Mistake(
+        "clock-tiled",
+        "a short record was made longer by copies of its cycles",
+        FLAGGED,
+        ("1120 rows repeat earlier ones",),
+        spoil=_renumbered(lambda n: np.r_[0:1260, np.tile(np.arange(700, 1260), 2)]),
     ),
     Mistake(
         "clock-ms",
@@ -201,6 +235,13 @@ TESTS = (
         REFUSED,
         ("raw.csv", "at least 3", "cycles"),
         spoil=as_lines(lambda rows: rows[:680]),
+    ),
+    Mistake(
+        "mild-oscillations",
+        "the record ends before the cycles begin, while the stall oscillates mildly",
+        REFUSED,
+        ("raw.csv", "at least 3", "mild oscillations in stall"),
+        spoil=_ends_in_stall,
     ),
     Mistake(
         "few-cycles",

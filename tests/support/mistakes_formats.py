@@ -9,15 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from mistake import REDUCE, REFUSED, Mistake, Spoil
 from mistakes_models import Trap
 from mistakes_raw_files import NOISE
-from spoiling import written
+from spoiling import toml, written
 from stored_records import WRITERS, columns_of, write_stored
 
 __all__ = ["FORMATS"]
 
 PROBE = "P31_B_hub_aft"
+START = np.datetime64("2026-01-01T12:00:00.000000")
+SKEW = ("P25_A_tip_forward and P31_A_tip_forward", "starts 0.02 s later", "resample")
 TDMS, HDF5, MAT, PARQUET = ".tdms", ".h5", ".mat", ".parquet"
 
 
@@ -138,6 +141,55 @@ def _archive() -> bytes:
     return out.getvalue()
 
 
+def _tdms(properties: Callable[[str], dict[str, Any]]) -> Spoil:
+    """Write channels that state when they were sampled, without a column of times."""
+
+    def spoil(folder: Path) -> None:
+        from nptdms import ChannelObject, TdmsWriter
+
+        columns = _without_clock(columns_of(folder)).items()
+        with TdmsWriter(folder / "raw.tdms") as file:
+            file.write_segment([ChannelObject("run", n, v, properties(n)) for n, v in columns])
+
+    return spoil
+
+
+def _two_groups(folder: Path) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    columns = _without_clock(columns_of(folder)).items()
+    fast = [ChannelObject("fast", n, v, {"wf_increment": 1e-3}) for n, v in columns if n[0] == "P"]
+    slow = [
+        ChannelObject("slow", n, v[::10], {"wf_increment": 1e-2}) for n, v in columns if n[0] == "T"
+    ]
+    with TdmsWriter(folder / "raw.tdms") as file:
+        file.write_segment([*fast, *slow])
+
+
+def _from_rate(spoil: Spoil) -> Spoil:
+    def both(folder: Path) -> None:
+        spoil(folder)
+        toml(("file/clock", "from rate"))(folder)
+
+    return both
+
+
+def _dated_with_gap(folder: Path) -> None:
+    columns = columns_of(folder)
+    ticks = np.round(columns["time_s"] * 1e6).astype("timedelta64[us]")
+    frame = pd.DataFrame(_without_clock(columns), index=START + ticks)
+    frame.drop(frame.index[500:647]).to_parquet(folder / "raw.parquet")
+
+
+def _late(name: str) -> dict[str, Any]:
+    late = np.timedelta64(20 if name.startswith("P31") else 0, "ms")
+    return {"wf_increment": 1e-3, "wf_start_time": START + late}
+
+
+def _offset(name: str) -> dict[str, Any]:
+    return {"wf_increment": 1e-3, "wf_start_offset": 0.02 if name.startswith("P31") else 0.0}
+
+
 FORMATS = (
     *(
         _row(s, "noise", f"binary noise is named {s}", (), written(f"raw{s}", NOISE))
@@ -209,6 +261,35 @@ FORMATS = (
         "a channel of a Parquet file holds lists",
         (PROBE,),
         _with(PARQUET, _listed),
+    ),
+    _row(TDMS, "skew", "plane 31 starts 20 ms later, as wf_start_time says", SKEW, _tdms(_late)),
+    _row(
+        TDMS,
+        "skew-from-rate",
+        'plane 31 starts 20 ms later by wf_start_offset, and test.toml says clock = "from rate"',
+        SKEW,
+        _from_rate(_tdms(_offset)),
+    ),
+    _row(
+        TDMS,
+        "half-rate",
+        'wf_increment is that of half the rate, and test.toml says clock = "from rate"',
+        ("1000 samples", "500", "wf_increment", "sample_rate_hz"),
+        _from_rate(_tdms(lambda _: {"wf_increment": 2e-3})),
+    ),
+    _row(
+        TDMS,
+        "groups",
+        "the thermocouples lie in another group, at a tenth of the rate",
+        ("T25_A", "group 'slow'", "201 values", "2001", "resample", "[file]"),
+        _two_groups,
+    ),
+    _row(
+        PARQUET,
+        "passed-over-gap",
+        'the timestamps have a gap, and test.toml says clock = "from rate"',
+        ("a step of 0.148", "row 501", "rows are missing"),
+        _from_rate(_dated_with_gap),
     ),
     Mistake(
         "npz-raw",

@@ -193,6 +193,14 @@ TARGETS = (
         REDUCE.replace("reduced.csv", "raw.csv"),
     ),
     Mistake(
+        "target-raw-hard-link",
+        "the series would replace a hard link of the raw record",
+        REFUSED,
+        ("same.csv", "input"),
+        REDUCE.replace("reduced.csv", "same.csv"),
+        spoil=lambda folder: (folder / "same.csv").hardlink_to(folder / "raw.csv"),
+    ),
+    Mistake(
         "target-raw-other-way",
         "the series would replace the raw record by another path",
         REFUSED,

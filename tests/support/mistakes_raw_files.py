@@ -9,8 +9,9 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from mistake import HARMLESS, REDUCE, REFUSED, Mistake
-from spoiling import as_bytes, as_lines, as_text, cell, lines, named, table, written
+from mistake import HARMLESS, REDUCE, REFUSED, Mistake, Spoil
+from spoiling import as_bytes, as_lines, as_text, cell, lines, named, table, toml, written
+from stored_records import write_stored
 
 __all__ = ["RAW_FILES"]
 
@@ -60,6 +61,32 @@ def _units_below(rows: list[str]) -> list[str]:
     return [rows[0], ",".join("count" for _ in rows[0].split(",")), *rows[1:]]
 
 
+def _both(*spoils: Spoil) -> Spoil:
+    def spoil(folder: Path) -> None:
+        for one in spoils:
+            one(folder)
+
+    return spoil
+
+
+def _ignoring(name: str) -> Spoil:
+    header = as_lines(lambda rows: [f"{rows[0]},{name}", *rows[1:]])
+    return _both(header, toml(("file/other_columns", "ignore")))
+
+
+def _stamped(row: str) -> str:
+    time_s, rest = row.split(",", 1)
+    return (
+        f"2026-01-01T23:59:{58.5 + float(time_s):06.3f},{rest}"
+        if float(time_s) < 1.5
+        else (f"2026-01-02T00:00:{float(time_s) - 1.5:06.3f},{rest}")
+    )
+
+
+def _hdf5_as_csv(folder: Path) -> None:
+    write_stored(folder, ".h5").replace(folder / "raw.csv")
+
+
 def _folder_for_file(folder: Path) -> None:
     (folder / "raw.csv").unlink()
     (folder / "raw.csv").mkdir()
@@ -83,6 +110,13 @@ RAW_FILES = (
         REFUSED,
         ("none.csv", "no such file"),
         REDUCE.replace("raw.csv", "none.csv"),
+    ),
+    Mistake(
+        "raw-hdf5-as-csv",
+        "an HDF5 file is named .csv",
+        REFUSED,
+        ("raw.csv", "an HDF5 file", "rename", ".h5"),
+        spoil=_hdf5_as_csv,
     ),
     Mistake(
         "raw-folder",
@@ -223,16 +257,64 @@ RAW_FILES = (
     Mistake(
         "raw-semicolons",
         "the table has semicolons between and commas in its numbers (European spreadsheet)",
-        REFUSED,
-        ("raw.csv", "commas", "';'"),
+        HARMLESS,
+        within=SAME,
+        why="beside semicolons or tabs a comma is the decimal sign",
         spoil=as_lines(lambda rows: list(map(_decimal_commas, rows))),
+    ),
+    Mistake(
+        "raw-two-decimal-signs",
+        "the table has semicolons between, and commas in some of its numbers",
+        REFUSED,
+        ("raw.csv", "one decimal sign", "'0,0'"),
+        spoil=_both(
+            as_text(lambda text: text.replace(",", ";")),
+            lines(lambda row: row.replace(".", ",", 1)),
+        ),
     ),
     Mistake(
         "raw-tabs",
         "the table has tabs between its columns",
-        REFUSED,
-        ("raw.csv", "commas"),
+        HARMLESS,
+        within=SAME,
+        why="tabs are read as commas are",
         spoil=as_text(lambda text: text.replace(",", "\t")),
+    ),
+    Mistake(
+        "raw-carriage-returns",
+        "the lines end in carriage returns alone (old Macintosh)",
+        HARMLESS,
+        within=SAME,
+        why="they are ends of lines too",
+        spoil=as_bytes(lambda data: data.replace(b"\n", b"\r")),
+    ),
+    Mistake(
+        "raw-remarks",
+        'a column holds remarks, and test.toml says other_columns = "ignore"',
+        HARMLESS,
+        within=SAME,
+        why="what nobody asks for is not looked at",
+        spoil=_both(lines(lambda row: row + ',"warm, ok"'), _ignoring("Note")),
+    ),
+    Mistake(
+        "raw-stamps",
+        "the clock is a date and a time of day after ISO 8601, and test.toml names it",
+        HARMLESS,
+        within=SAME,
+        why="dates count from the first row, in whole nanoseconds",
+        spoil=_both(lines(_stamped), named({"time_s": "Stamp"}), toml(("file/time", "Stamp"))),
+    ),
+    Mistake(
+        "raw-stamp-broken",
+        "the clock is a date and a time of day, and one of them is none",
+        REFUSED,
+        ("raw.csv", "Stamp", "date", "row 500", "24:61"),
+        spoil=_both(
+            lines(_stamped),
+            named({"time_s": "Stamp"}),
+            toml(("file/time", "Stamp")),
+            cell("Stamp", 500, "2026-01-01T24:61:00"),
+        ),
     ),
     Mistake(
         "raw-decimal-commas",

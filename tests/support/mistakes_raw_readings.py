@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 from mistake import FLAGGED, HARMLESS, REFUSED, Mistake
 from spoiling import Values, at_rows, channel, every, exchanged, table, toml
@@ -27,6 +30,22 @@ PAIRS_31 = tuple(pair(f"31_{rake}_{place}") for rake in "AB" for place in ("tip"
 def _spikes(values: Values) -> Values:
     values[900:1900:97] += 700.0
     return np.clip(values, 0.0, 4095.0)
+
+
+def _three_spikes(values: Values) -> Values:
+    values[[850, 1303, 1711]] += 700.0
+    return np.clip(values, 0.0, 4095.0)
+
+
+def _every(rows: int) -> Callable[[Values], Values]:
+    """Return what keeps every so many-th value until the next one comes."""
+    return lambda values: np.repeat(values[::rows], rows)[: values.size]
+
+
+def _wide_converter(folder: Path) -> None:
+    """Clip a few readings at 12 bits, and state 16."""
+    channel(("P31_A_tip_forward", PROBE), at_rows(slice(330, 345), 4095.0))(folder)
+    toml(("adc/bits", 16))(folder)
 
 
 def _noise(values: Values) -> Values:
@@ -65,8 +84,16 @@ PROBES = (
         "test.toml says 16 bits for the codes of a 12-bit converter",
         HARMLESS,
         within=SAME,
-        why="pressures come from ratios of codes; only a clipped code would be told as stuck",
+        why="pressures come from ratios of codes, and none of them is clipped",
         spoil=toml(("adc/bits", 16)),
+    ),
+    Mistake(
+        "counts-bits-clipped",
+        "test.toml says 16 bits for a 12-bit converter of which some codes are clipped",
+        FLAGGED,
+        ("no code is above 4095", "is the converter one of 12 bits", f"{PROBE}: 15 rows clipped"),
+        within=SAME,
+        spoil=_wide_converter,
     ),
     Mistake(
         "counts-volts",
@@ -280,6 +307,43 @@ PROBES = (
         ("P25_A_tip_aft",),
         within=NEAR,
         spoil=channel("P25_A_tip_aft", _spikes),
+    ),
+    Mistake(
+        "spikes-three",
+        "a probe has three wrong codes in two seconds",
+        FLAGGED,
+        ("P31_A_tip_aft: 3 rows spiked",),
+        within=NEAR,
+        spoil=channel("P31_A_tip_aft", _three_spikes),
+    ),
+    Mistake(
+        "held-plane",
+        "the pressures of plane 31 were recorded at half the rate, and each value written twice",
+        REFUSED,
+        ("raw.csv", "P31_A_tip_forward and 7 more", "each value 2 times", "late"),
+        spoil=every("P31", _every(2)),
+    ),
+    Mistake(
+        "held-probe",
+        "one pressure was recorded at a quarter of the rate and held",
+        REFUSED,
+        ("raw.csv", PROBE, "each value 4 times", "late"),
+        spoil=channel(PROBE, _every(4)),
+    ),
+    Mistake(
+        "held-all",
+        "every reading is there in two rows",
+        FLAGGED,
+        ("P25_A_tip_forward and 15 more: each value is there 2 times", "T25_A and 3 more"),
+        spoil=every("", lambda v: v if np.all(np.diff(v) > 0.0) else _every(2)(v)),
+    ),
+    Mistake(
+        "held-couples",
+        "the thermocouples were recorded at a quarter of the rate and held",
+        FLAGGED,
+        ("T25_A and 3 more: each value is there 4 times",),
+        within=NEAR,
+        spoil=every("T", _every(4)),
     ),
     Mistake(
         "couple-dead",

@@ -125,6 +125,12 @@ SERIES = (
         as_lines(lambda r: [r[0].replace("time_s", "time"), *r[1:]], FILE),
     ),
     _refused(
+        "ms",
+        "the clock is in milliseconds",
+        ("time_s", "0.05 s", "in ms?", "1000"),
+        _one("time_s", lambda t: 1e3 * t),
+    ),
+    _refused(
         "column-twice",
         "φ is there twice",
         ("phi", "2 times"),

@@ -12,6 +12,7 @@ import stat
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -312,7 +313,18 @@ def test_what_cannot_be_used_is_said_in_one_sentence(
     assert "the feed: channel T25_A: expected it in the table" in said
     assert "expected a table [channels.extra]" in fed(b"extra," + record.header)
     assert "found none" in fed(b"")
-    assert "1 line or frame that was left out" in fed(b"\0\1\2" * 500, "--format", "binary")
+    binary = ("--format", "binary")
+    said = fed(b"\0\1\2" * 500, *binary)
+    assert "1 line or frame that was left out: bytes that are no frame; " in said
+    assert "leave out --format binary" in fed(record.content, *binary)
+    columns = dict.fromkeys(record.names, "f8")
+    begin = columns_frame(columns)
+    assert "its version is 9" in fed(begin.replace(b"SSLV\1", b"SSLV\x09"), *binary)
+    of_type = columns_frame({**columns, "T25_A": "i4"}).replace(b"T25_A:i4", b"T25_A:q9")
+    fresh = of_type[:-4] + zlib.crc32(of_type[:-4]).to_bytes(4, "little")
+    assert "the type of column T25_A is 'q9': write one of f8" in fed(fresh, *binary)
+    said = fed(begin + rows_frame(columns, record.values[:300], 1))
+    assert "expected lines of text, found binary frames; use --format binary" in said
     few = fed(record.header + b"".join(record.lines[:99]))
     assert "at least 100 rows" in few
     assert "the raw record is kept" in few

@@ -162,7 +162,8 @@ def test_the_rows_it_keeps_are_bounded(
     monkeypatch.setattr(running_estimate, "MOST_ROWS", 500)
     monkeypatch.setattr(RunningEstimate, "__init__", lambda self, columns: None)
     estimator = RunningEstimate(columns)
-    estimator._near_stall, estimator._margin_s = record.test.near_stall, 5e-4
+    reading = record.test.near_stall
+    estimator._from_s, estimator._to_s = reading.from_s - 5e-4, reading.to_s
     estimator.restart()
     time_s, readings = columns.time_s(record.values), columns.readings(record.values)
     for first in range(0, len(time_s), 100):

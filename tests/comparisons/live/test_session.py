@@ -128,12 +128,12 @@ def test_lost_rows_cut_the_record_and_each_piece_is_reduced_by_itself(
     results = played.results()
     assert [r.piece.n_rows for r in results] == [2600, len(lines) - 2605]
     assert "5e-03 s are missing" in played.told or "0.005 s are missing" in played.told
-    # The first piece is what a file with its rows gives; the second has no near-stall reading.
+    # The first piece is what a file with its rows gives; the second is too short.
     alone = tmp_path / "alone.csv"
     alone.write_bytes(record.header + b"".join(lines[:2600]))
     assert played.out.read_bytes() == series_of(alone, record.test_path)
     assert results[1].series is None
-    assert "near_stall" in str(results[1].error)
+    assert "near_stall" not in str(results[1].error)
     assert results[1].piece.path == tmp_path / "spool-piece2.csv"
     assert results[1].piece.path.read_bytes() == record.header + b"".join(lines[2605:])
 
@@ -221,6 +221,18 @@ def test_a_program_that_connects_by_mistake_does_not_end_the_session(
     played.results()
     assert played.out.read_bytes() == record.series
     assert "it did not begin with a header of this test" in played.told
+
+
+def test_a_feed_of_the_other_format_is_told_while_it_runs(
+    record: LiveRecord, tmp_path: Path
+) -> None:
+    # Over a socket nothing ends here: whoever waits for rows must hear why there are none.
+    played = play(record, tmp_path, [record.content], decoder=FrameDecoder)
+    assert "left out: bytes that are no frame; they are text" in played.told
+    frames = [columns_frame(dict.fromkeys(record.names, "f8")), b"\n"]
+    told = play(record, tmp_path, [*frames, LOST, Opened(2), record.content]).told
+    assert "a connection was refused" in told
+    assert "use --format binary" in told
 
 
 def test_silence_ends_the_session_after_the_timeout(record: LiveRecord, tmp_path: Path) -> None:

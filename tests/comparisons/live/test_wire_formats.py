@@ -191,7 +191,8 @@ def test_rows_before_their_columns_and_rows_that_do_not_fit_them_are_left_out() 
     tally = Tally()
     items = decoded(FrameDecoder(tally), [parts[1], parts[0], other, parts[2]])
     assert np.array_equal(values_of(items), table[3:6])
-    assert tally.refused["a frame that does not fit its columns"] == 2
+    assert tally.refused["a frame that does not fit its columns"] == 1
+    assert tally.refused["a frame of rows before one of columns"] == 1
 
 
 def test_a_row_with_a_value_that_is_no_number_is_left_out() -> None:
@@ -209,12 +210,102 @@ def test_a_cut_frame_counts_once() -> None:
     assert dict(tally.refused) == {"a frame cut off by the end of the connection": 1}
 
 
-@pytest.mark.parametrize("text", [":f8,f0:f8", "f8", "time_s:f8, :f8", "a\x07:f8", "a\nb:f8"])
-def test_columns_without_a_name_of_their_own_are_left_out(text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        (":f8,f0:f8", "each column is NAME:TYPE, such as time_s:f8"),
+        ("f8", "each column is NAME:TYPE, such as time_s:f8"),
+        ("time_s:f8, :f8", "each column is NAME:TYPE, such as time_s:f8"),
+        ("a\x07:f8", "each column is NAME:TYPE, such as time_s:f8"),
+        ("a\nb:f8", "each column is NAME:TYPE, such as time_s:f8"),
+        ("time_s:f8,P:q9", "the type of column P is 'q9': write one of f8, f4, i2, u2, i4"),
+        ("time_s:f8,P:f8,P:i2", "column P is there twice: name each once"),
+    ],
+)
+def test_columns_that_cannot_be_read_are_left_out_and_it_is_said_why(
+    text: str, remedy: str
+) -> None:
     tally = Tally()
     items = decoded(FrameDecoder(tally), [_frame(COLUMNS_KIND, 0, 0, text.encode()), end_frame(1)])
     assert items == [End()]
     assert dict(tally.refused) == {"a frame of columns that cannot be read": 1}
+    assert tally.remedies == {"a frame of columns that cannot be read": remedy}
+
+
+def of_version(frame: bytes, version: int, *, checksum: bool) -> bytes:
+    body = frame[:4] + bytes([version]) + frame[5:-4]
+    return body + (struct.pack("<I", zlib.crc32(body)) if checksum else frame[-4:])
+
+
+@pytest.mark.parametrize("checksum", [True, False])
+def test_frames_of_another_version_are_told(checksum: bool) -> None:
+    parts, _ = frames()
+    tally = Tally()
+    sent = [of_version(part, 9, checksum=checksum) for part in parts]
+    assert decoded(FrameDecoder(tally), sent) == []
+    assert tally.remedies == {
+        "a frame of another version": "its version is 9: send frames of version 1"
+    }
+
+
+@pytest.mark.parametrize(
+    ("content", "remedy"),
+    [
+        (b"time_s,P\n1,2\n", "they are text: if that is CSV, leave out --format binary"),
+        (b"\xef\xbb\xbftime_s", "they are text: if that is CSV, leave out --format binary"),
+        (b"\0\1\2" * 500, "a frame begins with SSLV: see sindy-surge live --help"),
+    ],
+)
+def test_what_is_no_frame_from_the_beginning_is_told(content: bytes, remedy: str) -> None:
+    tally = Tally()
+    assert decoded(FrameDecoder(tally), [content]) == []
+    assert tally.remedies == {"bytes that are no frame": remedy}
+
+
+def test_rows_before_their_columns_are_told() -> None:
+    tally = Tally()
+    decoded(FrameDecoder(tally), frames()[0][1:])
+    assert tally.refused["a frame of rows before one of columns"] == 4
+    assert list(tally.remedies) == ["a frame of rows before one of columns"]
+
+
+@given(st.integers(0, LONGEST_PAYLOAD), st.integers(1, 3000))
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_length_costs_no_other_frame(length: int, chunk: int) -> None:
+    parts, table = frames(6)
+    spoiled = parts[2][:16] + struct.pack("<I", length) + parts[2][20:]
+    tally = Tally()
+    content = b"".join([*parts[:2], spoiled, *parts[3:], end_frame(7)])
+    decoder = FrameDecoder(tally)
+    items = [
+        item
+        for start in range(0, len(content), chunk)
+        for item in decoder.feed(content[start : start + chunk])
+    ]
+    # All that can be had is there as soon as it has come: no end of the connection is needed.
+    whole = struct.unpack_from("<I", parts[2], 16)[0] == length
+    expected = table if whole else np.concatenate([table[:3], table[6:]])
+    assert np.array_equal(values_of(items), expected)
+    assert isinstance(items[-1], End)
+    assert tally.refused["damaged bytes between two frames"] == (not whole)
+
+
+def test_heads_inside_an_incomplete_frame_are_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    covered: list[int] = []
+
+    def crc32(data: bytes) -> int:
+        covered.append(len(data))
+        return zlib.crc32(data)
+
+    monkeypatch.setattr(frames_module, "zlib", SimpleNamespace(crc32=crc32))
+    head = struct.Struct("<4sBBHIII")
+    # Each head claims the 1000 bytes behind it, and the first one all that will come.
+    noise = head.pack(b"SSLV", 1, 1, 0, 0, 1, LONGEST_PAYLOAD)
+    noise += head.pack(b"SSLV", 1, 1, 0, 0, 1, 1000) * 2000
+    decoder = FrameDecoder(Tally())
+    for start in range(0, len(noise), 100):
+        decoder.feed(noise[start : start + 100])
+    assert len(covered) <= 2001
 
 
 def test_columns_may_be_called_as_numpy_calls_its_own() -> None:

@@ -1,0 +1,87 @@
+"""Results are written whole or not at all, to files of their own, and failures name them."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from comparison_data import made_series
+
+from classic_ml.errors import InputError
+from classic_ml.files import check_apart, check_target, replace_whole, write_whole
+from classic_ml.series import write_series
+
+
+@pytest.mark.parametrize("way", ["same", "hard link", "symbolic link", "relative"])
+def test_an_input_is_not_replaced_under_any_of_its_names(
+    tmp_path: Path, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raw, other = tmp_path / "raw.csv", tmp_path / "other.csv"
+    raw.write_text("1", "utf-8")
+    if way == "hard link":
+        other.hardlink_to(raw)
+    elif way == "symbolic link":
+        other.symlink_to(raw)
+    elif way == "relative":
+        monkeypatch.chdir(tmp_path)
+        other = Path("raw.csv")
+    else:
+        other = raw
+    with pytest.raises(InputError, match="a file of its own for each output, found an input"):
+        check_apart([raw], [other])
+    check_apart([raw], [tmp_path / "new.csv", tmp_path / "newer.csv"])
+    with pytest.raises(InputError, match="another output"):
+        check_apart([raw], [tmp_path / "new.csv", tmp_path / "new.csv"])
+
+
+def test_a_full_disk_is_told_by_the_name_that_the_user_gave(tmp_path: Path) -> None:
+    """Libraries name no file, or the temporary one that nobody knows."""
+    path = tmp_path / "series.csv"
+
+    def nameless(_: Path) -> None:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+
+    def temporary(neighbour: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(neighbour))
+
+    for write in (nameless, temporary):
+        with pytest.raises(OSError, match=re.escape(str(path))) as caught:
+            replace_whole(path, write)
+        assert caught.value.filename == str(path)
+        assert caught.value.strerror
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_netcdf_file_for_which_there_is_no_room_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 says so when it closes the file, in an error of its own kind."""
+
+    def full(*_: object) -> None:
+        raise RuntimeError(
+            "Can't decrement id ref count (unable to extend file properly, errno = 27, error "
+            "message = 'File too large')"
+        )
+
+    monkeypatch.setattr("classic_ml.readers.series_files._write_netcdf", full)
+    with pytest.raises(OSError, match="File too large") as caught:
+        write_series(made_series(n=200), tmp_path / "series.nc")
+    assert caught.value.filename == str(tmp_path / "series.nc")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc is of Linux")
+def test_a_folder_of_the_system_is_refused_by_the_name_that_the_user_gave() -> None:
+    for check in (check_target, lambda path: write_whole(path, "")):
+        with pytest.raises(InputError) as caught:
+            check(Path("/proc/s.csv"))
+        assert str(caught.value).startswith("/proc/s.csv: expected a folder")
+
+
+def test_a_target_that_can_be_written_leaves_no_trace(tmp_path: Path) -> None:
+    check_target(tmp_path / "s.csv")
+    assert not list(tmp_path.iterdir())

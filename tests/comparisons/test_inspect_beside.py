@@ -1,0 +1,130 @@
+"""What `sindy-surge inspect` tells of what is beside the record, and files it writes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from raw_data import RawTest, make_test
+
+from classic_ml.errors import InputError
+from classic_ml.inspection import inspect_file
+from classic_ml.readers import read_raw
+from comparisons.cli import main
+
+
+@pytest.fixture(scope="module")
+def made() -> RawTest:
+    return make_test(seconds=0.5)
+
+
+@pytest.fixture
+def two_groups(made: RawTest, tmp_path: Path) -> Path:
+    """Pressures at 1 kHz, thermocouples at 100 Hz."""
+
+    def channels(group: str, kind: str, every: int) -> list[Any]:
+        return [
+            ChannelObject(group, name, values[::every], {"wf_increment": every * 1e-3})
+            for name, values in made.columns.items()
+            if name.startswith(kind)
+        ]
+
+    path = tmp_path / "two.tdms"
+    with TdmsWriter(path) as writer:
+        writer.write_segment([*channels("fast", "P", 1), *channels("slow", "T", 10)])
+    made.write(tmp_path)
+    return path
+
+
+def test_groups_that_are_left_out_are_named_with_what_to_do(
+    two_groups: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = two_groups.parent
+    out, draft = folder / "found.json", folder / "draft.toml"
+    assert main(["inspect", str(two_groups), "--json", str(out), "--draft", str(draft)]) == 0
+    text = capsys.readouterr().out
+    held = "4 channels of 51 values, 100 a second"
+    assert f"  slow: {held}" in text
+    for word in ("resample", "--group NAME", "[file]"):
+        assert word in text
+    found = json.loads(out.read_text("utf-8"))
+    assert found["other_groups"] == {"slow": held}
+    assert found["left_aside"]["slow/T25_A"].startswith("in the group 'slow', 51 values")
+    assert f"# slow: {held}" in draft.read_text("utf-8")
+    tomllib.loads(draft.read_text("utf-8"))
+
+
+def test_a_channel_of_another_group_is_not_taken_for_a_dead_probe(
+    two_groups: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    test = two_groups.with_name("test.toml")
+    with pytest.raises(InputError, match=r"T25_A: .* in the group 'slow', 51 values.* resample"):
+        read_raw(two_groups, test)
+    assert main(["inspect", str(two_groups), "--test", str(test)]) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("T25_A")]
+    assert "no such column: in the group 'slow', 51 values where the record has 501" in rows[0]
+
+
+def test_whoever_names_a_group_is_not_told_of_the_others(two_groups: Path) -> None:
+    found = inspect_file(two_groups, group="slow")
+    assert (found.rows, found.other_groups) == (51, {})
+    assert {c.name for c in found.channels} == {"time_s", "T25_A", "T25_B", "T31_A", "T31_B"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes end otherwise there")
+def test_files_are_written_though_nobody_reads_the_text(made: RawTest, tmp_path: Path) -> None:
+    raw, _ = made.write(tmp_path)
+    wide = {f"spare {n}": made.columns["T25_A"] for n in range(2000)}
+    np.savetxt(
+        raw,
+        np.column_stack([*made.columns.values(), *wide.values()])[:120],
+        "%.5g",
+        delimiter=",",
+        header=",".join((*made.columns, *wide)),
+        comments="",
+    )
+    code = "import sys; from comparisons.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "inspect", str(raw)]
+    command += ["--json", str(tmp_path / "d.json"), "--draft", str(tmp_path / "d.toml")]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert running.stdout is not None
+    assert running.stderr is not None
+    running.stdout.readline()
+    running.stdout.close()
+    said = running.stderr.read()
+    running.stderr.close()
+    assert (running.wait(60), said) == (0, b"")
+    assert json.loads((tmp_path / "d.json").read_text("utf-8"))["rows"] == 120
+    assert tomllib.loads((tmp_path / "d.toml").read_text("utf-8"))["file"]["time"] == "time_s"
+
+
+def test_a_column_of_words_is_said_to_be_one(
+    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw, _ = made.write(tmp_path)
+    header, *rows = raw.read_text("utf-8").splitlines()
+    raw.write_text("\n".join([f"{header},Note", *(f"{row},ok" for row in rows)]), "utf-8")
+    assert main(["inspect", str(raw)]) == 0
+    assert capsys.readouterr().out.rstrip().endswith("no number in it")
+
+
+@pytest.mark.parametrize("part", [0.1, 0.66])
+def test_a_file_that_was_cut_before_its_first_row_is_not_said_to_be_shown(
+    two_groups: Path, part: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = two_groups.read_bytes()
+    two_groups.write_bytes(whole[: int(len(whole) * part)])
+    test = str(two_groups.with_name("test.toml"))
+    for command in (["inspect"], ["reduce", "--test", test, "-o", str(two_groups) + ".csv"]):
+        assert main([command[0], str(two_groups), *command[1:]]) == 2
+        said = capsys.readouterr().err
+        assert "cut short" in said
+        assert "copy it again" in said
+        assert "inspect`" not in said

@@ -1,0 +1,71 @@
+"""Raw records with nothing wrong: simulated rigs, the made-up test, and one that others simulated.
+
+What looks for faults must find none in them, and each that is made in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from raw_data import make_test
+
+from classic_ml.readers import TestDescription, read_raw
+from classic_ml.records import Channel, FloatArray, Record
+from comparisons.rig import CASES, simulate, write_run
+
+__all__ = ["CLEAN", "INDEPENDENT", "SURGES", "clean_record", "rows_of", "with_channels"]
+
+INDEPENDENT = "independent"
+_FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "independent_rig_985"
+# Case and seed; seed and noise in counts.
+_RIGS = (*(f"{case}/1" for case in CASES), "985/2", "90/3", "blowdown/2")
+_MADE = ("made/0/0", "made/1/1", "made/2/5")
+CLEAN = (*_RIGS, *_MADE, INDEPENDENT)
+# The cases with surge cycles, at all speeds.
+SURGES = tuple(name for name in CLEAN if not name.startswith("75-stall"))
+
+
+def clean_record(name: str) -> tuple[Record, TestDescription]:
+    """Return a clean record of `CLEAN` with its description."""
+    if name == INDEPENDENT and not (_FOLDER / "raw.csv").is_file():
+        pytest.skip("the shared data folder is not beside the repository (../shared/data)")
+    return _loaded(name)
+
+
+@cache
+def _loaded(name: str) -> tuple[Record, TestDescription]:
+    if name == INDEPENDENT:
+        return read_raw(_FOLDER / "raw.csv", _FOLDER / "test.toml")
+    if name.startswith("made/"):
+        _, seed, noise = name.split("/")
+        cells = 6.0 if float(noise) else 0.0
+        made = make_test(seed=int(seed), seconds=3.0, noise_counts=float(noise), cells_lbm_s=cells)
+        return made.load()
+    case, seed = name.split("/")
+    with TemporaryDirectory() as folder:
+        write_run(simulate(case, seed=int(seed)), Path(folder) / "run")
+        return read_raw(Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml")
+
+
+def with_channels(
+    record: Record, change: Callable[[FloatArray], FloatArray], *starts: str
+) -> Record:
+    """Change the channels whose names begin so."""
+    channels = {
+        name: Channel(name, change(np.array(c.values)), c.unit)
+        for name, c in record.channels.items()
+        if name.startswith(starts)
+    }
+    return replace(record, channels={**record.channels, **channels})
+
+
+def rows_of(record: Record, rows: np.ndarray) -> Record:
+    """Return some rows of a record under an even clock, in another order or more than once."""
+    channels = {n: Channel(n, np.array(c.values)[rows], c.unit) for n, c in record.channels.items()}
+    return replace(record, channels=channels)
