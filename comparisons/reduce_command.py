@@ -156,7 +156,7 @@ def _rows_of_text(raw: Path) -> int:
     """Estimate how many rows a table of text has."""
     with raw.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    lines = max(head.count(b"\n"), 1)
+    lines = max(head.count(b"\n"), head.count(b"\r"), 1)
     return int(raw.stat().st_size * lines / max(len(head), 1))
 
 

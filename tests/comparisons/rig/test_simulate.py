@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from classic_ml.errors import InputError
+from comparisons.cli import build_parser
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
 
 Runs = Callable[[str], RigRun]
@@ -234,3 +235,14 @@ def test_unusable_arguments_are_named_in_one_sentence(
         simulate(**{"case": "985", **arguments})
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_help_says_how_long_a_record_may_be() -> None:
+    with pytest.raises(InputError) as caught:
+        simulate("985", duration_s=600.0)
+    bounds = caught.value.expected.removesuffix(" seconds")
+    commands = next(a for a in build_parser()._actions if isinstance(a.choices, dict))
+    assert isinstance(commands.choices, dict)
+    assert f"length, {bounds} (default" in " ".join(
+        commands.choices["simulate"].format_help().split()
+    )
