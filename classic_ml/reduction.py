@@ -390,6 +390,11 @@ def _window(
     flags: tuple[str, ...] = ()
     if cycles.n_cycles < FEW_CYCLES:
         flags = (f"only {cycles.n_cycles} cycles: the time constant will be uncertain",)
+    if cycles.mild:
+        flags += (
+            f"the flow swings by {cycles.flow_swing:.0%} of its level before the surge only: the "
+            "machine oscillates in stall, and no deep surge cycle is in the record",
+        )
     entry = LedgerEntry(
         "window",
         f"{cycles.from_s:.3f} to {cycles.to_s:.3f} s: {cycles.n_cycles} cycles of "

@@ -45,6 +45,9 @@ DEEP_SHARE = 0.5
 # stall or not. In stall before them it oscillates too, by 0.33 at most and running backwards now
 # and then, for ten cycles and more: they alone are in a record that ends early.
 LEAST_FLOW_SWING = 0.45
+# Ten or twelve of those come before the first deep cycle. Where so many follow one another and no
+# deep one, they are the surge of this machine: small limit cycles about its stalled branch.
+MANY_MILD = 30
 # How far a cycle may be from the median of the record and still repeat it.
 RISE_SPREAD = 0.3
 PERIOD_SPREAD = 0.4
@@ -70,6 +73,9 @@ class SurgeCycles:
         When the flow at plane 25 first ran backwards.
     left_out : int
         Cycles before or after that do not repeat the others.
+    flow_swing : float
+        How far the flow swings in the median cycle, as a share of its level before the surge;
+        infinite where nothing was before.
     """
 
     from_s: float
@@ -78,13 +84,20 @@ class SurgeCycles:
     period_s: float
     first_reversal_s: float
     left_out: int
+    flow_swing: float
+
+    @property
+    def mild(self) -> bool:
+        """Whether the machine oscillates in stall rather than surge deeply."""
+        return self.flow_swing < LEAST_FLOW_SWING
 
 
 def find_cycles(record: Record) -> SurgeCycles:
     """Find the quasi-steady surge cycles of a record.
 
     A cycle is a rise of P31 by at least half of the deepest one's in which the flow swings by about
-    half of what it was before the surge; those that count agree with the others in rise, period
+    half of what it was before the surge, unless the machine does nothing else but oscillate less
+    for many cycles; those that count agree with the others in rise, period
     and corrected speed, and follow one another without a break.
 
     Parameters
@@ -111,9 +124,12 @@ def find_cycles(record: Record) -> SurgeCycles:
             expected="surge cycles after the first reversal of the flow",
             found=f"no surge in the record, no rise of P31 by {LEAST_SWING:.0%} of its mean",
         )
-    pumping = _swings(slow, peaks, start) >= LEAST_FLOW_SWING
+    swings = _swings(slow, peaks, start)
+    pumping = swings >= LEAST_FLOW_SWING
     mild = int(np.count_nonzero(~pumping))
-    peaks, rises = peaks[pumping], rises[pumping]
+    if np.count_nonzero(pumping) < MINIMUM_CYCLES and mild >= MANY_MILD:
+        pumping[:] = True
+    peaks, rises, swings = peaks[pumping], rises[pumping], swings[pumping]
     if peaks.size < MINIMUM_CYCLES:
         raise _too_few(record, peaks.size, mild)
     edges = _troughs(pressure, peaks, start, record.workspace)
@@ -128,6 +144,7 @@ def find_cycles(record: Record) -> SurgeCycles:
         period_s=float(np.median(np.diff(peaks[first:last]))) / record.sample_rate_hz,
         first_reversal_s=record.time_at_s(start),
         left_out=int(peaks.size - (last - first)),
+        flow_swing=float(np.median(swings[first:last])),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from clean_records import SURGES, clean_record, rows_of
 
 from classic_ml.columns import workspace
 from classic_ml.errors import InputError
+from classic_ml.readers import read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.surge_cycles import find_cycles
+from comparisons.rig import simulate, write_run
 
 # Cycles and their period in ms, as found before mild oscillations were told from them.
 WHOLE = {
@@ -56,6 +59,23 @@ def test_mild_oscillations_in_stall_are_no_cycles(name: str, n_rows: int) -> Non
     """They are as regular as cycles, and run backwards now and then; but never pump."""
     with pytest.raises(InputError, match=r"at least 3 surge cycles .* found [01] beside \d+ mild"):
         reduce_record(head(name, n_rows), clean_record(name)[1])
+
+
+def test_a_machine_that_oscillates_mildly_for_good_is_reduced_and_it_is_said(
+    tmp_path: Path,
+) -> None:
+    """With a strong hysteresis the case of 98.5 % speed settles on small limit cycles."""
+    write_run(simulate("985", seed=3, hide="hysteresis"), tmp_path)
+    record, test = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml")
+    history = reduce_record(record, test).record.history
+    entry = next(entry for entry in history if entry.step == "window")
+    assert int(entry.parameters["n_cycles"]) > 30
+    (flag,) = entry.flags
+    assert "no deep surge cycle is in the record" in flag
+    # The beginning of the same record may still become a deep surge.
+    short = rows_of(record, np.arange(1200))
+    with pytest.raises(InputError, match=r"found 0 beside \d+ mild oscillations"):
+        reduce_record(short, test)
 
 
 @pytest.mark.parametrize("n_rows", [2100, 2600, 2950])
