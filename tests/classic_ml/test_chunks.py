@@ -98,7 +98,7 @@ def in_one_piece(n_rows: int, **given: Any) -> Outcome:
     block=st.integers(40, 1500),
     phase=st.sampled_from(["zero", "zero", "causal", "none"]),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_neither_chunk_nor_block_nor_place_matters(
     n_rows: int, chunk: int, block: int, phase: str
 ) -> None:

@@ -239,7 +239,7 @@ def test_a_killed_command_loses_no_finished_cell(tmp_path: Path) -> None:
     """kill -9 of the command and of a worker; what goes on gives an undisturbed table."""
     declared = tmp_path / "study.toml"
     declared.write_text(
-        "seeds = 4\n[record]\nduration_s = 4.0\nnoise_percent = [1.0, 5.0]\n"
+        "seeds = 5\n[record]\nduration_s = 4.0\n"
         '[[method]]\nname = "classic_ml_output_error"\n[[method]]\nname = "classic_ml_arx"\n',
         "utf-8",
     )
@@ -259,7 +259,7 @@ def test_a_killed_command_loses_no_finished_cell(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     kept = {row["cell"]: row for row in read_rows(killed.journal)}
-    assert 0 < len(kept) < 16
+    assert 0 < len(kept) < 10
     assert not killed.results.exists()
     resumed = [*line, str(killed.folder), "--resume"]
     said = subprocess.run(resumed, capture_output=True, text=True, check=False)
