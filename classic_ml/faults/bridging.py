@@ -44,8 +44,7 @@ def bridged_rows(
     gaps = intervals_where(slice(0, n_rows), lambda rows: ~known(rows), workspace=workspace)
     if len(gaps) == 1 and gaps[0, 0] == 0 and gaps[0, 1] == n_rows:
         return values
-    ends = _ends(gaps, n_rows, values)
-    workspace.release()
+    ends = _ends(gaps, n_rows, values, workspace)
 
     def rows_of(rows: slice) -> FloatArray:
         first = int(np.searchsorted(gaps[:, 1], rows.start, side="right"))
@@ -66,7 +65,12 @@ def bridged_rows(
     return rows_of
 
 
-def _ends(gaps: IntArray, n_rows: int, values: Callable[[slice], FloatArray]) -> FloatArray:
+def _ends(
+    gaps: IntArray,
+    n_rows: int,
+    values: Callable[[slice], FloatArray],
+    workspace: Workspace,
+) -> FloatArray:
     """Return the values before and behind each gap, the same twice where there is but one."""
     ends = np.empty(gaps.shape)
     for rows in blocks(n_rows):
@@ -76,6 +80,7 @@ def _ends(gaps: IntArray, n_rows: int, values: Callable[[slice], FloatArray]) ->
             part = values(rows)
             for place, side, which in inside:
                 ends[which, side] = part[place[which] - rows.start]
+            workspace.release()
     if gaps.size and gaps[0, 0] == 0:
         ends[0, 0] = ends[0, 1]
     if gaps.size and gaps[-1, 1] == n_rows:

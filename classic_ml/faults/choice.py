@@ -145,7 +145,11 @@ def _lacks_shift(test: TestDescription, name: str) -> bool:
 def _stands_still(record: Record, name: str, rows: slice) -> bool:
     """Tell whether a channel has one and the same reading in all rows, with those alike or not."""
     first = record[name][rows.start]
-    return all(bool(np.all(record[name][b] == first)) for b in blocks(rows.stop, rows.start))
+    for block in blocks(rows.stop, rows.start):
+        if not np.all(record[name][block] == first):
+            return False
+        record.workspace.release()
+    return True
 
 
 def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _Verdict]:

@@ -93,6 +93,9 @@ def has_fault(record: Record, name: str, kind: int) -> bool:
     if fault_name(name) not in record:
         return False
     fault = record[fault_name(name)]
-    return any(
-        bool(np.any(fault[rows].astype(np.int64) & kind)) for rows in blocks(record.n_samples)
-    )
+    for rows in blocks(record.n_samples):
+        found = bool(np.any(fault[rows].astype(np.int64) & kind))
+        record.workspace.release()
+        if found:
+            return True
+    return False

@@ -174,18 +174,19 @@ def copied_columns(record: Record, names: Sequence[str]) -> list[tuple[str, str]
         (first, name)
         for first, *others in alike.values()
         for name in others
-        if _same(record[first], record[name])
+        if _same(record, first, name)
     ]
 
 
-def _same(one: FloatArray, other: FloatArray) -> bool:
-    """Tell whether two columns are the same in every row, and move."""
-    moves = False
-    for rows in blocks(one.size):
+def _same(record: Record, first: str, second: str) -> bool:
+    """Tell whether two channels are the same in every row, and move."""
+    one, other, moves = record[first], record[second], False
+    for rows in blocks(record.n_samples):
         values = one[rows]
         if not np.array_equal(values, other[rows]):
             return False
         moves = moves or bool(np.any(values != one[0]))
+        record.workspace.release()
     return moves
 
 
