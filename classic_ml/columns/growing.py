@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -63,20 +66,32 @@ class GrowingColumns:
             raise InputError(
                 "rows", expected=f"{len(self._writers)} values in each", found=f"{values.shape}"
             )
-        if self._n_staged + len(values) > STAGED_ROWS:
+        self.append_columns(tuple(values.T))
+
+    def append_columns(self, columns: Sequence[NDArray[Any]]) -> None:
+        """Take up further rows, column by column.
+
+        Parameters
+        ----------
+        columns : sequence of ndarray of shape (m,)
+            One a column, of numbers that are float64 or become such.
+        """
+        n_rows = columns[0].size if columns else 0
+        if self._n_staged + n_rows > STAGED_ROWS:
             self._put(self._staged[:, : self._n_staged])
             self._n_staged = 0
-        if len(values) > STAGED_ROWS:
-            self._put(values.T)
+        if n_rows > STAGED_ROWS:
+            self._put(columns)
             return
-        stop = self._n_staged + len(values)
-        self._staged[:, self._n_staged : stop] = values.T
+        stop = self._n_staged + n_rows
+        for staged, column in zip(self._staged, columns, strict=True):
+            staged[self._n_staged : stop] = column
         self._n_staged = stop
 
-    def _put(self, columns: FloatArray) -> None:
+    def _put(self, columns: Sequence[NDArray[Any]] | FloatArray) -> None:
         for writer, column in zip(self._writers, columns, strict=True):
             writer.append(column)
-        self._n_put += columns.shape[1]
+        self._n_put += columns[0].size
 
     def finished(self) -> list[FloatArray]:
         """Return the columns, each of shape (n_rows,) and read-only; it ends the growth."""

@@ -386,10 +386,13 @@ class _Narrowing(ColumnWriter):
         # A compiler is loaded with it, which nobody who asks for help should wait for.
         from classic_ml.columns.codes import as_codes
 
-        readings = np.ascontiguousarray(values, dtype=np.float64)
         if not self._narrow:
-            self._writer.append(readings)
+            self._writer.append(values)
             return
+        if values.dtype.kind in "iu" and values.size and 0 <= values.min() <= values.max() < 65536:
+            self._writer.append(values.astype(np.uint16, copy=False))
+            return
+        readings = np.ascontiguousarray(values, dtype=np.float64)
         codes = np.empty(readings.size, dtype=np.uint16)
         if as_codes(readings, codes):
             self._writer.append(codes)

@@ -13,7 +13,7 @@ from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.workspace import IN_MEMORY, Workspace
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_files import open_raw
-from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, RawFile
+from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, Columns, RawFile
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.readers.test_toml import read_test_description
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
@@ -73,11 +73,11 @@ def read_raw(
     claimed = stored.n_rows if (stored.n_rows or 0) <= os.path.getsize(raw_path) else None
     columns = GrowingColumns(workspace, len(stored.names), claimed, readings=True)
     possible = possible_ranges(test, stored.names)
-    for values in stored.chunks(min(chunk_rows or places.BLOCK_ROWS, MOST_ROWS)):
+    for values in stored.columns(min(chunk_rows or places.BLOCK_ROWS, MOST_ROWS)):
         _check_readings(values, columns.n_rows, stored, test, possible)
-        columns.append(values)
+        columns.append_columns(values)
         if progress is not None:
-            progress(len(values))
+            progress(values[0].size)
     if columns.n_rows < MINIMUM_ROWS:
         raise InputError(
             stored.source, expected=f"at least {MINIMUM_ROWS} rows", found=f"{columns.n_rows}"
@@ -161,24 +161,26 @@ def possible_ranges(test: TestDescription, names: tuple[str, ...]) -> tuple[Floa
 
 
 def _check_readings(
-    values: FloatArray,
+    columns: Columns,
     n_before: int,
     stored: RawFile,
     test: TestDescription,
     possible: tuple[FloatArray, FloatArray],
 ) -> None:
     """Refuse codes that the converter does not have, and what no gas or thermocouple has."""
-    lowest, highest = possible
-    if not values.size or (
-        np.all(values.min(axis=0) >= lowest) and np.all(values.max(axis=0) <= highest)
-    ):
+    impossible = [
+        (int(np.argmax((values < low) | (values > high))), number)
+        for number, (values, low, high) in enumerate(zip(columns, *possible, strict=True))
+        if values.size and not (low <= values.min() and values.max() <= high)
+    ]
+    if not impossible:
         return
-    row, column = np.argwhere((values < lowest) | (values > highest))[0]
-    expected, unit, remedy = _what_is_possible(stored.names[column], test)
+    row, number = min(impossible)
+    expected, unit, remedy = _what_is_possible(stored.names[number], test)
     raise InputError(
-        f"{stored.source}: channel {stored.names[column]}",
+        f"{stored.source}: channel {stored.names[number]}",
         expected=expected,
-        found=f"{values[row, column]:g}{unit} in row {n_before + row + 1}",
+        found=f"{columns[number][row]:g}{unit} in row {n_before + row + 1}",
         remedy=remedy,
     )
 

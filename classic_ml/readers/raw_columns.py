@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.errors import InputError
-from classic_ml.readers.raw_table import RawFile, Sampling, check_unique, in_one_line
+from classic_ml.readers.raw_table import Columns, RawFile, Sampling, check_unique, in_one_line
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
 
@@ -91,35 +91,35 @@ def as_columns(
     """
     inside, base = _in_group(source, vectors, layout)
     size = _record_size(inside, layout)
-    columns = [vector for vector in inside if vector.size == size]
+    taken = [vector for vector in inside if vector.size == size]
     if layout.group is None:
-        base = _only_group(source, columns)
-    names = tuple("/".join(vector.path[len(base) :]) for vector in columns)
+        base = _only_group(source, taken)
+    names = tuple("/".join(vector.path[len(base) :]) for vector in taken)
     check_unique(source, names)
     unusable, other_groups = _left_out(vectors, base, size)
     for path, why in (left_aside or {}).items():
         if path[: len(base)] == base:
             unusable[_relative(path, base)] = why
 
-    def chunks(rows: int) -> Iterator[FloatArray]:
+    def columns(rows: int) -> Iterator[Columns]:
         with opened() as handle:
             for start in range(0, size, rows):
                 stop = min(start + rows, size)
-                yield _rows(source, columns, handle, start, stop)
+                yield _rows(source, taken, handle, start, stop)
 
     return RawFile(
         source,
         names,
-        chunks,
-        {n: in_one_line(v.unit) for n, v in zip(names, columns, strict=True) if v.unit.strip()},
+        columns,
+        {n: in_one_line(v.unit) for n, v in zip(names, taken, strict=True) if v.unit.strip()},
         size,
-        next((v.clock for n, v in zip(names, columns, strict=True) if n == layout.time), ""),
+        next((v.clock for n, v in zip(names, taken, strict=True) if n == layout.time), ""),
         unusable,
         stamps={
-            n: v.clock for n, v in zip(names, columns, strict=True) if v.clock.startswith(FROM_DATE)
+            n: v.clock for n, v in zip(names, taken, strict=True) if v.clock.startswith(FROM_DATE)
         },
         sampled={
-            n: v.sampling for n, v in zip(names, columns, strict=True) if v.sampling is not None
+            n: v.sampling for n, v in zip(names, taken, strict=True) if v.sampling is not None
         },
         # Who names a group knows of the others.
         other_groups=other_groups if layout.group is None else {},
@@ -182,13 +182,13 @@ def made_clock(path: Path, size: int, sampling: Sampling, clock: str) -> Vector:
     return Vector(path, size, read, "s", clock, sampling=sampling)
 
 
-def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop: int) -> FloatArray:
-    block = np.empty((stop - start, len(columns)))
+def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop: int) -> Columns:
+    read: list[NDArray[Any]] = []
     times: tuple[Vector, FloatArray] | None = None
     slack_s = 0.0
-    for number, vector in enumerate(columns):
+    for vector in columns:
         try:
-            block[:, number] = vector.read(handle, start, stop)
+            read.append(_numbers(vector.read(handle, start, stop), stop - start))
             own = vector.own_clock
             own_s = None if own is None else np.asarray(own.read(handle, start, stop), np.float64)
             if own is not None and times is None:
@@ -212,7 +212,17 @@ def _rows(source: str, columns: Sequence[Vector], handle: Any, start: int, stop:
                 found=f"others between rows {start + 1} and {stop}",
                 remedy="resample them to one clock",
             )
-    return block
+    return tuple(read)
+
+
+def _numbers(values: ArrayLike, n_rows: int) -> NDArray[Any]:
+    """Return values as whole numbers of this machine or as float64."""
+    numbers = np.asarray(values)
+    if numbers.dtype.kind not in "iu" or not numbers.dtype.isnative:
+        numbers = numbers.astype(np.float64)
+    if numbers.shape != (n_rows,):
+        raise ValueError(f"{numbers.shape} values")
+    return numbers
 
 
 def _first_step(clock: Vector, handle: Any) -> float:

@@ -19,9 +19,8 @@ from classic_ml.readers.csv_layout import (
     lines_of,
     row_of_units,
 )
-from classic_ml.readers.raw_table import RawFile, arrow_file, check_unique, rebatched
+from classic_ml.readers.raw_table import Columns, RawFile, arrow_file, check_unique, rebatched
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
 
 __all__ = ["LONGEST_LINE", "open_csv", "open_csv_leniently", "row_of_units"]
 
@@ -85,15 +84,15 @@ def open_csv_leniently(file: Path, layout: FileLayout | None = None) -> RawFile:
 
 
 def _opened(file: Path, found: CsvLayout, layout: FileLayout | None, *, lenient: bool) -> RawFile:
-    def pieces(kept: tuple[str, ...]) -> Iterator[FloatArray]:
+    def pieces(kept: tuple[str, ...]) -> Iterator[Columns]:
         n_rows = 0
         for piece in _rows(file, found, kept, lenient):
-            n_rows += len(piece)
+            n_rows += piece[0].size if piece else 0
             yield piece
         if n_rows == 0:
             raise InputError(str(file), expected="rows below the header", found="none")
 
-    def selected(kept: tuple[str, ...]) -> Callable[[int], Iterator[FloatArray]]:
+    def selected(kept: tuple[str, ...]) -> Callable[[int], Iterator[Columns]]:
         return lambda rows: rebatched(pieces(kept), rows)
 
     stamps = {name: column.words for name, column in found.stamps.items()}
@@ -108,9 +107,7 @@ def _opened(file: Path, found: CsvLayout, layout: FileLayout | None, *, lenient:
     )
 
 
-def _rows(
-    file: Path, found: CsvLayout, kept: tuple[str, ...], lenient: bool
-) -> Iterator[FloatArray]:
+def _rows(file: Path, found: CsvLayout, kept: tuple[str, ...], lenient: bool) -> Iterator[Columns]:
     """Yield the rows; where one is met that is not as it should be, a second look says why."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -140,27 +137,25 @@ def _rows(
         ):
             for batch in reader:
                 n_rows += batch.num_rows
-                yield _block(batch, found)
+                yield _columns(batch, found)
         return
     except (pa.ArrowException, UnicodeDecodeError):
         pass
     yield from _slow(file, found, kept, n_rows, lenient)
 
 
-def _block(batch: Any, found: CsvLayout) -> FloatArray:
-    # Column by column in memory, as they are taken out again.
-    columns = [
+def _columns(batch: Any, found: CsvLayout) -> Columns:
+    return tuple(
         found.stamps[name].arrow_seconds(column)
         if name in found.stamps
         else column.to_numpy(zero_copy_only=not column.null_count)
         for name, column in zip(batch.schema.names, batch.columns, strict=True)
-    ]
-    return np.array(columns).T if columns else np.empty((0, 0))
+    )
 
 
 def _slow(
     file: Path, found: CsvLayout, kept: tuple[str, ...], skipped: int, lenient: bool
-) -> Iterator[FloatArray]:
+) -> Iterator[Columns]:
     """Yield the rows after the first ``skipped`` ones, as far as they are rows of numbers."""
     with file.open(encoding="utf-8", errors="replace", newline="") as lines:
         filled = (line for line in lines_of(file, lines) if line.strip("\r\n"))
@@ -172,13 +167,17 @@ def _slow(
                 continue
             row, fault = _row(file, found, kept, number, text, lenient)
             if fault is not None:
-                yield np.array(block).reshape(-1, len(kept))
+                yield _transposed(block, kept)
                 raise fault
             block.append(row)
             if len(block) == SLOW_ROWS:
-                yield np.array(block)
+                yield _transposed(block, kept)
                 block = []
-        yield np.array(block).reshape(-1, len(kept))
+        yield _transposed(block, kept)
+
+
+def _transposed(rows: list[list[float]], names: tuple[str, ...]) -> Columns:
+    return tuple(np.array(rows, dtype=np.float64).reshape(-1, len(names)).T)
 
 
 def _row(

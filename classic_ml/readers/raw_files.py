@@ -6,21 +6,22 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.readers.passed_over_clock import passed_over_clock
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_parquet import INDEX
-from classic_ml.readers.raw_table import TIME_COLUMN, RawFile
+from classic_ml.readers.raw_table import TIME_COLUMN, Columns, RawFile
 from classic_ml.readers.sampled_together import check_rate, check_sampled_together
 from classic_ml.readers.test_description import (
     PressureChannel,
     TemperatureChannel,
     TestDescription,
 )
-from classic_ml.records import FloatArray
 from classic_ml.units import (
     COUNT,
     Conversion,
@@ -109,30 +110,35 @@ def open_raw(raw_path: str | os.PathLike[str], test: TestDescription) -> RawFile
         check_rate(stored, asked, test)
     read = stored.only((*asked, passed_over.name) if passed_over is not None else tuple(asked))
 
-    def chunks(rows: int) -> Iterator[FloatArray]:
+    def converted(rows: int) -> Iterator[Columns]:
         first_row = 0
         shift_s: float | None = None
         watch = replace(passed_over) if passed_over is not None else None
-        for block in read.chunks(rows):
-            values = _converted(read, columns, block, first_row)
+        for found in read.columns(rows):
+            by_name = dict(zip(read.names, found, strict=True))
+            n_rows = found[0].size
             if watch is not None:
-                watch.add(block[:, read.names.index(watch.name)])
-            if made:
-                number = np.arange(first_row, first_row + len(values), dtype=np.float64)
-                values[:, 0] = (test.file.start_s or 0.0) + number / test.sample_rate_hz
-            elif test.file.start_s is not None and len(values):
+                watch.add(np.asarray(by_name[watch.name], dtype=np.float64))
+            clock, *values = (
+                _converted(read, column, by_name[column.column], first_row)
+                if column.column
+                else (test.file.start_s or 0.0)
+                + np.arange(first_row, first_row + n_rows, dtype=np.float64) / test.sample_rate_hz
+                for column in columns
+            )
+            if not made and test.file.start_s is not None and n_rows:
                 if shift_s is None:
-                    shift_s = test.file.start_s - float(values[0, 0])
-                values[:, 0] += shift_s
-            first_row += len(values)
-            yield values
+                    shift_s = test.file.start_s - float(clock[0])
+                clock = clock + shift_s
+            first_row += n_rows
+            yield clock, *values
         if watch is not None:
             watch.finish(f"{test.source} [test] sample_rate_hz")
 
     return RawFile(
         stored.source,
         names,
-        chunks,
+        converted,
         {column.name: column.record_unit for column in columns},
         stored.n_rows,
         f"from the sample rate, {test.sample_rate_hz:g} Hz" if made else stored.clock,
@@ -338,24 +344,20 @@ def check_units(stored: RawFile, test: TestDescription, columns: tuple[FeedColum
 
 
 def _converted(
-    stored: RawFile, columns: tuple[FeedColumn, ...], block: FloatArray, first_row: int
-) -> FloatArray:
-    # Column by column in memory, as they are taken out again.
-    values = np.empty((len(columns), len(block))).T
-    for number, column in enumerate(columns):
-        if not column.column:
-            values[:, number] = 0.0
-            continue
-        readings = block[:, stored.names.index(column.column)]
-        converted = column.conversion.to_si(readings)
-        # A reading that is finite may be infinite in SI.
-        bad = np.flatnonzero(~np.isfinite(converted))
-        if bad.size:
-            raise InputError(
-                f"{stored.source}: {column.title}",
-                expected="a finite number in every row",
-                found=f"'{readings[bad[0]]}' in row {first_row + bad[0] + 1}",
-                remedy="cut the record there or repair the channel",
-            )
-        values[:, number] = converted
-    return values
+    stored: RawFile, column: FeedColumn, readings: NDArray[Any], first_row: int
+) -> NDArray[Any]:
+    """Return a column in SI; whole numbers that are in it already as they are."""
+    if column.conversion == Conversion() and readings.dtype.kind in "iu":
+        return readings
+    converted = column.conversion.to_si(np.asarray(readings, dtype=np.float64))
+    # A reading that is finite may be infinite in SI.
+    finite = np.isfinite(converted)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise InputError(
+            f"{stored.source}: {column.title}",
+            expected="a finite number in every row",
+            found=f"'{readings[row]}' in row {first_row + row + 1}",
+            remedy="cut the record there or repair the channel",
+        )
+    return converted

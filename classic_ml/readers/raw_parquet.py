@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import one_line
 from classic_ml.readers.raw_table import (
+    Columns,
     RawFile,
     arrow_file,
     cannot_be_read,
@@ -21,7 +22,6 @@ from classic_ml.readers.raw_table import (
     rebatched,
 )
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
 
 __all__ = ["INDEX", "open_parquet"]
 
@@ -84,24 +84,23 @@ def open_parquet(file: Path, layout: FileLayout) -> RawFile:
         if f.name not in names
     }
 
-    def pieces(rows: int, kept: tuple[str, ...]) -> Iterator[FloatArray]:
+    def pieces(rows: int, kept: tuple[str, ...]) -> Iterator[Columns]:
         read = [field for field in fields if field.name in kept]
         with _opened(file) as table:
             try:
                 for batch in table.iter_batches(
                     rows, columns=[field.name for field in read], use_threads=False
                 ):
-                    columns = np.empty((len(read), batch.num_rows))
-                    for number, field in enumerate(read):
-                        column = batch.column(number)
-                        columns[number] = _numbers(column, field.type, origins.get(field.name))
-                    yield columns.T
+                    yield tuple(
+                        _numbers(column, field.type, origins.get(field.name))
+                        for column, field in zip(batch.columns, read, strict=True)
+                    )
             except (pa.ArrowException, OSError) as error:
                 raise InputError(
                     str(file), expected="rows that can be read", found=one_line(error)
                 ) from None
 
-    def selected(kept: tuple[str, ...]) -> Callable[[int], Iterator[FloatArray]]:
+    def selected(kept: tuple[str, ...]) -> Callable[[int], Iterator[Columns]]:
         return lambda rows: rebatched(pieces(rows, kept), rows)
 
     stamps = {name: _from_date(name, origins, schema) for name in origins}
@@ -136,7 +135,7 @@ def _unit(field: Any) -> str:
 
 
 def _numbers(column: Any, kind: Any, origin: int | None) -> NDArray[Any]:
-    """Return a column as numbers that are doubles or become such; stamps, durations in seconds."""
+    """Return a column as whole numbers or as float64; stamps and durations in seconds."""
     import pyarrow as pa
 
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
@@ -148,7 +147,8 @@ def _numbers(column: Any, kind: Any, origin: int | None) -> NDArray[Any]:
     plain = pa.types.is_integer(kind) or pa.types.is_floating(kind)
     if plain and not column.null_count:
         # As it lies in memory: other ways load pandas, or make a copy first.
-        return np.from_dlpack(column)
+        numbers = np.from_dlpack(column)
+        return numbers if pa.types.is_integer(kind) else np.asarray(numbers, dtype=np.float64)
     if kind != pa.float64():
         column = column.cast(pa.float64(), safe=False)
     return np.asarray(column.to_numpy(zero_copy_only=not column.null_count), dtype=np.float64)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
@@ -16,6 +17,7 @@ from classic_ml.records import FloatArray
 __all__ = [
     "MINIMUM_ROWS",
     "TIME_COLUMN",
+    "Columns",
     "RawFile",
     "Sampling",
     "arrow_file",
@@ -29,6 +31,9 @@ TIME_COLUMN = "time_s"
 # The same floor as a series file: less is not a record of anything.
 MINIMUM_ROWS = 100
 LONGEST_LABEL = 60
+
+# Some rows of a table, one array of numbers a column.
+Columns = tuple[NDArray[Any], ...]
 
 
 @dataclass(frozen=True)
@@ -67,9 +72,9 @@ class RawFile:
         The file.
     names : tuple of str
         Column names as the file has them, ``time_s`` or what stands for it among them.
-    chunks : callable
-        ``chunks(rows)`` yields float64 arrays of shape (at most ``rows``, n_columns) in file
-        order, each time anew from the first row.
+    columns : callable
+        ``columns(rows)`` yields at most so many rows at once in file order, each time anew from the
+        first row: a tuple of one array a column, of the whole numbers or the float64 of the file.
     units : mapping of str to str
         Units that the file itself states, by column; a column without one is not in it.
     n_rows : int, optional
@@ -87,12 +92,12 @@ class RawFile:
     other_groups : mapping of str to str
         Groups of the file that are none of this table, and what is in them.
     selected : callable, optional
-        ``selected(names)`` is as `chunks`, of some of the columns; the others are not looked at.
+        ``selected(names)`` is as `columns`, of some of them; the others are not looked at.
     """
 
     source: str
     names: tuple[str, ...]
-    chunks: Callable[[int], Iterator[FloatArray]]
+    columns: Callable[[int], Iterator[Columns]]
     units: Mapping[str, str] = field(default_factory=dict)
     n_rows: int | None = None
     clock: str = ""
@@ -100,7 +105,19 @@ class RawFile:
     stamps: Mapping[str, str] = field(default_factory=dict)
     sampled: Mapping[str, Sampling] = field(default_factory=dict)
     other_groups: Mapping[str, str] = field(default_factory=dict)
-    selected: Callable[[tuple[str, ...]], Callable[[int], Iterator[FloatArray]]] | None = None
+    selected: Callable[[tuple[str, ...]], Callable[[int], Iterator[Columns]]] | None = None
+
+    def chunks(self, rows: int) -> Iterator[FloatArray]:
+        """Yield the rows as float64 arrays of shape (at most ``rows``, n_columns).
+
+        Parameters
+        ----------
+        rows : int
+            How many at once.
+        """
+        for columns in self.columns(rows):
+            # Column by column in memory, as they are taken out again.
+            yield np.array(columns, dtype=np.float64).T if columns else np.empty((0, 0))
 
     def only(self, names: tuple[str, ...]) -> RawFile:
         """Return the same file without the columns that nobody asks for, where it can be read so.
@@ -113,7 +130,7 @@ class RawFile:
         kept = tuple(name for name in self.names if name in names)
         if self.selected is None or kept == self.names:
             return self
-        return replace(self, names=kept, chunks=self.selected(kept))
+        return replace(self, names=kept, columns=self.selected(kept))
 
 
 def check_unique(source: str, names: tuple[str, ...]) -> None:
@@ -170,12 +187,12 @@ def arrow_file(file: Path) -> Any:
     return pa.OSFile(os.fsencode(file))
 
 
-def rebatched(pieces: Iterator[FloatArray], rows: int) -> Iterator[FloatArray]:
-    """Yield the rows of pieces of any size in arrays of ``rows`` rows, the last of fewer.
+def rebatched(pieces: Iterator[Columns], rows: int) -> Iterator[Columns]:
+    """Yield the rows of pieces of any size ``rows`` at once, the last of fewer.
 
     Where the pieces end in an error, the rows before it come first.
     """
-    kept: list[FloatArray] = []
+    kept: list[Columns] = []
     n_kept = 0
     fault: InputError | None = None
     while True:
@@ -185,16 +202,26 @@ def rebatched(pieces: Iterator[FloatArray], rows: int) -> Iterator[FloatArray]:
             piece, fault = None, error
         if piece is None:
             break
-        kept.append(piece)
-        n_kept += len(piece)
+        n_rows = piece[0].size if piece else 0
+        if n_rows:
+            kept.append(piece)
+            n_kept += n_rows
         if n_kept < rows:
             continue
-        joined = np.concatenate(kept) if len(kept) > 1 else kept[0]
+        joined = _joined(kept)
         whole = n_kept - n_kept % rows
         for start in range(0, whole, rows):
-            yield joined[start : start + rows]
-        kept, n_kept = [joined[whole:]], n_kept - whole
+            yield tuple(column[start : start + rows] for column in joined)
+        n_kept -= whole
+        kept = [tuple(column[whole:] for column in joined)] if n_kept else []
     if n_kept:
-        yield np.concatenate(kept)
+        yield _joined(kept)
     if fault is not None:
         raise fault
+
+
+def _joined(pieces: list[Columns]) -> Columns:
+    """Return the rows of some pieces as one."""
+    if len(pieces) == 1:
+        return pieces[0]
+    return tuple(np.concatenate(parts) for parts in zip(*pieces, strict=True))
