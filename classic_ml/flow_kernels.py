@@ -141,7 +141,7 @@ def invert_flow(share: FloatArray, gamma: float, mach: FloatArray) -> None:
     # u = √(1 − share/choked), in which the choke is no singularity.
     linear = 1.0 - sqrt(0.5 * (gamma + 1.0))
     quadratic = 2.0 * choked - 1.0 - linear
-    m = np.empty(TOGETHER)
+    m, power = np.empty(TOGETHER), np.empty(TOGETHER)
     under_way = np.empty(TOGETHER, dtype=np.bool_)
     for start in range(0, share.size, TOGETHER):
         n = min(TOGETHER, share.size - start)
@@ -151,13 +151,19 @@ def invert_flow(share: FloatArray, gamma: float, mach: FloatArray) -> None:
             m[k] = (1.0 - u) * (1.0 + u * (linear + u * quadratic))
             under_way[k] = True
         for _ in range(MOST_STEPS):
+            if abs(fall - 3.0) < DIATOMIC:
+                for k in range(n):
+                    bracket = 1.0 + half * m[k] * m[k]
+                    power[k] = bracket * bracket * bracket
+            else:
+                for k in range(n):
+                    power[k] = power_of(1.0 + half * m[k] * m[k], fall)
             n_left = 0
             for k in range(n):
                 bracket = 1.0 + half * m[k] * m[k]
-                power = power_of(bracket, fall)
-                gradient = (1.0 - m[k] * m[k]) / (power * bracket)
+                gradient = (1.0 - m[k] * m[k]) / (power[k] * bracket)
                 gradient = gradient if gradient > LEAST_SLOPE else LEAST_SLOPE
-                step = (m[k] / power - abs(share[start + k])) / gradient
+                step = (m[k] / power[k] - abs(share[start + k])) / gradient
                 after = m[k] - step
                 after = after if after > 0.0 else 0.0
                 after = after if after < 1.0 else 1.0

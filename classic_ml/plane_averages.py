@@ -404,5 +404,9 @@ def _mean(values: Sequence[FloatArray]) -> FloatArray:
     added = values[0] + values[1]
     for further in values[2:]:
         added += further
-    added /= len(values)
+    if len(values) & (len(values) - 1):
+        added /= len(values)
+    else:
+        # Of a power of two the inverse is a double, and a product takes half the time.
+        added *= 1.0 / len(values)
     return added

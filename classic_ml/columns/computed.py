@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["ComputedColumn", "as_column", "computed", "widened"]
+__all__ = ["ComputedColumn", "as_column", "as_stored", "computed", "widened"]
 
 FloatArray = NDArray[np.float64]
 
@@ -23,12 +23,20 @@ class ComputedColumn:
     rows : callable
         ``rows(part)`` returns the values of a slice from one row to another, a new array or one
         that nobody writes to.
+    stored : ndarray of shape (n_rows,), optional
+        The same numbers as they are stored, where they are in a narrower type.
     """
 
     ndim = 1
     dtype = np.dtype(np.float64)
 
-    def __init__(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> None:
+    def __init__(
+        self,
+        n_rows: int,
+        rows: Callable[[slice], FloatArray],
+        stored: NDArray[Any] | None = None,
+    ) -> None:
+        self.stored = stored
         self.size = n_rows
         self.shape = (n_rows,)
         self._rows = rows
@@ -100,4 +108,19 @@ def widened(column: NDArray[Any]) -> FloatArray:
     """
     if column.dtype == np.float64:
         return column
-    return computed(column.size, lambda rows: column[rows].astype(np.float64))
+    wide = ComputedColumn(column.size, lambda rows: column[rows].astype(np.float64), column)
+    return cast("FloatArray", wide)
+
+
+def as_stored(column: NDArray[Any]) -> NDArray[Any]:
+    """Return a column in the type in which its numbers are stored, for what gives the same in any.
+
+    Parameters
+    ----------
+    column : ndarray of shape (n,)
+        A column, one of :func:`widened` say.
+    """
+    given: object = column
+    if isinstance(given, ComputedColumn) and given.stored is not None:
+        return given.stored
+    return column

@@ -43,7 +43,9 @@ FloatArray = NDArray[np.float64]
 # of a minute at 1 kHz is one block.
 BLOCK_ROWS = 65_536
 # Mapped pages are let go of when there are so many of them: it takes one call a column.
-MAPPED_BYTES = 8 << 20
+MAPPED_BYTES = 16 << 20
+# More than the arrays of one block take.
+BLOCK_BYTES = 16 << 20
 
 
 class ColumnWriter(ABC):
@@ -94,6 +96,10 @@ class Workspace(ABC):
         """
 
     @abstractmethod
+    def widened(self, column: NDArray[Any]) -> FloatArray:
+        """Return a column of a narrow type as one of float64, evaluated or not as `derived`."""
+
+    @abstractmethod
     def release(self) -> None:
         """Let go of the memory of what was written or read; the columns keep their values."""
 
@@ -130,6 +136,12 @@ class InMemory(Workspace):
     def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
         """Evaluate the column."""
         return evaluated(self, n_rows, rows)
+
+    def widened(self, column: NDArray[Any]) -> FloatArray:
+        """Evaluate the column."""
+        wide = column.astype(np.float64)
+        wide.setflags(write=False)
+        return wide
 
     def release(self) -> None:
         """Do nothing: an array is in memory for as long as it lives."""
@@ -188,6 +200,9 @@ class OnDisk(Workspace):
         self._columns: weakref.WeakValueDictionary[int, _Mapped] = weakref.WeakValueDictionary()
         self._spare: dict[int, list[_File]] = {}
         self._told = _Told()
+        # The C library of Linux learns from what it is given back how much comes and goes; without
+        # this it has the pages of each block cleared by the system anew, a sixth of the time.
+        np.empty(BLOCK_BYTES, dtype=np.uint8)
         self._mapped_before = self._told.mapped_bytes()
 
     def column(self, n_rows: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -224,6 +239,10 @@ class OnDisk(Workspace):
     def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
         """Return a column that is computed each time."""
         return computed(n_rows, rows)
+
+    def widened(self, column: NDArray[Any]) -> FloatArray:
+        """Return a column that is computed each time."""
+        return widened(column)
 
     def release(self) -> None:
         """Give the pages back to the system, which has them in its cache or on the disk."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.intervals import intervals_where
 from classic_ml.columns.workspace import Workspace, blocks
 from classic_ml.records import FloatArray
@@ -52,17 +53,20 @@ def bridged_rows(
         if first == last:
             return values(rows)
         bridged = np.array(values(rows))
-        inside = np.clip(gaps[first:last], rows.start, rows.stop)
-        lengths = inside[:, 1] - inside[:, 0]
-        gap = np.repeat(np.arange(first, last), lengths)
-        begun = np.repeat(np.cumsum(lengths) - lengths, lengths)
-        row = np.arange(gap.size) - begun + inside[gap - first, 0]
-        from_row = gaps[gap, 0] - 1
-        slope = (ends[gap, 1] - ends[gap, 0]) / (gaps[gap, 1] - from_row)
-        bridged[row - rows.start] = slope * (row - from_row) + ends[gap, 0]
+        _draw(gaps[first:last], ends[first:last], rows.start, bridged)
         return bridged
 
     return rows_of
+
+
+@as_written
+def _draw(gaps: IntArray, ends: FloatArray, first: int, out: FloatArray) -> None:
+    """Draw a straight line across each gap, as far as it is in a block that begins with a row."""
+    for gap in range(gaps.shape[0]):
+        from_row, stop = gaps[gap, 0] - 1, gaps[gap, 1]
+        slope = (ends[gap, 1] - ends[gap, 0]) / (stop - from_row)
+        for row in range(max(from_row + 1, first), min(stop, first + out.size)):
+            out[row - first] = slope * (row - from_row) + ends[gap, 0]
 
 
 def _ends(
@@ -73,13 +77,13 @@ def _ends(
 ) -> FloatArray:
     """Return the values before and behind each gap, the same twice where there is but one."""
     ends = np.empty(gaps.shape)
+    beside = gaps - [1, 0]
     for rows in blocks(n_rows):
-        places = [(gaps[:, 0] - 1, 0), (gaps[:, 1], 1)]
-        inside = [(p, side, (p >= rows.start) & (p < rows.stop)) for p, side in places]
-        if any(which.any() for _, _, which in inside):
+        inside = [slice(*np.searchsorted(p, (rows.start, rows.stop))) for p in beside.T]
+        if any(which.start < which.stop for which in inside):
             part = values(rows)
-            for place, side, which in inside:
-                ends[which, side] = part[place[which] - rows.start]
+            for side, which in enumerate(inside):
+                ends[which, side] = part[beside[which, side] - rows.start]
             workspace.release()
     if gaps.size and gaps[0, 0] == 0:
         ends[0, 0] = ends[0, 1]

@@ -20,6 +20,7 @@ from classic_ml.faults.marks import (
     fault_counts,
     fault_name,
     has_fault,
+    kinds_of_fault,
 )
 from classic_ml.faults.probe_agreement import (
     Agreement,
@@ -45,6 +46,7 @@ BEYOND_SHARE = 0.05
 # another's; between the two its sensitivity is in doubt.
 GAIN_DOUBTED, APART_DOUBTED = 0.08, 0.2
 GAIN_REFUSED, APART_REFUSED = 2.0, 0.6
+ALL_KINDS = sum(KIND_WORDS)
 
 
 @dataclass(frozen=True)
@@ -228,15 +230,14 @@ def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
     )
 
 
-def _bridged(record: Record, name: str, kinds: int = -1) -> Channel:
+def _bridged(record: Record, name: str, kinds: int = ALL_KINDS) -> Channel:
     """Return a channel with straight lines across its faults of some kinds, of all without."""
     channel, place, n_rows = record.channel(name), record.workspace, record.n_samples
-    fault = record[fault_name(name)]
     rows_of = bridged_rows(
         place,
         n_rows,
         channel.values.__getitem__,
-        lambda rows: fault[rows].astype(np.int64) & kinds == 0,
+        lambda rows: kinds_of_fault(record, name, rows) & np.uint8(kinds) == 0,
     )
     return Channel(name, place.derived(n_rows, rows_of), channel.unit)
 

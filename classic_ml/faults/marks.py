@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
 from classic_ml.records import Channel, Record
 
@@ -21,6 +22,7 @@ __all__ = [
     "fault_counts",
     "fault_name",
     "has_fault",
+    "kinds_of_fault",
 ]
 
 # Kinds of fault in the channels `fault_NAME`, added up where they coincide.
@@ -60,10 +62,7 @@ class Marks:
 
     def channel(self, record: Record, name: str) -> Channel:
         """Return them as a channel."""
-        values = record.workspace.derived(
-            self.column.size, lambda rows: self.column[rows].astype(np.float64)
-        )
-        return Channel(fault_name(name), values, "1")
+        return Channel(fault_name(name), record.workspace.widened(self.column), "1")
 
     def described(self, record: Record, name: str) -> list[str]:
         """Return one sentence a kind."""
@@ -76,13 +75,21 @@ class Marks:
         return texts
 
 
+def kinds_of_fault(record: Record, name: str, rows: slice) -> NDArray[np.uint8]:
+    """Return the kinds of fault, added up, of some rows of a channel that has some."""
+    marks: NDArray[np.uint8] = as_stored(record[fault_name(name)])[rows].astype(
+        np.uint8, copy=False
+    )
+    return marks
+
+
 def fault_counts(record: Record, name: str, rows: slice) -> dict[int, int]:
     """Return in how many rows of a slice a channel has a fault of each kind, and of any (0)."""
     by_marks = np.zeros(1 << len(KIND_WORDS), dtype=np.int64)
     for block in blocks(rows.stop, rows.start):
-        marks = record[fault_name(name)][block]
+        marks = kinds_of_fault(record, name, block)
         if marks.any():
-            by_marks += np.bincount(marks.astype(np.int64), minlength=by_marks.size)
+            by_marks += np.bincount(marks, minlength=by_marks.size)
         record.workspace.release()
     counts = {kind: int(by_marks[which].sum()) for kind, which in _WITH_KIND.items()}
     return {**counts, 0: int(by_marks[1:].sum())}
@@ -92,9 +99,8 @@ def has_fault(record: Record, name: str, kind: int) -> bool:
     """Tell whether a channel has a fault of a kind anywhere."""
     if fault_name(name) not in record:
         return False
-    fault = record[fault_name(name)]
     for rows in blocks(record.n_samples):
-        found = bool(np.any(fault[rows].astype(np.int64) & kind))
+        found = bool(np.any(kinds_of_fault(record, name, rows) & np.uint8(kind)))
         record.workspace.release()
         if found:
             return True

@@ -10,6 +10,8 @@ from classic_ml.records import FloatArray
 
 __all__ = ["jumping_rows", "off_neighbours", "standing_out"]
 
+IntArray = NDArray[np.int64]
+
 
 @as_written
 def off_neighbours(values: FloatArray, off: FloatArray) -> None:
@@ -18,41 +20,47 @@ def off_neighbours(values: FloatArray, off: FloatArray) -> None:
     Parameters
     ----------
     values : ndarray of shape (n_channels, n)
-        The readings.
+        The readings, four or more of each.
     off : ndarray of shape (n_channels, n)
         Takes the result; 0 in the first and the last two rows.
     """
-    n = values.shape[1]
+    n = values.shape[1] - 4
     for channel in range(values.shape[0]):
         v, o = values[channel], off[channel]
         o[:2] = 0.0
-        o[n - 2 :] = 0.0
-        for r in range(2, n - 2):
+        o[n + 2 :] = 0.0
+        # Shifted views, since no loop is vectorised over an index that may be below zero.
+        a, b, c, d, e, out = v[:n], v[1:], v[2:], v[3:], v[4:], o[2:]
+        for r in range(n):
             # The least and the largest of the four are on either side of the median of all five.
-            low = max(min(v[r - 2], v[r - 1]), min(v[r + 1], v[r + 2]))
-            high = min(max(v[r - 2], v[r - 1]), max(v[r + 1], v[r + 2]))
+            low = max(min(a[r], b[r]), min(d[r], e[r]))
+            high = min(max(a[r], b[r]), max(d[r], e[r]))
             # Of the two in the middle of four, either may be the larger.
             lower, upper = min(low, high), max(low, high)
-            o[r] = abs(v[r] - max(lower, min(upper, v[r])))
+            out[r] = abs(c[r] - max(lower, min(upper, c[r])))
 
 
 @as_written
-def _ratio(off: FloatArray, row: int, reach: int, gap: int, least: float) -> float:
-    """Return a value over the largest of ``reach`` before and behind it, ``gap`` away and more."""
+def _outdoes(off: FloatArray, row: int, reach: int, gap: int, least: float, limit: float) -> bool:
+    """Tell whether a value is above a multiple of ``reach`` before and behind, from a gap on."""
     largest = least
     for k in range(gap, gap + reach):
         largest = max(largest, off[row - k], off[row + k])
-    ratio: float = off[row] / largest
-    return ratio
+        # It can but become less.
+        if not off[row] / largest > limit:
+            return False
+    return True
 
 
 @as_written
 def standing_out(
     off: FloatArray,
+    channel: int,
+    rows: IntArray,
     marked: NDArray[np.bool_],
     reach: int,
     gap: int,
-    share: float,
+    least: float,
     limits: tuple[float, float, float],
 ) -> None:
     """Mark values far above those around them in one channel, where no other shows the same.
@@ -61,57 +69,59 @@ def standing_out(
     ----------
     off : ndarray of shape (n_channels, n)
         From :func:`off_neighbours`, of channels that see the same.
-    marked : ndarray of bool, shape (n_channels, n)
+    channel : int
+        The channel to be looked at.
+    rows : ndarray of int
+        Its rows to be looked at.
+    marked : ndarray of bool, shape (n,)
         False; takes the marks.
     reach, gap : int
         What a value is compared with: so many before and behind it, so far away.
-    share : float
-        A value below this never stands out.
+    least : float
+        What it is compared with at least.
     limits : tuple of float
         Ratio to those around it, beyond which a value stands out; ratio and share of it, beyond
         which another channel shows it too.
     """
     ratio_limit, quiet_ratio, seen_share = limits
-    channels, n = off.shape
+    o, n = off[channel], off.shape[1]
     # Of another channel two rows more are looked at, and two at the ends are off by nothing.
     margin = reach + gap + 3
-    least = 0.1 * share
-    for channel in range(channels):
-        o = off[channel]
-        for row in range(margin, n - margin):
-            if not o[row] > share:
-                continue
-            # On a steep slope the rows beside a spike stand out a little too.
-            beside = max(o[row - 2], o[row - 1], o[row], o[row + 1], o[row + 2])
-            if not o[row] > 0.5 * beside or not _ratio(o, row, reach, gap, least) > ratio_limit:
-                continue
-            seen = False
-            for other in range(channels):
-                for at in range(row - 2, row + 3):
-                    if other == channel or seen or not off[other, at] > seen_share * o[row]:
-                        continue
-                    seen = _ratio(off[other], at, reach, gap, least) > quiet_ratio
-            marked[channel, row] = not seen
+    for row in rows:
+        if row < margin or row >= n - margin:
+            continue
+        # On a steep slope the rows beside a spike stand out a little too.
+        beside = max(o[row - 2], o[row - 1], o[row], o[row + 1], o[row + 2])
+        if not o[row] > 0.5 * beside or not _outdoes(o, row, reach, gap, least, ratio_limit):
+            continue
+        seen = False
+        for other in range(off.shape[0]):
+            for at in range(row - 2, row + 3):
+                if other == channel or seen or not off[other, at] > seen_share * o[row]:
+                    continue
+                seen = _outdoes(off[other], at, reach, gap, least, quiet_ratio)
+        marked[row] = not seen
 
 
 @as_written
 def jumping_rows(
-    steps: FloatArray,
-    jumps: NDArray[np.bool_],
+    values: FloatArray,
+    quiet: NDArray[np.uint16],
     reach: int,
     gap: int,
     least: float,
     fewest: int,
     limit: float,
 ) -> None:
-    """Mark the rows in which all but ``fewest`` channels step by more than around.
+    """Count the channels that do not step by more than around, as far as that decides.
 
     Parameters
     ----------
-    steps : ndarray of shape (n_channels, n)
-        Magnitude of the step behind each row.
-    jumps : ndarray of bool, shape (n,)
-        False; takes the marks.
+    values : ndarray of shape (n_channels, n)
+        The readings.
+    quiet : ndarray of uint16, shape (n - 1,)
+        Takes the counts, of the step behind each row: ``fewest`` or less where no more channels
+        than that are quiet. The first and the last ``reach + gap + 1`` steps count as quiet.
     reach, gap : int
         As for :func:`standing_out`.
     least : float
@@ -121,18 +131,38 @@ def jumping_rows(
     limit : float
         Ratio to the steps around.
     """
-    channels, n = steps.shape
+    n = quiet.size - 2 * gap
+    quiet[:] = 0
+    inner = quiet[gap:]
+    for channel in range(values.shape[0]):
+        v = values[channel]
+        # Most steps are outdone by the next ones: only the others are looked at all around.
+        before, at, behind = v, v[gap:], v[2 * gap :]
+        before_1, at_1, behind_1 = v[1:], v[gap + 1 :], v[2 * gap + 1 :]
+        for r in range(n):
+            near = max(least, abs(before_1[r] - before[r]), abs(behind_1[r] - behind[r]))
+            inner[r] += 0 if abs(at_1[r] - at[r]) / near > limit else 1
     margin = reach + gap + 1
-    for row in range(margin, n - margin):
-        quiet = 0
-        for channel in range(channels):
-            # Most steps are outdone by the next ones: only the others are looked at all around.
-            near = max(least, steps[channel, row - gap], steps[channel, row + gap])
-            if (
-                not steps[channel, row] / near > limit
-                or not _ratio(steps[channel], row, reach, gap, least) > limit
-            ):
-                quiet += 1
-                if quiet > fewest:
-                    break
-        jumps[row] = quiet <= fewest
+    for row in range(quiet.size):
+        if row < margin or row >= quiet.size - margin:
+            quiet[row] = fewest + 1
+        elif quiet[row] <= fewest:
+            quiet[row] = _quiet_around(values, row, reach, gap, least, fewest, limit)
+
+
+@as_written
+def _quiet_around(
+    values: FloatArray, row: int, reach: int, gap: int, least: float, fewest: int, limit: float
+) -> int:
+    """Return how many channels do not step by more than around a row, or one more than few."""
+    quiet = 0
+    for channel in range(values.shape[0]):
+        v = values[channel]
+        largest = least
+        for k in range(gap, gap + reach):
+            before, behind = abs(v[row - k + 1] - v[row - k]), abs(v[row + k + 1] - v[row + k])
+            largest = max(largest, before, behind)
+        quiet += 0 if abs(v[row + 1] - v[row]) / largest > limit else 1
+        if quiet > fewest:
+            break
+    return quiet

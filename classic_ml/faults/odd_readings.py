@@ -68,10 +68,11 @@ def spikes(readings: FloatArray) -> NDArray[np.bool_]:
         return marked
     off = np.empty_like(values)
     off_neighbours(values, off)
-    if not np.any(off > SPIKE_SHARE):
-        return marked
     limits = (SPIKE_RATIO, QUIET_RATIO, SEEN_SHARE)
-    standing_out(off, marked, SPIKE_REACH, SPIKE_GAP, SPIKE_SHARE, limits)
+    for channel, far in enumerate(off > SPIKE_SHARE):
+        rows = np.flatnonzero(far)
+        least = 0.1 * SPIKE_SHARE
+        standing_out(off, channel, rows, marked[channel], SPIKE_REACH, SPIKE_GAP, least, limits)
     return marked
 
 
@@ -92,11 +93,10 @@ def splices(readings: FloatArray) -> NDArray[np.int64]:
     values = np.asarray(readings, dtype=np.float64)
     if values.shape[0] < SPLICE_CHANNELS or values.shape[1] <= 2 * SPLICE_MARGIN + 1:
         return np.zeros(0, dtype=np.int64)
-    steps = np.abs(np.diff(values, axis=1))
     fewest = int(np.floor((1.0 - SPLICE_SHARE) * len(values)))
-    jumping = np.zeros(steps.shape[1], dtype=np.bool_)
-    jumping_rows(steps, jumping, SPLICE_REACH, SPLICE_GAP, SPLICE_STEP, fewest, SPLICE_RATIO)
-    return np.flatnonzero(jumping) + 1
+    quiet = np.empty(values.shape[1] - 1, dtype=np.uint16)
+    jumping_rows(values, quiet, SPLICE_REACH, SPLICE_GAP, SPLICE_STEP, fewest, SPLICE_RATIO)
+    return np.flatnonzero(quiet <= fewest) + 1
 
 
 def spike_rows(record: Record, ranges: Ranges) -> dict[str, NDArray[np.int64]]:

@@ -13,14 +13,16 @@ and a half megabytes, whatever the length of the record.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
 
 __all__ = ["WINDOW", "RepeatedRows", "repeated_rows", "rows_repeated"]
 
@@ -106,16 +108,21 @@ def rows_repeated(record: Record, test: TestDescription) -> RepeatedRows:
         Its channels.
     """
     pressures = {probe.name for probe in test.pressures}
-    before = dict.fromkeys(test.channel_names, np.nan)
+    channels = {name: as_stored(record[name]) for name in test.channel_names}
     search = _Search(len(pressures))
     for rows in blocks(record.n_samples):
         hashes = np.zeros(rows.stop - rows.start, dtype=np.uint64)
         moved = np.zeros(hashes.size, dtype=np.int64)
-        for name in test.channel_names:
-            values = np.ascontiguousarray(record[name][rows])
-            counts = 1 if name in pressures else 0
-            _take_up(values, values.view(np.uint64), before[name], counts, hashes, moved)
-            before[name] = float(values[-1])
+        if rows.start == 0:
+            # Nobody knows that the first row stands still.
+            moved[0] = len(pressures)
+        first = max(0, rows.start - 1)
+        for name, values in channels.items():
+            part = np.ascontiguousarray(values[first : rows.stop])
+            bits = part.view(np.uint64) if part.dtype == np.float64 else part
+            _mix(bits[rows.start - first :], hashes)
+            if name in pressures:
+                _count_moved(part, moved[first + 1 - rows.start :])
         search.follow(hashes, moved)
         record.workspace.release()
     return search.ended()
@@ -167,33 +174,20 @@ def _listed(places: list[str], n: int) -> str:
 
 
 @as_written
-def _take_up(
-    values: FloatArray,
-    bits: RowHashes,
-    before: float,
-    counts: int,
-    hashes: RowHashes,
-    moved: IntArray,
-) -> None:
-    """Mix the readings of a channel into the hashes of their rows.
-
-    Parameters
-    ----------
-    values, bits : ndarray of shape (n,)
-        Some rows of the channel, as numbers and as they are stored.
-    before : float
-        Its reading in the row before; NaN without.
-    counts : int
-        What a reading that is another one than that before adds to ``moved``.
-    hashes, moved : ndarray of shape (n,)
-        What is added to.
-    """
-    for row in range(values.size):
+def _mix(bits: NDArray[Any], hashes: RowHashes) -> None:
+    """Mix the readings of a channel, as they are stored, into the hashes of their rows."""
+    for row in range(bits.size):
         # The upper bits, which alone differ in small whole numbers, go down to the lower ones.
-        mixed = (hashes[row] ^ bits[row]) * FACTOR
+        mixed = (hashes[row] ^ np.uint64(bits[row])) * FACTOR
         hashes[row] = mixed ^ (mixed >> FOLD)
-        moved[row] += counts if values[row] != before else 0
-        before = values[row]
+
+
+@as_written
+def _count_moved(values: NDArray[Any], moved: IntArray) -> None:
+    """Add 1 for each reading, but for the first, that is another one than that before."""
+    before, after = values, values[1:]
+    for row in range(moved.size):
+        moved[row] += 1 if after[row] != before[row] else 0
 
 
 @as_written

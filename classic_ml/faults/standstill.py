@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.faults.standstill_kernels import count_moved, find_runs, tally_steps
+from classic_ml.faults.standstill_kernels import (
+    count_moved,
+    find_runs,
+    tally_codes,
+    tally_steps,
+)
 from classic_ml.records import FloatArray, Record
 
 __all__ = ["DROPOUT_ROWS", "Tally", "still_runs", "tallies"]
@@ -67,29 +74,48 @@ def tallies(record: Record, names: Sequence[str]) -> dict[str, Tally]:
     dict of str to Tally
         By channel.
     """
-    ends = {name: np.array([np.inf, -np.inf, np.inf]) for name in names}
-    counts = {name: np.zeros(WHOLE_STEPS, dtype=np.int64) for name in names}
-    fractions = set()
+    counted = {name: _Counted(as_stored(record[name])) for name in names}
     for rows in blocks(record.n_samples):
-        for name in names:
-            values = record[name][max(0, rows.start - 1) : rows.stop]
-            if rows.start == 0:
-                # Nothing steps into the first row, which counts for the ends.
-                ends[name][:2] = values[0]
-            if tally_steps(values, counts[name], ends[name]):
-                fractions.add(name)
+        for steps in counted.values():
+            steps.take_up(rows)
         record.workspace.release()
-    found = {}
-    for name in names:
-        low, high, least = ends[name].tolist()
-        sizes = np.flatnonzero(counts[name][1:]) + 1
+    return {name: steps.tally(record, name) for name, steps in counted.items()}
+
+
+class _Counted:
+    """The steps of one channel by size, block by block."""
+
+    def __init__(self, values: NDArray[Any]) -> None:
+        self._values = values
+        self._codes = values.dtype == np.uint16
+        self._ends = np.array([np.inf, -np.inf, np.inf])
+        self._counts = np.zeros((2, 1 << 16 if self._codes else WHOLE_STEPS), dtype=np.int64)
+        self._fractions = False
+
+    def take_up(self, rows: slice) -> None:
+        """Take the next rows into account."""
+        values = self._values[max(0, rows.start - 1) : rows.stop]
+        if self._codes:
+            self._ends[0] = min(self._ends[0], values.min())
+            self._ends[1] = max(self._ends[1], values.max())
+            tally_codes(values, self._counts)
+            return
+        if rows.start == 0:
+            # Nothing steps into the first row, which counts for the ends.
+            self._ends[:2] = values[0]
+        self._fractions |= tally_steps(values, self._counts[0], self._ends) > 0
+
+    def tally(self, record: Record, name: str) -> Tally:
+        """Return what was found."""
+        low, high, least = self._ends.tolist()
+        counts = self._counts.sum(axis=0)
+        sizes = np.flatnonzero(counts[1:]) + 1
         whole = float(sizes[0]) if sizes.size else np.inf
-        if name in fractions:
+        if self._fractions:
             usual = _usual_step(record, name)
         else:
-            usual = _median_of_counts(counts[name][1:]) + 1.0 if sizes.size else np.inf
-        found[name] = Tally(low, high, min(least, whole), usual, int(counts[name][0]))
-    return found
+            usual = _median_of_counts(counts[1:]) + 1.0 if sizes.size else np.inf
+        return Tally(low, high, min(least, whole), usual, int(counts[0]))
 
 
 def _usual_step(record: Record, name: str) -> float:
@@ -160,7 +186,7 @@ class _Search:
     """The search for runs in one channel, block by block."""
 
     def __init__(self, values: FloatArray) -> None:
-        self._values = values
+        self._values = as_stored(values)
         self._carried = np.array([DROPOUT_ROWS - 1, -1])
         self._jump = np.full(1, np.inf)
 

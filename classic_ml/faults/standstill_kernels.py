@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.records import FloatArray
 
-__all__ = ["count_moved", "find_runs", "tally_steps"]
+__all__ = ["count_moved", "find_runs", "tally_codes", "tally_steps"]
 
 IntArray = NDArray[np.int64]
 
@@ -51,8 +53,26 @@ def tally_steps(values: FloatArray, counts: IntArray, ends: FloatArray) -> int:
 
 
 @as_written
+def tally_codes(values: NDArray[np.uint16], counts: IntArray) -> None:
+    """Count the steps of a channel by size, as :func:`tally_steps`, where it is stored as codes.
+
+    Parameters
+    ----------
+    values : ndarray of uint16, shape (n,)
+        Some rows of the channel behind one that has been counted before, or behind the first.
+    counts : ndarray of int64, shape (2, 65536)
+        Where the number of steps of 0, 1, 2, … is added up; steps into odd and even rows apart,
+        since what is counted twice in a row waits for itself.
+    """
+    n = values.size - 1
+    before, after = values[:n], values[1:]
+    for row in range(n):
+        counts[row & 1, abs(np.int64(after[row]) - np.int64(before[row]))] += 1
+
+
+@as_written
 def find_runs(
-    values: FloatArray,
+    values: NDArray[Any],
     first: int,
     n_rows: int,
     least_rows: int,
@@ -105,13 +125,13 @@ def find_runs(
             while begin > 0 and values[begin - 1] == values[begin]:
                 begin -= 1
             start = begin + first
-            before = abs(values[begin] - values[begin - 1]) if start > 0 else np.inf
+            before = abs(float(values[begin]) - float(values[begin - 1])) if start > 0 else np.inf
         while row < stop and values[row] == values[row - 1]:
             row += 1
         if row == stop and first + stop < n_rows:
             break
         if row + first - start >= least_rows:
-            behind = abs(values[row] - values[row - 1]) if row < stop else np.inf
+            behind = abs(float(values[row]) - float(values[row - 1])) if row < stop else np.inf
             runs[found, 0], runs[found, 1] = start, row + first
             jumps[found] = min(before, behind)
             found += 1
