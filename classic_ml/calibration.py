@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.order_statistics import mean
 from classic_ml.columns.workspace import blocks
 from classic_ml.errors import InputError
@@ -258,7 +259,8 @@ def _changed(record: Record, changes: Mapping[str, _Change]) -> list[Channel]:
 
 def _rescaled(readings: FloatArray, c: _Change, rows: slice) -> FloatArray:
     out = np.empty(rows.stop - rows.start)
-    change_scale(readings[rows], c.start, c.step, c.zero, c.slope, c.reference, c.shift, out)
+    stored = as_stored(readings)[rows]
+    change_scale(stored, c.start, c.step, c.zero, c.slope, c.reference, c.shift, out)
     return out
 
 

@@ -173,8 +173,7 @@ def coefficients(
     """
     speed = test.rotor_velocity_m_s
     inertia = inertia_factor * test.compressor.inertia_per_m
-    units = {"phi": "1", "psi_p": "1", "pressure_ratio": "1", "Nc_frac": "1"}
-    units["dW25_dt_kg_s2"] = "kg/s2"
+    units = {"phi": "1", "psi_p": "1", "Nc_frac": "1"}
     kept = [name for name in units if wanted is None or name in wanted]
     columns = {name: record.workspace.writer(record.n_samples) for name in kept}
     # Least and largest of φ and ψ', for the ledger.
@@ -197,6 +196,7 @@ def coefficients(
         {"inertia_per_m": inertia, "U_m_s": round(speed, 3), "inertia_factor": inertia_factor},
     )
     added = [Channel(name, column.finished(), units[name]) for name, column in columns.items()]
+    added += [channel for channel in _derived(record) if wanted is None or channel.name in wanted]
     record = record.after(entry, add=added)
     if "W31_kg_s" not in record:
         why = "no T31 that counts, so no W31"
@@ -221,10 +221,17 @@ def _block(
         "psi_p": pressure_coefficient(
             inlet_Pa, exit_Pa, inlet_K, flow_rate, inertia, speed, machine
         ),
-        "pressure_ratio": exit_Pa / inlet_Pa,
         "Nc_frac": corrected_speed_fraction(inlet_K, test),
-        "dW25_dt_kg_s2": flow_rate,
     }
+
+
+def _derived(record: Record) -> list[Channel]:
+    """Return what follows from averages at once and is looked at by few."""
+    place, n_rows, period_s = record.workspace, record.n_samples, record.sample_period_s
+    inlet_Pa, exit_Pa, flow = record["P25_Pa"], record["P31_Pa"], record["W25_kg_s"]
+    ratio = place.derived(n_rows, lambda rows: exit_Pa[rows] / inlet_Pa[rows])
+    rate = place.derived(n_rows, lambda rows: rate_in(flow, rows, period_s))
+    return [Channel("pressure_ratio", ratio, "1"), Channel("dW25_dt_kg_s2", rate, "kg/s2")]
 
 
 def _refuse_worst(record: Record, test: TestDescription, inertia: float) -> None:

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.elementary import power_of
@@ -32,7 +34,7 @@ DIATOMIC = 1e-12
 
 @as_written
 def change_scale(
-    readings: FloatArray,
+    readings: NDArray[Any],
     start: float,
     step: float,
     zero: float,

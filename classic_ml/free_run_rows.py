@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
@@ -25,6 +26,7 @@ from classic_ml.spectra import peak_frequency_hz, power_spectrum
 __all__ = ["FreeRunRows", "cell_period_s", "extend_while_settled", "free_run_rows", "near"]
 
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.
 MINIMUM_PHI = 0.0075
@@ -76,14 +78,14 @@ class FreeRunRows:
     def channels(self) -> list[Channel]:
         """Return ``stalled`` (0/1) and ``free_run`` (0 outside, 1 simulated, 2 scored)."""
 
-        def state(rows: slice) -> FloatArray:
-            return _inside(self.inside, rows).astype(np.float64) + self.scored[rows]
+        def state(rows: slice) -> IntArray:
+            return np.add(_inside(self.inside, rows), self.scored[rows], dtype=np.int64)
 
-        n_rows = self.stalled.size
-        stalled = evaluated(self.workspace, n_rows, lambda rows: self.stalled[rows])
+        place = self.workspace
+        free_run = evaluated(place, self.stalled.size, state, np.int64)
         return [
-            Channel("stalled", stalled, "1"),
-            Channel("free_run", evaluated(self.workspace, n_rows, state), "1"),
+            Channel("stalled", place.widened(self.stalled), "1"),
+            Channel("free_run", place.widened(free_run), "1"),
         ]
 
 
@@ -143,7 +145,7 @@ def extend_while_settled(
     settled = median(speed, window, workspace=place)
     # A channel that was dropped does not count, whatever it reads.
     faults = [
-        record[name]
+        as_stored(record[name])
         for name in record.channels
         if name.startswith("fault_")
         and name.removeprefix("fault_") in (record if in_use is None else in_use)
@@ -152,7 +154,7 @@ def extend_while_settled(
     def bad(rows: slice) -> BoolArray:
         out = np.abs(speed[rows] / settled - 1.0) > SETTLED_SHARE
         for fault in faults:
-            out |= fault[rows] != 0.0
+            out |= fault[rows] != 0
         return np.asarray(out)
 
     start = 0
@@ -175,8 +177,10 @@ def extend_while_settled(
 def near(rows: BoolArray, before: int, behind: int) -> BoolArray:
     """Return the rows that lie up to so many before or behind a row of the given ones."""
     # How many of the given rows there are up to each row, and the same beyond both ends.
-    counts = np.cumsum(rows)
-    counts = np.concatenate((np.zeros(behind + 1), counts, np.repeat(counts[-1:], before)))
+    counts = np.zeros(rows.size + before + behind + 1, dtype=np.int32)
+    last = rows.size + behind + 1
+    np.cumsum(rows, out=counts[behind + 1 : last])
+    counts[last:] = counts[last - 1]
     reach = before + behind + 1
     return np.asarray(counts[reach : reach + rows.size] > counts[: rows.size])
 

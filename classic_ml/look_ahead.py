@@ -14,6 +14,7 @@ import numpy as np
 
 from classic_ml.calibration import invert_thermocouples
 from classic_ml.columns.workspace import blocks
+from classic_ml.faults.marks import fault_name, kinds_of_fault
 from classic_ml.filtering import LocalFilter, channel_filter, filter_channels, filter_entry
 from classic_ml.plane_averages import PlaneFlows, local_flows, plane_averages, plane_flows
 from classic_ml.readers.test_description import TestDescription
@@ -189,7 +190,11 @@ def _differing(
     """Return the first and the last row of a block in which a channel is another one."""
     differs = np.zeros(rows.stop - rows.start, dtype=np.bool_)
     for name in names:
-        differs |= record[name][rows] != before[name][rows]
+        # Lines are drawn across what does not count, in one of them or in both.
+        if fault_name(name) in record:
+            differs |= kinds_of_fault(record, name, rows) != 0
+        else:
+            differs |= record[name][rows] != before[name][rows]
     record.workspace.release()
     places = np.flatnonzero(differs)
     if not places.size:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from classic_ml.coefficients import (
     corrected_speed_fraction,
     flow_coefficient,
 )
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks, evaluated, mapped
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
@@ -340,8 +342,9 @@ def _regimes_compared(record: Record, window: slice, threshold_lbm_s: float | No
     if threshold_lbm_s is None:
         return record
     other = 0
+    stalled, itself = as_stored(record["in_stall"]), as_stored(record["stalled"])
     for rows in blocks(window.stop, window.start):
-        other += int(np.count_nonzero(record["in_stall"][rows] != record["stalled"][rows]))
+        other += int(np.count_nonzero(stalled[rows] != itself[rows]))
         record.workspace.release()
     share = other / (window.stop - window.start)
     if share <= REGIMES_DIFFER:
@@ -473,11 +476,11 @@ def _series(record: Record) -> CoefficientSeries:
     def clock(rows: slice) -> FloatArray:
         return record.start_s + np.arange(rows.start, rows.stop) / record.sample_rate_hz
 
-    def state(name: str) -> NDArray[np.bool_]:
-        return evaluated(place, n_rows, lambda rows: record[name][rows] > 0.5, np.bool_)
-
-    def numbers(name: str) -> NDArray[np.int64]:
-        return evaluated(place, n_rows, lambda rows: record[name][rows], np.int64)
+    def of_type(name: str, kind: type[np.generic]) -> NDArray[Any]:
+        stored = as_stored(record[name])
+        if stored.dtype == kind:
+            return stored
+        return evaluated(place, n_rows, lambda rows: stored[rows], kind)
 
     return CoefficientSeries(
         time_s=evaluated(place, n_rows, clock),
@@ -486,12 +489,12 @@ def _series(record: Record) -> CoefficientSeries:
         psi=record["psi"] if work_known else None,
         T25_K=record["T25_K"],
         Nc_frac=record["Nc_frac"],
-        in_stall=state("in_stall"),
-        segment=numbers("segment"),
+        in_stall=of_type("in_stall", np.bool_),
+        segment=of_type("segment", np.int64),
         phi_unfiltered=record["phi_unfiltered"],
         psi_p_unfiltered=record["psi_p_unfiltered"],
-        stalled=state("stalled"),
-        free_run=numbers("free_run"),
+        stalled=of_type("stalled", np.bool_),
+        free_run=of_type("free_run", np.int64),
         source=record.source,
         history=record.history,
         workspace=place,

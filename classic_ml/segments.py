@@ -249,9 +249,11 @@ def segment(
     )
     whole = np.array([[window.start, window.stop]])
     columns = {
-        "in_stall": evaluated(place, n_rows, lambda rows: state[rows]),
-        "window": evaluated(place, n_rows, lambda rows: labelled(whole, rows)),
-        "segment": evaluated(place, n_rows, lambda rows: labelled(segments, rows)),
+        "in_stall": place.widened(state),
+        "window": place.derived(n_rows, lambda rows: labelled(whole, rows).astype(np.float64)),
+        "segment": place.widened(
+            evaluated(place, n_rows, lambda rows: labelled(segments, rows), np.int64)
+        ),
     }
     return record.after(entry, add=[Channel(n, values, "1") for n, values in columns.items()])
 

@@ -105,15 +105,14 @@ def _periodograms(records: FloatArray, shape: FloatArray) -> FloatArray:
 
     The line of each record takes that of the whole signal with it.
     """
-    from scipy.fft import rfft
-
     length = shape.size
     place = np.arange(length) - 0.5 * (length - 1)
     level = records - np.mean(records, axis=1, keepdims=True)
     slope = np.einsum("ij,j->i", level, place) / np.sum(place**2)
     level -= slope[:, None] * place
     level *= shape
-    transform = rfft(level, axis=1, overwrite_x=True)
+    # Not that of scipy, which does the same and takes a twentieth of a second to load.
+    transform = np.fft.rfft(level, axis=1)
     return np.asarray(transform.real**2 + transform.imag**2)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
 
 __all__ = ["intervals_where", "label_intervals", "labelled", "long_ones"]
 
@@ -48,7 +48,7 @@ def intervals_where(
     return np.concatenate([*edges, np.zeros(0, dtype=np.int64)]).astype(np.int64).reshape(-1, 2)
 
 
-def labelled(intervals: IntArray, rows: slice) -> FloatArray:
+def labelled(intervals: IntArray, rows: slice) -> IntArray:
     """Return the number of the interval that each row is in, from 1 on, 0 outside of all.
 
     Parameters
@@ -58,13 +58,13 @@ def labelled(intervals: IntArray, rows: slice) -> FloatArray:
     rows : slice
         The rows.
     """
-    labels = np.zeros(rows.stop - rows.start)
     first = int(np.searchsorted(intervals[:, 1], rows.start, side="right"))
     last = int(np.searchsorted(intervals[:, 0], rows.stop))
-    for number in range(first, last):
-        start, stop = intervals[number] - rows.start
-        labels[max(start, 0) : stop] = number + 1
-    return labels
+    edges = np.clip(intervals[first:last].ravel(), rows.start, rows.stop)
+    # Outside, in the first, outside, in the second, …
+    numbers = np.zeros(edges.size + 1, dtype=np.int64)
+    numbers[1::2] = np.arange(first, last) + 1
+    return np.repeat(numbers, np.diff(edges, prepend=rows.start, append=rows.stop))
 
 
 def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[int]]:
@@ -86,7 +86,7 @@ def label_intervals(state: BoolArray, least_rows: int) -> tuple[IntArray, list[i
     """
     whole = slice(0, state.size)
     kept, left_out = long_ones(intervals_where(whole, lambda rows: state[rows]), least_rows)
-    return labelled(kept, whole).astype(np.int64), left_out
+    return labelled(kept, whole), left_out
 
 
 def long_ones(intervals: IntArray, least_rows: int) -> tuple[IntArray, list[int]]:

@@ -43,7 +43,9 @@ FloatArray = NDArray[np.float64]
 # of a minute at 1 kHz is one block.
 BLOCK_ROWS = 65_536
 # Mapped pages are let go of when there are so many of them: it takes one call a column.
-MAPPED_BYTES = 16 << 20
+MAPPED_BYTES = 12 << 20
+# The system is asked how many there are in one of so many calls.
+CALLS_BETWEEN = 2
 # More than the arrays of one block take.
 BLOCK_BYTES = 16 << 20
 
@@ -199,7 +201,7 @@ class OnDisk(Workspace):
         self.folder = Path(tempfile.gettempdir()) if folder is None else folder
         self._columns: weakref.WeakValueDictionary[int, _Mapped] = weakref.WeakValueDictionary()
         self._spare: dict[int, list[_File]] = {}
-        self._told = _Told()
+        self._told, self._n_calls = _Told(), 0
         # The C library of Linux learns from what it is given back how much comes and goes; without
         # this it has the pages of each block cleared by the system anew, a sixth of the time.
         np.empty(BLOCK_BYTES, dtype=np.uint8)
@@ -246,7 +248,8 @@ class OnDisk(Workspace):
 
     def release(self) -> None:
         """Give the pages back to the system, which has them in its cache or on the disk."""
-        if not hasattr(mmap, "MADV_DONTNEED"):
+        self._n_calls += 1
+        if self._n_calls % CALLS_BETWEEN or not hasattr(mmap, "MADV_DONTNEED"):
             return
         if 0 <= self._told.mapped_bytes() - self._mapped_before < MAPPED_BYTES:
             return

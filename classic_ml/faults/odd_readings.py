@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
 from classic_ml.faults.odd_kernels import jumping_rows, off_neighbours, standing_out
 from classic_ml.readers.test_description import TestDescription
@@ -143,8 +144,10 @@ def splice_rows(record: Record, ranges: Ranges) -> NDArray[np.int64]:
 
 def _over_range(record: Record, ranges: Ranges, rows: slice) -> FloatArray:
     values = np.empty((len(ranges), rows.stop - rows.start))
-    for name, over, (low, high) in zip(ranges, values, ranges.values(), strict=True):
-        np.divide(record[name][rows], high - low, out=over)
+    for number, (name, (low, high)) in enumerate(ranges.items()):
+        # First to float64, then divided: both at once takes twice as long.
+        values[number] = as_stored(record[name])[rows]
+        values[number] /= high - low
     return values
 
 

@@ -247,8 +247,10 @@ def _follow(
     low, high = extremes
     low_near, high_near = low + NEAR_STEPS * step, high - NEAR_STEPS * step
     n_low, n_high, n_low_near, n_high_near = 0, 0, 0, 0
-    for k in range(row - 1 - first, stop - first - (1 if stop < n_rows else 0)):
-        value = values[k]
+    # Of a part from its own first row on, no index can be below zero, which the compiler must know.
+    part = values[row - 1 - first : stop - first - (1 if stop < n_rows else 0)]
+    for k in range(part.size):
+        value = part[k]
         n_low += value == low
         n_high += value == high
         n_low_near += low < value <= low_near

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -90,8 +91,9 @@ def slow_pressures(record: Record, test: TestDescription, window: slice) -> Reco
         # A product with ones adds rows so short faster than a sum over them.
         means = [record[name][part].reshape(n, width) @ ones / width for name in pressures]
         marks = [as_stored(record[fault])[part] for fault in faults]
-        means += [m.reshape(n, width).any(axis=1) if m.any() else np.zeros(n) for m in marks]
-        columns.append_columns(means)
+        none = np.zeros(n, dtype=np.bool_)
+        marked = [np.any(m.reshape(n, width), axis=1) if m.any() else none for m in marks]
+        columns.append_columns(tuple(chain(means, marked)))
         record.workspace.release()
     values = zip((*pressures, *faults), columns.finished(), strict=True)
     return replace(

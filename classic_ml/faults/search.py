@@ -136,12 +136,12 @@ def _marked(
             stuck &= ~which
         marks = np.zeros(stuck.size, dtype=np.uint8)
         for kind, which in (*kinds, (STUCK, stuck), (SPIKED, _among(spiked, rows))):
-            places = np.flatnonzero(which)
-            if places.size:
-                marks[places] += np.uint8(kind)
-                last = rows.start + int(places[-1])
-                n, first, _ = counts.get(kind, (0, rows.start + int(places[0]), last))
-                counts[kind] = (n + places.size, first, last)
+            found = int(np.count_nonzero(which))
+            if found:
+                marks += which * np.uint8(kind)
+                last = rows.stop - 1 - int(np.argmax(which[::-1]))
+                n, first, _ = counts.get(kind, (0, rows.start + int(np.argmax(which)), last))
+                counts[kind] = (n + found, first, last)
         if marks.any():
             record.workspace.put(column, rows, marks)
         record.workspace.release()

@@ -428,9 +428,11 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
             variable.attrs["long_name"] = LONG_NAMES[name]
     # The rows are no matter of netCDF any more, whose own way takes twice the time.
     with h5py.File(file, "r+") as out:
+        variables = {name: out[name] for name in columns}
         for rows in blocks(series.n_samples):
             for name, values in columns.items():
-                out[name].write_direct(values[rows].astype(types[name], copy=False), None, rows)
+                part = values[rows].astype(types[name], copy=False)
+                variables[name].write_direct(part, None, rows)
             series.workspace.release()
 
 
