@@ -42,11 +42,12 @@ FORMATS = ((".parquet", ".nc"), (".csv", ".nc"), (".csv", ".csv"))
 PROCESS = """
 import json, os, sys, time
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from comparisons.cli import main
-code = main(sys.argv[2:])
+told = sys.argv.pop(1)
+from comparisons.process import run
+code = run()
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
-with open(sys.argv[1], "w") as told:
-    json.dump({"cpu": time.process_time(), "peak": 1024 * int(peak.split()[1])}, told)
+with open(told, "w") as out:
+    json.dump({"cpu": time.process_time(), "peak": 1024 * int(peak.split()[1])}, out)
 sys.exit(code)
 """
 
