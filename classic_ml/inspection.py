@@ -12,18 +12,15 @@ from classic_ml.columns.workspace import BLOCK_ROWS
 from classic_ml.errors import InputError
 from classic_ml.faults.held import held_in_chunks
 from classic_ml.faults.plateaus import LEAST_TIMES, REACH, EndSearch
-from classic_ml.readers.passed_over_clock import CLOCK_NAMES
+from classic_ml.inspection_clock import ClockFacts, ClockTally, clock_tally
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.sampled_together import sampled_apart
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.records import FloatArray
-from classic_ml.units import Conversion, time_conversion
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file", "is_still"]
 
-# A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.
-GAP_STEPS = 1.5
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.
 STILL_S = 0.05
@@ -93,45 +90,6 @@ class ChannelFacts:
 
 
 @dataclass(frozen=True)
-class ClockFacts:
-    """The column of times.
-
-    Parameters
-    ----------
-    name : str
-        Its name in the file.
-    unit : str
-        Its unit; ``"s"`` where the file states none.
-    about : str
-        What it is where it is no column of times.
-    first_s, last_s : float
-        Its ends.
-    rate_hz : float
-        Rows a second, over the steps that are neither gaps nor back; NaN without any.
-    jitter : float
-        The largest deviation of these from the usual step, in steps.
-    gaps, repeats, steps_back : int
-        How often it jumps, stands still and runs back.
-    first_gap, first_repeat, first_step_back : int or None
-        The row after the first of them, counted from 1.
-    """
-
-    name: str
-    unit: str
-    about: str
-    first_s: float
-    last_s: float
-    rate_hz: float
-    jitter: float
-    gaps: int
-    repeats: int
-    steps_back: int
-    first_gap: int | None
-    first_repeat: int | None
-    first_step_back: int | None
-
-
-@dataclass(frozen=True)
 class Inspection:
     """What is in a file, as far as it can be read.
 
@@ -196,12 +154,12 @@ def inspect_file(
     chosen = layout if layout is not None else FileLayout(group=group)
     stored = open_stored(path, chosen, lenient=True)
     tallies = [_Tally() for _ in stored.names]
-    clock: _ClockTally | None = None
+    clock: ClockTally | None = None
     rows, fault = 0, ""
     try:
         for block in stored.chunks(BLOCK_ROWS):
             if rows == 0:
-                clock = _clock_tally(stored, block, chosen, named=layout is not None)
+                clock = clock_tally(stored, block, chosen, named=layout is not None)
             if clock is not None:
                 clock.add(block[:, clock.column], rows)
             for number, tally in enumerate(tallies):
@@ -211,7 +169,7 @@ def inspect_file(
         if rows == 0:
             raise
         fault = str(error)
-    plateaus, held = _plateaus(stored, tallies, rows), _held_rows(stored, tallies, rows)
+    plateaus, held = _plateaus_and_held(stored, tallies, rows)
     return Inspection(
         stored.source,
         rows,
@@ -247,47 +205,49 @@ def is_still(channel: ChannelFacts, rate_hz: float) -> bool:
     return channel.longest_run >= max(STILL_LEAST_ROWS, rows)
 
 
-def _plateaus(stored: RawFile, tallies: list[_Tally], n_rows: int) -> dict[int, tuple[str, ...]]:
-    """Return, by column, the ends of its range at which it is cut off.
+def _plateaus_and_held(
+    stored: RawFile, tallies: list[_Tally], n_rows: int
+) -> tuple[dict[int, tuple[str, ...]], dict[int, float]]:
+    """Return, by column, the ends at which it is cut off, and how many rows each value stands for.
 
-    The rows are read once more where a column stands still at one of its ends, by the same rule
-    as in a reduction.
+    The rows are read once more, for both at once, where a column stands still at one of its ends
+    or half of its values stand for several rows; the rules are those of a reduction.
     """
     searches = {
         number: EndSearch(n_rows, tally.minimum, tally.maximum, tally.least_step)
         for number, tally in enumerate(tallies)
         if tally.may_be_cut_off
     }
-    if searches:
-        kept, first = np.empty((0, len(tallies))), 0
-        for block in _up_to(stored, n_rows):
-            kept = np.concatenate((kept, block))
-            last = first + len(kept)
-            stop = last if last == n_rows else last - REACH
-            if stop <= first:
-                continue
-            for number, search in searches.items():
-                search.follow(np.ascontiguousarray(kept[:, number]), first, stop)
-            behind = max(0, stop - REACH)
-            kept, first = kept[behind - first :], behind
-    found = {
+    steps = {number: tally.least_step for number, tally in enumerate(tallies) if tally.may_be_held}
+    held: dict[int, float] = {}
+    if searches or steps:
+        held = held_in_chunks(_searched(_up_to(stored, n_rows), searches, n_rows), steps)
+    plateaus = {
         number: tuple("maximum" if end.upper else "minimum" for end in search.ends)
         for number, search in searches.items()
     }
     for number, tally in enumerate(tallies):
-        ends = found.get(number, ())
+        ends = plateaus.get(number, ())
         if tally.at_top_code and "maximum" not in ends:
-            found[number] = (*ends, "maximum")
-    return found
+            plateaus[number] = (*ends, "maximum")
+    return plateaus, held
 
 
-def _held_rows(stored: RawFile, tallies: list[_Tally], n_rows: int) -> dict[int, float]:
-    """Return, by column, how many rows each value stands for, where that may be more than one.
-
-    The rows are read once more where half of the values of a column stand for several.
-    """
-    steps = {number: tally.least_step for number, tally in enumerate(tallies) if tally.may_be_held}
-    return held_in_chunks(_up_to(stored, n_rows), steps) if steps else {}
+def _searched(
+    blocks: Iterator[FloatArray], searches: dict[int, EndSearch], n_rows: int
+) -> Iterator[FloatArray]:
+    """Hand on the blocks of a file, each searched for plateaus as it goes by."""
+    kept, first = None, 0
+    for block in blocks:
+        kept = block if kept is None else np.concatenate((kept, block))
+        last = first + len(kept)
+        stop = last if last == n_rows else last - REACH
+        if stop > first:
+            for number, search in searches.items():
+                search.follow(np.ascontiguousarray(kept[:, number]), first, stop)
+            reach_back = max(0, stop - REACH)
+            kept, first = kept[reach_back - first :], reach_back
+        yield block
 
 
 def _up_to(stored: RawFile, n_rows: int) -> Iterator[FloatArray]:
@@ -412,115 +372,4 @@ class _Tally:
             some and self.whole_numbers,
             plateaus,
             held_rows,
-        )
-
-
-def _clock_tally(
-    stored: RawFile, block: FloatArray, layout: FileLayout, *, named: bool
-) -> _ClockTally | None:
-    """Return a tally for the column that is the clock, with its usual step."""
-    column = _clock_column(stored, block, layout, named=named)
-    if column is None:
-        return None
-    name = stored.names[column]
-    unit = (layout.time_unit if name == layout.time else None) or stored.units.get(name, "") or "s"
-    try:
-        conversion = time_conversion(unit, name)
-    except InputError:
-        conversion, unit = Conversion(), "s"
-    steps = np.diff(conversion.to_si(block[:, column]))
-    steps = steps[np.isfinite(steps) & (steps > 0.0)]
-    usual = float(np.median(steps)) if steps.size else np.nan
-    about = stored.stamps.get(name, stored.clock if name == layout.time else "")
-    return _ClockTally(column, name, unit, about, conversion, usual)
-
-
-def _clock_column(
-    stored: RawFile, block: FloatArray, layout: FileLayout, *, named: bool
-) -> int | None:
-    if layout.time in stored.names:
-        return stored.names.index(layout.time)
-    if named:
-        return None
-    folded = [name.strip().lower() for name in stored.names]
-    for name in CLOCK_NAMES:
-        if name in folded:
-            return folded.index(name)
-    if stored.stamps:
-        return stored.names.index(next(iter(stored.stamps)))
-    for number in range(len(stored.names)):
-        steps = np.diff(block[:, number])
-        # A clock rises, and by the same step nearly always.
-        if steps.size > 1 and np.all(steps > 0.0):
-            usual = float(np.median(steps))
-            if np.mean(np.abs(steps - usual) < 0.5 * usual) > 0.99:
-                return number
-    return None
-
-
-@dataclass
-class _ClockTally:
-    """What is kept of the clock from chunk to chunk."""
-
-    column: int
-    name: str
-    unit: str
-    about: str
-    conversion: Conversion
-    usual_s: float
-    first_s: float = np.nan
-    last_s: float = np.nan
-    good_steps: int = 0
-    good_time_s: float = 0.0
-    jitter: float = 0.0
-    counts: dict[str, int] = field(default_factory=dict)
-    firsts: dict[str, int] = field(default_factory=dict)
-
-    def add(self, values: FloatArray, first_row: int) -> None:
-        """Take the next rows into account."""
-        time_s = self.conversion.to_si(values)
-        rows = first_row + 1 + np.flatnonzero(np.isfinite(time_s))
-        time_s = time_s[np.isfinite(time_s)]
-        if time_s.size == 0:
-            return
-        if np.isnan(self.first_s):
-            self.first_s = float(time_s[0])
-        else:
-            time_s = np.concatenate(([self.last_s], time_s))
-            rows = np.concatenate(([first_row], rows))
-        self.last_s = float(time_s[-1])
-        steps = np.diff(time_s)
-        kinds = {
-            "gap": steps > GAP_STEPS * self.usual_s,
-            "repeat": steps == 0.0,
-            "step_back": steps < 0.0,
-        }
-        good = ~(kinds["gap"] | kinds["repeat"] | kinds["step_back"])
-        self.good_steps += int(np.count_nonzero(good))
-        self.good_time_s += float(np.sum(steps[good]))
-        if good.any():
-            off = np.max(np.abs(steps[good] - self.usual_s)) / self.usual_s
-            self.jitter = max(self.jitter, float(off))
-        for kind, where in kinds.items():
-            count = int(np.count_nonzero(where))
-            self.counts[kind] = self.counts.get(kind, 0) + count
-            if count and kind not in self.firsts:
-                self.firsts[kind] = int(rows[1:][np.argmax(where)])
-
-    def facts(self) -> ClockFacts:
-        """Return what was found."""
-        return ClockFacts(
-            self.name,
-            self.unit,
-            self.about,
-            self.first_s,
-            self.last_s,
-            self.good_steps / self.good_time_s if self.good_time_s > 0.0 else np.nan,
-            self.jitter,
-            self.counts.get("gap", 0),
-            self.counts.get("repeat", 0),
-            self.counts.get("step_back", 0),
-            self.firsts.get("gap"),
-            self.firsts.get("repeat"),
-            self.firsts.get("step_back"),
         )

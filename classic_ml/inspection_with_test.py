@@ -14,6 +14,7 @@ from classic_ml.errors import InputError
 from classic_ml.inspection import Inspection
 from classic_ml.readers.raw_files import FeedColumn, feeds, nearest_names, open_raw
 from classic_ml.readers.raw_formats import open_stored
+from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, Record
 
@@ -165,8 +166,7 @@ def match_test(
         return TestMatch(test.name, (), (), str(error), ())
     refusal, means = "", dict[str, float]()
     try:
-        open_raw(raw_path, test)
-        means = _near_stall_means(raw_path, test)
+        means = _near_stall_means(open_raw(raw_path, test), test)
     except InputError as error:
         refusal = str(error)
     fed = {column.column for column in columns}
@@ -276,9 +276,8 @@ def _si(name: str, values: FloatArray, test: TestDescription) -> FloatArray:
     return values
 
 
-def _near_stall_means(raw_path: str | os.PathLike[str], test: TestDescription) -> dict[str, float]:
+def _near_stall_means(raw: RawFile, test: TestDescription) -> dict[str, float]:
     """Return the mean of each channel over the near-stall interval, in SI."""
-    raw = open_raw(raw_path, test)
     totals, rows = np.zeros(len(raw.names)), 0
     for block in _until(raw.chunks(BLOCK_ROWS), test.near_stall.to_s):
         half_s = 0.5 / test.sample_rate_hz

@@ -274,7 +274,7 @@ def _reduction_text(reduction: ReductionPreview) -> str:
 def _run(arguments: argparse.Namespace) -> None:
     from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.inspection import inspect_file
-    from classic_ml.readers.draft import draft_test_toml
+    from classic_ml.inspection_draft import draft_test_toml
     from comparisons.json_output import to_strict_json
     from comparisons.progress import shown_steps
 

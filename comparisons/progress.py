@@ -9,13 +9,15 @@ from contextlib import contextmanager
 from threading import Event, Thread
 from typing import Any, TypeVar
 
-__all__ = ["bar_size", "shown_over", "shown_steps"]
+__all__ = ["shown_count", "shown_over", "shown_steps"]
 
 _T = TypeVar("_T")
 # As large as a terminal is that says nothing of its size.
 _COLUMNS, _LINES = 80, 24
 # So often a bar is drawn anew while a step lasts, in seconds: a clock that stands looks like death.
 _TICK_S = 0.5
+# What is counted comes in bunches: the time left follows the mean rate more than the last one.
+_SMOOTHING = 0.05
 
 
 def shown_over(
@@ -66,7 +68,40 @@ def shown_steps(steps: int) -> Iterator[Callable[[str], None]]:
         yield told
 
 
-def bar_size() -> dict[str, Any]:
+@contextmanager
+def shown_count(
+    words: str = "", *, unit: str, total: int | None = None, resumed: bool = False
+) -> Iterator[Callable[..., None]]:
+    """Give a function that is told how many more are done; one more, where it is told nothing.
+
+    Parameters
+    ----------
+    words : str
+        What is done.
+    unit : str
+        What is counted; rows, of which there are many, are shown in thousands and millions.
+    total : int, optional
+        How many there are, where that is known.
+    resumed : bool
+        Whether the first number it is told was done before, and says nothing of the time left.
+    """
+    with _bar(total, unit, unit_scale=unit == "row", smoothing=_SMOOTHING) as bar:
+        bar.set_description_str(words)
+        before = resumed
+
+        def counted(count: int = 1) -> None:
+            nonlocal before
+            if before:
+                bar.initial = bar.n = bar.last_print_n = count
+                bar.refresh()
+                before = False
+            else:
+                bar.update(count)
+
+        yield counted
+
+
+def _bar_size() -> dict[str, Any]:
     """Return how large tqdm is to take the terminal for; nothing where it says so itself.
 
     A pseudo-terminal that nobody gave a size has no columns and no lines, and a bar that fits it
@@ -80,12 +115,13 @@ def bar_size() -> dict[str, Any]:
 
 
 @contextmanager
-def _bar(total: int, unit: str) -> Iterator[Any]:
+def _bar(total: int | None, unit: str, **shape: Any) -> Iterator[Any]:
     """Draw a bar whose clock goes on while a step lasts, and take it away at the end."""
     from tqdm import tqdm
 
     shown = sys.stderr.isatty()
-    with tqdm(total=total, unit=unit, leave=False, disable=not shown, **bar_size()) as bar:
+    shape.update(_bar_size())
+    with tqdm(total=total, unit=unit, leave=False, disable=not shown, **shape) as bar:
         if not shown:
             yield bar
             return

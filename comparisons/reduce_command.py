@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,9 +64,10 @@ def reduce_file(
         When the record cannot be used, or there is too little room on the disk.
     """
     from classic_ml.reduction import STEPS, reduce_record
+    from comparisons.progress import shown_count
 
     records, test = read_file(raw, test_path, chunk_rows=chunk_rows, out=out)
-    with _bar("reducing", STEPS, "step") as done:
+    with shown_count("reducing", unit="step", total=STEPS) as done:
         # Nobody but the reduction holds the raw record, so that it can let go of it.
         return reduce_record(records.pop(), test, settings, keep_probes=False, progress=done)
 
@@ -102,6 +100,7 @@ def read_file(
     """
     from classic_ml.readers import read_raw, read_test_description
     from classic_ml.readers.raw_files import open_raw
+    from comparisons.progress import shown_count
 
     test = read_test_description(test_path)
     stored = open_raw(raw, test)
@@ -111,7 +110,7 @@ def read_file(
         folder = Path(os.environ.get("TMPDIR") or out.resolve().parent)
         _check_room(n_rows, test, folder, out.resolve().parent)
         workspace = OnDisk(folder)
-    with _bar("reading", n_rows, "row") as read:
+    with shown_count("reading", unit="row", total=n_rows) as read:
         records = [
             read_raw(raw, test, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
         ]
@@ -175,22 +174,3 @@ def _check_room(n_rows: int, test: TestDescription, work: Path, out: Path) -> No
                 found=f"{free / 1e9:.2g} GB",
                 remedy="free some, or let TMPDIR name a folder on another disk",
             )
-
-
-@contextmanager
-def _bar(what: str, total: int, unit: str) -> Iterator[Callable[[int], object]]:
-    """Show how far a work is, on a terminal only."""
-    from tqdm import tqdm
-
-    from comparisons.progress import bar_size
-
-    with tqdm(
-        total=total,
-        desc=what,
-        unit=unit,
-        unit_scale=unit == "row",
-        leave=False,
-        disable=not sys.stderr.isatty(),
-        **bar_size(),
-    ) as bar:
-        yield bar.update

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +84,8 @@ def run_study_command(arguments: argparse.Namespace) -> None:
 
 def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any]:
     from joblib import cpu_count
-    from tqdm import tqdm
 
-    from comparisons.progress import bar_size
+    from comparisons.progress import shown_count
     from comparisons.study.engines import engine_for
     from comparisons.study.run import StudyFiles, run_study
 
@@ -95,15 +93,8 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
     engine = engine_for(jobs, arguments.scheduler)
     # A scheduler of jobs ends a process by SIGTERM: as Ctrl-C, workers end with it.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    bar = tqdm(
-        total=cells,
-        unit="cell",
-        disable=not sys.stderr.isatty(),
-        smoothing=0.05,
-        **bar_size(),
-    )
     try:
-        with bar as progress:
+        with shown_count(unit="cell", total=cells, resumed=True) as told:
             table = run_study(
                 spec,
                 arguments.out,
@@ -112,25 +103,11 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
                 retry_failed=arguments.retry_failed,
                 # Of a cluster's workers the provenance says nothing that was not seen.
                 workers=None if arguments.scheduler else jobs,
-                told=_Teller(progress),
+                told=told,
             )
     finally:
         signal.signal(signal.SIGTERM, before)
     return table, StudyFiles(arguments.out)
-
-
-class _Teller:
-    """Moves a progress bar; what was finished before does not count for the time left."""
-
-    def __init__(self, progress: Any) -> None:
-        self._progress = progress
-        self._begun = False
-
-    def __call__(self, count: int) -> None:
-        if not self._begun:
-            self._progress.initial = count
-            self._begun = True
-        self._progress.update(count)
 
 
 def _conclude(spec: Any, table: Any, files: Any) -> None:

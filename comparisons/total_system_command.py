@@ -113,6 +113,7 @@ def run_total_system(arguments: argparse.Namespace) -> None:
     from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.readers import read_raw
     from comparisons.json_output import to_strict_json
+    from comparisons.progress import shown_count, shown_steps
     from comparisons.total_system import (
         TotalSystemSettings,
         facility_toml,
@@ -139,14 +140,14 @@ def run_total_system(arguments: argparse.Namespace) -> None:
             **given,
         )
         measured = measured_signals(record, test)
-        with _Progress("fit") as progress:
-            fit = fit_total_system(measured, test, settings, progress=progress.step)
+        with shown_count("fitting", unit=" step") as counted:
+            fit = fit_total_system(measured, test, settings, progress=counted)
         rows = []
         if arguments.table:
-            from comparisons.total_system import sensitivity_rows
+            from comparisons.total_system.sensitivity import N_ROWS, sensitivity_rows
 
-            with _Progress("table") as progress:
-                rows = sensitivity_rows(record, test, settings, progress=progress.step)
+            with shown_steps(N_ROWS) as told:
+                rows = sensitivity_rows(record, test, settings, progress=told)
     except InputError as error:
         raise _in_options(error, InputError) from None
     if arguments.save_facility:
@@ -206,27 +207,6 @@ def _in_options(error: Any, kind: type[Exception]) -> Exception:
         found=error.found,
         remedy=error.remedy,
     )
-
-
-class _Progress:
-    """A line on a terminal that says what runs; nothing where stderr is no terminal."""
-
-    def __init__(self, unit: str) -> None:
-        from tqdm import tqdm
-
-        self._bar = tqdm(unit=f" {unit} step", leave=False, disable=not sys.stderr.isatty())
-
-    def step(self, words: str = "") -> None:
-        """Count one step, and say what it is."""
-        if words:
-            self._bar.set_description_str(words)
-        self._bar.update()
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
 
 
 def _print(fit: TotalSystemFit, source: str, origin: str) -> None:

@@ -41,6 +41,8 @@ PHI_OF_TABLE = (0.0, 0.05, 0.1, 0.15)
 # Shifts of the start that the notes on the rig measured the output error of.
 START_ERRORS_S = (0.002, 0.010, 0.040)
 VOLUME_FACTORS = (1.1,)
+# Rows of the whole table: each method without an error and under each.
+N_ROWS = len(METHODS) * (1 + len(START_ERRORS_S) + len(VOLUME_FACTORS))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ A page is Markdown. Of its fenced blocks
 
 - one with a caption that is the name of a file is that file;
 - ``console`` holds commands behind ``$`` and what each prints; ``...`` alone in a line stands for
-  any lines, and a caption that begins with "not run" says why it is not run;
+  any lines, and a caption that begins with "not run" says why it is not run. A command ends with
+  exit code 0, or with the one that ``$ echo $?`` behind it shows: another one is an error, which
+  ``--write`` leaves for somebody to look at;
 - ``python`` without a caption is executed, all of a page in one namespace; a ``text`` block right
   behind it is what it prints.
 
@@ -26,7 +28,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
@@ -41,6 +43,8 @@ _OPTION = re.compile(r"^:(?P<key>\w+): *(?P<value>.*)\n")
 _FILE = re.compile(r"^[\w.-]+\.\w+$")
 _NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 ANY = "..."
+# Asks for the exit code of the command before.
+ASK_CODE = "echo $?"
 # Of the last digit that is shown: another processor may round the other way.
 DIGITS = 1.01
 # Folders of the repository that commands name from its root.
@@ -61,8 +65,8 @@ class Block:
         Without fences and options.
     start, stop : int
         Where the text lies in the page.
-    behind : int
-        Where the block before ended, if nothing but blank lines lies between; else −1.
+    follows_on : bool
+        Whether nothing but blank lines lies between it and the block before.
     """
 
     kind: str
@@ -70,7 +74,7 @@ class Block:
     text: str
     start: int
     stop: int
-    behind: int = -1
+    follows_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,15 +87,18 @@ class Outcome:
         The block.
     found : str
         Its text with the output found.
+    wrong_codes : tuple of str
+        Commands that ended with another exit code than the page states, and with which.
     """
 
     block: Block
     found: str
+    wrong_codes: tuple[str, ...] = ()
 
     @property
     def agrees(self) -> bool:
         """Whether the page shows what was found."""
-        return agree(self.block.text, self.found)
+        return not self.wrong_codes and agree(self.block.text, self.found)
 
 
 def blocks_of(page: str) -> list[Block]:
@@ -111,12 +118,8 @@ def blocks_of(page: str) -> list[Block]:
                 caption = option["value"].strip()
             start += option.end()
         text = page[start : fence.end("body")]
-        near = end >= 0 and not page[end : fence.start()].strip()
-        out.append(
-            Block(
-                fence["kind"], caption, text, start, fence.end("body"), len(out) - 1 if near else -1
-            )
-        )
+        follows_on = end >= 0 and not page[end : fence.start()].strip()
+        out.append(Block(fence["kind"], caption, text, start, fence.end("body"), follows_on))
         end = fence.end()
     return out
 
@@ -140,47 +143,77 @@ def run_page(page: str, folder: Path) -> Iterator[Outcome]:
         if _FILE.match(block.caption):
             (folder / block.caption).write_text(block.text, "utf-8")
         elif block.kind == "console":
-            yield Outcome(block, _session(block.text, folder))
+            yield _session(block, folder)
         elif block.kind == "python" and not block.caption:
             with _within(folder) as out:
                 exec(compile(block.text, "<page>", "exec"), names)
             printed = out.getvalue()
-        elif block.kind == "text" and block.behind == number - 1 >= 0:
+        elif block.kind == "text" and block.follows_on:
             before = blocks[number - 1]
             if before.kind == "python" and not before.caption:
                 yield Outcome(block, printed)
 
 
-def _session(shown: str, folder: Path) -> str:
-    """Return a session with the output that its commands give now."""
-    lines: list[str] = []
-    commands: list[list[str]] = []
+@dataclass
+class _Command:
+    """A command of a session, as it is shown there."""
+
+    lines: list[str]
+    shown: list[str]
+
+    @property
+    def text(self) -> str:
+        """What is typed, in one line."""
+        return " ".join(line.rstrip("\\").strip() for line in self.lines).removeprefix("$ ")
+
+
+def _commands_of(shown: str) -> list[_Command]:
+    commands: list[_Command] = []
     for line in shown.splitlines():
         if line.startswith("$ "):
-            commands.append([line])
-        elif commands and commands[-1][-1].endswith("\\"):
-            commands[-1].append(line)
-    for command in commands:
-        lines += command
-        joined = " ".join(part.rstrip("\\").strip() for part in command).removeprefix("$ ")
-        lines += [line.rstrip() for line in _output(joined, folder).splitlines()]
-    return "\n".join(lines) + "\n"
+            commands.append(_Command([line], []))
+        elif commands and commands[-1].lines[-1].endswith("\\"):
+            commands[-1].lines.append(line)
+        elif commands:
+            commands[-1].shown.append(line)
+    return commands
 
 
-def _output(command: str, folder: Path) -> str:
+def _session(block: Block, folder: Path) -> Outcome:
+    """Run a session, and return the output and the exit codes that its commands give now."""
+    lines: list[str] = []
+    wrong: list[str] = []
+    commands = _commands_of(block.text)
+    code = 0
+    for command, then in zip(commands, [*commands[1:], None], strict=True):
+        lines += command.lines
+        if command.text == ASK_CODE:
+            lines.append(str(code))
+            continue
+        printed, code = _output(command.text, folder)
+        lines += [line.rstrip() for line in printed.splitlines()]
+        asked = then is not None and then.text == ASK_CODE
+        stated = "".join(then.shown).strip() if then is not None and asked else "0"
+        if str(code) != stated:
+            wrong.append(f"{command.text}: exit code {code}, where the page states {stated}")
+    return Outcome(block, "\n".join(lines) + "\n", tuple(wrong))
+
+
+def _output(command: str, folder: Path) -> tuple[str, int]:
+    """Return what a command prints, and its exit code."""
     words = shlex.split(command)
     plain = not any(mark in command for mark in "|><&;")
     if plain and words[0] == "sindy-surge":
         from comparisons.cli import main
 
         with _within(folder, words) as out:
-            main(words[1:])
-        return out.getvalue()
+            code = _exit_code(lambda: main(words[1:]))
+        return out.getvalue(), code
     if plain and words[0] == "python":
         script = str(ROOT / words[1]) if words[1].startswith(OWN) else words[1]
         with _within(folder, words[1:], Path(script).parent) as out:
-            runpy.run_path(script, run_name="__main__")
-        return out.getvalue()
+            code = _exit_code(lambda: runpy.run_path(script, run_name="__main__"))
+        return out.getvalue(), code
     here = str(Path(sys.executable).parent)
     done = subprocess.run(
         command,
@@ -192,7 +225,19 @@ def _output(command: str, folder: Path) -> str:
         text=True,
         check=False,
     )
-    return done.stdout
+    return done.stdout, done.returncode
+
+
+def _exit_code(work: Callable[[], object]) -> int:
+    """Return the exit code of what runs in this process, as a process of its own would have it."""
+    try:
+        code = work()
+    except SystemExit as stop:
+        if stop.code is None or isinstance(stop.code, int):
+            return stop.code or 0
+        sys.stderr.write(f"{stop.code}\n")
+        return 1
+    return code if isinstance(code, int) else 0
 
 
 @contextlib.contextmanager
@@ -258,21 +303,38 @@ def _number_agrees(shown: str, found: str) -> bool:
 
 
 def _written(page: str, outcomes: Sequence[Outcome]) -> str:
-    """Return the page with the output found; blocks with three dots stay as they are."""
+    """Return the page with the output found.
+
+    Blocks with three dots stay as they are, and those with an exit code that is not the stated
+    one, whose output may be that of a fault.
+    """
     out = page
     for outcome in reversed(outcomes):
         block = outcome.block
-        if ANY not in (line.strip() for line in block.text.splitlines()):
+        dots = ANY in (line.strip() for line in block.text.splitlines())
+        if not dots and not outcome.wrong_codes:
             out = out[: block.start] + outcome.found + out[block.stop :]
     return out
 
 
-def main() -> int:
-    """Run the command."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments; those of the process without it.
+
+    Returns
+    -------
+    int
+        1 where a page does not show what was found: its exit codes, and its output unless that was
+        written; else 0.
+    """
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("pages", type=Path, nargs="+", metavar="PAGE")
     parser.add_argument("--write", action="store_true", help="put the output found in its place")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     failed = False
     for path in options.pages:
         page = path.read_text("utf-8")
@@ -280,12 +342,13 @@ def main() -> int:
             outcomes = list(run_page(page, Path(folder)))
         for outcome in outcomes:
             if not outcome.agrees:
-                failed = True
+                failed = failed or bool(outcome.wrong_codes) or not options.write
                 line = page.count("\n", 0, outcome.block.start) + 1
-                sys.stdout.write(f"{path}:{line}: found\n{outcome.found}\n")
+                wrong = "".join(f"{words}\n" for words in outcome.wrong_codes)
+                sys.stdout.write(f"{path}:{line}: {wrong}found\n{outcome.found}\n")
         if options.write:
             path.write_text(_written(page, outcomes), "utf-8")
-    return 0 if options.write else int(failed)
+    return int(failed)
 
 
 if __name__ == "__main__":

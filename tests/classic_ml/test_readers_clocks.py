@@ -14,8 +14,8 @@ from raw_data import RawTest, make_test, to_toml, write_csv
 
 from classic_ml.errors import InputError
 from classic_ml.inspection import inspect_file
+from classic_ml.inspection_draft import draft_test_toml
 from classic_ml.readers import read_raw
-from classic_ml.readers.draft import draft_test_toml
 from classic_ml.readers.iso_stamps import stamp_of
 from classic_ml.readers.raw_formats import open_stored
 

@@ -19,8 +19,8 @@ from scipy.io import savemat
 
 from classic_ml.errors import InputError
 from classic_ml.inspection import inspect_file
+from classic_ml.inspection_draft import draft_test_toml
 from classic_ml.readers import read_raw
-from classic_ml.readers.draft import draft_test_toml
 from classic_ml.readers.netcdf_classic import read_header
 from classic_ml.readers.raw_csv import LONGEST_LINE
 from classic_ml.readers.raw_formats import open_stored

@@ -14,8 +14,8 @@ import pytest
 from raw_data import RawTest, make_test, to_toml, write_csv
 
 from classic_ml.inspection import Inspection, inspect_file
+from classic_ml.inspection_draft import draft_test_toml
 from classic_ml.inspection_with_test import preview
-from classic_ml.readers.draft import draft_test_toml
 from classic_ml.readers.test_toml import read_test_description
 from comparisons.cli import main
 
@@ -128,9 +128,18 @@ def test_what_is_found_does_not_depend_on_the_chunks(
     held = np.repeat(rng.integers(0, 9, 400), rng.integers(1, 9, 400))[:1000].astype(float)
     time_s = np.arange(1000) / 100.0
     time_s[500:] += 0.3
-    whole = inspected(
-        tmp_path, {"t": time_s, "held": held, "nan": np.where(held > 7, np.nan, held)}
-    )
+    wave = np.sin(np.arange(1000) / 15.0) + 1e-3 * rng.standard_normal(1000)
+    columns = {
+        "t": time_s,
+        "held": held,
+        "nan": np.where(held > 7, np.nan, held),
+        "cut": np.minimum(wave, 0.8),
+        "pairs": np.repeat(np.cumsum(rng.standard_normal(500)), 2),
+    }
+    whole = inspected(tmp_path, columns)
+    facts = {channel.name: channel for channel in whole.channels}
+    assert facts["cut"].plateaus == ("maximum",)
+    assert facts["pairs"].held_rows == 2.0
     monkeypatch.setattr("classic_ml.inspection.BLOCK_ROWS", 13)
     pieces = inspect_file(tmp_path / "raw.csv")
     assert [c.name for c in pieces.channels] == [c.name for c in whole.channels]

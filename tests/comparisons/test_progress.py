@@ -6,6 +6,7 @@ import io
 import os
 import re
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +18,8 @@ from raw_data import make_test
 
 from classic_ml.series import write_series
 from comparisons.cli import main
-from comparisons.progress import shown_over, shown_steps
+from comparisons.progress import shown_count, shown_over, shown_steps
+from comparisons.rig import SensorSettings, simulate, write_run
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 termios = pytest.importorskip("termios", reason="no pseudo-terminals here")
@@ -59,17 +61,31 @@ def terminal(patch: pytest.MonkeyPatch, size: tuple[int, int] = (24, 100)) -> It
     seen.text = b"".join(pieces).decode("utf-8", "replace")
 
 
+STUDY = """
+seeds = 3
+scores = ["tau_error_ms"]
+[record]
+duration_s = 4.0
+[[method]]
+name = "classic_ml_arx"
+"""
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("series")
     write_series(made_series(n=900, n_segments=3), folder / "series.csv")
     make_test(seconds=2.0, cells_lbm_s=6.0, noise_counts=1.0).write(folder)
+    write_run(simulate("90", duration_s=2.0, sensors=SensorSettings.ideal()), folder / "rig")
+    (folder / "study.toml").write_text(STUDY, "utf-8")
     return folder
 
 
 def arguments(folder: Path, command: str) -> list[str]:
     series = str(folder / "series.csv")
     raw, test = str(folder / "raw.csv"), str(folder / "test.toml")
+    rig = folder / "rig"
+    study = Path(tempfile.mkdtemp(dir=folder)) / "study"
     return {
         "inspect": ["inspect", raw, "--test", test],
         "reduce": ["reduce", raw, "--test", test, "-o", str(folder / "reduced.csv")],
@@ -77,6 +93,8 @@ def arguments(folder: Path, command: str) -> list[str]:
         "orders": ["orders", series, "--degrees", "1", "2", "--lags", "0"],
         "structure": ["structure", series, "--bootstrap", "0", "--max-terms", "3"],
         "diagnose": ["diagnose", series, "--max-effects", "1"],
+        "study": ["study", str(folder / "study.toml"), "--out", str(study), "--jobs", "1"],
+        "total-system": ["total-system", str(rig / "raw.csv"), "--test", str(rig / "test.toml")],
     }[command]
 
 
@@ -88,6 +106,8 @@ BARS = {
     "orders": (r"\d/8", "model"),
     "structure": (r"\d/3", "choosing terms"),
     "diagnose": (r"\d/4", "trying effects"),
+    "study": (r"\d/3", "cell"),
+    "total-system": (r"\d step", "fitting"),
 }
 
 
@@ -155,6 +175,35 @@ def test_an_iteration_is_counted_and_gives_what_it_was_given(
     assert "reading" in seen.text
     assert "0/3" in seen.text
     assert "letter" in seen.text
+
+
+def test_what_was_finished_before_tells_nothing_of_the_time_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from comparisons import progress
+
+    monkeypatch.setattr(progress, "_TICK_S", 0.01)
+    million = 10**6
+    with (
+        terminal(monkeypatch) as seen,
+        shown_count("counting", unit="cell", total=2 * million, resumed=True) as counted,
+    ):
+        counted(million)
+        threading.Event().wait(0.2)
+        counted(1)
+        threading.Event().wait(0.1)
+    assert "1000001/2000000" in seen.text
+    # One cell took 0.2 s or more.
+    rates = [float(rate) for rate in re.findall(r"([\d.]+)cell/s", seen.text)]
+    assert rates
+    assert max(rates) <= 5.0
+
+
+def test_a_count_whose_end_is_not_known_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    with terminal(monkeypatch) as seen, shown_count("fitting", unit=" step") as counted:
+        threading.Event().wait(0.15)
+        counted()
+    assert "1 step" in seen.text
 
 
 def test_a_clock_goes_on_while_a_step_lasts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,8 @@
 """Damage copies of a file, run a command on each in this process, and print what it answered.
 
 Run as ``python damaged_files.py FOLDER FILE SEEDS COMMAND…``: a library in C that dies of garbage
-takes this process with it and not the tests.
+takes this process with it and not the tests. What each copy was answered stays in
+``FOLDER/answers``, and what the sound file is answered in ``FOLDER/answers/sound``.
 """
 
 from __future__ import annotations
@@ -10,12 +11,12 @@ import json
 import shlex
 import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-__all__ = ["damaged"]
+__all__ = ["damaged", "wrong_readings"]
 
 
 def damaged(data: bytes, seed: int) -> bytes:
@@ -41,18 +42,45 @@ def damaged(data: bytes, seed: int) -> bytes:
     return bytes(out)
 
 
+def wrong_readings(sound: Path, spoiled: Path) -> int:
+    """Return how many readings of a file are not those of another; all, if its table is another."""
+    one, other = _table(sound), _table(spoiled)
+    if one.shape != other.shape or list(one) != list(other):
+        return one.size
+    return int((one.ne(other) & ~(one.isna() & other.isna())).to_numpy().sum())
+
+
+def _table(file: Path) -> pd.DataFrame:
+    from classic_ml.readers.raw_formats import open_stored
+
+    stored = open_stored(file)
+    return pd.DataFrame(np.concatenate(list(stored.chunks(1 << 16))), columns=list(stored.names))
+
+
 def _main(folder: Path, name: str, seeds: int, command: str) -> None:
     from mistake_desk import run_in
 
     data = (folder / name).read_bytes()
+    run_in(_copied(folder, folder / "answers" / "sound"), command)
     for seed in range(seeds):
-        with tempfile.TemporaryDirectory() as scratch:
-            for file in folder.iterdir():
-                shutil.copy(file, scratch)
-            (Path(scratch) / name).write_bytes(damaged(data, seed))
-            _tell({"seed": seed})
-            answer = run_in(Path(scratch), command)
-            _tell({"code": answer.code, "out": answer.out, "err": answer.err, "made": answer.made})
+        copy = _copied(folder, folder / "answers" / str(seed))
+        spoiled = damaged(data, seed)
+        (copy / name).write_bytes(spoiled)
+        _tell({"seed": seed})
+        answer = run_in(copy, command)
+        told = {"code": answer.code, "out": answer.out, "err": answer.err, "made": answer.made}
+        if answer.code == 0:
+            told["wrong"] = wrong_readings(folder / name, copy / name)
+            told["resized"] = len(spoiled) != len(data)
+        _tell({"folder": str(copy), **told})
+
+
+def _copied(folder: Path, copy: Path) -> Path:
+    copy.mkdir(parents=True)
+    for file in folder.iterdir():
+        if file.is_file():
+            shutil.copy(file, copy)
+    return copy
 
 
 def _tell(what: dict[str, object]) -> None:

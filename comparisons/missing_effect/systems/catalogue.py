@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
-import numpy as np
-
-from classic_ml.records import FloatArray
-from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Number, Place, SystemEffect
-from comparisons.missing_effect.systems.roles import (
-    angles,
-    displacements,
-    free_equations,
-    physical,
-    rates,
+from comparisons.missing_effect.systems.catalogue_parts import (
+    THRESHOLDS,
+    alone,
+    always,
+    at_inputs,
+    at_outputs,
+    at_parameters,
+    at_spills,
+    at_states,
+    both_signs,
+    every_signal,
+    everywhere,
+    fixed,
+    from_gap,
+    from_lower_end,
+    from_quantiles,
+    from_rim,
+    from_upper_end,
+    from_zero,
+    input_signals,
+    on,
+    on_products,
+    one_side,
 )
+from comparisons.missing_effect.systems.places import Number, SystemEffect
+from comparisons.missing_effect.systems.roles import angles, displacements, rates
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 
 __all__ = ["OPEN_TERMS", "SYSTEM_CATALOGUE", "find_system_effect"]
-
-Places = Callable[[Model], tuple[Place, ...]]
-Starts = Callable[[FloatArray], tuple[tuple[float, ...], ...]]
 
 
 # Amplitudes are in units of what the equation, or the reading, has already.
@@ -33,131 +42,6 @@ def _amplitude(symbol: str) -> Number:
 # friction at rest any more, but a damping that falls with amplitude.
 WIDTH = Number("width", 0.004, 0.25)
 WIDTH_START = 0.02
-# A sign means something only where the signal spends time on both sides of it: this share of the
-# samples beyond a twentieth of its rms, either way.
-LEAST_SIDE_SHARE = 0.02
-SIDE = 0.05
-# Quantiles of the size of a signal at which thresholds start.
-THRESHOLDS = (0.98, 0.85, 0.6)
-
-
-def _on(signals: Callable[[Model], Sequence[int]]) -> Places:
-    """Return places in every equation that is not exact, on some signals."""
-
-    def places(model: Model) -> tuple[Place, ...]:
-        return tuple(Place(i, s) for i in free_equations(model) for s in signals(model))
-
-    return places
-
-
-def _alone(model: Model) -> tuple[Place, ...]:
-    return tuple(Place(i) for i in free_equations(model))
-
-
-def _inputs(model: Model) -> tuple[Place, ...]:
-    n = len(model.states)
-    return tuple(Place(j, n + j) for j in range(len(model.inputs)))
-
-
-def _outputs(model: Model) -> tuple[Place, ...]:
-    return tuple(Place(j) for j in range(len(model.outputs)))
-
-
-def _parameters(model: Model) -> tuple[Place, ...]:
-    return tuple(Place(j) for j in range(len(model.params)))
-
-
-def _everywhere(_: Model) -> tuple[Place, ...]:
-    return (Place(-1),)
-
-
-def _states(model: Model) -> tuple[Place, ...]:
-    return tuple(Place(i, i) for i in physical(model))
-
-
-def _spills(model: Model) -> tuple[Place, ...]:
-    """Return every state that may spill: lost, or into each other state of the same unit."""
-    out = []
-    free = free_equations(model)
-    units = list(model.states.values())
-    for i in (i for i in displacements(model) if i in free):
-        out.append(Place(i, i, -1))
-        out += [Place(i, i, j) for j in free if j != i and units[j] == units[i]]
-    return tuple(out)
-
-
-def _input_signals(model: Model) -> tuple[int, ...]:
-    n = len(model.states)
-    return tuple(range(n, n + len(model.inputs)))
-
-
-def _every_signal(model: Model) -> tuple[int, ...]:
-    return (*physical(model), *_input_signals(model))
-
-
-def _products(model: Model) -> tuple[Place, ...]:
-    pairs = [(a, b) for a in _every_signal(model) for b in _every_signal(model) if a < b]
-    return tuple(Place(i, a, b) for i in free_equations(model) for a, b in pairs)
-
-
-def _zero(_: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return ((0.0,),)
-
-
-def _fixed(*starts: tuple[float, ...]) -> Starts:
-    return lambda _: starts
-
-
-def _quantiles(*shares: float) -> Starts:
-    def starts(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-        return tuple((float(v),) for v in np.quantile(np.abs(signal), shares))
-
-    return starts
-
-
-def _upper(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple((float(v),) for v in np.quantile(signal, THRESHOLDS))
-
-
-def _lower(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple((float(v),) for v in np.quantile(signal, [1.0 - q for q in THRESHOLDS]))
-
-
-def _spill_starts(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple((float(v), 1.0) for v in np.quantile(signal, THRESHOLDS))
-
-
-def _gap_starts(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple((0.0, float(v)) for v in np.quantile(np.abs(signal), (0.3, 0.6, 0.85)))
-
-
-def _always(_: FloatArray) -> str:
-    return ""
-
-
-def both_signs(signal: FloatArray) -> str:
-    """Return why a signal does not change sign, or an empty text.
-
-    Parameters
-    ----------
-    signal : ndarray
-        Over its rms.
-    """
-    share = min(float(np.mean(signal > SIDE)), float(np.mean(signal < -SIDE)))
-    return "" if share >= LEAST_SIDE_SHARE else "needs a signal that changes sign"
-
-
-def one_side(reading: FloatArray) -> str:
-    """Return why a reading cannot come from a sensor that shows one side only, or an empty text.
-
-    Parameters
-    ----------
-    reading : ndarray
-        Over its rms. Noise may take a few readings below zero.
-    """
-    beyond = float(np.mean(reading < -SIDE))
-    return "" if beyond <= LEAST_SIDE_SHARE else "needs a reading that stays on one side of zero"
-
 
 _FORCE = "a force, flow or current in this equation against the signal, both measured"
 _SENSOR = "a calibration of the sensor, in rest and over its range"
@@ -172,9 +56,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "A restoring force that grows with the cube of the deflection: a hardening or softening "
         "spring.",
         (_amplitude("k_3"),),
-        _on(displacements),
-        _zero,
-        _always,
+        on(displacements),
+        from_zero,
+        always,
         _FORCE,
     ),
     SystemEffect(
@@ -185,9 +69,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "A restoring force that differs between the two directions, or a spring about another "
         "rest.",
         (_amplitude("k_2"),),
-        _on(displacements),
-        _zero,
-        _always,
+        on(displacements),
+        from_zero,
+        always,
         _FORCE,
     ),
     SystemEffect(
@@ -197,9 +81,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− c₂ {s}|{s}|",
         "A resistance that grows with the square of the speed or flow: turbulence.",
         (_amplitude("c_2"),),
-        _on(rates),
-        _zero,
-        _always,
+        on(rates),
+        from_zero,
+        always,
         _FORCE,
     ),
     SystemEffect(
@@ -209,8 +93,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− F_c sign({s})",
         "A dry friction of constant size against the motion.",
         (_amplitude("F_c"), WIDTH),
-        _on(rates),
-        _fixed((0.0, WIDTH_START)),
+        on(rates),
+        fixed((0.0, WIDTH_START)),
         both_signs,
         "a slow motion in both directions: the force to keep it up",
         simple_form_of=("stribeck_friction", "softening_damping"),
@@ -222,8 +106,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− F_c sign({s})(1 + b e^(−({s}/s_s)²))",
         "A dry friction that is larger near rest than in motion.",
         (_amplitude("F_c"), WIDTH, Number("excess", -0.5, 3.0)),
-        _on(rates),
-        _fixed((0.0, WIDTH_START, 0.3)),
+        on(rates),
+        fixed((0.0, WIDTH_START, 0.3)),
         both_signs,
         "a slow motion in both directions at several speeds near rest",
     ),
@@ -234,8 +118,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} acts only beyond ± c",
         "An input that does nothing until it exceeds a threshold.",
         (Number("threshold", 0.002, 5.0),),
-        _inputs,
-        _fixed((0.05,), (0.2,), (0.5,)),
+        at_inputs,
+        fixed((0.05,), (0.2,), (0.5,)),
         both_signs,
         _DRIVE,
         linear=False,
@@ -247,9 +131,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− k_s ({s} beyond ± c)",
         "A contact or a clearance: a force that sets in beyond a gap.",
         (_amplitude("k_s"), Number("gap", 0.0, 5.0)),
-        _on(displacements),
-        _gap_starts,
-        _always,
+        on(displacements),
+        from_gap,
+        always,
         _FORCE,
     ),
     SystemEffect(
@@ -259,9 +143,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} follows through a play ± c",
         "A play in the drive: after each reversal the input moves without effect.",
         (Number("play", 0.002, 5.0),),
-        _inputs,
-        _fixed((0.05,), (0.2,), (0.5,)),
-        _always,
+        at_inputs,
+        fixed((0.05,), (0.2,), (0.5,)),
+        always,
         _DRIVE,
         own_state=True,
         linear=False,
@@ -273,8 +157,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− F_h z, δ dz/dt = {s} − ½|{s}|z − ½{s}|z| (Bouc–Wen)",
         "A force that depends on the path and not on the position alone.",
         (_amplitude("F_h"), Number("reach", 0.02, 20.0)),
-        _on(rates),
-        _fixed((0.0, 0.1), (0.0, 1.0)),
+        on(rates),
+        fixed((0.0, 0.1), (0.0, 1.0)),
         both_signs,
         "slow loops of several sizes: force against position",
         own_state=True,
@@ -286,8 +170,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} acts only within ± c",
         "An actuator that gives no more than its limit.",
         (Number("limit", 0.05, 10.0),),
-        _inputs,
-        _quantiles(*THRESHOLDS),
+        at_inputs,
+        from_quantiles(*THRESHOLDS),
         both_signs,
         _DRIVE,
         linear=False,
@@ -299,9 +183,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} acts only up to c",
         "An actuator that gives no more than its limit.",
         (Number("limit", -10.0, 10.0),),
-        _inputs,
-        _upper,
-        _always,
+        at_inputs,
+        from_upper_end,
+        always,
         _DRIVE,
         linear=False,
     ),
@@ -312,9 +196,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} acts only up to c",
         "A state whose action on the others is limited, such as a magnet's flux.",
         (Number("limit", -10.0, 10.0),),
-        _states,
-        _upper,
-        _always,
+        at_states,
+        from_upper_end,
+        always,
         _FORCE,
         linear=False,
     ),
@@ -325,8 +209,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} acts only within ± c",
         "A state whose action on the others is limited, such as a magnet's flux.",
         (Number("limit", 0.05, 10.0),),
-        _states,
-        _quantiles(*THRESHOLDS),
+        at_states,
+        from_quantiles(*THRESHOLDS),
         both_signs,
         _FORCE,
         linear=False,
@@ -338,9 +222,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "reading ≤ c",
         "A sensor at the upper end of its range.",
         (Number("limit", -10.0, 10.0),),
-        _outputs,
-        _upper,
-        _always,
+        at_outputs,
+        from_upper_end,
+        always,
         _SENSOR,
         linear=False,
     ),
@@ -351,9 +235,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "reading ≥ c",
         "A sensor at the lower end of its range.",
         (Number("limit", -10.0, 10.0),),
-        _outputs,
-        _lower,
-        _always,
+        at_outputs,
+        from_lower_end,
+        always,
         _SENSOR,
         linear=False,
     ),
@@ -364,9 +248,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "what exceeds {s} = c spills",
         "A vessel or a store that is full: what exceeds its rim is lost, or runs into another.",
         (Number("rim", -10.0, 10.0), Number("share", 0.0, 3.0)),
-        _spills,
-        _spill_starts,
-        _always,
+        at_spills,
+        from_rim,
+        always,
         "the level, looked at, while it is filled beyond the rim",
         linear=False,
     ),
@@ -377,8 +261,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "reading = |y|",
         "A sensor that is blind to the sign, such as a pulse counter.",
         (),
-        _outputs,
-        _fixed(()),
+        at_outputs,
+        fixed(()),
         one_side,
         _SENSOR,
         linear=False,
@@ -390,8 +274,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "reading = max(y, 0)",
         "A sensor that shows one direction only.",
         (),
-        _outputs,
-        _fixed(()),
+        at_outputs,
+        fixed(()),
         one_side,
         _SENSOR,
         linear=False,
@@ -403,9 +287,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "+ g sin({s})",
         "Gravity on a body that swings.",
         (_amplitude("g"),),
-        _on(angles),
-        _zero,
-        _always,
+        on(angles),
+        from_zero,
+        always,
         _FORCE,
     ),
     SystemEffect(
@@ -415,9 +299,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "+ g",
         "A constant force, flow or current in the equation, such as gravity.",
         (_amplitude("g"),),
-        _alone,
-        _zero,
-        _always,
+        alone,
+        from_zero,
+        always,
         "the system at rest without input",
     ),
     SystemEffect(
@@ -427,9 +311,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "reading = y + b",
         "A sensor with an offset.",
         (_amplitude("b"),),
-        _outputs,
-        _zero,
-        _always,
+        at_outputs,
+        from_zero,
+        always,
         _SENSOR,
     ),
     SystemEffect(
@@ -439,9 +323,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s} + b",
         "An input whose zero is off.",
         (_amplitude("b"),),
-        _inputs,
-        _zero,
-        _always,
+        at_inputs,
+        from_zero,
+        always,
         _DRIVE,
     ),
     SystemEffect(
@@ -451,9 +335,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{s}(t − d)",
         "An input that arrives late, by more than one sample.",
         (Number("delay", 1.0, 400.0),),
-        _inputs,
-        _fixed((2.0,), (5.0,), (15.0,), (40.0,)),
-        _always,
+        at_inputs,
+        fixed((2.0,), (5.0,), (15.0,), (40.0,)),
+        always,
         "a step of the input, and when the first answer comes",
         linear=False,
     ),
@@ -464,9 +348,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "T d{s}'/dt + {s}' = {s}",
         "A lag between the input and its action: a drive, a valve, a pipe.",
         (Number("time_constant", 1.0, 2000.0),),
-        _inputs,
-        _fixed((2.0,), (6.0,), (20.0,), (64.0,)),
-        _always,
+        at_inputs,
+        fixed((2.0,), (6.0,), (20.0,), (64.0,)),
+        always,
         _DRIVE,
         own_state=True,
         linear=False,
@@ -478,9 +362,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "T d(reading)/dt + reading = y",
         "A slow sensor.",
         (Number("time_constant", 1.0, 2000.0),),
-        _outputs,
-        _fixed((2.0,), (6.0,), (20.0,), (64.0,)),
-        _always,
+        at_outputs,
+        fixed((2.0,), (6.0,), (20.0,), (64.0,)),
+        always,
         _SENSOR,
         own_state=True,
         linear=False,
@@ -492,8 +376,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− c_a |{s}|",
         "A resistance that differs between the two directions.",
         (_amplitude("c_a"),),
-        _on(rates),
-        _zero,
+        on(rates),
+        from_zero,
         both_signs,
         "a steady motion in both directions: the force to keep it up",
     ),
@@ -504,8 +388,8 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "− c_s tanh({s}/s_0)",
         "A damping that falls with amplitude: a friction whose change of sign is wide.",
         (_amplitude("c_s"), Number("width", WIDTH.high, 3.0)),
-        _on(rates),
-        _fixed((0.0, 0.5)),
+        on(rates),
+        fixed((0.0, 0.5)),
         both_signs,
         "free decay from several amplitudes",
     ),
@@ -517,9 +401,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "Inputs and outputs were recorded through the same filter: no linear model can see it, "
         "but harmonics come late.",
         (Number("alpha", -3.0, 3.0), Number("beta", 0.01, 2.0)),
-        _everywhere,
-        _fixed((0.0, 0.05), (0.0, 0.15), (0.0, 0.4)),
-        _always,
+        everywhere,
+        fixed((0.0, 0.05), (0.0, 0.15), (0.0, 0.4)),
+        always,
         "the recorder's answer to a step, laid on all channels",
     ),
     SystemEffect(
@@ -529,9 +413,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "{p}(1 + s t)",
         "A parameter that changes over the record: wear, heating, a leak.",
         (Number("drift", -3.0, 3.0),),
-        _parameters,
-        _zero,
-        _always,
+        at_parameters,
+        from_zero,
+        always,
         "the same test again, before and after",
     ),
 )
@@ -548,20 +432,20 @@ OPEN_TERMS: tuple[SystemEffect, ...] = tuple(
         _OPEN,
         (_amplitude("c_s"),),
         places,
-        _zero,
-        _always,
+        from_zero,
+        always,
         "",
         unnamed=True,
     )
     for name, kind, code, equation, places in (
-        ("product", Kind.TERM, Term.PRODUCT, "+ c {s}·{o}", _products),
-        ("linear", Kind.TERM, Term.LINEAR, "+ c {s}", _on(_every_signal)),
-        ("square", Kind.TERM, Term.SQUARE, "+ c {s}²", _on(_input_signals)),
-        ("cube", Kind.TERM, Term.CUBE, "+ c {s}³", _on(_input_signals)),
-        ("rate_square", Kind.TERM, Term.SQUARE, "+ c {s}²", _on(rates)),
-        ("rate_cube", Kind.TERM, Term.CUBE, "+ c {s}³", _on(rates)),
-        ("reading_square", Kind.OUTPUT_MAP, Map.SQUARE, "y + c y²", _outputs),
-        ("reading_cube", Kind.OUTPUT_MAP, Map.CUBE, "y + c y³", _outputs),
+        ("product", Kind.TERM, Term.PRODUCT, "+ c {s}·{o}", on_products),
+        ("linear", Kind.TERM, Term.LINEAR, "+ c {s}", on(every_signal)),
+        ("square", Kind.TERM, Term.SQUARE, "+ c {s}²", on(input_signals)),
+        ("cube", Kind.TERM, Term.CUBE, "+ c {s}³", on(input_signals)),
+        ("rate_square", Kind.TERM, Term.SQUARE, "+ c {s}²", on(rates)),
+        ("rate_cube", Kind.TERM, Term.CUBE, "+ c {s}³", on(rates)),
+        ("reading_square", Kind.OUTPUT_MAP, Map.SQUARE, "y + c y²", at_outputs),
+        ("reading_cube", Kind.OUTPUT_MAP, Map.CUBE, "y + c y³", at_outputs),
     )
 )
 

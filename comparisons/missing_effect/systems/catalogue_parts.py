@@ -1,0 +1,183 @@
+"""What entries of the general catalogue share: where an effect may sit, where its search starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from classic_ml.records import FloatArray
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Place
+from comparisons.missing_effect.systems.roles import displacements, free_equations, physical
+
+__all__ = [
+    "THRESHOLDS",
+    "alone",
+    "always",
+    "at_inputs",
+    "at_outputs",
+    "at_parameters",
+    "at_spills",
+    "at_states",
+    "both_signs",
+    "every_signal",
+    "everywhere",
+    "fixed",
+    "from_gap",
+    "from_lower_end",
+    "from_quantiles",
+    "from_rim",
+    "from_upper_end",
+    "from_zero",
+    "input_signals",
+    "on",
+    "on_products",
+    "one_side",
+]
+
+Places = Callable[[Model], tuple[Place, ...]]
+Starts = Callable[[FloatArray], tuple[tuple[float, ...], ...]]
+
+# A sign means something only where the signal spends time on both sides of it: this share of the
+# samples beyond a twentieth of its rms, either way.
+LEAST_SIDE_SHARE = 0.02
+SIDE = 0.05
+# Quantiles of the size of a signal at which thresholds start.
+THRESHOLDS = (0.98, 0.85, 0.6)
+
+
+def on(signals: Callable[[Model], Sequence[int]]) -> Places:
+    """Return places in every equation that is not exact, on some signals."""
+
+    def places(model: Model) -> tuple[Place, ...]:
+        return tuple(Place(i, s) for i in free_equations(model) for s in signals(model))
+
+    return places
+
+
+def alone(model: Model) -> tuple[Place, ...]:
+    """Return every equation that is not exact, on no signal."""
+    return tuple(Place(i) for i in free_equations(model))
+
+
+def at_inputs(model: Model) -> tuple[Place, ...]:
+    """Return every input."""
+    n = len(model.states)
+    return tuple(Place(j, n + j) for j in range(len(model.inputs)))
+
+
+def at_outputs(model: Model) -> tuple[Place, ...]:
+    """Return every output."""
+    return tuple(Place(j) for j in range(len(model.outputs)))
+
+
+def at_parameters(model: Model) -> tuple[Place, ...]:
+    """Return every parameter."""
+    return tuple(Place(j) for j in range(len(model.params)))
+
+
+def everywhere(_: Model) -> tuple[Place, ...]:
+    """Return the one place of what is the same for all channels."""
+    return (Place(-1),)
+
+
+def at_states(model: Model) -> tuple[Place, ...]:
+    """Return every state on which something may act."""
+    return tuple(Place(i, i) for i in physical(model))
+
+
+def at_spills(model: Model) -> tuple[Place, ...]:
+    """Return every state that may spill: lost, or into each other state of the same unit."""
+    out = []
+    free = free_equations(model)
+    units = list(model.states.values())
+    for i in (i for i in displacements(model) if i in free):
+        out.append(Place(i, i, -1))
+        out += [Place(i, i, j) for j in free if j != i and units[j] == units[i]]
+    return tuple(out)
+
+
+def input_signals(model: Model) -> tuple[int, ...]:
+    """Return the inputs, as signals are numbered."""
+    n = len(model.states)
+    return tuple(range(n, n + len(model.inputs)))
+
+
+def every_signal(model: Model) -> tuple[int, ...]:
+    """Return the signals that a term may act on: states, then inputs."""
+    return (*physical(model), *input_signals(model))
+
+
+def on_products(model: Model) -> tuple[Place, ...]:
+    """Return places in every equation that is not exact, on each two signals."""
+    pairs = [(a, b) for a in every_signal(model) for b in every_signal(model) if a < b]
+    return tuple(Place(i, a, b) for i in free_equations(model) for a, b in pairs)
+
+
+def from_zero(_: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Start an amplitude from nothing."""
+    return ((0.0,),)
+
+
+def fixed(*starts: tuple[float, ...]) -> Starts:
+    """Start from numbers that are the same for every signal."""
+    return lambda _: starts
+
+
+def from_quantiles(*shares: float) -> Starts:
+    """Start a threshold from quantiles of the size of the signal."""
+
+    def starts(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
+        return tuple((float(v),) for v in np.quantile(np.abs(signal), shares))
+
+    return starts
+
+
+def from_upper_end(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Start a threshold from the upper quantiles of the signal."""
+    return tuple((float(v),) for v in np.quantile(signal, THRESHOLDS))
+
+
+def from_lower_end(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Start a threshold from the lower quantiles of the signal."""
+    return tuple((float(v),) for v in np.quantile(signal, [1.0 - q for q in THRESHOLDS]))
+
+
+def from_rim(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Start a rim from the upper quantiles of the signal, with all that exceeds it lost."""
+    return tuple((float(v), 1.0) for v in np.quantile(signal, THRESHOLDS))
+
+
+def from_gap(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Start a gap from quantiles of the size of the signal, with no stiffness behind it."""
+    return tuple((0.0, float(v)) for v in np.quantile(np.abs(signal), (0.3, 0.6, 0.85)))
+
+
+def always(_: FloatArray) -> str:
+    """Refuse no signal."""
+    return ""
+
+
+def both_signs(signal: FloatArray) -> str:
+    """Return why a signal does not change sign, or an empty text.
+
+    Parameters
+    ----------
+    signal : ndarray
+        Over its rms.
+    """
+    share = min(float(np.mean(signal > SIDE)), float(np.mean(signal < -SIDE)))
+    return "" if share >= LEAST_SIDE_SHARE else "needs a signal that changes sign"
+
+
+def one_side(reading: FloatArray) -> str:
+    """Return why a reading cannot come from a sensor that shows one side only, or an empty text.
+
+    Parameters
+    ----------
+    reading : ndarray
+        Over its rms. Noise may take a few readings below zero.
+    """
+    beyond = float(np.mean(reading < -SIDE))
+    return "" if beyond <= LEAST_SIDE_SHARE else "needs a reading that stays on one side of zero"
