@@ -200,7 +200,8 @@ def plane_flows(
     probes : {"all", "tip", "hub"}
         Immersions to use.
     wanted : collection of str, optional
-        Which averages are kept; all of them without it.
+        Which averages are kept; all of them without it. The ledger tells nothing of the flows of a
+        plane of which the pressure alone is wanted.
 
     Returns
     -------
@@ -244,20 +245,37 @@ class PlaneFlows:
         # By the first row of a block and by pair.
         self._n_reversed: dict[int, dict[str, int]] = {}
 
-    def block(self, rows: slice) -> dict[str, FloatArray]:
-        """Return the averages over some rows, those of one block."""
-        readings, counts = self._readings(rows), {}
+    def block(self, rows: slice, wanted: Collection[str] | None = None) -> dict[str, FloatArray]:
+        """Return the averages over some rows, those of one block, or of these the ones wanted."""
+        readings = self._readings(rows)
+        counts = self._n_reversed[rows.start] = {}
         found: dict[str, FloatArray] = {}
         for plane in self._planes:
-            local = {}
-            for pair in (pair for pairs in plane.pairs.values() for pair in pairs):
-                flow, total, n_rows = _pair_flow(readings, self._test, pair)
-                if n_rows is None:
-                    raise _not_absolute(self._record, self._test, self._readings)
-                local[pair.name], counts[pair.name] = (flow, total), n_rows
-            found |= plane.averages(local, [readings[name] for name in plane.couples])
-        self._n_reversed[rows.start] = counts
+            if wanted is None or any(n in wanted for n in plane.names() if n != plane.pressure):
+                found |= self._averages(plane, readings, counts)
+            elif plane.pressure in wanted:
+                found[plane.pressure] = self._pressure(plane, readings)
         return found
+
+    def _averages(
+        self, plane: _Plane, readings: Mapping[str, FloatArray], counts: dict[str, int]
+    ) -> dict[str, FloatArray]:
+        local = {}
+        for pair in plane.all_pairs():
+            flow, total, n_rows = _pair_flow(readings, self._test, pair)
+            if n_rows is None:
+                raise _not_absolute(self._record, self._test, self._readings)
+            local[pair.name], counts[pair.name] = (flow, total), n_rows
+        return plane.averages(local, [readings[name] for name in plane.couples])
+
+    def _pressure(self, plane: _Plane, readings: Mapping[str, FloatArray]) -> FloatArray:
+        total = {}
+        for pair in plane.all_pairs():
+            forward, aft = readings[pair.forward.name], readings[pair.aft.name]
+            if not min(forward.min(), aft.min()) > 0.0:
+                raise _not_absolute(self._record, self._test, self._readings)
+            total[pair.name] = np.maximum(forward, aft)
+        return plane.over_places(total)[1]
 
     def evaluated(self, wanted: Collection[str] | None = None) -> Record:
         """Return the record with the averages over all rows, and the ledger entries."""
@@ -266,7 +284,7 @@ class PlaneFlows:
         if wanted is not None:
             columns = {name: column for name, column in columns.items() if name in wanted}
         for rows in blocks(record.n_samples):
-            found = self.block(rows)
+            found = self.block(rows, wanted)
             for name, column in columns.items():
                 column.append(found[name])
             record.workspace.release()
@@ -304,8 +322,9 @@ class PlaneFlows:
     def entries(self) -> tuple[LedgerEntry, LedgerEntry]:
         """What the ledger says of the flows and of the averages."""
         totals = {
-            pair.name: sum(counts[pair.name] for counts in self._n_reversed.values())
+            pair.name: sum(counts.get(pair.name, 0) for counts in self._n_reversed.values())
             for pair in _all_pairs(self._record, self._test)
+            if any(pair.name in counts for counts in self._n_reversed.values())
         }
         flows = _flows_entry(totals, self._record.n_samples)
         return flows, _averages_entry(self._planes, self._probes)
@@ -319,6 +338,22 @@ class _Plane:
     pairs: Mapping[str, tuple[ProbePair, ...]]
     used: tuple[str, ...]
     couples: tuple[str, ...]
+
+    @property
+    def pressure(self) -> str:
+        """Name of the total pressure."""
+        return f"P{self.plane}_Pa"
+
+    def all_pairs(self) -> Iterator[ProbePair]:
+        """Yield the pairs of all immersions."""
+        return (pair for pairs in self.pairs.values() for pair in pairs)
+
+    def over_places(
+        self, local: Mapping[str, FloatArray]
+    ) -> tuple[dict[str, FloatArray], FloatArray]:
+        """Return the mean of each immersion, and over those in use, of what each pair shows."""
+        by_place = {i: _mean([local[p.name] for p in pairs]) for i, pairs in self.pairs.items()}
+        return by_place, _mean([by_place[i] for i in self.used])
 
     def names(self) -> list[str]:
         """Return the names of the averages."""
@@ -341,14 +376,9 @@ class _Plane:
             Of the thermocouples.
         """
         p = self.plane
-        flow: dict[str, FloatArray] = {}
-        total: dict[str, FloatArray] = {}
-        for immersion, pairs in self.pairs.items():
-            flows, totals = zip(*(local[pair.name] for pair in pairs), strict=True)
-            flow[immersion], total[immersion] = _mean(flows), _mean(totals)
-        corrected = _mean([flow[i] for i in self.used])
-        pressure = _mean([total[i] for i in self.used])
-        values = {f"Wc{p}_kg_s": corrected, f"P{p}_Pa": pressure}
+        flow, corrected = self.over_places({name: values[0] for name, values in local.items()})
+        _, pressure = self.over_places({name: values[1] for name, values in local.items()})
+        values = {f"Wc{p}_kg_s": corrected, self.pressure: pressure}
         values |= {f"Wc{p}_{i}_kg_s": flow[i] for i in flow}
         if temperatures_K:
             temperature = _mean(temperatures_K)

@@ -139,16 +139,21 @@ class CoefficientSeries(Displayed):
     workspace: Workspace = field(default=IN_MEMORY, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        extremes = {}
         for name in COLUMNS:
-            values = getattr(self, name)
-            if values is not None:
-                object.__setattr__(self, name, _frozen_column(self, name, values))
+            given = getattr(self, name)
+            if given is not None:
+                values = _vector(self, name, given)
+                extremes[name] = _extremes(values, self.workspace)
+                object.__setattr__(self, name, _frozen_column(self, name, values, extremes[name]))
         _check_lengths(self)
         uniform_period_s(self.time_s, f"{self.source}: column time_s", workspace=self.workspace)
         for name, bounds in POSSIBLE.items():
-            _check_range(self, name, bounds)
+            if name in extremes and not _within(extremes[name], bounds):
+                _check_range(self, name, bounds)
         for name in ("phi", "psi_p"):
-            _check_moves(self, name)
+            if extremes[name][0] == extremes[name][1]:
+                raise _constant(self, name)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Survive pickling, which a place on disk does not: the copy lies in memory."""
@@ -195,10 +200,9 @@ def _rebuild(known: dict[str, Any]) -> CoefficientSeries:
     return CoefficientSeries(**known)
 
 
-def _frozen_column(
+def _vector(
     series: CoefficientSeries, name: str, values: NDArray[np.generic]
 ) -> NDArray[np.generic]:
-    """Check a column block by block, and return it read-only and of its type."""
     given = np.asarray(values)
     if given.ndim != 1:
         raise InputError(
@@ -206,20 +210,45 @@ def _frozen_column(
             expected="one value a row",
             found=f"shape {given.shape}",
         )
-    _check_rows(
-        series,
-        name,
-        given,
-        (-LARGEST, LARGEST),
-        expected="a finite number in every row",
-        found="{0} in row {1}{2}",
-        remedy="cut the record there or repair the channel",
-    )
-    if name in COUNT_COLUMNS:
-        bounds, expected = (0.0, LARGEST), "whole numbers from 0 on"
-        _check_rows(series, name, given, bounds, whole=True, expected=expected)
-    elif name in TRUTH_COLUMNS:
-        _check_rows(series, name, given, (0.0, 1.0), whole=True, expected="0 or 1")
+    return given if given.dtype.kind in "fbiu" else given.astype(np.float64)
+
+
+def _extremes(values: NDArray[Any], workspace: Workspace) -> tuple[float, float]:
+    """Return the least and the largest value, which are NaN where one value is."""
+    low, high = np.inf, -np.inf
+    for rows in blocks(values.size):
+        low = np.minimum(low, values[rows].min())
+        high = np.maximum(high, values[rows].max())
+        workspace.release()
+    return float(low), float(high)
+
+
+def _within(extremes: tuple[float, float], bounds: tuple[float, float]) -> bool:
+    return bounds[0] <= extremes[0] and extremes[1] <= bounds[1]
+
+
+def _frozen_column(
+    series: CoefficientSeries,
+    name: str,
+    given: NDArray[np.generic],
+    extremes: tuple[float, float],
+) -> NDArray[np.generic]:
+    """Check a column, block by block where something is wrong; return it read-only, of its type."""
+    if not _within(extremes, (-LARGEST, LARGEST)):
+        _check_rows(
+            series,
+            name,
+            given,
+            (-LARGEST, LARGEST),
+            expected="a finite number in every row",
+            found="{0} in row {1}{2}",
+            remedy="cut the record there or repair the channel",
+        )
+    if name in TRUTH_COLUMNS + COUNT_COLUMNS:
+        expected = "0 or 1" if name in TRUTH_COLUMNS else "whole numbers from 0 on"
+        bounds = (0.0, 1.0 if name in TRUTH_COLUMNS else LARGEST)
+        if given.dtype.kind == "f" or not _within(extremes, bounds):
+            _check_rows(series, name, given, bounds, whole=True, expected=expected)
     if given.dtype == _column_type(name) and not given.flags.writeable:
         return given
     column: NDArray[np.generic] = given.astype(_column_type(name))
@@ -265,13 +294,7 @@ def _check_rows(
         )
 
 
-def _bad_rows(
-    values: NDArray[np.generic], bounds: tuple[float, float], whole: bool
-) -> NDArray[np.int64]:
-    numbers: NDArray[Any] = values
-    if values.dtype.kind not in "fbiu":
-        numbers = values.astype(np.float64)
-    # Nearly always nothing is wrong, and the extremes tell: they are NaN where one value is.
+def _bad_rows(numbers: NDArray[Any], bounds: tuple[float, float], whole: bool) -> NDArray[np.int64]:
     if not whole and numbers.min() >= bounds[0] and numbers.max() <= bounds[1]:
         return np.zeros(0, dtype=np.int64)
     good = (numbers >= bounds[0]) & (numbers <= bounds[1])
@@ -281,13 +304,10 @@ def _bad_rows(
 
 
 def _check_range(series: CoefficientSeries, name: str, bounds: tuple[float, float]) -> None:
-    values = getattr(series, name)
-    if values is None:
-        return
     _check_rows(
         series,
         name,
-        values,
+        getattr(series, name),
         bounds,
         expected=f"values between {bounds[0]:g} and {bounds[1]:g}{_shown_unit(name)}",
         found="{0:g} in row {1}",
@@ -309,15 +329,13 @@ def _shown_unit(name: str) -> str:
     return "" if UNITS[name] == "1" else f" {UNITS[name]}"
 
 
-def _check_moves(series: CoefficientSeries, name: str) -> None:
-    values: FloatArray = getattr(series, name)
-    if all(np.all(values[rows] == values[0]) for rows in blocks(values.size)):
-        raise InputError(
-            f"{series.source}: column {name}",
-            expected="a signal that moves",
-            found=f"the constant {values[0]:g}",
-            remedy="a lag cannot be identified without excitation",
-        )
+def _constant(series: CoefficientSeries, name: str) -> InputError:
+    return InputError(
+        f"{series.source}: column {name}",
+        expected="a signal that moves",
+        found=f"the constant {getattr(series, name)[0]:g}",
+        remedy="a lag cannot be identified without excitation",
+    )
 
 
 def __getattr__(name: str) -> object:

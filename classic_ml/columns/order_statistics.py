@@ -233,7 +233,7 @@ def _few(pieces: Iterable[FloatArray]) -> FloatArray | None:
 
 
 def _sampled(pieces: Iterable[FloatArray]) -> tuple[FloatArray, int]:
-    """Return the values in every so manieth row, in order of size, and how many there are."""
+    """Return the values in every so manieth row, and how many rows there are."""
     most = SAMPLE_BLOCKS * places.BLOCK_ROWS
     sample, n_sample, stride, n = np.empty(most), 0, 1, 0
     for piece in pieces:
@@ -241,13 +241,14 @@ def _sampled(pieces: Iterable[FloatArray]) -> tuple[FloatArray, int]:
             taken = piece[-n % stride :: stride]
             if n_sample + taken.size <= most:
                 break
-            stride *= 2
-            n_sample = -(-n_sample // 2)
-            sample[:n_sample] = sample[: 2 * n_sample : 2].copy()
+            # By three, which hardly any signal repeats itself after a multiple of.
+            kept = sample[:n_sample:3].copy()
+            stride, n_sample = 3 * stride, kept.size
+            sample[:n_sample] = kept
         sample[n_sample : n_sample + taken.size] = taken
         n_sample += taken.size
         n += piece.size
-    return np.sort(sample[:n_sample]), n
+    return sample[:n_sample], n
 
 
 def _between(
@@ -256,8 +257,10 @@ def _between(
     """Return the values at ranks next to each other, or None where the sample was not like all."""
     middle, reach = sample.size * (ranks[0] + 0.5) / n, 0.5 * SPREAD * np.sqrt(sample.size) + 1.0
     first, last = int(middle - reach), int(middle + reach)
-    low = sample[first] if first >= 0 else -np.inf
-    high = sample[last] if last < sample.size else np.inf
+    inner = [place for place in (first, last) if 0 <= place < sample.size]
+    in_order = np.partition(sample, inner) if inner else sample
+    low = in_order[first] if first >= 0 else -np.inf
+    high = in_order[last] if last < sample.size else np.inf
     kept: list[FloatArray] = []
     n_below = n_above = n_kept = 0
     for piece in pieces:
