@@ -153,6 +153,8 @@ class LocalFilter:
         self._piece_rows = max(PIECE_ROWS, self._reach)
         self._piece = slice(0, 0)
         self._values: list[FloatArray] = []
+        # Pieces that nobody has asked for yet, by their first rows.
+        self._ahead: dict[int, list[FloatArray]] = {}
 
     def __call__(self, rows: slice) -> list[FloatArray]:
         """Return some rows of each signal, filtered and read-only."""
@@ -179,17 +181,40 @@ class LocalFilter:
         if self._piece.start <= row < self._piece.stop:
             return
         first = row - row % self._piece_rows
-        self._piece = slice(first, min(first + self._piece_rows, self._n_rows))
-        around = slice(
-            max(0, first - self._reach), min(self._n_rows, self._piece.stop + self._reach)
-        )
-        inputs = [*self._readings(around)]
-        self._values = []
-        for some in range(0, len(inputs), CHANNELS):
-            self._values += self._filtered(inputs[some : some + CHANNELS], around)
+        self._piece = self._piece_from(first)
+        if first not in self._ahead:
+            self._ahead = self._filled_from(first)
+        self._values = self._ahead.pop(first)
 
-    def _filtered(self, inputs: list[FloatArray], around: slice) -> list[FloatArray]:
-        """Return the piece of up to five signals, of which ``inputs`` holds the rows ``around``."""
+    def _piece_from(self, first: int) -> slice:
+        return slice(first, min(first + self._piece_rows, self._n_rows))
+
+    def _around(self, piece: slice) -> slice:
+        """Return the rows that a piece is filtered with."""
+        return slice(max(0, piece.start - self._reach), min(self._n_rows, piece.stop + self._reach))
+
+    def _is_inner(self, first: int) -> bool:
+        """Tell whether a piece is whole, with as much before and behind it as the others have."""
+        return first >= self._reach and first + self._piece_rows + self._reach <= self._n_rows
+
+    def _filled_from(self, first: int) -> dict[int, list[FloatArray]]:
+        """Filter a piece, and with a few signals those behind it that go in the same run."""
+        piece = self._piece_from(first)
+        around = self._around(piece)
+        inputs = [*self._readings(around)]
+        firsts, n = [first], len(inputs)
+        following = first + self._piece_rows
+        while self._is_inner(first) and len(inputs) + n <= CHANNELS and self._is_inner(following):
+            inputs += self._readings(self._around(self._piece_from(following)))
+            firsts.append(following)
+            following += self._piece_rows
+        values: list[FloatArray] = []
+        for some in range(0, len(inputs), CHANNELS):
+            values += self._filtered(inputs[some : some + CHANNELS], piece, around)
+        return {begun: values[k * n : (k + 1) * n] for k, begun in enumerate(firsts)}
+
+    def _filtered(self, inputs: list[FloatArray], piece: slice, around: slice) -> list[FloatArray]:
+        """Return a piece of up to five signals, of which ``inputs`` holds the rows ``around``."""
         # Where there are fewer, the last one is done over and over, with the same result.
         signals = tuple(
             _read_only(values) for values in [*inputs, *[inputs[-1]] * (CHANNELS - len(inputs))]
@@ -211,7 +236,7 @@ class LocalFilter:
             else:
                 state = self._steady([values[-1] for values in results])
             results = self._run(state, results, backward=True)
-        part = slice(self._piece.start - around.start, self._piece.stop - around.start)
+        part = slice(piece.start - around.start, piece.stop - around.start)
         return [values[part] for values in results[: len(inputs)]]
 
     def _steady(self, levels: Sequence[float]) -> FloatArray:

@@ -22,7 +22,7 @@ from classic_ml.coefficients import (
     flow_coefficient,
 )
 from classic_ml.columns.computed import as_stored
-from classic_ml.columns.workspace import blocks, evaluated, mapped
+from classic_ml.columns.workspace import IN_MEMORY, blocks, evaluated, mapped
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
@@ -211,6 +211,8 @@ def _near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
         record,
         channels={n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()},
         start_s=record.time_at_s(rows.start),
+        # The tenth of a second that it is needs no files.
+        workspace=IN_MEMORY,
     )
     check_steady(steady, test)
     # No row is in a window yet: only what cannot be matched is left out here.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.calibration import probe_pressure_Pa
+from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
 from classic_ml.faults.converter_range import CodeRange
 from classic_ml.faults.marks import (
@@ -129,7 +130,7 @@ def _marked(
     column = record.workspace.zeros(record.n_samples, np.uint8)
     counts: dict[int, tuple[int, int, int]] = {}
     for rows in blocks(record.n_samples):
-        kinds = [*cut_off(record[name][rows])]
+        kinds = [*cut_off(as_stored(record[name])[rows])]
         stuck = _inside(runs, rows)
         for _, which in kinds:
             # A reading that is cut off stands still because of that.
@@ -192,7 +193,7 @@ def _cut_off(
     readings: ArrayLike,
 ) -> Iterator[tuple[int, NDArray[np.bool_]]]:
     """Yield the kinds of fault that readings show by themselves, and which readings do."""
-    values = np.asarray(readings, dtype=np.float64)
+    values = np.asarray(readings)
     if channel.record_unit == "count":
         yield CLIPPED, (values <= 0) | (values >= test.adc.top_code)
     for end in ends:
@@ -200,7 +201,7 @@ def _cut_off(
     if channel.name in test.limits:
         low, high = test.limits[channel.name]
         if isinstance(channel, PressureChannel):
-            values = probe_pressure_Pa(channel, test, values)
+            values = probe_pressure_Pa(channel, test, values.astype(np.float64))
         # A reading at the limit is one that the acquisition has cut off there.
         yield BEYOND_LIMITS, (values <= low) | (values >= high)
 

@@ -34,6 +34,8 @@ __all__ = ["ledger_path", "read_series", "write_series"]
 
 # A compressor surges a few times a second: what is sampled more slowly shows no cycle.
 LONGEST_STEP_S = 0.05
+# So many rows of a column go to HDF5 at once, whose calls take as long as to write a block.
+WRITTEN_ROWS = 1 << 18
 # The columns of a file by name: numbers, or texts where they may be something else.
 _Columns = dict[str, NDArray[Any]]
 
@@ -428,12 +430,13 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
             variable.attrs["long_name"] = LONG_NAMES[name]
     # The rows are no matter of netCDF any more, whose own way takes twice the time.
     with h5py.File(file, "r+") as out:
-        variables = {name: out[name] for name in columns}
-        for rows in blocks(series.n_samples):
-            for name, values in columns.items():
+        for name, values in columns.items():
+            variable = out[name]
+            for first in range(0, series.n_samples, WRITTEN_ROWS):
+                rows = slice(first, min(first + WRITTEN_ROWS, series.n_samples))
                 part = values[rows].astype(types[name], copy=False)
-                variables[name].write_direct(part, None, rows)
-            series.workspace.release()
+                variable.write_direct(part, None, rows)
+                series.workspace.release()
 
 
 def _ledger_json(history: tuple[LedgerEntry, ...]) -> str:

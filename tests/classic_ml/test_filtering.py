@@ -204,3 +204,22 @@ def test_every_channel_gets_the_same_filter_and_the_history_says_so() -> None:
     entry = out.history[-1]
     assert entry.parameters == {"phase": "causal", "order": 3, "cutoff_hz": 48.0}
     assert "delays surge frequencies by 6.6 ms" in entry.did
+
+
+@pytest.mark.parametrize("n_signals", [1, 2, 3])
+def test_pieces_that_go_in_one_run_are_those_of_each_alone(
+    n_signals: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("classic_ml.filtering.PIECE_ROWS", 600)
+    rng = np.random.default_rng(n_signals)
+    signals = np.cumsum(rng.standard_normal((n_signals, 7000)), axis=1)
+
+    def filtered(n_channels: int) -> Record:
+        arrays = {f"P{k}": (signals[k % n_signals], "Pa") for k in range(n_channels)}
+        record = Record.from_arrays(arrays, sample_rate_hz=RATE)
+        return filter_channels(record, tuple(arrays), order=3, cutoff_hz=48.0, phase="zero")
+
+    # With six signals no lane is left for another piece.
+    few, many = filtered(n_signals), filtered(6)
+    for k in range(n_signals):
+        assert np.array_equal(few[f"P{k}"], many[f"P{k}"])
