@@ -37,6 +37,11 @@ def _three_spikes(values: Values) -> Values:
     return np.clip(values, 0.0, 4095.0)
 
 
+def _warm_row(values: Values) -> Values:
+    values[1500] += 60.0
+    return values
+
+
 def _every(rows: int) -> Callable[[Values], Values]:
     """Return what keeps every so many-th value until the next one comes."""
     return lambda values: np.repeat(values[::rows], rows)[: values.size]
@@ -315,6 +320,14 @@ PROBES = (
         ("P31_A_tip_aft: 3 rows spiked",),
         within=NEAR,
         spoil=channel("P31_A_tip_aft", _three_spikes),
+    ),
+    Mistake(
+        "spike-couple",
+        "a thermocouple is off by 60 K in one row",
+        FLAGGED,
+        ("T25_B: 1 rows spiked",),
+        within=NEAR,
+        spoil=channel("T25_B", _warm_row),
     ),
     Mistake(
         "held-plane",
