@@ -211,8 +211,8 @@ def _add_reduce(commands: _Commands) -> None:
         type=_chunk,
         default=None,
         metavar="ROWS",
-        help="read so many rows at once and keep the columns on disk, beside SERIES or in TMPDIR: "
-        "for a record larger than memory, with the same numbers to the last bit",
+        help="read so many rows at once and keep the columns on disk, beside SERIES or in TMPDIR, "
+        "as is done with long records anyway; no number depends on it",
     )
     add_reduction_options(parser)
     parser.add_argument(

@@ -25,6 +25,9 @@ NUMBER_BYTES = 8
 COLUMNS_A_CHANNEL = 4
 # A row of a series: 12 columns, at most 25 characters each as text.
 SERIES_BYTES = 300
+# What a reduction takes in memory up to this stays there; beyond it the system clears pages for
+# longer than files would take.
+IN_MEMORY_BYTES = 256 << 20
 # Lines at the head of a table of text from which the number of all is estimated.
 HEAD_BYTES = 1 << 16
 # More points than this only blacken a picture: 100 s at 1 kHz.
@@ -48,7 +51,8 @@ def reduce_file(
     settings : ReductionSettings
         The switches.
     chunk_rows : int, optional
-        Rows that are read at once, with the columns on disk; in memory without it.
+        Rows that are read at once, with the columns on disk; without it in memory, unless the
+        record is long and there is room on the disk. No number depends on it.
     out : path
         Where the series is to go: the columns lie in its folder, or in ``TMPDIR`` where that is
         set.
@@ -106,10 +110,12 @@ def read_file(
     stored = open_raw(raw, test)
     n_rows = stored.n_rows if stored.n_rows is not None else _rows_of_text(raw)
     workspace: Workspace = IN_MEMORY
-    if chunk_rows is not None:
+    if chunk_rows is not None or _column_bytes(n_rows, test) > IN_MEMORY_BYTES:
         folder = Path(os.environ.get("TMPDIR") or out.resolve().parent)
-        _check_room(n_rows, test, folder, out.resolve().parent)
-        workspace = OnDisk(folder)
+        short = _lack_of_room(n_rows, test, folder, out.resolve().parent)
+        if short is not None and chunk_rows is not None:
+            raise short
+        workspace = IN_MEMORY if short is not None else OnDisk(folder)
     with shown_count("reading", unit="row", total=n_rows) as read:
         records = [
             read_raw(raw, test, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
@@ -159,18 +165,24 @@ def _rows_of_text(raw: Path) -> int:
     return int(raw.stat().st_size * lines / max(len(head), 1))
 
 
-def _check_room(n_rows: int, test: TestDescription, work: Path, out: Path) -> None:
-    """Refuse, before any work is done, a disk that would be full before the end."""
-    wanted = {work: n_rows * len(test.channel_names) * COLUMNS_A_CHANNEL * NUMBER_BYTES}
+def _column_bytes(n_rows: int, test: TestDescription) -> int:
+    """Return what the columns of a reduction take at their widest."""
+    return n_rows * len(test.channel_names) * COLUMNS_A_CHANNEL * NUMBER_BYTES
+
+
+def _lack_of_room(n_rows: int, test: TestDescription, work: Path, out: Path) -> InputError | None:
+    """Tell, before any work is done, of a disk that would be full before the end."""
+    wanted = {work: _column_bytes(n_rows, test)}
     same = work.stat().st_dev == out.stat().st_dev
     place = work if same else out
     wanted[place] = wanted.get(place, 0) + n_rows * SERIES_BYTES
     for folder, size in wanted.items():
         free = shutil.disk_usage(folder).free
         if free < size:
-            raise InputError(
+            return InputError(
                 str(folder),
                 expected=f"room for {size / 1e9:.2g} GB of columns between the steps",
                 found=f"{free / 1e9:.2g} GB",
                 remedy="free some, or let TMPDIR name a folder on another disk",
             )
+    return None

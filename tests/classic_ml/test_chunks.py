@@ -274,6 +274,29 @@ def test_a_disk_with_too_little_room_is_told_beforehand(
     (rig / "series.nc").unlink()
 
 
+def test_a_long_record_goes_to_the_disk_unasked_where_there_is_room(
+    rig: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = rig / "series.nc"
+    whole = files_of(rig, out)
+    folders: list[Path | None] = []
+
+    class Noted(OnDisk):
+        def __init__(self, folder: Path | None = None) -> None:
+            folders.append(folder)
+            super().__init__(folder)
+
+    monkeypatch.setattr("comparisons.reduce_command.OnDisk", Noted)
+    monkeypatch.setattr("comparisons.reduce_command.IN_MEMORY_BYTES", 1_000_000)
+    monkeypatch.delenv("TMPDIR", raising=False)
+    assert files_of(rig, out) == whole
+    assert folders == [rig]
+    usage = shutil.disk_usage(rig)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1_000_000))
+    assert files_of(rig, out) == whole
+    assert folders == [rig]
+
+
 def test_a_disk_that_is_full_on_the_way_is_told_and_nothing_is_left(
     rig: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
