@@ -1,10 +1,11 @@
-"""What does it cost to reduce a record larger than memory, beside one that is held in memory?
+"""How many times real time is a file reduced, and in how much memory?
 
 A rig record of 10 s is drawn out to minutes or hours by repeating its surge cycles, written as
 Parquet and as CSV, and reduced by the command `sindy-surge reduce` on one core, as a process of its
-own, in one piece and chunk by chunk. Printed are the seconds of the whole process, its start
-included, by the clock and of the processor; how many times real time that is by the clock; the peak
-of its resident memory; and whether its numbers are those of the first run, to the last bit.
+own: with `--chunk`, and without, when it keeps what is longer than some minutes on disk too.
+Printed are the seconds of the whole process, its start included, by the clock and of the processor;
+how many times real time that is by the clock; the peak of its resident memory; and whether its
+numbers are those of the first run, to the last bit.
 
     python benchmarks/chunked_reduction.py [--minutes 10 60] [--chunk 65536] [--json FILE]
     python benchmarks/chunked_reduction.py --minutes 600 --only-chunks
@@ -63,7 +64,7 @@ class Cost:
     raw, series : str
         Suffix of the file read and of the file written.
     chunk : int or None
-        Rows read at once; None in one piece.
+        Rows read at once; None where the command was not told.
     seconds, cpu_seconds : float
         By the clock, and of the processor.
     times_real_time : float
@@ -190,7 +191,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="half a minute, Parquet alone")
     parser.add_argument(
-        "--only-chunks", action="store_true", help="Parquet, not in one piece: for hours"
+        "--only-chunks", action="store_true", help="Parquet to netCDF with --chunk alone: for hours"
     )
     options = parser.parse_args()
     costs: list[Cost] = []
