@@ -183,6 +183,8 @@ class LocalFilter:
         first = row - row % self._piece_rows
         self._piece = self._piece_from(first)
         if first not in self._ahead:
+            # Let go of the last one first.
+            self._values = []
             self._ahead = self._filled_from(first)
         self._values = self._ahead.pop(first)
 
