@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 
 from classic_ml.lag.cells import Cells, IntArray
-from classic_ml.lag.compiled import compiled
+from classic_ml.lag.compiled import compiled, inlined
 from classic_ml.lag.local_columns import Columns, Eliminated
 from classic_ml.records import FloatArray
 
@@ -143,7 +143,7 @@ def _shares_of_hats(rows: IntArray, knots: FloatArray, weight: FloatArray) -> Fl
     return shares
 
 
-@compiled
+@inlined
 def _band_inverse(band: FloatArray, run_ptr: IntArray) -> FloatArray:
     """Return the inverse within the band, from the Cholesky factor (Takahashi et al. 1973)."""
     n, b = band.shape[0], band.shape[1] - 1
