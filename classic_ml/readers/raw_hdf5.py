@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 
 from classic_ml.errors import InputError
+from classic_ml.readers.hdf5_claims import MOST_TEXTS, attributes_of, check_texts
+from classic_ml.readers.hdf5_heaps import GuardedFile
 from classic_ml.readers.raw_columns import as_columns, one_line
 from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
 
-__all__ = ["Walk", "hdf5_columns", "open_hdf5", "opened_hdf5", "unit_of"]
+__all__ = ["UNIT_ATTRIBUTES", "Walk", "hdf5_columns", "open_hdf5", "opened_hdf5", "unit_of"]
 
 # More than any logger writes; links can make so many of two groups that nobody sees the end.
 MOST_ITEMS = 20_000
 DEEPEST = 100
 
-_UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units", "engineeringunits")
+UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units", "engineeringunits")
 _COLUMN_ATTRIBUTES = ("columns", "column_names", "channel_names", "channels", "names")
-# More texts than this are no names of columns.
-_MOST_TEXTS = 4096
 # Deflate reaches 1032 to 1.
 _MOST_COMPRESSED = 100_000
 
@@ -97,11 +97,15 @@ def opened_hdf5(file: Path, what: str) -> Iterator[Any]:
     """Open an HDF5 file for reading, or refuse it in one sentence."""
     import h5py
 
-    try:
-        handle = h5py.File(file, "r")
-    except OSError as error:
-        raise cannot_be_read(file, what, one_line(error)) from None
-    with handle:
+    with ExitStack() as opened:
+        try:
+            # The library's own driver asks whether anybody is writing into the file.
+            plain = opened.enter_context(h5py.File(file, "r"))
+            _, size_of_lengths = plain.id.get_create_plist().get_sizes()
+            guarded = opened.enter_context(GuardedFile(file, size_of_lengths))
+            handle = opened.enter_context(h5py.File(guarded, "r"))
+        except OSError as error:
+            raise cannot_be_read(file, what, one_line(error)) from None
         yield handle
 
 
@@ -173,7 +177,8 @@ class Walk:
         import h5py
 
         self.count()
-        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+        link = group.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink) or _leads_out(group, link):
             return Unreadable(_OTHER_FILE)
         try:
             item = group[name]
@@ -205,6 +210,8 @@ class Walk:
         why_not = _without_values(item)
         if why_not:
             return Unreadable(why_not)
+        if isinstance(item, h5py.Dataset):
+            check_texts(Path(self._source), item)
         decoded = self._decoder(item, self)
         if decoded is not None:
             return decoded
@@ -213,6 +220,18 @@ class Walk:
         if not isinstance(item, h5py.Dataset) or item.shape is None:
             return Unreadable("nothing in it")
         return _dataset(item)
+
+
+def _leads_out(group: Any, link: Any) -> bool:
+    """Return whether a soft link leads through one to another file."""
+    import h5py
+
+    if not isinstance(link, h5py.SoftLink):
+        return False
+    names = link.path.split("/")
+    start = group if names[0] else group.file
+    ways = ("/".join(names[:n]) for n in range(1, len(names)))
+    return any(isinstance(start.get(way, getlink=True), h5py.ExternalLink) for way in ways if way)
 
 
 def _without_values(item: Any) -> str:
@@ -240,11 +259,12 @@ def _dataset(item: Any) -> Node:
         return _texts(item)
     if item.dtype.kind not in "iufb" or h5py.check_ref_dtype(item.dtype) is not None:
         return Unreadable("no real numbers")
+    attributes = attributes_of(item, UNIT_ATTRIBUTES + _COLUMN_ATTRIBUTES)
     return Leaf(
         item.shape,
         lambda handle, index: np.asarray(handle[path][index]),
-        unit_of(item.attrs),
-        _attribute_texts(item.attrs, _COLUMN_ATTRIBUTES),
+        unit_of(attributes),
+        _attribute_texts(attributes, _COLUMN_ATTRIBUTES),
     )
 
 
@@ -257,7 +277,7 @@ def _field(table: Any, field: str) -> Leaf | Unreadable:
 
 
 def _texts(item: Any) -> str | list[str] | Unreadable:
-    if item.size > _MOST_TEXTS:
+    if item.size > MOST_TEXTS:
         return Unreadable("texts")
     values = np.atleast_1d(item.asstr(errors="replace")[()]).ravel()
     return [str(value) for value in values] if item.shape else str(values[0])
@@ -265,7 +285,7 @@ def _texts(item: Any) -> str | list[str] | Unreadable:
 
 def unit_of(attributes: Mapping[str, Any]) -> str:
     """Return the unit among the attributes of a dataset; empty without."""
-    return next(iter(_attribute_texts(attributes, _UNIT_ATTRIBUTES)), "")
+    return next(iter(_attribute_texts(attributes, UNIT_ATTRIBUTES)), "")
 
 
 def _attribute_texts(attributes: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, ...]:
@@ -276,7 +296,7 @@ def _attribute_texts(attributes: Mapping[str, Any], names: tuple[str, ...]) -> t
     for name in names:
         if name in by_name:
             stated = attributes[by_name[name]]
-            if isinstance(stated, h5py.Empty):
+            if stated is None or isinstance(stated, h5py.Empty):
                 continue
             values = np.atleast_1d(np.asarray(stated, dtype=object)).ravel()
             return tuple(

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from classic_ml.errors import InputError
+from classic_ml.readers.hdf5_claims import attributes_of
+from classic_ml.readers.mat_elements import check_mat_elements
 from classic_ml.readers.raw_columns import as_columns, one_line
 from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns
 from classic_ml.readers.raw_table import RawFile, cannot_be_read
@@ -73,8 +75,11 @@ def open_mat(file: Path, layout: FileLayout) -> RawFile:
 def _loaded(file: Path) -> Tree:
     """Read a file of versions 4 to 7.2."""
     from scipy.io import loadmat
+    from scipy.io.matlab import matfile_version
 
     try:
+        if matfile_version(str(file), appendmat=False)[0] == 1:
+            check_mat_elements(file)
         content = loadmat(str(file), appendmat=False, simplify_cells=True)
     except Exception as error:
         # scipy's reader raises whatever it stumbles over in a spoiled file.
@@ -135,7 +140,7 @@ def _matlab_dataset(item: Any, walk: Walk) -> Node | None:
 
 
 def _class_of(item: Any) -> str:
-    kind = item.attrs.get("MATLAB_class", b"")
+    kind = attributes_of(item, ("MATLAB_class",)).get("MATLAB_class", b"")
     return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
 
 

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.readers.hdf5_claims import attributes_of
 from classic_ml.readers.netcdf_classic import ClassicVariable, read_header
 from classic_ml.readers.raw_columns import as_columns, one_line
-from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns, unit_of
+from classic_ml.readers.raw_hdf5 import UNIT_ATTRIBUTES, Walk, hdf5_columns, unit_of
 from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
@@ -72,7 +73,7 @@ def _decoded(item: Any, _: Walk) -> Node | None:
 
     if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
         return None
-    attributes = dict(item.attrs)
+    attributes = attributes_of(item, (*UNIT_ATTRIBUTES, *_PACKING, "NAME"))
     title = attributes.get("NAME", b"")
     title = title.decode("utf-8", "replace") if isinstance(title, bytes) else str(title)
     if title.startswith(_NO_VARIABLE):
@@ -138,7 +139,7 @@ def _packing(dtype: Any, attributes: Mapping[str, Any]) -> _Packing | Unreadable
     stated: dict[str, list[float]] = {}
     for key in _PACKING:
         try:
-            stated[key] = _numbers(attributes.get(key))
+            stated[key] = _numbers(attributes[key]) if key in attributes else []
         except (TypeError, ValueError, OverflowError):
             return Unreadable(f"a variable whose {key} is no number")
     for key in ("scale_factor", "add_offset"):
@@ -153,10 +154,10 @@ def _packing(dtype: Any, attributes: Mapping[str, Any]) -> _Packing | Unreadable
 
 
 def _numbers(attribute: Any) -> list[float]:
-    """Return the numbers of an attribute; none where it is not there, or empty."""
+    """Return the numbers of an attribute; none where it is empty."""
     import h5py
 
-    if attribute is None or isinstance(attribute, h5py.Empty):
+    if isinstance(attribute, h5py.Empty):
         return []
     return [float(number) for number in np.ravel(attribute)]
 

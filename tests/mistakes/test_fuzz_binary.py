@@ -26,6 +26,16 @@ MOST_WRONG = 24
 # What wrong readings that nobody marks may do to φ and ψ' where both are fitted, rms: a tenth of
 # what noise of one count does.
 UNMARKED = (6e-4, 2.7e-3)
+# Damage of which a library in C died or stood still.
+FOUND = {".mat": (1607, 1845), ".nc": (354, 897, 994, 2121), ".h5": (2121, 2953)}
+STANDS_STILL_S = 60.0
+INSPECT = """
+import sys
+from pathlib import Path
+from mistake_desk import run_in
+for file in sys.argv[1:]:
+    print(run_in(Path(file).parent, f"inspect {Path(file).name}").code, flush=True)
+"""
 
 
 @dataclass(frozen=True)
@@ -150,6 +160,29 @@ def test_a_damaged_binary_record(clean: Path, tmp_path: Path, suffix: str) -> No
             assert answer.made == ()
             refused += 1
     assert refused > SEEDS // 4
+
+
+@pytest.mark.parametrize("suffix", list(FOUND))
+def test_damage_that_was_once_the_end_of_the_process(
+    clean: Path, tmp_path: Path, suffix: str
+) -> None:
+    shutil.copy(clean / "raw.csv", tmp_path)
+    good = write_stored(tmp_path, suffix).read_bytes()
+    files = [tmp_path / f"bad_{seed}{suffix}" for seed in FOUND[suffix]]
+    for file, seed in zip(files, FOUND[suffix], strict=True):
+        file.write_bytes(damaged_files.damaged(good, seed))
+    done = subprocess.run(
+        [sys.executable, "-c", INSPECT, *map(str, files)],
+        cwd=Path(damaged_files.__file__).parent,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=STANDS_STILL_S,
+    )
+    assert done.returncode == 0, f"the process ended: {done.stderr[-600:]}"
+    codes = [int(line) for line in done.stdout.splitlines()]
+    assert len(codes) == len(files)
+    assert set(codes) <= {0, 2}
 
 
 def test_a_damaged_netcdf_series(clean: Path, tmp_path: Path) -> None:
