@@ -203,7 +203,7 @@ class OnDisk(Workspace):
         self._spare: dict[int, list[_File]] = {}
         self._told, self._n_calls = _Told(), 0
         # The C library of Linux learns from what it is given back how much comes and goes; without
-        # this it has the pages of each block cleared by the system anew, a sixth of the time.
+        # this it has the pages of each block cleared by the system anew, a seventh of the time.
         np.empty(BLOCK_BYTES, dtype=np.uint8)
         self._mapped_before = self._told.mapped_bytes()
 

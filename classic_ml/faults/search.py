@@ -35,8 +35,8 @@ __all__ = ["inspect_readings"]
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05
 
-# A thermocouple seldom moves at once: on 24 simulated records a reading is off those beside it by
-# 1.7 % of its range at most, where it is 1 % for a pressure. So its range counts thrice.
+# On 24 simulated records and an independent one readings of four thermocouples stand out as spikes
+# do, by 1.0 to 1.7 % of their range, where 1 % is enough for a pressure: their range counts thrice.
 COUPLE_RANGES = 3.0
 # Next to a reading that does not count for another reason, none is called a spike.
 EDGE_ROWS = 3
