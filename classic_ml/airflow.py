@@ -19,6 +19,7 @@ __all__ = [
     "flow_constant_kg_s",
     "mach_from_corrected_flow",
     "physical_flow",
+    "reversed_above",
     "true_mach",
 ]
 
@@ -66,6 +67,25 @@ def true_mach(calculated: FloatArray, slope: float, offset: float) -> FloatArray
     """
     magnitude = np.maximum(slope * np.abs(calculated) + offset, 0.0)
     return np.asarray(np.sign(calculated) * magnitude)
+
+
+def reversed_above(slope: float, offset: float, gamma: float) -> float:
+    """Return the ratio of the aft to the forward pressure above which the flow runs backwards.
+
+    Parameters
+    ----------
+    slope, offset : float
+        a and b of the pair (Eq 2).
+    gamma : float
+        Ratio of the specific heats.
+
+    Returns
+    -------
+    float
+        1, or with b < 0, below which Eq 2 tells no flow, (1 + (γ−1)/2 (b/a)²)^(γ/(γ−1)).
+    """
+    least = max(0.0, -offset / slope)
+    return float((1.0 + 0.5 * (gamma - 1.0) * least**2) ** (gamma / (gamma - 1.0)))
 
 
 def flow_constant_kg_s(area_m2: float, compressor: Compressor) -> float:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from classic_ml.airflow import T_STANDARD_K, mach_from_corrected_flow
+from classic_ml.columns.computed import is_computed
 from classic_ml.columns.elementary import powers
 from classic_ml.columns.order_statistics import lowest
 from classic_ml.columns.workspace import blocks
@@ -142,6 +144,7 @@ def coefficients(
     work_form: str = "auto",
     cell_period_s: float | None = None,
     wanted: Collection[str] | None = None,
+    stored: Collection[str] = (),
 ) -> Record:
     """Compute φ, ψ' and, where W31 is known, ψ.
 
@@ -164,6 +167,9 @@ def coefficients(
         mass balance are averaged over it before they are divided.
     wanted : collection of str, optional
         Which of the coefficients are kept; all of them without it.
+    stored : collection of str
+        Plane averages that are put away while they are at hand, where they are columns that are
+        computed each time that they are asked for.
 
     Returns
     -------
@@ -176,6 +182,11 @@ def coefficients(
     units = {"phi": "1", "psi_p": "1", "Nc_frac": "1"}
     kept = [name for name in units if wanted is None or name in wanted]
     columns = {name: record.workspace.writer(record.n_samples) for name in kept}
+    put_away = {
+        name: record.workspace.writer(record.n_samples)
+        for name in stored
+        if is_computed(record[name])
+    }
     # Least and largest of φ and ψ', for the ledger.
     ranges = {"phi": (np.inf, -np.inf), "psi_p": (np.inf, -np.inf)}
     for rows in blocks(record.n_samples):
@@ -186,6 +197,8 @@ def coefficients(
             raise
         for name, column in columns.items():
             column.append(found[name])
+        for name, column in put_away.items():
+            column.append(record[name][rows])
         for name, (low, high) in ranges.items():
             ranges[name] = min(low, found[name].min()), max(high, found[name].max())
         record.workspace.release()
@@ -196,6 +209,7 @@ def coefficients(
         {"inertia_per_m": inertia, "U_m_s": round(speed, 3), "inertia_factor": inertia_factor},
     )
     added = [Channel(name, column.finished(), units[name]) for name, column in columns.items()]
+    added += [replace(record.channel(n), values=c.finished()) for n, c in put_away.items()]
     added += [channel for channel in _derived(record) if wanted is None or channel.name in wanted]
     record = record.after(entry, add=added)
     if "W31_kg_s" not in record:

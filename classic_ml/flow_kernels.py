@@ -15,7 +15,7 @@ from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.elementary import power_of
 from classic_ml.records import FloatArray
 
-__all__ = ["change_scale", "invert_flow", "pair_flow"]
+__all__ = ["change_scale", "invert_flow", "pair_flow", "pair_total"]
 
 # Rows that go through Newton's steps together, until the slowest of them has arrived.
 TOGETHER = 64
@@ -66,6 +66,7 @@ def pair_flow(
     slope: float,
     offset: float,
     constant_kg_s: float,
+    reversed_above: float,
     flow_kg_s: FloatArray,
     total_Pa: FloatArray,
 ) -> tuple[int, int]:
@@ -81,6 +82,8 @@ def pair_flow(
         a and b of Eq 2.
     constant_kg_s : float
         A P_o √(γ/(R T_o)) of Eq 3.
+    reversed_above : float
+        As for :func:`pair_total`.
     flow_kg_s, total_Pa : ndarray of shape (n,)
         Where the results go.
 
@@ -107,7 +110,7 @@ def pair_flow(
         # No comparison lets a NaN through: it comes back here.
         flow_kg_s[k] = mach + (ratio - ratio)
         total_Pa[k] = high
-        counted += (1 if mach < 0.0 else 0) + (REFUSED if low <= 0.0 else 0)
+        counted += (1 if aft > reversed_above * forward else 0) + (REFUSED if low <= 0.0 else 0)
     # A loop for each way: with a choice in it none is done four rows at a time.
     if abs(fall - 3.0) < DIATOMIC:
         for k in range(flow_kg_s.size):
@@ -118,6 +121,35 @@ def pair_flow(
         for k in range(flow_kg_s.size):
             mach = flow_kg_s[k]
             flow_kg_s[k] = constant_kg_s * (mach / power_of(1.0 + half * mach * mach, fall))
+    return counted % REFUSED, counted // REFUSED
+
+
+@as_written
+def pair_total(
+    forward_Pa: FloatArray, aft_Pa: FloatArray, reversed_above: float, total_Pa: FloatArray
+) -> tuple[int, int]:
+    """Find the total pressure of one probe pair, for where nobody wants its flow.
+
+    Parameters
+    ----------
+    forward_Pa, aft_Pa : ndarray of shape (n,)
+        Absolute pressures.
+    reversed_above : float
+        Ratio of the aft to the forward pressure above which the flow is reversed.
+    total_Pa : ndarray of shape (n,)
+        Where the results go.
+
+    Returns
+    -------
+    tuple of int
+        As of :func:`pair_flow`.
+    """
+    counted = 0
+    for k in range(forward_Pa.size):
+        forward, aft = forward_Pa[k], aft_Pa[k]
+        low = aft if forward > aft else forward
+        total_Pa[k] = forward if forward > aft else aft
+        counted += (1 if aft > reversed_above * forward else 0) + (REFUSED if low <= 0.0 else 0)
     return counted % REFUSED, counted // REFUSED
 
 

@@ -78,11 +78,11 @@ class FreeRunRows:
     def channels(self) -> list[Channel]:
         """Return ``stalled`` (0/1) and ``free_run`` (0 outside, 1 simulated, 2 scored)."""
 
-        def state(rows: slice) -> IntArray:
-            return np.add(_inside(self.inside, rows), self.scored[rows], dtype=np.int64)
+        def state(rows: slice) -> NDArray[np.int8]:
+            return np.add(_inside(self.inside, rows), self.scored[rows], dtype=np.int8)
 
         place = self.workspace
-        free_run = evaluated(place, self.stalled.size, state, np.int64)
+        free_run = evaluated(place, self.stalled.size, state, np.int8)
         return [
             Channel("stalled", place.widened(self.stalled), "1"),
             Channel("free_run", place.widened(free_run), "1"),

@@ -203,7 +203,7 @@ def preview(
     place: Workspace = OnDisk() if rows > MOST_ROWS_IN_MEMORY else IN_MEMORY
     try:
         raw = read_raw(raw_path, test_path, workspace=place)
-        reduction = reduce_record(*raw, keep_probes=False)
+        reduction = reduce_record(*raw, keep="series")
     except InputError as error:
         return ReductionPreview(str(error))
     history = reduction.record.history

@@ -26,6 +26,10 @@ __all__ = ["LookAhead", "look_ahead", "probe_averages", "without"]
 # What the window is looked for with.
 AHEAD = ReductionSettings(phase="zero")
 AVERAGING = ("filter_order", "cutoff_hz", "phase", "probes", "thermocouple_inversion")
+# The averages that every reduction goes through more than once.
+READ_BY_ALL = ("P25_Pa", "T25_K", "Wc25_kg_s", "P31_Pa")
+# One block of so many is looked at to tell whether a thermocouple is worth a column.
+BLOCKS_BETWEEN = 16
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class LookAhead:
     averaged: Record
 
 
-def look_ahead(record: Record, test: TestDescription) -> LookAhead:
+def look_ahead(record: Record, test: TestDescription, settings: ReductionSettings) -> LookAhead:
     """Filter and average every channel of a record.
 
     Parameters
@@ -56,9 +60,11 @@ def look_ahead(record: Record, test: TestDescription) -> LookAhead:
         Matched pressures and temperatures, faults bridged.
     test : TestDescription
         Places of the probes.
+    settings : ReductionSettings
+        What the averages will be asked for by.
     """
     flows, _ = _filtered_flows(record, test, AHEAD)
-    return LookAhead(record, flows, flows.evaluated())
+    return LookAhead(record, flows, flows.evaluated(stored=_stored(record, test, settings)))
 
 
 def probe_averages(
@@ -98,7 +104,7 @@ def probe_averages(
         changed = _changed(record, ahead.before, _in_use(record, test), run)
         averaged = flows.evaluated_anew(ahead.flows, ahead.averaged, changed)
     else:
-        averaged = flows.evaluated()
+        averaged = flows.evaluated(stored=_stored(record, test, settings))
     filtered, inverted = _entries(record, test, settings)
     # The readings of the probes are not kept, filtered or not.
     history = (*record.history, filtered, inverted, *flows.entries)
@@ -109,6 +115,23 @@ def without(record: Record, names: Iterable[str]) -> Record:
     """Return the record without channels that nobody asks for any more."""
     gone = set(names)
     return replace(record, channels={n: c for n, c in record.channels.items() if n not in gone})
+
+
+def _stored(record: Record, test: TestDescription, settings: ReductionSettings) -> tuple[str, ...]:
+    """Return which averages are worth a column on disk: no number depends on it."""
+    shift = ("Wc25_hub_kg_s", "Wc25_tip_kg_s") if settings.stall_rule == "hub-tip" else ()
+    exit_K = [couple.name for couple in test.thermocouples(31) if couple.name in record]
+    work = ("T31_K", "Wc31_kg_s") if any(_mostly_sound(record, name) for name in exit_K) else ()
+    return (*READ_BY_ALL, *shift, *work)
+
+
+def _mostly_sound(record: Record, name: str) -> bool:
+    """Tell whether most readings of a channel seem to count."""
+    if fault_name(name) not in record:
+        return True
+    some = list(blocks(record.n_samples))[::BLOCKS_BETWEEN]
+    bad = sum(int(np.count_nonzero(kinds_of_fault(record, name, rows))) for rows in some)
+    return bool(2 * bad < sum(rows.stop - rows.start for rows in some))
 
 
 def _in_use(record: Record, test: TestDescription) -> tuple[str, ...]:

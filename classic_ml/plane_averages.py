@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from classic_ml.airflow import flow_constant_kg_s, physical_flow
+from classic_ml.airflow import flow_constant_kg_s, physical_flow, reversed_above
+from classic_ml.averaged_plane import AveragedPlane, averaged_plane, present_pairs
 from classic_ml.columns.order_statistics import lowest
+from classic_ml.columns.together import computed_together
 from classic_ml.columns.workspace import ColumnWriter, blocks
 from classic_ml.errors import InputError
-from classic_ml.flow_kernels import pair_flow
+from classic_ml.flow_kernels import pair_flow, pair_total
 from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 
@@ -22,20 +24,10 @@ __all__ = [
     "local_flows",
     "plane_averages",
     "plane_flows",
-    "present_pairs",
 ]
 
 # The readings of some rows, by channel.
 Readings = Callable[[slice], Mapping[str, FloatArray]]
-
-
-def present_pairs(record: Record, test: TestDescription, plane: int) -> tuple[ProbePair, ...]:
-    """Return the pairs whose two probes are (still) in the record."""
-    return tuple(
-        pair
-        for pair in test.pairs(plane)
-        if pair.forward.name in record and pair.aft.name in record
-    )
 
 
 def local_flows(record: Record, test: TestDescription) -> Record:
@@ -84,9 +76,19 @@ def _all_pairs(record: Record, test: TestDescription) -> list[ProbePair]:
 
 
 def _channel(name: str, column: ColumnWriter) -> Channel:
-    """Return a column as a channel, its unit told by the name."""
-    unit = {"s": "kg/s", "Pa": "Pa", "K": "K"}[name.rpartition("_")[2]]
-    return Channel(name, column.finished(), unit)
+    return Channel(name, column.finished(), _unit(name))
+
+
+def _unit(name: str) -> str:
+    """Return the unit that the name of a channel tells."""
+    return {"s": "kg/s", "Pa": "Pa", "K": "K"}[name.rpartition("_")[2]]
+
+
+def _product(record: Record, factors: Sequence[FloatArray]) -> FloatArray:
+    """Return the physical flow (Eq 4) of columns, computed each time that it is asked for."""
+    return record.workspace.derived(
+        record.n_samples, lambda rows: physical_flow(*(factor[rows] for factor in factors))
+    )
 
 
 def _flows_entry(n_reversed: Mapping[str, int], n_rows: int) -> LedgerEntry:
@@ -116,8 +118,21 @@ def _pair_flow(
     slope, offset = pair.forward.probe_slope, pair.forward.probe_offset
     constant = flow_constant_kg_s(test.areas_m2[pair.forward.plane], test.compressor)
     gamma = test.compressor.gamma
-    reversed_, refused = pair_flow(forward, aft, gamma, slope, offset, constant, flow, total)
+    above = reversed_above(slope, offset, gamma)
+    reversed_, refused = pair_flow(forward, aft, gamma, slope, offset, constant, above, flow, total)
     return flow, total, None if refused else int(reversed_)
+
+
+def _pair_total(
+    block: Mapping[str, FloatArray], test: TestDescription, pair: ProbePair
+) -> tuple[FloatArray, int | None]:
+    """Return the total pressure in some rows, and the rows with reversed flow or None, as above."""
+    forward, aft = block[pair.forward.name], block[pair.aft.name]
+    total = np.empty(forward.size)
+    probe = pair.forward
+    above = reversed_above(probe.probe_slope, probe.probe_offset, test.compressor.gamma)
+    reversed_, refused = pair_total(forward, aft, above, total)
+    return total, None if refused else int(reversed_)
 
 
 def _not_absolute(record: Record, test: TestDescription, readings: Readings) -> InputError:
@@ -165,7 +180,7 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
     InputError
         When an immersion that is wanted has no pair left, or plane 25 no thermocouple.
     """
-    planes = [_plane(record, test, plane, probes) for plane in test.areas_m2]
+    planes = [averaged_plane(record, test, plane, probes) for plane in test.areas_m2]
     columns = _columns(record, planes)
     for rows in blocks(record.n_samples):
         for plane in planes:
@@ -175,7 +190,7 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
                 for pair in pairs
             }
             couples = [record[name][rows] for name in plane.couples]
-            for name, values in plane.averages(local, couples).items():
+            for name, values in plane.averages(local, couples, plane.names()).items():
                 columns[name].append(values)
         record.workspace.release()
     added = [_channel(name, column) for name, column in columns.items()]
@@ -188,6 +203,7 @@ def plane_flows(
     probes: str = "all",
     *,
     wanted: Collection[str] | None = None,
+    stored: Collection[str] | None = None,
 ) -> Record:
     """Compute what :func:`plane_averages` makes of :func:`local_flows`, without keeping the latter.
 
@@ -199,9 +215,8 @@ def plane_flows(
         Places and probe constants.
     probes : {"all", "tip", "hub"}
         Immersions to use.
-    wanted : collection of str, optional
-        Which averages are kept; all of them without it. The ledger tells nothing of the flows of a
-        plane of which the pressure alone is wanted.
+    wanted, stored : collection of str, optional
+        As for :meth:`PlaneFlows.evaluated`.
 
     Returns
     -------
@@ -213,7 +228,7 @@ def plane_flows(
     InputError
         As both do.
     """
-    return PlaneFlows(record, test, probes).evaluated(wanted)
+    return PlaneFlows(record, test, probes).evaluated(wanted, stored)
 
 
 class PlaneFlows:
@@ -241,55 +256,77 @@ class PlaneFlows:
     ) -> None:
         self._record, self._test, self._probes = record, test, probes
         self._readings = readings if readings is not None else _as_they_are(record, test)
-        self._planes = [_plane(record, test, plane, probes) for plane in test.areas_m2]
+        self._planes = [averaged_plane(record, test, plane, probes) for plane in test.areas_m2]
         # By the first row of a block and by pair.
         self._n_reversed: dict[int, dict[str, int]] = {}
+        self._stored: tuple[str, ...] = ()
 
     def block(self, rows: slice, wanted: Collection[str] | None = None) -> dict[str, FloatArray]:
-        """Return the averages over some rows, those of one block, or of these the ones wanted."""
-        readings = self._readings(rows)
-        counts = self._n_reversed[rows.start] = {}
-        found: dict[str, FloatArray] = {}
-        for plane in self._planes:
-            if wanted is None or any(n in wanted for n in plane.names() if n != plane.pressure):
-                found |= self._averages(plane, readings, counts)
-            elif plane.pressure in wanted:
-                found[plane.pressure] = self._pressure(plane, readings)
-        return found
+        """Return the averages over some rows, or of these the ones wanted."""
+        return self._averages_and_counts(rows, wanted)[0]
 
-    def _averages(
-        self, plane: _Plane, readings: Mapping[str, FloatArray], counts: dict[str, int]
-    ) -> dict[str, FloatArray]:
-        local = {}
+    def _averages_and_counts(
+        self, rows: slice, wanted: Collection[str] | None
+    ) -> tuple[dict[str, FloatArray], dict[str, int]]:
+        """Return them, and in how many of the rows the flow of each pair is reversed."""
+        readings = self._readings(rows)
+        found: dict[str, FloatArray] = {}
+        counts: dict[str, int] = {}
+        for plane in self._planes:
+            names = plane.names() if wanted is None else [n for n in plane.names() if n in wanted]
+            local = self._local(plane, readings, counts, with_flows=plane.needs_flows(names))
+            couples = [readings[name] for name in plane.couples]
+            found |= plane.averages(local, couples, names)
+        return found, counts
+
+    def _local(
+        self,
+        plane: AveragedPlane,
+        readings: Mapping[str, FloatArray],
+        counts: dict[str, int],
+        *,
+        with_flows: bool,
+    ) -> dict[str, tuple[FloatArray | None, FloatArray]]:
+        """Return the flow, where it is wanted, and the total pressure of each pair."""
+        local: dict[str, tuple[FloatArray | None, FloatArray]] = {}
         for pair in plane.all_pairs():
-            flow, total, n_rows = _pair_flow(readings, self._test, pair)
+            flow = None
+            if with_flows:
+                flow, total, n_rows = _pair_flow(readings, self._test, pair)
+            else:
+                total, n_rows = _pair_total(readings, self._test, pair)
             if n_rows is None:
                 raise _not_absolute(self._record, self._test, self._readings)
             local[pair.name], counts[pair.name] = (flow, total), n_rows
-        return plane.averages(local, [readings[name] for name in plane.couples])
+        return local
 
-    def _pressure(self, plane: _Plane, readings: Mapping[str, FloatArray]) -> FloatArray:
-        total = {}
-        for pair in plane.all_pairs():
-            forward, aft = readings[pair.forward.name], readings[pair.aft.name]
-            if not min(forward.min(), aft.min()) > 0.0:
-                raise _not_absolute(self._record, self._test, self._readings)
-            total[pair.name] = np.maximum(forward, aft)
-        return plane.over_places(total)[1]
+    def evaluated(
+        self, wanted: Collection[str] | None = None, stored: Collection[str] | None = None
+    ) -> Record:
+        """Return the record with the averages over all rows, and the ledger entries.
 
-    def evaluated(self, wanted: Collection[str] | None = None) -> Record:
-        """Return the record with the averages over all rows, and the ledger entries."""
-        record = self._record
-        columns = _columns(record, self._planes)
+        Parameters
+        ----------
+        wanted : collection of str, optional
+            Which averages there are in the record; all of them without it.
+        stored : collection of str, optional
+            Those that are evaluated now; on disk the others are computed each time that somebody
+            asks for them. All without it.
+        """
+        record, place = self._record, self._record.workspace
+        names = [name for plane in self._planes for name in plane.names()]
         if wanted is not None:
-            columns = {name: column for name, column in columns.items() if name in wanted}
-        for rows in blocks(record.n_samples):
-            found = self.block(rows, wanted)
+            names = [name for name in names if name in wanted]
+        everything = stored is None or not place.computes_anew
+        self._stored = tuple(n for n in names if everything or n in (stored or ()))
+        columns = {name: place.writer(record.n_samples) for name in self._stored}
+        for rows in blocks(record.n_samples) if self._stored else ():
+            found, self._n_reversed[rows.start] = self._averages_and_counts(rows, self._stored)
             for name, column in columns.items():
                 column.append(found[name])
-            record.workspace.release()
-        added = [_channel(name, column) for name, column in columns.items()]
-        return replace(record.after(self.entries[-1], add=added), history=self._history(record))
+            place.release()
+        evaluated = {name: _channel(name, column) for name, column in columns.items()}
+        return self._with(evaluated, names)
 
     def evaluated_anew(
         self, before: PlaneFlows, averaged: Record, where: Iterable[slice]
@@ -308,11 +345,28 @@ class PlaneFlows:
         record = self._record
         names = [name for plane in self._planes for name in plane.names()]
         self._n_reversed = dict(before._n_reversed)
+        self._stored = tuple(name for name in names if name in before._stored)
         for rows in where:
-            for name, values in self.block(rows).items():
+            found, self._n_reversed[rows.start] = self._averages_and_counts(rows, self._stored)
+            for name, values in found.items():
                 record.workspace.overwrite(averaged[name], rows, values)
             record.workspace.release()
-        added = [averaged.channel(name) for name in names]
+        return self._with({name: averaged.channel(name) for name in self._stored}, names)
+
+    def _with(self, evaluated: Mapping[str, Channel], names: Sequence[str]) -> Record:
+        """Return the record with columns that are evaluated, and the others of those named."""
+        record, n_rows = self._record, self._record.n_samples
+        others = [name for name in names if name not in evaluated]
+        columns = computed_together(n_rows, others, lambda rows: self.block(rows, others))
+        for plane in self._planes:
+            # One product of what is at hand, for which no flow need be computed.
+            if plane.flow in others and all(name in evaluated for name in plane.flow_factors):
+                factors = [evaluated[name].values for name in plane.flow_factors]
+                columns[plane.flow] = _product(record, factors)
+        added = [
+            evaluated[name] if name in evaluated else Channel(name, columns[name], _unit(name))
+            for name in names
+        ]
         return replace(record.after(self.entries[-1], add=added), history=self._history(record))
 
     def _history(self, record: Record) -> tuple[LedgerEntry, ...]:
@@ -330,69 +384,12 @@ class PlaneFlows:
         return flows, _averages_entry(self._planes, self._probes)
 
 
-@dataclass(frozen=True)
-class _Plane:
-    """What is averaged over one plane."""
-
-    plane: int
-    pairs: Mapping[str, tuple[ProbePair, ...]]
-    used: tuple[str, ...]
-    couples: tuple[str, ...]
-
-    @property
-    def pressure(self) -> str:
-        """Name of the total pressure."""
-        return f"P{self.plane}_Pa"
-
-    def all_pairs(self) -> Iterator[ProbePair]:
-        """Yield the pairs of all immersions."""
-        return (pair for pairs in self.pairs.values() for pair in pairs)
-
-    def over_places(
-        self, local: Mapping[str, FloatArray]
-    ) -> tuple[dict[str, FloatArray], FloatArray]:
-        """Return the mean of each immersion, and over those in use, of what each pair shows."""
-        by_place = {i: _mean([local[p.name] for p in pairs]) for i, pairs in self.pairs.items()}
-        return by_place, _mean([by_place[i] for i in self.used])
-
-    def names(self) -> list[str]:
-        """Return the names of the averages."""
-        p = self.plane
-        flows = [f"Wc{p}_kg_s", *(f"Wc{p}_{i}_kg_s" for i in self.pairs)]
-        return [*flows, f"P{p}_Pa", *([f"T{p}_K", f"W{p}_kg_s"] if self.couples else [])]
-
-    def averages(
-        self,
-        local: Mapping[str, tuple[FloatArray, FloatArray]],
-        temperatures_K: Sequence[FloatArray],
-    ) -> dict[str, FloatArray]:
-        """Return the averages of some rows.
-
-        Parameters
-        ----------
-        local : mapping of str to tuple of ndarray
-            Corrected flow and total pressure of each pair.
-        temperatures_K : sequence of ndarray
-            Of the thermocouples.
-        """
-        p = self.plane
-        flow, corrected = self.over_places({name: values[0] for name, values in local.items()})
-        _, pressure = self.over_places({name: values[1] for name, values in local.items()})
-        values = {f"Wc{p}_kg_s": corrected, self.pressure: pressure}
-        values |= {f"Wc{p}_{i}_kg_s": flow[i] for i in flow}
-        if temperatures_K:
-            temperature = _mean(temperatures_K)
-            values[f"T{p}_K"] = temperature
-            values[f"W{p}_kg_s"] = physical_flow(corrected, pressure, temperature)
-        return values
-
-
-def _columns(record: Record, planes: Sequence[_Plane]) -> dict[str, ColumnWriter]:
+def _columns(record: Record, planes: Sequence[AveragedPlane]) -> dict[str, ColumnWriter]:
     names = [name for plane in planes for name in plane.names()]
     return {name: record.workspace.writer(record.n_samples) for name in names}
 
 
-def _averages_entry(planes: Sequence[_Plane], probes: str) -> LedgerEntry:
+def _averages_entry(planes: Sequence[AveragedPlane], probes: str) -> LedgerEntry:
     return LedgerEntry(
         "plane averages",
         f"arithmetic mean over rakes and immersions ({probes}), Eq 4 at each plane",
@@ -401,42 +398,3 @@ def _averages_entry(planes: Sequence[_Plane], probes: str) -> LedgerEntry:
             **{f"pairs_{p.plane}": sum(map(len, p.pairs.values())) for p in planes},
         },
     )
-
-
-def _plane(record: Record, test: TestDescription, plane: int, probes: str) -> _Plane:
-    """Choose what is averaged over a plane, or refuse where there is too little."""
-    wanted = ("tip", "hub") if probes == "all" else (probes,)
-    pairs = present_pairs(record, test, plane)
-    by_place = {i: tuple(p for p in pairs if p.immersion == i) for i in ("tip", "hub")}
-    used = [i for i in wanted if by_place[i] or any(p.immersion == i for p in test.pairs(plane))]
-    missing = [i for i in used if not by_place[i]]
-    if missing or not used:
-        raise InputError(
-            f"{record.source}: plane {plane}",
-            expected="at least one usable probe pair at " + (" and ".join(missing) or "a place"),
-            found="none",
-            remedy="the history of the record says which were left out and why",
-        )
-    couples = tuple(c.name for c in test.thermocouples(plane) if c.name in record)
-    if plane == 25 and not couples:
-        raise InputError(
-            f"{record.source}: plane 25",
-            expected="at least one thermocouple that can be used",
-            found="none",
-            remedy="without T25 there is neither φ nor ψ'",
-        )
-    return _Plane(plane, {i: p for i, p in by_place.items() if p}, tuple(used), couples)
-
-
-def _mean(values: Sequence[FloatArray]) -> FloatArray:
-    if len(values) == 1:
-        return values[0]
-    added = values[0] + values[1]
-    for further in values[2:]:
-        added += further
-    if len(values) & (len(values) - 1):
-        added /= len(values)
-    else:
-        # Of a power of two the inverse is a double, and a product takes half the time.
-        added *= 1.0 / len(values)
-    return added

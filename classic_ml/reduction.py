@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import physical_flow
-from classic_ml.calibration import (
-    calibrate_and_match,
-    invert_thermocouples,
-    near_stall_match,
-    near_stall_rows,
-)
-from classic_ml.coefficients import (
-    coefficients,
-    corrected_speed_fraction,
-    flow_coefficient,
-)
+from classic_ml.calibration import calibrate_and_match, invert_thermocouples, near_stall_match
+from classic_ml.coefficients import coefficients, corrected_speed_fraction
 from classic_ml.columns.computed import as_stored
-from classic_ml.columns.workspace import IN_MEMORY, blocks, evaluated, mapped
+from classic_ml.columns.workspace import blocks
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
-from classic_ml.faults.near_stall_checks import check_pairs, check_steady
-from classic_ml.faults.near_stall_levels import beside_the_record, unusual_machine
+from classic_ml.faults.near_stall_flows import near_stall_flows
 from classic_ml.faults.search import inspect_readings
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
@@ -44,17 +33,13 @@ __all__ = ["STEPS", "Reduction", "ReductionSettings", "near_stall_shifts", "redu
 # As often as a reduction tells that it has got further.
 STEPS = 6
 
-# In the steady flow near stall the planes pass the same but for bleeds of a few per cent (0.3 % on
-# the independent record); exchanged areas are a factor of twenty.
-FLOWS_DIFFER = 0.05
-FLOWS_REFUSED = 0.2
-# An axial compressor near stall is at φ of 0.3 to 0.6, a centrifugal one above 0.1.
-NEAR_STALL_PHI = (0.1, 1.5)
 # With the right threshold 1 to 15 % of the window on 13 simulated records; with half of it, as
 # where it was meant in kg/s, 27 to 29 % at 90 to 98.5 % speed.
 REGIMES_DIFFER = 0.2
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
 LEAST_CUTOFF_HZ = 1.0
+# What is in the record of a reduction beside the series.
+Keep = Literal["probes", "averages", "series"]
 # What the free run is chosen by, and φ and ψ' are made of.
 UNFILTERED_AVERAGES = (
     "P25_Pa",
@@ -65,6 +50,14 @@ UNFILTERED_AVERAGES = (
     "Wc25_hub_kg_s",
     "Wc25_tip_kg_s",
 )
+
+
+# Channels of the series, and what they are chosen by.
+IN_SERIES = (
+    *("phi", "psi_p", "psi", "T25_K", "Nc_frac", "in_stall", "segment"),
+    *("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run"),
+)
+LOOKED_AT = ("Wc25_kg_s", "Wc25_hub_kg_s", "Wc25_tip_kg_s", "P31_Pa", "P25_unfiltered_Pa")
 
 
 @dataclass(frozen=True)
@@ -102,7 +95,7 @@ def reduce_record(
     test: TestDescription,
     settings: ReductionSettings | None = None,
     *,
-    keep_probes: bool = True,
+    keep: Keep = "probes",
     progress: Callable[[int], object] | None = None,
 ) -> Reduction:
     """Reduce a raw record to the series of coefficients.
@@ -115,9 +108,10 @@ def reduce_record(
         The test they belong to.
     settings : ReductionSettings, optional
         The switches.
-    keep_probes : bool
-        Keep the readings, faults and flows of the single probes in the record; without them it
-        takes two thirds of the room.
+    keep : {"probes", "averages", "series"}
+        What is in the record: everything; no readings, faults and flows of single probes, so that
+        it takes two thirds of the room; or the channels of the series alone, which lets a record
+        on disk go as soon as they have been computed.
     progress : callable, optional
         Told each time that one of the ``STEPS`` steps is done.
 
@@ -142,27 +136,35 @@ def reduce_record(
     record = inspect_readings(record, test, whole=True)
     step(1)
     record = calibrate_and_match(record, test, chosen.near_stall_match)
-    record = record.after(_near_stall_flows(record, test))
+    record = record.after(near_stall_flows(record, test))
     step(1)
     window_s, found, ahead = _window(record, test, chosen)
     window = window_rows(record, window_s, _window_name(record, test, chosen))
     record = choose_channels(record.after(found), test, window)
     step(1)
-    averaged = probe_averages(record, test, chosen, keep_probes=keep_probes, ahead=ahead)
+    averaged = probe_averages(record, test, chosen, keep_probes=keep == "probes", ahead=ahead)
+    was_named = ahead is None
+    # The readings are let go of, but for what is asked of them from here on.
+    del ahead
     step(1)
     plain, unfiltered = _unfiltered(record, test, chosen)
     in_use = tuple(name for name in test.channel_names if name in record)
     # A window that somebody named is not extended.
-    inside = window if ahead is None else extend_while_settled(plain, window, in_use)
+    inside = window if was_named else extend_while_settled(plain, window, in_use)
     record = _with_coefficients(averaged, unfiltered, test, chosen, window)
+    del averaged, unfiltered
+    if keep == "series":
+        record = _only(record, IN_SERIES + LOOKED_AT)
     step(1)
-    if ahead is None:
+    if was_named:
         record = _few_cycles_told(record, window_s)
     record = _segmented(record, test, chosen, window)
     record = _with_free_run(record, plain, window, inside, chosen.probes)
     record = _regimes_compared(record, window, _threshold(test, chosen))
-    if not keep_probes:
+    if keep == "averages":
         record = without(record, [name for name in record.channels if name.startswith("fault_")])
+    if keep == "series":
+        record = _only(record, IN_SERIES)
     step(1)
     return Reduction(_series(record), record, chosen, test, window_s)
 
@@ -191,7 +193,7 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
     inspected = inspect_readings(record, test, whole=True)
     shifts, _ = near_stall_match(inspected, test)
     matched = calibrate_and_match(inspected, test)
-    _near_stall_flows(matched, test)
+    near_stall_flows(matched, test)
     sound = choose_channels(matched, test, slice(0, 0))
     forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
     named = [*forward, *(couple.name for couple in test.temperatures)]
@@ -200,76 +202,6 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
 
 def _nobody(_: int) -> None:
     """Tell nobody."""
-
-
-def _near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
-    """Check φ, and the flow of one plane against the other's, in the steady flow near stall."""
-    if test.near_stall_shifts:
-        return LedgerEntry("near-stall flow", "not known: the reading is not in this record")
-    rows = near_stall_rows(record, test)
-    steady = replace(
-        record,
-        channels={n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()},
-        start_s=record.time_at_s(rows.start),
-        # The tenth of a second that it is needs no files.
-        workspace=IN_MEMORY,
-    )
-    check_steady(steady, test)
-    # No row is in a window yet: only what cannot be matched is left out here.
-    steady = choose_channels(steady, test, slice(0, 0))
-    flags = check_pairs(steady, test)
-    steady = plane_flows(steady, test)
-    phi = float(
-        np.mean(
-            flow_coefficient(
-                steady["Wc25_kg_s"],
-                steady["T25_K"],
-                test.areas_m2[25],
-                test.rotor_velocity_m_s,
-                test.compressor,
-            )
-        )
-    )
-    inlet, leaving = _steady_flows(steady, test)
-    how = "" if "W31_kg_s" in steady else " (with the facility's T31)"
-    differ = abs(leaving / inlet - 1.0)
-    areas = f"area_m2 of [planes.25] and [planes.31] in {test.source}"
-    if differ > FLOWS_REFUSED and not how:
-        raise InputError(
-            f"{record.source}: flow near stall",
-            expected=f"W25 and W31 within {FLOWS_REFUSED:.0%} of each other",
-            found=f"{inlet:.4g} and {leaving:.4g} kg/s",
-            remedy=f"check {areas} ({test.areas_m2[25]:g} and {test.areas_m2[31]:g} m²)",
-        )
-    if not NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
-        raise InputError(
-            f"{record.source}: φ near stall",
-            expected=f"{NEAR_STALL_PHI[0]:g} to {NEAR_STALL_PHI[1]:g}",
-            found=f"{phi:.3g}",
-            # The area is not among them: it cancels between Eq 3 and its inverse.
-            remedy=f"check rotor_speed_rpm and mean_radius_m in {test.source}, and the zero and "
-            "calibrate readings",
-        )
-    flags += (*unusual_machine(test, phi), *beside_the_record(record, test))
-    if differ > FLOWS_DIFFER:
-        flags += (
-            f"near stall W25 is {inlet:.4g} kg/s and W31 {leaving:.4g} kg/s{how}: check {areas}",
-        )
-    return LedgerEntry(
-        "near-stall flow",
-        f"φ {phi:.3f}, W25 {inlet:.2f} kg/s, W31 {leaving:.2f} kg/s{how}",
-        {"phi": round(phi, 4), "W25_kg_s": round(inlet, 4), "W31_kg_s": round(leaving, 4)},
-        flags=flags,
-    )
-
-
-def _steady_flows(steady: Record, test: TestDescription) -> tuple[float, float]:
-    """Return W25 and W31, the latter with the facility's T31 where no thermocouple counts."""
-    inlet = float(np.mean(steady["W25_kg_s"]))
-    if "W31_kg_s" in steady:
-        return inlet, float(np.mean(steady["W31_kg_s"]))
-    exit_K = np.full(steady.n_samples, test.near_stall.temperature_K(31))
-    return inlet, float(np.mean(physical_flow(steady["Wc31_kg_s"], steady["P31_Pa"], exit_K)))
 
 
 def _unfiltered(
@@ -282,9 +214,13 @@ def _unfiltered(
     plain = record.after(LedgerEntry("filter", "no low-pass filter"))
     plain = invert_thermocouples(plain, test)
     # Without W31 no ψ is computed, which nobody wants of these.
-    plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES)
+    plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES, stored=())
     plain = coefficients(
-        plain, test, inertia_factor=settings.inertia_factor, wanted=("phi", "psi_p", "Nc_frac")
+        plain,
+        test,
+        inertia_factor=settings.inertia_factor,
+        wanted=("phi", "psi_p", "Nc_frac"),
+        stored=("P25_Pa", "Wc25_hub_kg_s", "Wc25_tip_kg_s"),
     )
     names = {
         "P25_Pa": "P25_unfiltered_Pa",
@@ -368,6 +304,10 @@ def _with_channels(record: Record, channels: list[Channel]) -> Record:
     return record.after(entry, add=channels)
 
 
+def _only(record: Record, names: Iterable[str]) -> Record:
+    return without(record, set(record.channels).difference(names))
+
+
 def _window_name(record: Record, test: TestDescription, settings: ReductionSettings) -> str:
     """Return what to call the window in an error: where it was named."""
     if settings.window_s is not None:
@@ -389,7 +329,7 @@ def _window(
             return window_s, entry, None
     # A look ahead with every channel in it: which of them can be used depends on the window.
     # Nor must a dropout that passes end it.
-    ahead = look_ahead(with_faults_bridged(record, test), test)
+    ahead = look_ahead(with_faults_bridged(record, test), test, settings)
     speed = _corrected_speed(ahead.averaged, test)
     cycles = find_cycles(_with_channels(ahead.averaged, [speed]))
     flags: tuple[str, ...] = ()
@@ -426,11 +366,9 @@ def _few_cycles_told(record: Record, window_s: tuple[float, float]) -> Record:
 
 
 def _corrected_speed(record: Record, test: TestDescription) -> Channel:
-    (speed,) = mapped(
-        record.workspace,
-        [record["T25_K"]],
-        lambda temperature: (corrected_speed_fraction(temperature, test),),
-        1,
+    inlet_K = record["T25_K"]
+    speed = record.workspace.derived(
+        record.n_samples, lambda rows: corrected_speed_fraction(inlet_K[rows], test)
     )
     return Channel("Nc_frac", speed, "1")
 
@@ -479,13 +417,10 @@ def _series(record: Record) -> CoefficientSeries:
         return record.start_s + np.arange(rows.start, rows.stop) / record.sample_rate_hz
 
     def of_type(name: str, kind: type[np.generic]) -> NDArray[Any]:
-        stored = as_stored(record[name])
-        if stored.dtype == kind:
-            return stored
-        return evaluated(place, n_rows, lambda rows: stored[rows], kind)
+        return place.widened(as_stored(record[name]), kind)
 
     return CoefficientSeries(
-        time_s=evaluated(place, n_rows, clock),
+        time_s=place.derived(n_rows, clock),
         phi=record["phi"],
         psi_p=record["psi_p"],
         psi=record["psi"] if work_known else None,

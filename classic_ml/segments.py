@@ -252,7 +252,7 @@ def segment(
         "in_stall": place.widened(state),
         "window": place.derived(n_rows, lambda rows: labelled(whole, rows).astype(np.float64)),
         "segment": place.widened(
-            evaluated(place, n_rows, lambda rows: labelled(segments, rows), np.int64)
+            place.derived(n_rows, lambda rows: labelled(segments, rows), np.int64)
         ),
     }
     return record.after(entry, add=[Channel(n, values, "1") for n, values in columns.items()])

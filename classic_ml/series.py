@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.columns.clock import uniform_period_s
+from classic_ml.columns.computed import as_stored, is_computed
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
@@ -113,7 +114,8 @@ class CoefficientSeries(Displayed):
     history : tuple of LedgerEntry
         What was done to get here.
     workspace : Workspace
-        Where the columns lie, which are not copied where they are read-only and of their type.
+        Where the columns lie, which are not copied where they are read-only and of their type. On
+        disk some are computed where they are asked for.
 
     Raises
     ------
@@ -144,7 +146,7 @@ class CoefficientSeries(Displayed):
             given = getattr(self, name)
             if given is not None:
                 values = _vector(self, name, given)
-                extremes[name] = _extremes(values, self.workspace)
+                extremes[name] = _extremes(as_stored(values), self.workspace)
                 object.__setattr__(self, name, _frozen_column(self, name, values, extremes[name]))
         _check_lengths(self)
         uniform_period_s(self.time_s, f"{self.source}: column time_s", workspace=self.workspace)
@@ -203,7 +205,7 @@ def _rebuild(known: dict[str, Any]) -> CoefficientSeries:
 def _vector(
     series: CoefficientSeries, name: str, values: NDArray[np.generic]
 ) -> NDArray[np.generic]:
-    given = np.asarray(values)
+    given = values if is_computed(values) else np.asarray(values)
     if given.ndim != 1:
         raise InputError(
             f"{series.source}: column {name}",
@@ -249,7 +251,7 @@ def _frozen_column(
         bounds = (0.0, 1.0 if name in TRUTH_COLUMNS else LARGEST)
         if given.dtype.kind == "f" or not _within(extremes, bounds):
             _check_rows(series, name, given, bounds, whole=True, expected=expected)
-    if given.dtype == _column_type(name) and not given.flags.writeable:
+    if given.dtype == _column_type(name) and (is_computed(given) or not given.flags.writeable):
         return given
     column: NDArray[np.generic] = given.astype(_column_type(name))
     column.setflags(write=False)

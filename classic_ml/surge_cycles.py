@@ -315,7 +315,8 @@ def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray
     lengths = np.diff(edges).astype(np.float64)
     speeds = np.empty(peaks.size)
     for cycles in _some_cycles(edges, record.workspace):
-        _means(record["Nc_frac"], edges[cycles.start : cycles.stop + 1], speeds[cycles])
+        bounds = edges[cycles.start : cycles.stop + 1]
+        _means(record["Nc_frac"][bounds[0] : bounds[-1]], bounds - bounds[0], speeds[cycles])
     later = speeds[speeds.size // 2 :]
     good = np.abs(rises / np.median(rises) - 1.0) <= RISE_SPREAD
     good &= np.abs(lengths / np.median(np.diff(peaks)) - 1.0) <= PERIOD_SPREAD

@@ -77,8 +77,10 @@ def run_reduce(arguments: argparse.Namespace) -> None:
             reduction_settings(arguments),
             chunk_rows=arguments.chunk,
             out=arguments.out,
+            for_report=bool(arguments.report),
         )
-    write_series(reduction.series, arguments.out)
+    # Without a report this is the last that is seen of the columns.
+    write_series(reduction.series, arguments.out, give_up=not arguments.report)
     if arguments.report:
         from comparisons.report import ReportSection, write_report
 

@@ -41,6 +41,7 @@ def reduce_file(
     *,
     chunk_rows: int | None,
     out: Path,
+    for_report: bool,
 ) -> Reduction:
     """Reduce a raw record, in memory or chunk by chunk, and show how far it is on a terminal.
 
@@ -56,11 +57,14 @@ def reduce_file(
     out : path
         Where the series is to go: the columns lie in its folder, or in ``TMPDIR`` where that is
         set.
+    for_report : bool
+        Whether more than the series will be looked at.
 
     Returns
     -------
     Reduction
-        Without the readings of the single probes.
+        Without the readings of the single probes; its record has the averages for a report, else
+        the channels of the series alone.
 
     Raises
     ------
@@ -73,7 +77,13 @@ def reduce_file(
     records, test = read_file(raw, test_path, chunk_rows=chunk_rows, out=out)
     with shown_count("reducing", unit="step", total=STEPS) as done:
         # Nobody but the reduction holds the raw record, so that it can let go of it.
-        return reduce_record(records.pop(), test, settings, keep_probes=False, progress=done)
+        return reduce_record(
+            records.pop(),
+            test,
+            settings,
+            keep="averages" if for_report else "series",
+            progress=done,
+        )
 
 
 def read_file(

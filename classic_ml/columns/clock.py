@@ -85,7 +85,9 @@ def _refusal(time_s: FloatArray, where: str, workspace: Workspace) -> InputError
     def near_the_median() -> Iterator[FloatArray]:
         return (s[np.abs(s - middle) < NEAR_MEDIAN * middle] for s in steps())
 
-    period = mean(near_the_median)
+    # Between two steps that are each half of all there is none.
+    some = any(near.size for near in near_the_median())
+    period = mean(near_the_median if some else steps)
     row = _first_off(time_s, period, workspace)
     step, before = time_s[row + 1] - time_s[row], time_s[row]
     return InputError(

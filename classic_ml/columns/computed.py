@@ -6,15 +6,17 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["ComputedColumn", "as_column", "as_stored", "computed", "widened"]
+__all__ = ["ComputedColumn", "as_column", "as_stored", "computed", "is_computed", "widened"]
 
 FloatArray = NDArray[np.float64]
 
 
-class ComputedColumn:
-    """A column of float64 that can be cut into rows as an array can, and is read-only.
+class ComputedColumn(np.lib.mixins.NDArrayOperatorsMixin):
+    """A column that can be cut into rows as an array can, and is read-only.
+
+    Whatever else is done with it is done with an array of all its rows.
 
     Parameters
     ----------
@@ -23,19 +25,22 @@ class ComputedColumn:
     rows : callable
         ``rows(part)`` returns the values of a slice from one row to another, a new array or one
         that nobody writes to.
+    dtype : dtype
+        Type of the values.
     stored : ndarray of shape (n_rows,), optional
         The same numbers as they are stored, where they are in a narrower type.
     """
 
     ndim = 1
-    dtype = np.dtype(np.float64)
 
     def __init__(
         self,
         n_rows: int,
-        rows: Callable[[slice], FloatArray],
+        rows: Callable[[slice], NDArray[Any]],
+        dtype: DTypeLike = np.float64,
         stored: NDArray[Any] | None = None,
     ) -> None:
+        self.dtype = np.dtype(dtype)
         self.stored = stored
         self.size = n_rows
         self.shape = (n_rows,)
@@ -44,17 +49,18 @@ class ComputedColumn:
     def __len__(self) -> int:
         return self.size
 
-    def __getitem__(self, key: int | slice) -> Any:
+    def __getitem__(self, key: Any) -> Any:
         """Return one value, or those of a slice without gaps as an array."""
         if isinstance(key, slice):
             start, stop, step = key.indices(self.size)
             if step == 1:
                 return self._read_only(slice(start, max(start, stop)))
-            return self._read_only(slice(0, self.size))[key]
-        row = range(self.size)[key]
-        return self._rows(slice(row, row + 1))[0]
+        if isinstance(key, int | np.integer):
+            row = range(self.size)[key]
+            return self._rows(slice(row, row + 1))[0]
+        return self._read_only(slice(0, self.size))[key]
 
-    def _read_only(self, rows: slice) -> FloatArray:
+    def _read_only(self, rows: slice) -> NDArray[Any]:
         values = self._rows(rows)
         # As the rows of any column of a record: compiled loops are made for one kind of array.
         values.setflags(write=False)
@@ -65,8 +71,25 @@ class ComputedColumn:
         values = self._rows(slice(0, self.size))
         return np.array(values, dtype=dtype, copy=copy)
 
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **given: Any) -> Any:
+        """Apply a function of numpy to the whole column."""
+        arrays = (np.asarray(i) if isinstance(i, ComputedColumn) else i for i in inputs)
+        return getattr(ufunc, method)(*arrays, **given)
 
-def computed(n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+    def __getattr__(self, name: str) -> Any:
+        """Lend the methods of an array, but for what numpy and copies ask under the surface."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._read_only(slice(0, self.size)), name)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Survive pickling as an array of the values."""
+        return (np.asarray, (np.array(self),))
+
+
+def computed(
+    n_rows: int, rows: Callable[[slice], NDArray[Any]], dtype: DTypeLike = np.float64
+) -> NDArray[Any]:
     """Return a column that is computed where it is asked for.
 
     Parameters
@@ -75,13 +98,15 @@ def computed(n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
         Its length.
     rows : callable
         As for :class:`ComputedColumn`.
+    dtype : dtype
+        Type of the values.
 
     Returns
     -------
     ndarray of shape (n_rows,)
         In truth a :class:`ComputedColumn`: whoever works block by block sees no difference.
     """
-    return cast("FloatArray", ComputedColumn(n_rows, rows))
+    return cast("NDArray[Any]", ComputedColumn(n_rows, rows, dtype))
 
 
 def as_column(values: ArrayLike) -> FloatArray:
@@ -98,18 +123,20 @@ def as_column(values: ArrayLike) -> FloatArray:
     return np.asarray(values, dtype=np.float64)
 
 
-def widened(column: NDArray[Any]) -> FloatArray:
-    """Return a column of a narrow type as one of float64.
+def widened(column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return a column of a narrow type as one of a wider.
 
     Parameters
     ----------
     column : ndarray of shape (n,)
-        Whole numbers, say; a column of float64 is returned as it is.
+        Whole numbers, say; a column of the type that is asked for is returned as it is.
+    dtype : dtype
+        That type.
     """
-    if column.dtype == np.float64:
+    if column.dtype == np.dtype(dtype):
         return column
-    wide = ComputedColumn(column.size, lambda rows: column[rows].astype(np.float64), column)
-    return cast("FloatArray", wide)
+    wide = ComputedColumn(column.size, lambda rows: column[rows].astype(dtype), dtype, column)
+    return cast("NDArray[Any]", wide)
 
 
 def as_stored(column: NDArray[Any]) -> NDArray[Any]:
@@ -124,3 +151,15 @@ def as_stored(column: NDArray[Any]) -> NDArray[Any]:
     if isinstance(given, ComputedColumn) and given.stored is not None:
         return given.stored
     return column
+
+
+def is_computed(column: NDArray[Any]) -> bool:
+    """Tell whether a column is computed each time that it is asked for.
+
+    Parameters
+    ----------
+    column : ndarray of shape (n,)
+        A column.
+    """
+    given: object = column
+    return isinstance(given, ComputedColumn)

@@ -8,22 +8,20 @@ block.
 
 from __future__ import annotations
 
-import errno
 import mmap
-import os
 import tempfile
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from classic_ml.columns.computed import computed, widened
-from classic_ml.errors import InputError
+from classic_ml.columns.computed import computed, is_computed, widened
+from classic_ml.columns.nameless_files import MappedMemory, NamelessFile, few_files
 
 __all__ = [
     "BLOCK_ROWS",
@@ -63,7 +61,12 @@ class ColumnWriter(ABC):
 
 
 class Workspace(ABC):
-    """Where the steps of a reduction put their results."""
+    """Where the steps of a reduction put their results.
+
+    ``computes_anew`` tells whether to keep a column takes longer than to compute it again.
+    """
+
+    computes_anew: bool
 
     @abstractmethod
     def column(self, n_rows: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -90,7 +93,9 @@ class Workspace(ABC):
         """Return a new column of readings, which are whole numbers more often than not."""
 
     @abstractmethod
-    def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+    def derived(
+        self, n_rows: int, rows: Callable[[slice], NDArray[Any]], dtype: DTypeLike = np.float64
+    ) -> NDArray[Any]:
         """Return a column that follows from others at once, row by row, as ``rows(part)`` has it.
 
         In memory it is evaluated; on disk, where reading takes longer than computing, each time
@@ -98,8 +103,16 @@ class Workspace(ABC):
         """
 
     @abstractmethod
-    def widened(self, column: NDArray[Any]) -> FloatArray:
-        """Return a column of a narrow type as one of float64, evaluated or not as `derived`."""
+    def widened(self, column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+        """Return a column of a narrow type as one of a wider, evaluated or not as `derived`."""
+
+    @abstractmethod
+    def tidy(self) -> None:
+        """Give back the room that is kept for columns to come."""
+
+    @abstractmethod
+    def discard(self, column: NDArray[Any]) -> None:
+        """Give back the room of a column, which nobody reads any more: it may hold anything."""
 
     @abstractmethod
     def release(self) -> None:
@@ -108,6 +121,8 @@ class Workspace(ABC):
 
 class InMemory(Workspace):
     """Columns as plain arrays."""
+
+    computes_anew = False
 
     def column(self, n_rows: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return a new array."""
@@ -135,15 +150,23 @@ class InMemory(Workspace):
         """Return a column as any other."""
         return self.writer(n_rows)
 
-    def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+    def derived(
+        self, n_rows: int, rows: Callable[[slice], NDArray[Any]], dtype: DTypeLike = np.float64
+    ) -> NDArray[Any]:
         """Evaluate the column."""
-        return evaluated(self, n_rows, rows)
+        return evaluated(self, n_rows, rows, dtype)
 
-    def widened(self, column: NDArray[Any]) -> FloatArray:
+    def widened(self, column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Evaluate the column."""
-        wide = column.astype(np.float64)
+        wide = column.astype(dtype)
         wide.setflags(write=False)
         return wide
+
+    def tidy(self) -> None:
+        """Do nothing: no room is kept."""
+
+    def discard(self, column: NDArray[Any]) -> None:
+        """Do nothing: an array is in memory for as long as it lives."""
 
     def release(self) -> None:
         """Do nothing: an array is in memory for as long as it lives."""
@@ -197,11 +220,13 @@ class OnDisk(Workspace):
         Where the files lie; the system's choice (``TMPDIR``) without it.
     """
 
+    computes_anew = True
+
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = Path(tempfile.gettempdir()) if folder is None else folder
         self._columns: weakref.WeakValueDictionary[int, _Mapped] = weakref.WeakValueDictionary()
-        self._spare: dict[int, list[_File]] = {}
-        self._told, self._n_calls = _Told(), 0
+        self._spare: dict[int, list[NamelessFile]] = {}
+        self._told, self._n_calls = MappedMemory(), 0
         # The C library of Linux learns from what it is given back how much comes and goes; without
         # this it has the pages of each block cleared by the system anew, a seventh of the time.
         np.empty(BLOCK_BYTES, dtype=np.uint8)
@@ -215,7 +240,7 @@ class OnDisk(Workspace):
     def zeros(self, n_rows: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return an array that is mapped to a file of its own, which has nothing in it yet."""
         size = n_rows * np.dtype(dtype).itemsize
-        return self.mapped(_File(self.folder, size), size, dtype)
+        return self.mapped(NamelessFile(self.folder, size), size, dtype)
 
     def put(self, column: NDArray[Any], rows: slice, values: NDArray[Any]) -> None:
         """Write to the file, which is thrice as quick as through the mapping."""
@@ -238,13 +263,26 @@ class OnDisk(Workspace):
         """Return a file of 16 bits a reading, for as long as all are whole numbers of so many."""
         return _Narrowing(self, n_rows)
 
-    def derived(self, n_rows: int, rows: Callable[[slice], FloatArray]) -> FloatArray:
+    def derived(
+        self, n_rows: int, rows: Callable[[slice], NDArray[Any]], dtype: DTypeLike = np.float64
+    ) -> NDArray[Any]:
         """Return a column that is computed each time."""
-        return computed(n_rows, rows)
+        return computed(n_rows, rows, dtype)
 
-    def widened(self, column: NDArray[Any]) -> FloatArray:
+    def widened(self, column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return a column that is computed each time."""
-        return widened(column)
+        return widened(column, dtype)
+
+    def tidy(self) -> None:
+        """Close the files that are kept for columns to come."""
+        self._spare.clear()
+
+    def discard(self, column: NDArray[Any]) -> None:
+        """Have the system forget what is in the file, as far as it can."""
+        mapped_file = None if is_computed(column) else self._columns.get(_address(column))
+        if mapped_file is not None and hasattr(mmap, "MADV_REMOVE"):
+            with suppress(OSError):
+                mapped_file.madvise(mmap.MADV_REMOVE)
 
     def release(self) -> None:
         """Give the pages back to the system, which has them in its cache or on the disk."""
@@ -257,16 +295,16 @@ class OnDisk(Workspace):
             mapped_file.madvise(mmap.MADV_DONTNEED)
         self._mapped_before = self._told.mapped_bytes()
 
-    def file_of(self, size: int) -> _File:
+    def file_of(self, size: int) -> NamelessFile:
         """Return a file of so many bytes, whatever is in it."""
         spare = self._spare.get(size)
-        return spare.pop() if spare else _File(self.folder, size)
+        return spare.pop() if spare else NamelessFile(self.folder, size)
 
-    def mapped(self, file: _File, size: int, dtype: DTypeLike) -> NDArray[Any]:
+    def mapped(self, file: NamelessFile, size: int, dtype: DTypeLike) -> NDArray[Any]:
         """Return a file of this place as an array."""
         if size == 0:
             return np.empty(0, dtype=dtype)
-        with _few_files():
+        with few_files():
             mapped_file = _Mapped(file.number, size)
         mapped_file.file = file
         # Every view of the column holds the mapping.
@@ -275,13 +313,13 @@ class OnDisk(Workspace):
         self._columns[_address(column)] = mapped_file
         return column
 
-    def put_aside(self, file: _File) -> None:
+    def put_aside(self, file: NamelessFile) -> None:
         """Keep a file that nobody needs for a column to come."""
         if file.size:
             self._spare.setdefault(file.size, []).append(file)
 
 
-def _put_aside(place: weakref.ref[OnDisk], file: _File) -> None:
+def _put_aside(place: weakref.ref[OnDisk], file: NamelessFile) -> None:
     holder = place()
     if holder is not None:
         holder.put_aside(file)
@@ -290,92 +328,11 @@ def _put_aside(place: weakref.ref[OnDisk], file: _File) -> None:
 class _Mapped(mmap.mmap):
     """A mapping, which goes when nobody holds the column."""
 
-    file: _File
-
-
-class _File:
-    """A file without a name, of a size that is known or not; closed when nobody holds it."""
-
-    def __init__(self, folder: Path, size: int = 0) -> None:
-        self._folder, self.size = folder, size
-        with _few_files(), tempfile.TemporaryFile(prefix="sindy-surge-", dir=folder) as opened:
-            self.number = os.dup(opened.fileno())
-        weakref.finalize(self, os.close, self.number).atexit = False
-        if size:
-            self._reserve()
-
-    def _reserve(self) -> None:
-        """Give it its length and room: a full disk is told here, not when a page is written."""
-        if hasattr(os, "posix_fallocate"):
-            try:
-                with self._room(self.size):
-                    os.posix_fallocate(self.number, 0, self.size)
-                return
-            except OSError:
-                # Not every file system can.
-                pass
-        os.ftruncate(self.number, self.size)
-
-    def write(self, values: NDArray[Any], place: int) -> None:
-        """Write values at a place, in bytes from the beginning."""
-        part = values.view(np.uint8).data
-        os.lseek(self.number, place, os.SEEK_SET)
-        with self._room(part.nbytes):
-            while part.nbytes:
-                # A call may take up less than it is given.
-                part = part[os.write(self.number, part) :]
-
-    @contextmanager
-    def _room(self, size: int) -> Iterator[None]:
-        """Say where the room was short."""
-        try:
-            yield
-        except OSError as error:
-            if error.errno != errno.ENOSPC:
-                raise
-            raise InputError(
-                str(self._folder),
-                expected=f"room for {size / 1e6:.1f} MB more of temporary files",
-                found="a full disk",
-                remedy="free some, or let TMPDIR name a folder on another disk",
-            ) from None
-
-
-@contextmanager
-def _few_files() -> Iterator[None]:
-    """Say how to have more files open where there are too many."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno != errno.EMFILE:
-            raise
-        raise InputError(
-            "columns on disk",
-            expected="two open files for each column",
-            found="more than this process may have",
-            remedy="raise the limit (ulimit -n 8192), or reduce fewer channels at once",
-        ) from None
+    file: NamelessFile
 
 
 def _address(column: NDArray[Any]) -> int:
     return int(column.__array_interface__["data"][0])
-
-
-class _Told:
-    """What the system tells of the memory of this process."""
-
-    def __init__(self) -> None:
-        self._number: int | None = None
-        # Opened once: the path takes the longer part of the time.
-        with suppress(OSError):
-            self._number = os.open("/proc/self/statm", os.O_RDONLY)
-            weakref.finalize(self, os.close, self._number).atexit = False
-
-    def mapped_bytes(self) -> int:
-        """Return how much of files the process has in memory; -1 where the system does not tell."""
-        if self._number is None:
-            return -1
-        return int(os.pread(self._number, 256, 0).split()[2]) * mmap.PAGESIZE
 
 
 class _Written(ColumnWriter):

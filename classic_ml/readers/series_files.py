@@ -126,7 +126,9 @@ def _other_record(
     return (LedgerEntry("read series", f"{time_s.size} rows", flags=(flag,)),)
 
 
-def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
+def write_series(
+    series: CoefficientSeries, path: str | os.PathLike[str], *, give_up: bool = False
+) -> None:
     """Write a series file, whole or not at all, with its ledger.
 
     A netCDF file carries the ledger as the attribute ``history``, as JSON and without the dates
@@ -139,6 +141,9 @@ def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> Non
         What to write.
     path : str or path
         Target, ending in ``.csv``, ``.nc``, ``.nc4`` or ``.netcdf``.
+    give_up : bool
+        Let go of columns on disk as they are written to a netCDF file, which then takes their room:
+        the series is of no use afterwards.
 
     Raises
     ------
@@ -153,7 +158,7 @@ def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> Non
             found=f"the suffix '{file.suffix}'",
         )
     if file.suffix.lower() != ".csv":
-        replace_whole(file, lambda temporary: _write_netcdf_or_tell(series, temporary))
+        replace_whole(file, lambda temporary: _write_netcdf_or_tell(series, temporary, give_up))
         return
 
     def write_ledger_and_table(temporary: Path) -> None:
@@ -403,9 +408,9 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
                 series.workspace.release()
 
 
-def _write_netcdf_or_tell(series: CoefficientSeries, file: Path) -> None:
+def _write_netcdf_or_tell(series: CoefficientSeries, file: Path, give_up: bool) -> None:
     try:
-        _write_netcdf(series, file)
+        _write_netcdf(series, file, give_up)
     except RuntimeError as error:
         # HDF5 finds only when it closes a file that there is no room for it.
         cause = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
@@ -414,12 +419,14 @@ def _write_netcdf_or_tell(series: CoefficientSeries, file: Path) -> None:
         raise OSError(int(cause[1]), cause[2]) from error
 
 
-def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
+def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
     import h5netcdf
     import h5py
 
     columns = series.columns()
     types = {name: np.int8 if name in TRUTH_COLUMNS else v.dtype for name, v in columns.items()}
+    if give_up:
+        series.workspace.tidy()
     with h5netcdf.File(file, "w") as out:
         for name, text in _ABOUT.items():
             out.attrs[name] = text
@@ -439,6 +446,8 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
                 part = values[rows].astype(types[name], copy=False)
                 variable.write_direct(part, None, rows)
                 series.workspace.release()
+            if give_up:
+                series.workspace.discard(values)
 
 
 def _ledger_json(history: tuple[LedgerEntry, ...]) -> str:

@@ -110,6 +110,7 @@ def _reduced(
             settings,
             chunk_rows=piece.chunk_rows,
             out=out,
+            for_report=False,
         )
     except InputError as error:
         return Result(piece, error=error)

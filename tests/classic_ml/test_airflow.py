@@ -17,12 +17,13 @@ from classic_ml.airflow import (
     corrected_from_physical,
     mach_from_corrected_flow,
     physical_flow,
+    reversed_above,
     true_mach,
 )
 from classic_ml.calibration import calibrate
 from classic_ml.columns.elementary import powers
 from classic_ml.errors import InputError
-from classic_ml.flow_kernels import pair_flow
+from classic_ml.flow_kernels import pair_flow, pair_total
 from classic_ml.plane_averages import local_flows, plane_averages
 from classic_ml.readers.test_description import Compressor
 from classic_ml.records import Record
@@ -105,9 +106,13 @@ def test_the_compiled_pair_is_the_three_equations_one_after_another(gamma: float
         expected = corrected_flow(true_mach(calculated, slope, offset), 0.3, gas)
         flow, total = np.empty(2000), np.empty(2000)
         constant = corrected_flow(np.array([1e-9]), 0.3, gas)[0] / 1e-9
-        counts = pair_flow(forward, aft, gamma, slope, offset, constant, flow, total)
+        above = reversed_above(slope, offset, gamma)
+        counts = pair_flow(forward, aft, gamma, slope, offset, constant, above, flow, total)
         assert counts == (np.count_nonzero(expected < 0.0), 0)
         np.testing.assert_array_equal(total, np.maximum(forward, aft))
+        alone = np.empty(2000)
+        assert pair_total(forward, aft, above, alone) == counts
+        np.testing.assert_array_equal(alone, total)
         # The power is near 1: its last bits, 2^-52 each, are bits of M² times 2/(γ−1).
         moved = 2.0 / (gamma - 1.0) * 2.0**-52 / np.maximum(np.abs(calculated), 1e-8)
         error = 1e-14 * np.abs(expected) + slope * constant * moved
@@ -119,7 +124,7 @@ def test_the_compiled_pair_is_the_three_equations_one_after_another(gamma: float
 def test_the_compiled_pair_hands_on_what_is_no_number() -> None:
     values = np.array([1e5, np.nan, 1e5, np.inf])
     flow, total = np.empty(4), np.empty(4)
-    pair_flow(values, np.array([9e4, 9e4, np.nan, 9e4]), 1.4, 1.1, 0.012, 30.0, flow, total)
+    pair_flow(values, np.array([9e4, 9e4, np.nan, 9e4]), 1.4, 1.1, 0.012, 30.0, 1.0, flow, total)
     np.testing.assert_array_equal(np.isnan(flow), [False, True, True, True])
 
 

@@ -67,7 +67,7 @@ def reduced(folder: Path, chunk: int | None, place: Workspace, **given: Any) -> 
         record, test = read_raw(
             folder / "raw.csv", folder / "test.toml", chunk_rows=chunk, workspace=place
         )
-        reduction = reduce_record(record, test, ReductionSettings(**given), keep_probes=False)
+        reduction = reduce_record(record, test, ReductionSettings(**given), keep="averages")
     except InputError as error:
         return Outcome(str(error).replace(str(folder), ""), {})
     said = json.dumps([dataclasses.asdict(entry) for entry in reduction.record.history])
@@ -319,7 +319,7 @@ def test_a_disk_that_is_full_on_the_way_is_told_and_nothing_is_left(
 def test_an_interruption_leaves_nothing_behind(
     rig: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     before = set(rig.iterdir())
@@ -411,7 +411,7 @@ def test_of_a_long_record_the_report_draws_a_part(
     made().write(tmp_path)
     place = OnDisk(tmp_path)
     record, test = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml", workspace=place)
-    reduction = reduce_record(record, test, keep_probes=False)
+    reduction = reduce_record(record, test, keep="averages")
     assert excerpt(reduction) == (reduction, "")
     monkeypatch.setattr(reduce_command, "REPORT_ROWS", 800)
     part, words = excerpt(reduction)

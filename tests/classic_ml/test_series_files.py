@@ -221,7 +221,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     write_series(made(seed=1), file)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
 
-    def fail(series: CoefficientSeries, target: Path) -> None:
+    def fail(series: CoefficientSeries, target: Path, *_: object) -> None:
         target.write_text("half a")
         raise OSError("disk full")
 

@@ -1,0 +1,157 @@
+"""Columns that are computed where they are asked for are as good as those that are stored."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from raw_data import make_test
+
+from classic_ml import read_series
+from classic_ml.airflow import calculated_mach, reversed_above, true_mach
+from classic_ml.columns import workspace
+from classic_ml.columns.computed import ComputedColumn, as_stored, computed, is_computed, widened
+from classic_ml.columns.together import computed_together
+from classic_ml.columns.workspace import IN_MEMORY, OnDisk
+from classic_ml.readers import read_raw
+from classic_ml.reduction import IN_SERIES, ReductionSettings, reduce_record
+from classic_ml.series import write_series
+
+VALUES = np.random.default_rng(1).standard_normal(100)
+
+
+def squared() -> np.ndarray:
+    return computed(100, lambda rows: VALUES[rows] ** 2)
+
+
+def test_whatever_is_done_with_it_is_done_with_all_of_its_rows() -> None:
+    column, array = squared(), VALUES**2
+    assert is_computed(column)
+    assert not is_computed(array)
+    np.testing.assert_array_equal(column + 1.0, array + 1.0, strict=True)
+    np.testing.assert_array_equal(2.0 - column, 2.0 - array, strict=True)
+    np.testing.assert_array_equal(column[column > 1.0], array[array > 1.0], strict=True)
+    np.testing.assert_array_equal(column[[3, 1]], array[[3, 1]], strict=True)
+    np.testing.assert_array_equal(column[::-7], array[::-7], strict=True)
+    np.testing.assert_array_equal(np.sqrt(column), np.sqrt(array), strict=True)
+    np.testing.assert_array_equal(np.diff(column), np.diff(array), strict=True)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(column)), array, strict=True)
+    assert column.max() == array.max()
+    assert np.median(column) == np.median(array)
+    assert column[-1] == array[-1]
+    assert len(column) == 100
+    assert sum(column) == sum(array)
+    with pytest.raises(IndexError):
+        column[100]
+    with pytest.raises(ValueError, match="read-only"):
+        column[5:7][0] = 1.0
+
+
+def test_a_wider_type_is_that_of_the_array_and_remembers_the_narrow_one() -> None:
+    narrow = np.arange(100, dtype=np.int8)
+    wide = widened(narrow, np.int64)
+    np.testing.assert_array_equal(wide[10:20], np.arange(10, 20), strict=True)
+    assert as_stored(wide) is narrow
+    assert widened(narrow, np.int8) is narrow
+    assert wide.dtype == np.int64
+    assert isinstance(wide, ComputedColumn)
+
+
+def test_columns_of_one_sweep_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workspace, "BLOCK_ROWS", 16)
+    asked: list[int] = []
+
+    def evaluate(rows: slice) -> dict[str, np.ndarray]:
+        asked.append(rows.start)
+        return {"twice": 2.0 * VALUES[rows], "thrice": 3.0 * VALUES[rows]}
+
+    columns = computed_together(100, ("twice", "thrice"), evaluate)
+    for rows in workspace.blocks(100):
+        around = slice(max(0, rows.start - 1), min(100, rows.stop + 1))
+        np.testing.assert_array_equal(columns["twice"][around], 2.0 * VALUES[around])
+        np.testing.assert_array_equal(columns["thrice"][rows], 3.0 * VALUES[rows])
+    assert asked == list(range(0, 100, 16))
+    # In any order, over several blocks, and of nothing.
+    np.testing.assert_array_equal(columns["twice"][5:93], 2.0 * VALUES[5:93])
+    np.testing.assert_array_equal(columns["thrice"][40:41], 3.0 * VALUES[40:41])
+    assert columns["twice"][50:50].size == columns["twice"][48:48].size == 0
+
+
+@pytest.mark.parametrize("stall_rule", ["threshold", "hub-tip"])
+def test_less_that_is_kept_is_the_same_series(stall_rule: str, tmp_path: Path) -> None:
+    make_test().write(tmp_path)
+    settings = ReductionSettings(stall_rule=stall_rule)
+    found = {}
+    for keep in ("probes", "averages", "series"):
+        for name, place in (("memory", IN_MEMORY), ("disk", OnDisk(tmp_path))):
+            raw = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml", workspace=place)
+            found[keep, name] = reduce_record(*raw, settings, keep=keep)
+    whole = found["probes", "memory"]
+    for (keep, _), other in found.items():
+        assert other.series.history == whole.series.history
+        for name, values in whole.series.columns().items():
+            np.testing.assert_array_equal(other.series.columns()[name], values, err_msg=name)
+        assert all(
+            np.array_equal(channel.values, whole.record[name])
+            for name, channel in other.record.channels.items()
+        )
+        if keep == "series":
+            assert set(other.record.channels) <= set(IN_SERIES)
+
+
+def test_a_series_that_is_given_up_is_written_whole(tmp_path: Path) -> None:
+    make_test().write(tmp_path)
+    written = []
+    for give_up in (False, True):
+        raw = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml", workspace=OnDisk(tmp_path))
+        series = reduce_record(*raw, keep="series").series
+        # What is in memory is let go of by nobody.
+        file = tmp_path / f"{give_up}.nc"
+        write_series(series, file, give_up=give_up)
+        written.append(file.read_bytes())
+        assert read_series(file).n_samples == series.n_samples
+    assert written[0] == written[1]
+
+
+def taken_bytes(folder: Path) -> int:
+    """Room on the disk that the nameless files of a folder take in this process."""
+    sizes = {}
+    for number in os.listdir("/proc/self/fd"):
+        try:
+            target = os.readlink(f"/proc/self/fd/{number}")
+            state = os.stat(f"/proc/self/fd/{number}")
+        except OSError:
+            continue
+        if target.startswith(str(folder)):
+            sizes[state.st_ino] = 512 * state.st_blocks
+    return sum(sizes.values())
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the system does not list its files")
+def test_a_discarded_column_leaves_its_room(tmp_path: Path) -> None:
+    place, n_rows = OnDisk(tmp_path), 1 << 20
+    column = workspace.evaluated(place, n_rows, lambda rows: np.ones(rows.stop - rows.start))
+    if taken_bytes(tmp_path) < 8 * n_rows:
+        pytest.skip("the file system does not tell what a file takes")
+    place.discard(column)
+    assert taken_bytes(tmp_path) < n_rows
+    # What takes no room on the disk has none to give back.
+    place.discard(squared())
+    IN_MEMORY.discard(VALUES)
+    other = workspace.evaluated(place, n_rows, lambda rows: np.ones(rows.stop - rows.start))
+    del other
+    place.tidy()
+    assert taken_bytes(tmp_path) < n_rows
+
+
+@pytest.mark.parametrize("offset", [-0.2, -0.01, 0.0, 0.03])
+def test_the_flow_is_reversed_where_eq_2_has_it_below_zero(offset: float) -> None:
+    gamma, slope = 1.37, 1.1
+    above = reversed_above(slope, offset, gamma)
+    ratio = above * (1.0 + np.array([-1e-6, 1e-6]))
+    forward = np.full(2, 1e5)
+    mach = true_mach(calculated_mach(forward, forward * ratio, gamma), slope, offset)
+    assert mach[0] >= 0.0 > mach[1]
