@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -114,7 +113,7 @@ def _new_neighbour(path: Path) -> Path:
     would hold for the files of all threads meanwhile.
     """
     while True:
-        name = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+        name = path.with_name(f".{path.stem}-{os.urandom(4).hex()}{path.suffix}")
         try:
             os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         except FileExistsError:

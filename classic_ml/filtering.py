@@ -294,6 +294,7 @@ def period_average(
     sample_rate_hz: float,
     *,
     workspace: Workspace = IN_MEMORY,
+    stored: bool = True,
 ) -> FloatArray:
     """Return the centred moving average over exactly one period.
 
@@ -309,6 +310,8 @@ def period_average(
         Samples a second.
     workspace : Workspace
         Where the result lies.
+    stored : bool
+        Whether it will be read more than once; else it is computed on disk when it is read.
 
     Returns
     -------
@@ -322,6 +325,8 @@ def period_average(
     def average(rows: slice) -> FloatArray:
         return _averaged(signal, rows, width, side) if side else signal[rows]
 
+    if not stored:
+        return workspace.derived(signal.size, average)
     return evaluated(workspace, signal.size, average)
 
 

@@ -20,7 +20,12 @@ from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.filtering import period_average
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
-from classic_ml.segments import LOWEST_CELL_HZ, hub_tip_difference, hub_tip_stall
+from classic_ml.segments import (
+    HUB_LESS_TIP,
+    LOWEST_CELL_HZ,
+    hub_tip_difference,
+    hub_tip_stall,
+)
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 
 __all__ = ["FreeRunRows", "cell_period_s", "extend_while_settled", "free_run_rows", "near"]
@@ -231,7 +236,7 @@ def free_run_rows(
     Parameters
     ----------
     record : Record
-        With ``P25_unfiltered_Pa``, ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``, unfiltered.
+        With ``P25_unfiltered_Pa`` and, unfiltered, what :func:`hub_tip_difference` takes.
     phi : ndarray of shape (n,)
         Flow coefficient from unfiltered pressures.
     window : slice
@@ -255,7 +260,7 @@ def free_run_rows(
 
     half_s = 0.5 * period_s
     reach = _Reach(
-        period_average(phi, period_s, rate, workspace=place),
+        period_average(phi, period_s, rate, workspace=place, stored=False),
         stalled,
         inside,
         (rows_of(half_s + BEFORE_REVERSAL_S), rows_of(AFTER_REVERSAL_S)),
@@ -278,7 +283,7 @@ def _state(
 ) -> tuple[BoolArray, str, tuple[str, ...]]:
     """Tell the state by the hub-minus-tip flow where there is a shift, else by the threshold."""
     place = record.workspace
-    if "Wc25_hub_kg_s" in record and "Wc25_tip_kg_s" in record:
+    if HUB_LESS_TIP in record or {"Wc25_hub_kg_s", "Wc25_tip_kg_s"} <= set(record.channels):
         shift = hub_tip_difference(record)
         if median(shift, window, workspace=place) > LEAST_SHIFT_KG_S:
             return hub_tip_stall(record, window, 1.0 / period_s, shift), "hub-tip", ()

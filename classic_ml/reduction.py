@@ -24,7 +24,13 @@ from classic_ml.plane_averages import plane_flows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
-from classic_ml.segments import cell_frequency_hz, segment, window_rows
+from classic_ml.segments import (
+    HUB_LESS_TIP,
+    cell_frequency_hz,
+    hub_tip_difference,
+    segment,
+    window_rows,
+)
 from classic_ml.series import CoefficientSeries
 from classic_ml.surge_cycles import FEW_CYCLES, cycles_within, find_cycles
 
@@ -38,6 +44,7 @@ STEPS = 6
 REGIMES_DIFFER = 0.2
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
 LEAST_CUTOFF_HZ = 1.0
+NUMBER_BYTES = 8
 # What is in the record of a reduction beside the series.
 Keep = Literal["probes", "averages", "series"]
 # What the free run is chosen by, and φ and ψ' are made of.
@@ -52,12 +59,14 @@ UNFILTERED_AVERAGES = (
 )
 
 
-# Channels of the series, and what they are chosen by.
+# Channels of the series, what they are computed from, and what they are chosen by.
 IN_SERIES = (
     *("phi", "psi_p", "psi", "T25_K", "Nc_frac", "in_stall", "segment"),
     *("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run"),
 )
-LOOKED_AT = ("Wc25_kg_s", "Wc25_hub_kg_s", "Wc25_tip_kg_s", "P31_Pa", "P25_unfiltered_Pa")
+AVERAGES = ("P25_Pa", "T25_K", "W25_kg_s", "P31_Pa", "T31_K", "W31_kg_s")
+LOOKED_AT = ("Wc25_kg_s", "P31_Pa", "P25_unfiltered_Pa")
+BY_HUB_AND_TIP = ("Wc25_hub_kg_s", "Wc25_tip_kg_s")
 
 
 @dataclass(frozen=True)
@@ -149,12 +158,19 @@ def reduce_record(
     step(1)
     plain, unfiltered = _unfiltered(record, test, chosen)
     in_use = tuple(name for name in test.channel_names if name in record)
+    if keep == "series":
+        looked_at = LOOKED_AT + (BY_HUB_AND_TIP if chosen.stall_rule == "hub-tip" else ())
+        unfiltered = [channel for channel in unfiltered if channel.name in IN_SERIES + LOOKED_AT]
+        averaged = _only(averaged, AVERAGES + looked_at)
+        place, n_rows = record.workspace, record.n_samples
+        del record
+        place.tidy(but=n_rows * NUMBER_BYTES)
     # A window that somebody named is not extended.
     inside = window if was_named else extend_while_settled(plain, window, in_use)
     record = _with_coefficients(averaged, unfiltered, test, chosen, window)
     del averaged, unfiltered
     if keep == "series":
-        record = _only(record, IN_SERIES + LOOKED_AT)
+        record = _only(record, IN_SERIES + looked_at)
     step(1)
     if was_named:
         record = _few_cycles_told(record, window_s)
@@ -215,12 +231,17 @@ def _unfiltered(
     plain = invert_thermocouples(plain, test)
     # Without W31 no ψ is computed, which nobody wants of these.
     plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES, stored=())
+    if {"Wc25_hub_kg_s", "Wc25_tip_kg_s"} <= set(plain.channels):
+        plain = plain.after(
+            LedgerEntry("hub less tip", "for the state of stall"),
+            add=[Channel(HUB_LESS_TIP, hub_tip_difference(plain), "kg/s")],
+        )
     plain = coefficients(
         plain,
         test,
         inertia_factor=settings.inertia_factor,
         wanted=("phi", "psi_p", "Nc_frac"),
-        stored=("P25_Pa", "Wc25_hub_kg_s", "Wc25_tip_kg_s"),
+        stored=[name for name in ("P25_Pa", HUB_LESS_TIP) if name in plain],
     )
     names = {
         "P25_Pa": "P25_unfiltered_Pa",
@@ -230,7 +251,7 @@ def _unfiltered(
         "psi_p": "psi_p_unfiltered",
     }
     kept = [Channel(new, plain[old], plain.channel(old).unit) for old, new in names.items()]
-    needed = {"phi", "Nc_frac", "Wc25_hub_kg_s", "Wc25_tip_kg_s"}
+    needed = {"phi", "Nc_frac", HUB_LESS_TIP}
     gone = [n for n in plain.channels if n not in needed and not n.startswith("fault_")]
     return without(plain, gone), kept
 

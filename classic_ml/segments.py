@@ -16,6 +16,7 @@ from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from classic_ml.surge_cycles import first_reversal
 
 __all__ = [
+    "HUB_LESS_TIP",
     "SHORTEST_S",
     "cell_frequency_hz",
     "hub_tip_difference",
@@ -28,6 +29,8 @@ __all__ = [
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+# The difference of two plane averages, where it is looked at more often than they are.
+HUB_LESS_TIP = "Wc25_hub_less_tip_kg_s"
 # Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
 LOWEST_CELL_HZ = 40.0
 # Shorter than 20 ms is a graze of the threshold, not a regime: τ itself is about that long.
@@ -137,7 +140,15 @@ def cell_frequency_hz(record: Record, window: slice) -> float:
 
 
 def hub_tip_difference(record: Record) -> FloatArray:
-    """Return how much more corrected flow the hub passes than the tip, in kg/s."""
+    """Return how much more corrected flow the hub passes than the tip, in kg/s.
+
+    Parameters
+    ----------
+    record : Record
+        With ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``, or with ``HUB_LESS_TIP``.
+    """
+    if HUB_LESS_TIP in record:
+        return record[HUB_LESS_TIP]
     hub, tip = record["Wc25_hub_kg_s"], record["Wc25_tip_kg_s"]
     return record.workspace.derived(record.n_samples, lambda rows: hub[rows] - tip[rows])
 

@@ -114,17 +114,29 @@ def _bar_size() -> dict[str, Any]:
     return {} if known else {"ncols": _COLUMNS, "nrows": _LINES}
 
 
+class _NoBar:
+    """What is told to a bar where there is none to be seen."""
+
+    def set_description_str(self, words: str) -> None:
+        """Say nothing."""
+
+    def update(self, count: int = 1) -> None:
+        """Count nothing."""
+
+    def refresh(self) -> None:
+        """Draw nothing."""
+
+
 @contextmanager
 def _bar(total: int | None, unit: str, **shape: Any) -> Iterator[Any]:
     """Draw a bar whose clock goes on while a step lasts, and take it away at the end."""
+    if not sys.stderr.isatty():
+        yield _NoBar()
+        return
     from tqdm import tqdm
 
-    shown = sys.stderr.isatty()
     shape.update(_bar_size())
-    with tqdm(total=total, unit=unit, leave=False, disable=not shown, **shape) as bar:
-        if not shown:
-            yield bar
-            return
+    with tqdm(total=total, unit=unit, leave=False, **shape) as bar:
         ended = Event()
 
         def tick() -> None:

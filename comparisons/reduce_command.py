@@ -20,9 +20,12 @@ __all__ = ["excerpt", "read_file", "reduce_file"]
 
 # A number takes so many bytes.
 NUMBER_BYTES = 8
-# At its widest a reduction holds so many columns a channel: as matched, filtered, marked for
-# faults, and its share of the averages (68 columns were measured for 20 channels).
+# In memory a reduction holds, at its widest, so many columns a channel: as matched, filtered,
+# marked for faults, and its share of the averages (68 columns were measured for 20 channels).
 COLUMNS_A_CHANNEL = 4
+# On disk it holds the channels with a byte a row for their faults, and so many columns beside them
+# (168 bytes a row in all were measured with 16 channels of codes, 4 of numbers and a report).
+COLUMNS_BESIDE = 28
 # A row of a series: 12 columns, at most 25 characters each as text.
 SERIES_BYTES = 300
 # What a reduction takes in memory up to this stays there; beyond it the system clears pages for
@@ -176,13 +179,14 @@ def _rows_of_text(raw: Path) -> int:
 
 
 def _column_bytes(n_rows: int, test: TestDescription) -> int:
-    """Return what the columns of a reduction take at their widest."""
+    """Return what the columns of a reduction take in memory at their widest."""
     return n_rows * len(test.channel_names) * COLUMNS_A_CHANNEL * NUMBER_BYTES
 
 
 def _lack_of_room(n_rows: int, test: TestDescription, work: Path, out: Path) -> InputError | None:
     """Tell, before any work is done, of a disk that would be full before the end."""
-    wanted = {work: _column_bytes(n_rows, test)}
+    row = len(test.channel_names) * (NUMBER_BYTES + 1) + COLUMNS_BESIDE * NUMBER_BYTES
+    wanted = {work: n_rows * row}
     same = work.stat().st_dev == out.stat().st_dev
     place = work if same else out
     wanted[place] = wanted.get(place, 0) + n_rows * SERIES_BYTES

@@ -107,8 +107,8 @@ class Workspace(ABC):
         """Return a column of a narrow type as one of a wider, evaluated or not as `derived`."""
 
     @abstractmethod
-    def tidy(self) -> None:
-        """Give back the room that is kept for columns to come."""
+    def tidy(self, *, but: int = 0) -> None:
+        """Give back the room that is kept for columns to come, but for those of so many bytes."""
 
     @abstractmethod
     def discard(self, column: NDArray[Any]) -> None:
@@ -162,7 +162,7 @@ class InMemory(Workspace):
         wide.setflags(write=False)
         return wide
 
-    def tidy(self) -> None:
+    def tidy(self, *, but: int = 0) -> None:
         """Do nothing: no room is kept."""
 
     def discard(self, column: NDArray[Any]) -> None:
@@ -273,9 +273,9 @@ class OnDisk(Workspace):
         """Return a column that is computed each time."""
         return widened(column, dtype)
 
-    def tidy(self) -> None:
-        """Close the files that are kept for columns to come."""
-        self._spare.clear()
+    def tidy(self, *, but: int = 0) -> None:
+        """Close the files that are kept for columns to come, but for those of one size."""
+        self._spare = {size: files for size, files in self._spare.items() if size == but}
 
     def discard(self, column: NDArray[Any]) -> None:
         """Have the system forget what is in the file, as far as it can."""

@@ -305,7 +305,7 @@ def test_a_disk_that_is_full_on_the_way_is_told_and_nothing_is_left(
     def reserve(file: int, _: int, size: int) -> None:
         nonlocal reserved
         reserved += size
-        if reserved > 300_000:
+        if reserved > 150_000:
             raise OSError(errno.ENOSPC, "No space left on device")
         os.ftruncate(file, size)
 
