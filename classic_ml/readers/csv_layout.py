@@ -14,7 +14,17 @@ from classic_ml.errors import InputError
 from classic_ml.readers.iso_stamps import Stamps, stamp_of, stamps_like
 from classic_ml.units import is_unit_label, kind_of_unit, unit_in_brackets
 
-__all__ = ["CsvLayout", "cells_of", "csv_layout", "lines_of", "number_of", "row_of_units"]
+__all__ = [
+    "LOOKED_AT",
+    "CsvLayout",
+    "cells_of",
+    "csv_layout",
+    "decimal_sign",
+    "lines_of",
+    "number_of",
+    "row_of_units",
+    "separator_of",
+]
 
 # More than any table has columns for: a file without line ends is one line.
 LONGEST_LINE = 1 << 20
@@ -56,7 +66,10 @@ class CsvLayout:
         """Return the number in a cell of a column; None where there is none."""
         if name in self.stamps:
             return self.stamps[name].seconds(cell)
-        return number_of(cell.replace(",", ".") if self.decimal == "," else cell)
+        if self.decimal == ".":
+            return number_of(cell)
+        # A point between thousands would be taken for the other sign.
+        return None if "." in cell else number_of(cell.replace(",", "."))
 
 
 def csv_layout(file: Path, names: tuple[str, ...] | None = None) -> CsvLayout:
@@ -75,7 +88,7 @@ def csv_layout(file: Path, names: tuple[str, ...] | None = None) -> CsvLayout:
         When the file is empty, not text, has no header, or writes its numbers in two ways.
     """
     header = _header_line(file)
-    separator = _separator(header)
+    separator = separator_of(header)
     written = _names(file, header, separator)
     names = written if names is None else names
     with file.open(encoding="utf-8", errors="replace", newline="") as opened:
@@ -97,7 +110,7 @@ def csv_layout(file: Path, names: tuple[str, ...] | None = None) -> CsvLayout:
     return CsvLayout(
         names,
         separator,
-        _decimal_sign(file, rows, separator),
+        decimal_sign(file, rows, separator),
         {**units, **dict.fromkeys(stamps, "s")},
         2 if unit_cells else 1,
         stamps,
@@ -171,10 +184,15 @@ def _header_line(file: Path) -> str:
     return text
 
 
-def _separator(header: str) -> str:
+def separator_of(header: str) -> str:
     """Return what stands between the names: of a comma and another, whichever makes more of them.
 
     A line that quotes spoil is left to whoever reads the names.
+
+    Parameters
+    ----------
+    header : str
+        The line of the names.
     """
     return max(SEPARATORS, key=lambda separator: len(cells_of(header, separator)))
 
@@ -203,8 +221,23 @@ def _all_numbers(line: str, separator: str) -> bool:
     return all(number_of(cell) is not None for cell in plain)
 
 
-def _decimal_sign(file: Path, rows: list[list[str]], separator: str) -> str:
-    """Return the sign in the numbers of the first rows; between commas it can be a point alone."""
+def decimal_sign(file: Path, rows: list[list[str]], separator: str) -> str:
+    """Return the sign in the numbers of the first rows; between commas it can be a point alone.
+
+    Parameters
+    ----------
+    file : path
+        What to call the file.
+    rows : list of list of str
+        Cells of the first rows.
+    separator : str
+        What stands between them.
+
+    Raises
+    ------
+    InputError
+        When some numbers have one and some the other.
+    """
     if separator == ",":
         return "."
     cells = [cell for row in rows for cell in row if stamp_of(cell) is None]

@@ -18,6 +18,7 @@ from classic_ml.errors import InputError
 from classic_ml.files import replace_whole
 from classic_ml.readers.raw_columns import one_line
 from classic_ml.readers.raw_hdf5 import opened_hdf5
+from classic_ml.readers.series_csv import read_series_table
 from classic_ml.records import Dropped, FloatArray, LedgerEntry
 from classic_ml.series import (
     COLUMNS,
@@ -206,101 +207,7 @@ def _is_number(value: object) -> bool:
 
 
 def _read_csv(file: Path) -> tuple[_Columns, tuple[LedgerEntry, ...]]:
-    _check_separator(file)
-    columns = _read_plain_csv(file)
-    if columns is None:
-        columns = _read_any_csv(file)
-    return columns, _read_ledger(ledger_path(file))
-
-
-def _read_plain_csv(file: Path) -> _Columns | None:
-    """Read a table of nothing but numbers under known names; None where there is more to it.
-
-    pyarrow rounds as Python does, so that both ways give the same numbers.
-    """
-    import pyarrow as pa
-    from pyarrow import csv
-
-    with file.open("rb") as content:
-        try:
-            names = content.readline().decode("ascii").rstrip("\r\n").split(",")
-        except UnicodeDecodeError:
-            return None
-        content.seek(0)
-        # A comment is none to pyarrow.
-        commented = any(b"#" in piece for piece in iter(lambda: content.read(1 << 20), b""))
-    if commented or len(set(names)) < len(names) or not set(names) <= set(COLUMNS):
-        return None
-    try:
-        table = csv.read_csv(
-            file,
-            read_options=csv.ReadOptions(use_threads=False, skip_rows=1, column_names=names),
-            convert_options=csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pa.float64()), null_values=[]
-            ),
-        )
-    except pa.ArrowException:
-        return None
-    return {name: table[name].to_numpy() for name in names}
-
-
-def _read_any_csv(file: Path) -> _Columns:
-    import pandas as pd
-
-    try:
-        # Without a header row pandas keeps doubled names apart, so that they can be refused.
-        table = pd.read_csv(file, header=None, dtype=str, skipinitialspace=True, comment="#")
-    except (ValueError, OverflowError) as error:
-        raise _no_table(file, error) from None
-    names = [str(name).strip() for name in table.iloc[0]]
-    doubled = sorted({name for name in names if names.count(name) > 1})
-    if doubled:
-        raise InputError(
-            str(file),
-            expected="each column once",
-            found=f"{doubled[0]} {names.count(doubled[0])} times",
-        )
-    rows = table.iloc[1:]
-    return {
-        name: rows.iloc[:, number].to_numpy(dtype=object, na_value=np.nan)
-        for number, name in enumerate(names)
-    }
-
-
-def _no_table(file: Path, error: Exception) -> InputError:
-    """Return what is wrong with a file that pandas takes for no table, in a user's words."""
-    with file.open("rb") as content:
-        head = content.read(2)
-    what, remedy = "a CSV table with a header", ""
-    long_row = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
-    if not head:
-        found = "an empty file"
-    elif head in (b"\xff\xfe", b"\xfe\xff"):
-        found, remedy = "UTF-16 text", "save it as UTF-8"
-    elif isinstance(error, UnicodeDecodeError):
-        found, remedy = "bytes that are no text in UTF-8", "save it as UTF-8"
-    elif long_row is not None and long_row.group(1) != "1":
-        columns, line, values = (int(number) for number in long_row.groups())
-        what = f"{columns} values in every row"
-        found, remedy = f"{values} in row {line - 1}", "the file was edited or damaged there"
-    else:
-        found = "something else"
-    return InputError(str(file), expected=what, found=found, remedy=remedy)
-
-
-def _check_separator(file: Path) -> None:
-    """Refuse a header that another character than a comma takes apart."""
-    with file.open(encoding="utf-8-sig", errors="replace", newline="") as lines:
-        header = next((row for row in lines if row.strip() and not row.startswith("#")), "")
-    for separator in (";", "\t"):
-        names = {name.strip().strip('"') for name in header.split(separator)}
-        if len(names) > 1 and names & {*COLUMNS, "time"}:
-            raise InputError(
-                str(file),
-                expected="columns separated by commas",
-                found=f"the separator is {separator!r}",
-                remedy="save with commas and decimal points",
-            )
+    return read_series_table(file), _read_ledger(ledger_path(file))
 
 
 def _read_ledger(file: Path) -> tuple[LedgerEntry, ...]:

@@ -507,6 +507,7 @@ def test_nothing_in_a_mat_file_is_executed(tmp_path: Path) -> None:
     [
         ("time_s;P\n0,0;1.5\n0,1;2.5\n", "one decimal sign .* found '0,0' and '1.5'"),
         ("time_s;P\n0;1\n" + "1;2\n" * 150 + "2,5;1\n", "time_s: .* '2,5' in row 152"),
+        ("time_s;P\n0,0;1,5\n" + "0,1;2,5\n" * 150 + "0,2;1.234\n", "P: .* '1.234' in row 152"),
         ("0,0;1,5\n0,1;2,5\n", "found numbers in the first line"),
         ("time_s,P\n0,0,1,5\n0,1,2,5\n", "found 4 in row 1; are numbers written with a comma"),
         ("time_s,P\n0,1_000\n", "channel P: .* found '1_000' in row 1"),

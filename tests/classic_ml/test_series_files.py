@@ -13,7 +13,7 @@ import pytest
 from classic_ml import CoefficientSeries, read_series, write_series
 from classic_ml.columns import workspace
 from classic_ml.errors import InputError
-from classic_ml.readers import series_files
+from classic_ml.readers import series_csv, series_files
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.series import ledger_path
 
@@ -261,16 +261,38 @@ def test_truth_values_as_pandas_writes_them_are_read(tmp_path: Path) -> None:
         read_series(file)
 
 
-@pytest.mark.parametrize(("separator", "shown"), [(";", "';'"), ("\t", r"'\\t'")])
+@pytest.mark.parametrize("separator", [";", "\t"])
 @pytest.mark.parametrize("decimal", [".", ","])
-def test_another_separator_is_named(
-    tmp_path: Path, separator: str, shown: str, decimal: str
+def test_tables_of_other_countries_are_the_same_series(
+    tmp_path: Path, separator: str, decimal: str
 ) -> None:
     file = written(tmp_path)
-    pd.read_csv(file).to_csv(file, index=False, sep=separator, decimal=decimal)
-    with pytest.raises(
-        InputError, match=f"the separator is {shown}; save with commas and decimal points"
-    ):
+    plain = read_series(file)
+    text = file.read_text("utf-8").replace(",", separator).replace(".", decimal)
+    file.write_text("# saved by a spreadsheet\n" + text, "utf-8")
+    for name, values in plain.columns().items():
+        np.testing.assert_array_equal(read_series(file).columns()[name], values, strict=True)
+
+
+@pytest.mark.parametrize(
+    ("row", "text", "words"),
+    [
+        (3, "1.5", "one decimal sign in all numbers, found '.*' and '1.5'"),
+        (300, "1.5", "column phi: expected numbers with a decimal comma.* '1.5' in row 300"),
+        (300, "1.234,5", "column phi: .* found '1.234,5' in row 300.*nothing between thousands"),
+        (300, "1,2,5", "column phi: expected numbers, found '1,2,5' in row 300"),
+    ],
+)
+def test_numbers_written_in_two_ways_are_refused(
+    tmp_path: Path, row: int, text: str, words: str
+) -> None:
+    file = written(tmp_path)
+    rows = file.read_text("utf-8").replace(",", ";").replace(".", ",").splitlines()
+    cells = rows[row].split(";")
+    cells[rows[0].split(";").index("phi")] = text
+    rows[row] = ";".join(cells)
+    file.write_text("\n".join(rows) + "\n", "utf-8")
+    with pytest.raises(InputError, match=words):
         read_series(file)
 
 
@@ -376,7 +398,7 @@ def test_the_quick_look_at_a_table_sees_what_the_thorough_one_does(
             return str(error)
 
     quick = outcome()
-    monkeypatch.setattr(series_files, "_read_plain_csv", lambda _: None)
+    monkeypatch.setattr(series_csv, "_read_plain_csv", lambda _: None)
     assert quick == outcome()
 
 

@@ -44,6 +44,19 @@ def _words(rows: list[str]) -> list[str]:
     return [rows[0], *(",".join(row) for row in cells)]
 
 
+def _european(text: str) -> str:
+    return text.replace(",", ";").replace(".", ",")
+
+
+def _thousands(text: str) -> str:
+    rows = text.splitlines()
+    at = rows[0].split(",").index("psi_p")
+    rows = _european(text).splitlines()
+    cells = rows[500].split(";")
+    cells[at] = "1.234,5"
+    return "\n".join([*rows[:500], ";".join(cells), *rows[501:]]) + "\n"
+
+
 def _copied(folder: Path) -> None:
     (folder / "again.csv").write_bytes((folder / "series.csv").read_bytes())
 
@@ -137,10 +150,10 @@ SERIES = (
         as_lines(lambda r: [r[0].replace("psi,", "phi,"), *r[1:]], FILE),
     ),
     _refused(
-        "semicolons",
-        "semicolons between, commas in the numbers",
-        ("commas", "';'"),
-        as_text(lambda t: t.replace(",", ";").replace(".", ","), FILE),
+        "two-decimal-signs",
+        "semicolons between, commas in the numbers, and a point between the thousands of one",
+        ("psi_p", "'1.234,5'", "row 500", "thousands"),
+        as_text(_thousands, FILE),
     ),
     _refused(
         "text", "a cell holds a word", ("phi", "'n/a!'", "row 500"), cell("phi", 500, "n/a!", FILE)
@@ -252,6 +265,15 @@ SERIES = (
         RUN,
         why="the mark is skipped",
         spoil=as_bytes(lambda data: b"\xef\xbb\xbf" + data, FILE),
+    ),
+    Mistake(
+        "series-semicolons",
+        "semicolons between, commas in the numbers (European spreadsheet)",
+        HARMLESS,
+        (),
+        RUN,
+        why="beside semicolons or tabs a comma is the decimal sign",
+        spoil=as_text(_european, FILE),
     ),
     Mistake(
         "series-crlf",
