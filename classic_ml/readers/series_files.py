@@ -37,6 +37,8 @@ __all__ = ["ledger_path", "read_series", "write_series"]
 LONGEST_STEP_S = 0.05
 # So many rows of a column go to HDF5 at once, whose calls take as long as to write a block.
 WRITTEN_ROWS = 1 << 18
+# Types for whole numbers up to so many.
+COUNT_TYPES = ((2**7 - 1, np.int8), (2**31 - 1, np.int32))
 # The columns of a file by name: numbers, or texts where they may be something else.
 _Columns = dict[str, NDArray[Any]]
 
@@ -331,7 +333,7 @@ def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
     import h5py
 
     columns = series.columns()
-    types = {name: np.int8 if name in TRUTH_COLUMNS else v.dtype for name, v in columns.items()}
+    types = {name: _stored_type(name, values) for name, values in columns.items()}
     if give_up:
         series.workspace.tidy()
     with h5netcdf.File(file, "w") as out:
@@ -355,6 +357,16 @@ def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
                 series.workspace.release()
             if give_up:
                 series.workspace.discard(values)
+
+
+def _stored_type(name: str, values: NDArray[Any]) -> np.dtype[Any]:
+    """Return the narrowest type that holds a column: a series of hours is large."""
+    if name in TRUTH_COLUMNS:
+        return np.dtype(np.int8)
+    if name not in COUNT_COLUMNS:
+        return np.dtype(values.dtype)
+    most = max(int(values[rows].max()) for rows in blocks(values.size))
+    return np.dtype(next((kind for largest, kind in COUNT_TYPES if most <= largest), np.int64))
 
 
 def _ledger_json(history: tuple[LedgerEntry, ...]) -> str:

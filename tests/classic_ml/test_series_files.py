@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -400,6 +401,19 @@ def test_the_quick_look_at_a_table_sees_what_the_thorough_one_does(
     quick = outcome()
     monkeypatch.setattr(series_csv, "_read_plain_csv", lambda _: None)
     assert quick == outcome()
+
+
+@pytest.mark.parametrize(("most", "kind"), [(127, "int8"), (128, "int32"), (2**31, "int64")])
+def test_labels_take_no_more_room_than_they_need(tmp_path: Path, most: int, kind: str) -> None:
+    import h5py
+
+    series = made()
+    labels = np.where(series.segment > 0, most, 0)
+    file = tmp_path / "run.nc"
+    write_series(dataclasses.replace(series, segment=labels), file)
+    with h5py.File(file) as content:
+        assert content["segment"].dtype == kind
+    np.testing.assert_array_equal(read_series(file).segment, labels, strict=True)
 
 
 def test_a_netcdf_series_says_what_its_columns_are(tmp_path: Path) -> None:
