@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.display import Displayed, Sheet
-from classic_ml.files import write_whole
 from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
 from classic_ml.records import FloatArray
 from classic_ml.runs import runs_of
-from comparisons.model_fields import Fields, ModelFormat, read_models
+from comparisons.model_fields import Fields, ModelFormat, read_models, write_models
 from comparisons.rounding import bracketed
 from comparisons.terms import evaluate_terms, is_known_term
 
@@ -284,11 +282,7 @@ def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
     path : str or path
         Target.
     """
-    document = {
-        "schema": MODEL_SCHEMA,
-        "models": {name: model.to_json() for name, model in models.items()},
-    }
-    write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_models(models, path, MODEL_FORMAT)
 
 
 def load_models(path: str | Path) -> dict[str, FittedLag]:

@@ -7,12 +7,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from classic_ml.errors import InputError
+from classic_ml.files import write_whole
 from classic_ml.readers.toml_file import no_file, shown
 
-__all__ = ["Fields", "ModelFormat", "read_models"]
+__all__ = ["Fields", "ModelFormat", "read_models", "write_models"]
 
 
 @dataclass(frozen=True)
@@ -175,6 +176,32 @@ class Fields:
             if math.isfinite(number) and number > above and number >= least:
                 return number
         raise self.refuse(key, what, _shown(value))
+
+
+class _Writable(Protocol):
+    """A model that can be written."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its table."""
+
+
+def write_models(models: Mapping[str, _Writable], path: str | Path, form: ModelFormat) -> None:
+    """Write models as JSON that :func:`read_models` reads, whole or not at all.
+
+    Parameters
+    ----------
+    models : mapping of str to model
+        By name; each has a method ``to_json``.
+    path : str or path
+        Target.
+    form : ModelFormat
+        What the file is.
+    """
+    document = {
+        "schema": form.schema,
+        "models": {name: model.to_json() for name, model in models.items()},
+    }
+    write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def read_models(path: str | Path, form: ModelFormat) -> dict[str, Fields]:

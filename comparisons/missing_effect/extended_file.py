@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.files import write_whole
 from comparisons.lag_value import MOST_BLOCKS
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
@@ -23,7 +22,7 @@ from comparisons.missing_effect.extended_parts import (
     FrozenReferences,
     n_powers,
 )
-from comparisons.model_fields import Fields, ModelFormat, read_models
+from comparisons.model_fields import Fields, ModelFormat, read_models, write_models
 from comparisons.terms import is_known_term
 
 __all__ = [
@@ -55,11 +54,7 @@ def save_extended(models: Mapping[str, ExtendedLag], path: str | Path) -> None:
     path : str or path
         Target.
     """
-    document = {
-        "schema": EXTENDED_SCHEMA,
-        "models": {name: model.to_json() for name, model in models.items()},
-    }
-    write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_models(models, path, EXTENDED_FORMAT)
 
 
 def load_extended(path: str | Path) -> dict[str, ExtendedLag]:
