@@ -166,7 +166,7 @@ def coefficients(
         Stall-cell period, where the record holds unfiltered pressures: flows and powers of the
         mass balance are averaged over it before they are divided.
     wanted : collection of str, optional
-        Which of the coefficients are kept; all of them without it.
+        Which of φ, ψ' and N_c are kept; without it all of them, and what follows from the averages.
     stored : collection of str
         Plane averages that are put away while they are at hand, where they are columns that are
         computed each time that they are asked for.
@@ -176,6 +176,11 @@ def coefficients(
     Record
         With ``phi``, ``psi_p``, ``pressure_ratio``, ``Nc_frac`` and, where plane 31 has a flow,
         ``psi``, which is interpolated across φ < ``PSI_MINIMUM_PHI``.
+
+    Raises
+    ------
+    InputError
+        When the flow is more than the area passes, or P31 + I dW25/dt is not positive.
     """
     speed = test.rotor_velocity_m_s
     inertia = inertia_factor * test.compressor.inertia_per_m
@@ -210,8 +215,9 @@ def coefficients(
     )
     added = [Channel(name, column.finished(), units[name]) for name, column in columns.items()]
     added += [replace(record.channel(n), values=c.finished()) for n, c in put_away.items()]
-    added += [channel for channel in _derived(record) if wanted is None or channel.name in wanted]
     record = record.after(entry, add=added)
+    if wanted is None:
+        record = replace(record, channels={**record.channels, **_derived(record)})
     if "W31_kg_s" not in record:
         why = "no T31 that counts, so no W31"
         return record.after(
@@ -239,13 +245,14 @@ def _block(
     }
 
 
-def _derived(record: Record) -> list[Channel]:
+def _derived(record: Record) -> dict[str, Channel]:
     """Return what follows from averages at once and is looked at by few."""
     place, n_rows, period_s = record.workspace, record.n_samples, record.sample_period_s
     inlet_Pa, exit_Pa, flow = record["P25_Pa"], record["P31_Pa"], record["W25_kg_s"]
     ratio = place.derived(n_rows, lambda rows: exit_Pa[rows] / inlet_Pa[rows])
     rate = place.derived(n_rows, lambda rows: rate_in(flow, rows, period_s))
-    return [Channel("pressure_ratio", ratio, "1"), Channel("dW25_dt_kg_s2", rate, "kg/s2")]
+    channels = Channel("pressure_ratio", ratio, "1"), Channel("dW25_dt_kg_s2", rate, "kg/s2")
+    return {channel.name: channel for channel in channels}
 
 
 def _refuse_worst(record: Record, test: TestDescription, inertia: float) -> None:

@@ -21,10 +21,10 @@ from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.filtering import period_average
 from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
 from classic_ml.segments import (
-    HUB_LESS_TIP,
     LOWEST_CELL_HZ,
     hub_tip_difference,
     hub_tip_stall,
+    knows_hub_and_tip,
 )
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 
@@ -283,10 +283,10 @@ def _state(
 ) -> tuple[BoolArray, str, tuple[str, ...]]:
     """Tell the state by the hub-minus-tip flow where there is a shift, else by the threshold."""
     place = record.workspace
-    if HUB_LESS_TIP in record or {"Wc25_hub_kg_s", "Wc25_tip_kg_s"} <= set(record.channels):
+    if knows_hub_and_tip(record):
         shift = hub_tip_difference(record)
         if median(shift, window, workspace=place) > LEAST_SHIFT_KG_S:
-            return hub_tip_stall(record, window, 1.0 / period_s, shift), "hub-tip", ()
+            return hub_tip_stall(record, window, 1.0 / period_s), "hub-tip", ()
     return (
         evaluated(place, record.n_samples, lambda rows: in_stall[rows] > 0.5, np.bool_),
         "threshold",

@@ -202,8 +202,11 @@ def preview(
 
     place: Workspace = OnDisk() if rows > MOST_ROWS_IN_MEMORY else IN_MEMORY
     try:
-        raw = read_raw(raw_path, test_path, workspace=place)
-        reduction = reduce_record(*raw, keep="series")
+        record, test = read_raw(raw_path, test_path, workspace=place)
+        # Nobody but the reduction holds the record, so that it can let go of it.
+        records = [record]
+        del record
+        reduction = reduce_record(records.pop(), test, keep="series")
     except InputError as error:
         return ReductionPreview(str(error))
     history = reduction.record.history

@@ -16,7 +16,13 @@ from classic_ml.calibration import invert_thermocouples
 from classic_ml.columns.workspace import blocks
 from classic_ml.faults.marks import fault_name, kinds_of_fault
 from classic_ml.filtering import LocalFilter, channel_filter, filter_channels, filter_entry
-from classic_ml.plane_averages import PlaneFlows, local_flows, plane_averages, plane_flows
+from classic_ml.plane_averages import (
+    EvaluatedFlows,
+    PlaneFlows,
+    local_flows,
+    plane_averages,
+    plane_flows,
+)
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
@@ -40,15 +46,17 @@ class LookAhead:
     ----------
     before : Record
         With every channel in it, faults bridged.
-    flows : PlaneFlows
-        What is averaged of it.
-    averaged : Record
-        With the averages over the planes, which are used up by :func:`probe_averages`.
+    flows : EvaluatedFlows
+        The averages over the planes, which are used up by :func:`probe_averages`.
     """
 
     before: Record
-    flows: PlaneFlows
-    averaged: Record
+    flows: EvaluatedFlows
+
+    @property
+    def averaged(self) -> Record:
+        """The record with the averages."""
+        return self.flows.record
 
 
 def look_ahead(record: Record, test: TestDescription, settings: ReductionSettings) -> LookAhead:
@@ -64,7 +72,7 @@ def look_ahead(record: Record, test: TestDescription, settings: ReductionSetting
         What the averages will be asked for by.
     """
     flows, _ = _filtered_flows(record, test, AHEAD)
-    return LookAhead(record, flows, flows.evaluated(stored=_stored(record, test, settings)))
+    return LookAhead(record, flows.evaluated(stored=_stored(record, test, settings)))
 
 
 def probe_averages(
@@ -102,13 +110,13 @@ def probe_averages(
     alike = all(getattr(settings, name) == getattr(AHEAD, name) for name in AVERAGING)
     if ahead is not None and alike and _same_channels(record, test, ahead):
         changed = _changed(record, ahead.before, _in_use(record, test), run)
-        averaged = flows.evaluated_anew(ahead.flows, ahead.averaged, changed)
+        evaluated = flows.evaluated_anew(ahead.flows, changed)
     else:
-        averaged = flows.evaluated(stored=_stored(record, test, settings))
+        evaluated = flows.evaluated(stored=_stored(record, test, settings))
     filtered, inverted = _entries(record, test, settings)
     # The readings of the probes are not kept, filtered or not.
-    history = (*record.history, filtered, inverted, *flows.entries)
-    return replace(without(averaged, test.channel_names), history=history)
+    history = (*record.history, filtered, inverted, *evaluated.entries)
+    return replace(without(evaluated.record, test.channel_names), history=history)
 
 
 def without(record: Record, names: Iterable[str]) -> Record:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from classic_ml.airflow import flow_constant_kg_s, physical_flow, reversed_above
-from classic_ml.averaged_plane import AveragedPlane, averaged_plane, present_pairs
 from classic_ml.columns.order_statistics import lowest
 from classic_ml.columns.together import computed_together
 from classic_ml.columns.workspace import ColumnWriter, blocks
 from classic_ml.errors import InputError
 from classic_ml.flow_kernels import pair_flow, pair_total
+from classic_ml.probe_plane import AveragedPlane, averaged_plane, present_pairs
 from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 
 __all__ = [
+    "EvaluatedFlows",
     "PlaneFlows",
     "Readings",
     "local_flows",
@@ -228,7 +229,29 @@ def plane_flows(
     InputError
         As both do.
     """
-    return PlaneFlows(record, test, probes).evaluated(wanted, stored)
+    return PlaneFlows(record, test, probes).evaluated(wanted, stored).record
+
+
+@dataclass(frozen=True)
+class EvaluatedFlows:
+    """What has been evaluated of the averages.
+
+    Parameters
+    ----------
+    record : Record
+        With the averages, and what the ledger says of them.
+    entries : tuple of LedgerEntry
+        This alone.
+    stored : tuple of str
+        The averages that were evaluated.
+    n_reversed : mapping of int to mapping of str to int
+        Rows with reversed flow, by the first row of a block and by pair.
+    """
+
+    record: Record
+    entries: tuple[LedgerEntry, ...]
+    stored: tuple[str, ...]
+    n_reversed: Mapping[int, Mapping[str, int]]
 
 
 class PlaneFlows:
@@ -257,38 +280,91 @@ class PlaneFlows:
         self._record, self._test, self._probes = record, test, probes
         self._readings = readings if readings is not None else _as_they_are(record, test)
         self._planes = [averaged_plane(record, test, plane, probes) for plane in test.areas_m2]
-        # By the first row of a block and by pair.
-        self._n_reversed: dict[int, dict[str, int]] = {}
-        self._stored: tuple[str, ...] = ()
 
-    def block(self, rows: slice, wanted: Collection[str] | None = None) -> dict[str, FloatArray]:
-        """Return the averages over some rows, or of these the ones wanted."""
-        return self._averages_and_counts(rows, wanted)[0]
+    def evaluated(
+        self, wanted: Collection[str] | None = None, stored: Collection[str] | None = None
+    ) -> EvaluatedFlows:
+        """Average over all rows.
+
+        Parameters
+        ----------
+        wanted : collection of str, optional
+            Which averages there are in the record; all of them without it.
+        stored : collection of str, optional
+            Those that are evaluated now; on disk the others are computed each time that somebody
+            asks for them. All without it. Where it is empty the ledger says nothing of the flows,
+            which nobody has looked at.
+        """
+        place, n_rows = self._record.workspace, self._record.n_samples
+        names = self._names(wanted)
+        everything = stored is None or not place.computes_anew
+        now = tuple(name for name in names if everything or name in (stored or ()))
+        columns = {name: place.writer(n_rows) for name in now}
+        n_reversed: dict[int, dict[str, int]] = {}
+        for rows in blocks(n_rows) if now else ():
+            found, n_reversed[rows.start] = self._averages_and_counts(rows, now)
+            for name, column in columns.items():
+                column.append(found[name])
+            place.release()
+        channels = {name: _channel(name, column) for name, column in columns.items()}
+        told = n_reversed if stored is None or stored else {}
+        return self._with(channels, names, told)
+
+    def evaluated_anew(self, before: EvaluatedFlows, where: Iterable[slice]) -> EvaluatedFlows:
+        """Return the averages of another record, of which only some blocks are not the same.
+
+        Parameters
+        ----------
+        before : EvaluatedFlows
+            Of the other record, with the same channels; its columns are taken over and written to.
+        where : iterable of slice
+            The blocks that differ.
+        """
+        place, names = self._record.workspace, self._names(None)
+        n_reversed = dict(before.n_reversed)
+        now = tuple(name for name in names if name in before.stored)
+        for rows in where:
+            found, n_reversed[rows.start] = self._averages_and_counts(rows, now)
+            for name, values in found.items():
+                place.overwrite(before.record[name], rows, values)
+            place.release()
+        return self._with({name: before.record.channel(name) for name in now}, names, n_reversed)
+
+    def _names(self, wanted: Collection[str] | None) -> list[str]:
+        names = [name for plane in self._planes for name in plane.names()]
+        return names if wanted is None else [name for name in names if name in wanted]
+
+    def _block(self, rows: slice, names: Collection[str]) -> dict[str, FloatArray]:
+        """Return some averages over some rows."""
+        readings = self._readings(rows)
+        found: dict[str, FloatArray] = {}
+        for plane in self._planes:
+            asked = [name for name in plane.names() if name in names]
+            if asked:
+                found |= self._of_plane(plane, readings, asked)[0]
+        return found
 
     def _averages_and_counts(
-        self, rows: slice, wanted: Collection[str] | None
+        self, rows: slice, names: Collection[str]
     ) -> tuple[dict[str, FloatArray], dict[str, int]]:
-        """Return them, and in how many of the rows the flow of each pair is reversed."""
+        """Return some averages, and in how many rows the flow of each pair of all is reversed."""
         readings = self._readings(rows)
         found: dict[str, FloatArray] = {}
         counts: dict[str, int] = {}
         for plane in self._planes:
-            names = plane.names() if wanted is None else [n for n in plane.names() if n in wanted]
-            local = self._local(plane, readings, counts, with_flows=plane.needs_flows(names))
-            couples = [readings[name] for name in plane.couples]
-            found |= plane.averages(local, couples, names)
+            asked = [name for name in plane.names() if name in names]
+            averages, n_reversed = self._of_plane(plane, readings, asked)
+            found |= averages
+            counts |= n_reversed
         return found, counts
 
-    def _local(
-        self,
-        plane: AveragedPlane,
-        readings: Mapping[str, FloatArray],
-        counts: dict[str, int],
-        *,
-        with_flows: bool,
-    ) -> dict[str, tuple[FloatArray | None, FloatArray]]:
-        """Return the flow, where it is wanted, and the total pressure of each pair."""
+    def _of_plane(
+        self, plane: AveragedPlane, readings: Mapping[str, FloatArray], names: Sequence[str]
+    ) -> tuple[dict[str, FloatArray], dict[str, int]]:
+        """Return the averages of one plane, without a flow where none is asked for, and counts."""
+        with_flows = plane.needs_flows(names)
         local: dict[str, tuple[FloatArray | None, FloatArray]] = {}
+        counts: dict[str, int] = {}
         for pair in plane.all_pairs():
             flow = None
             if with_flows:
@@ -298,66 +374,21 @@ class PlaneFlows:
             if n_rows is None:
                 raise _not_absolute(self._record, self._test, self._readings)
             local[pair.name], counts[pair.name] = (flow, total), n_rows
-        return local
+        couples = [readings[name] for name in plane.couples]
+        return plane.averages(local, couples, names), counts
 
-    def evaluated(
-        self, wanted: Collection[str] | None = None, stored: Collection[str] | None = None
-    ) -> Record:
-        """Return the record with the averages over all rows, and the ledger entries.
-
-        Parameters
-        ----------
-        wanted : collection of str, optional
-            Which averages there are in the record; all of them without it.
-        stored : collection of str, optional
-            Those that are evaluated now; on disk the others are computed each time that somebody
-            asks for them. All without it.
-        """
-        record, place = self._record, self._record.workspace
-        names = [name for plane in self._planes for name in plane.names()]
-        if wanted is not None:
-            names = [name for name in names if name in wanted]
-        everything = stored is None or not place.computes_anew
-        self._stored = tuple(n for n in names if everything or n in (stored or ()))
-        columns = {name: place.writer(record.n_samples) for name in self._stored}
-        for rows in blocks(record.n_samples) if self._stored else ():
-            found, self._n_reversed[rows.start] = self._averages_and_counts(rows, self._stored)
-            for name, column in columns.items():
-                column.append(found[name])
-            place.release()
-        evaluated = {name: _channel(name, column) for name, column in columns.items()}
-        return self._with(evaluated, names)
-
-    def evaluated_anew(
-        self, before: PlaneFlows, averaged: Record, where: Iterable[slice]
-    ) -> Record:
-        """Return the averages of another record, of which only some blocks are not the same.
-
-        Parameters
-        ----------
-        before : PlaneFlows
-            Of the other record, with the same channels.
-        averaged : Record
-            What it was evaluated to; its columns are taken over and written to.
-        where : iterable of slice
-            The blocks that differ.
-        """
+    def _with(
+        self,
+        evaluated: Mapping[str, Channel],
+        names: Sequence[str],
+        n_reversed: Mapping[int, Mapping[str, int]],
+    ) -> EvaluatedFlows:
+        """Add columns that are evaluated, and the others of those named, to the record."""
         record = self._record
-        names = [name for plane in self._planes for name in plane.names()]
-        self._n_reversed = dict(before._n_reversed)
-        self._stored = tuple(name for name in names if name in before._stored)
-        for rows in where:
-            found, self._n_reversed[rows.start] = self._averages_and_counts(rows, self._stored)
-            for name, values in found.items():
-                record.workspace.overwrite(averaged[name], rows, values)
-            record.workspace.release()
-        return self._with({name: averaged.channel(name) for name in self._stored}, names)
-
-    def _with(self, evaluated: Mapping[str, Channel], names: Sequence[str]) -> Record:
-        """Return the record with columns that are evaluated, and the others of those named."""
-        record, n_rows = self._record, self._record.n_samples
         others = [name for name in names if name not in evaluated]
-        columns = computed_together(n_rows, others, lambda rows: self.block(rows, others))
+        columns = computed_together(
+            record.n_samples, others, lambda rows: self._block(rows, others)
+        )
         for plane in self._planes:
             # One product of what is at hand, for which no flow need be computed.
             if plane.flow in others and all(name in evaluated for name in plane.flow_factors):
@@ -367,21 +398,20 @@ class PlaneFlows:
             evaluated[name] if name in evaluated else Channel(name, columns[name], _unit(name))
             for name in names
         ]
-        return replace(record.after(self.entries[-1], add=added), history=self._history(record))
+        entries = self._entries(n_reversed)
+        record = replace(record.after(entries[-1], add=added), history=(*record.history, *entries))
+        return EvaluatedFlows(record, entries, tuple(evaluated), n_reversed)
 
-    def _history(self, record: Record) -> tuple[LedgerEntry, ...]:
-        return (*record.history, *self.entries)
-
-    @property
-    def entries(self) -> tuple[LedgerEntry, LedgerEntry]:
-        """What the ledger says of the flows and of the averages."""
+    def _entries(self, n_reversed: Mapping[int, Mapping[str, int]]) -> tuple[LedgerEntry, ...]:
+        """Return what the ledger says of the flows, where they were looked at, and averages."""
+        averages = _averages_entry(self._planes, self._probes)
+        if not n_reversed:
+            return (averages,)
         totals = {
-            pair.name: sum(counts.get(pair.name, 0) for counts in self._n_reversed.values())
+            pair.name: sum(counts[pair.name] for counts in n_reversed.values())
             for pair in _all_pairs(self._record, self._test)
-            if any(pair.name in counts for counts in self._n_reversed.values())
         }
-        flows = _flows_entry(totals, self._record.n_samples)
-        return flows, _averages_entry(self._planes, self._probes)
+        return _flows_entry(totals, self._record.n_samples), averages
 
 
 def _columns(record: Record, planes: Sequence[AveragedPlane]) -> dict[str, ColumnWriter]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from classic_ml.columns.workspace import blocks
 from classic_ml.display import Displayed, Sheet
 from classic_ml.errors import InputError
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
-from classic_ml.faults.near_stall_flows import near_stall_flows
+from classic_ml.faults.near_stall_flows import check_flows
 from classic_ml.faults.search import inspect_readings
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
@@ -28,10 +28,11 @@ from classic_ml.segments import (
     HUB_LESS_TIP,
     cell_frequency_hz,
     hub_tip_difference,
+    knows_hub_and_tip,
     segment,
     window_rows,
 )
-from classic_ml.series import CoefficientSeries
+from classic_ml.series import COLUMNS, CoefficientSeries
 from classic_ml.surge_cycles import FEW_CYCLES, cycles_within, find_cycles
 
 __all__ = ["STEPS", "Reduction", "ReductionSettings", "near_stall_shifts", "reduce_record"]
@@ -44,29 +45,19 @@ STEPS = 6
 REGIMES_DIFFER = 0.2
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
 LEAST_CUTOFF_HZ = 1.0
-NUMBER_BYTES = 8
 # What is in the record of a reduction beside the series.
 Keep = Literal["probes", "averages", "series"]
 # What the free run is chosen by, and φ and ψ' are made of.
 UNFILTERED_AVERAGES = (
-    "P25_Pa",
-    "P31_Pa",
-    "T25_K",
-    "W25_kg_s",
-    "Wc25_kg_s",
-    "Wc25_hub_kg_s",
-    "Wc25_tip_kg_s",
+    *("P25_Pa", "P31_Pa", "T25_K", "W25_kg_s"),
+    *("Wc25_kg_s", "Wc25_hub_kg_s", "Wc25_tip_kg_s"),
 )
-
-
-# Channels of the series, what they are computed from, and what they are chosen by.
-IN_SERIES = (
-    *("phi", "psi_p", "psi", "T25_K", "Nc_frac", "in_stall", "segment"),
-    *("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run"),
-)
-AVERAGES = ("P25_Pa", "T25_K", "W25_kg_s", "P31_Pa", "T31_K", "W31_kg_s")
-LOOKED_AT = ("Wc25_kg_s", "P31_Pa", "P25_unfiltered_Pa")
-BY_HUB_AND_TIP = ("Wc25_hub_kg_s", "Wc25_tip_kg_s")
+# The channels of the series; its clock is none.
+IN_SERIES = tuple(name for name in COLUMNS if name != "time_s")
+# What the coefficients are computed from.
+COMPUTED_FROM = ("P25_Pa", "T25_K", "W25_kg_s", "P31_Pa", "T31_K", "W31_kg_s")
+# What the segments and the rows of the free run are chosen by.
+CHOSEN_BY = ("Wc25_kg_s", "P31_Pa", "P25_unfiltered_Pa")
 
 
 @dataclass(frozen=True)
@@ -119,8 +110,9 @@ def reduce_record(
         The switches.
     keep : {"probes", "averages", "series"}
         What is in the record: everything; no readings, faults and flows of single probes, so that
-        it takes two thirds of the room; or the channels of the series alone, which lets a record
-        on disk go as soon as they have been computed.
+        it takes a third of the room in memory (on disk some averages are computed when they are
+        read, from the readings, which stay there); or the channels of the series alone, which lets
+        the readings go as soon as those have been computed.
     progress : callable, optional
         Told each time that one of the ``STEPS`` steps is done.
 
@@ -135,17 +127,13 @@ def reduce_record(
         When the record cannot be used; the sentence says why.
     """
     chosen = settings if settings is not None else ReductionSettings()
-    if chosen.phase != "none" and chosen.cutoff_hz < LEAST_CUTOFF_HZ:
-        raise InputError(
-            "ReductionSettings.cutoff_hz",
-            expected=f"at least {LEAST_CUTOFF_HZ:g} Hz, so that the surge cycles pass",
-            found=f"{chosen.cutoff_hz:g}",
-        )
+    _check(chosen, keep)
+    kept = _kept(keep, chosen)
     step = progress if progress is not None else _nobody
     record = inspect_readings(record, test, whole=True)
     step(1)
     record = calibrate_and_match(record, test, chosen.near_stall_match)
-    record = record.after(near_stall_flows(record, test))
+    record = record.after(check_flows(record, test))
     step(1)
     window_s, found, ahead = _window(record, test, chosen)
     window = window_rows(record, window_s, _window_name(record, test, chosen))
@@ -153,36 +141,66 @@ def reduce_record(
     step(1)
     averaged = probe_averages(record, test, chosen, keep_probes=keep == "probes", ahead=ahead)
     was_named = ahead is None
-    # The readings are let go of, but for what is asked of them from here on.
+    # What was left out of the record goes, too.
     del ahead
     step(1)
     plain, unfiltered = _unfiltered(record, test, chosen)
     in_use = tuple(name for name in test.channel_names if name in record)
-    if keep == "series":
-        looked_at = LOOKED_AT + (BY_HUB_AND_TIP if chosen.stall_rule == "hub-tip" else ())
-        unfiltered = [channel for channel in unfiltered if channel.name in IN_SERIES + LOOKED_AT]
-        averaged = _only(averaged, AVERAGES + looked_at)
-        place, n_rows = record.workspace, record.n_samples
-        del record
-        place.tidy(but=n_rows * NUMBER_BYTES)
+    # From here on the readings are there for those alone who asked for them.
+    averaged = _only(averaged, kept.averages)
+    unfiltered = [channel for channel in unfiltered if kept.averages(channel.name)]
+    place, n_rows = record.workspace, record.n_samples
+    del record
+    place.tidy(but_rows=n_rows)
     # A window that somebody named is not extended.
     inside = window if was_named else extend_while_settled(plain, window, in_use)
     record = _with_coefficients(averaged, unfiltered, test, chosen, window)
     del averaged, unfiltered
-    if keep == "series":
-        record = _only(record, IN_SERIES + looked_at)
+    record = _only(record, kept.coefficients)
     step(1)
     if was_named:
         record = _few_cycles_told(record, window_s)
     record = _segmented(record, test, chosen, window)
     record = _with_free_run(record, plain, window, inside, chosen.probes)
     record = _regimes_compared(record, window, _threshold(test, chosen))
-    if keep == "averages":
-        record = without(record, [name for name in record.channels if name.startswith("fault_")])
-    if keep == "series":
-        record = _only(record, IN_SERIES)
+    record = _only(record, kept.result)
     step(1)
     return Reduction(_series(record), record, chosen, test, window_s)
+
+
+def _check(settings: ReductionSettings, keep: Keep) -> None:
+    if settings.phase != "none" and settings.cutoff_hz < LEAST_CUTOFF_HZ:
+        raise InputError(
+            "ReductionSettings.cutoff_hz",
+            expected=f"at least {LEAST_CUTOFF_HZ:g} Hz, so that the surge cycles pass",
+            found=f"{settings.cutoff_hz:g}",
+        )
+    if keep not in get_args(Keep):
+        raise InputError("keep", expected=" or ".join(get_args(Keep)), found=repr(keep))
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Which channels stay when the averages are there, the coefficients, and at the end."""
+
+    averages: Callable[[str], bool]
+    coefficients: Callable[[str], bool]
+    result: Callable[[str], bool]
+
+
+def _kept(keep: Keep, settings: ReductionSettings) -> _Kept:
+    def every(_: str) -> bool:
+        return True
+
+    if keep == "probes":
+        return _Kept(every, every, every)
+    if keep == "averages":
+        return _Kept(every, every, lambda name: not name.startswith("fault_"))
+    needed = {*IN_SERIES, *CHOSEN_BY}
+    if settings.stall_rule == "hub-tip":
+        needed |= {"Wc25_hub_kg_s", "Wc25_tip_kg_s"}
+    computed_from = needed | set(COMPUTED_FROM)
+    return _Kept(computed_from.__contains__, needed.__contains__, IN_SERIES.__contains__)
 
 
 def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]:
@@ -209,7 +227,7 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
     inspected = inspect_readings(record, test, whole=True)
     shifts, _ = near_stall_match(inspected, test)
     matched = calibrate_and_match(inspected, test)
-    near_stall_flows(matched, test)
+    check_flows(matched, test)
     sound = choose_channels(matched, test, slice(0, 0))
     forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
     named = [*forward, *(couple.name for couple in test.temperatures)]
@@ -231,7 +249,7 @@ def _unfiltered(
     plain = invert_thermocouples(plain, test)
     # Without W31 no ψ is computed, which nobody wants of these.
     plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES, stored=())
-    if {"Wc25_hub_kg_s", "Wc25_tip_kg_s"} <= set(plain.channels):
+    if knows_hub_and_tip(plain):
         plain = plain.after(
             LedgerEntry("hub less tip", "for the state of stall"),
             add=[Channel(HUB_LESS_TIP, hub_tip_difference(plain), "kg/s")],
@@ -325,8 +343,8 @@ def _with_channels(record: Record, channels: list[Channel]) -> Record:
     return record.after(entry, add=channels)
 
 
-def _only(record: Record, names: Iterable[str]) -> Record:
-    return without(record, set(record.channels).difference(names))
+def _only(record: Record, is_kept: Callable[[str], bool]) -> Record:
+    return without(record, [name for name in record.channels if not is_kept(name)])
 
 
 def _window_name(record: Record, test: TestDescription, settings: ReductionSettings) -> str:

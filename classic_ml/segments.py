@@ -22,6 +22,7 @@ __all__ = [
     "hub_tip_difference",
     "hub_tip_stall",
     "in_stall_by_threshold",
+    "knows_hub_and_tip",
     "segment",
     "window_rows",
 ]
@@ -139,6 +140,11 @@ def cell_frequency_hz(record: Record, window: slice) -> float:
     return peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * record.sample_rate_hz)
 
 
+def knows_hub_and_tip(record: Record) -> bool:
+    """Tell whether :func:`hub_tip_difference` can be told of a record."""
+    return HUB_LESS_TIP in record or ("Wc25_hub_kg_s" in record and "Wc25_tip_kg_s" in record)
+
+
 def hub_tip_difference(record: Record) -> FloatArray:
     """Return how much more corrected flow the hub passes than the tip, in kg/s.
 
@@ -153,29 +159,30 @@ def hub_tip_difference(record: Record) -> FloatArray:
     return record.workspace.derived(record.n_samples, lambda rows: hub[rows] - tip[rows])
 
 
-def hub_tip_stall(
-    record: Record, window: slice, cell_hz: float, difference_kg_s: FloatArray | None = None
-) -> BoolArray:
+def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     """Return the in-stall state by the machine itself: in stall the hub passes more than the tip.
 
     Parameters
     ----------
     record : Record
-        With ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``.
+        As for :func:`hub_tip_difference`.
     window : slice
         Rows of the surge cycles, whose median difference is the scale.
     cell_hz : float
         Rotating-stall frequency; the difference is averaged over one of its periods.
-    difference_kg_s : ndarray of shape (n_samples,), optional
-        :func:`hub_tip_difference`, where it is known.
 
     Returns
     -------
     ndarray of bool, shape (n_samples,)
         True where the difference is above half its median in the window.
+
+    Raises
+    ------
+    InputError
+        When that median is not above zero.
     """
     difference = period_average(
-        hub_tip_difference(record) if difference_kg_s is None else difference_kg_s,
+        hub_tip_difference(record),
         1.0 / cell_hz,
         record.sample_rate_hz,
         workspace=record.workspace,

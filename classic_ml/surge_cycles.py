@@ -316,6 +316,7 @@ def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray
     speeds = np.empty(peaks.size)
     for cycles in _some_cycles(edges, record.workspace):
         bounds = edges[cycles.start : cycles.stop + 1]
+        # Compiled loops take arrays: of a column that is computed, its rows.
         _means(record["Nc_frac"][bounds[0] : bounds[-1]], bounds - bounds[0], speeds[cycles])
     later = speeds[speeds.size // 2 :]
     good = np.abs(rises / np.median(rises) - 1.0) <= RISE_SPREAD

@@ -62,6 +62,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_reduce(arguments: argparse.Namespace) -> None:
     """Reduce a raw record to a series file."""
+    from classic_ml.readers.series_files import hand_over_series
     from comparisons.reduce_command import excerpt, reduce_file
     from comparisons.reduction_options import options_named, reduction_settings
 
@@ -80,7 +81,8 @@ def run_reduce(arguments: argparse.Namespace) -> None:
             for_report=bool(arguments.report),
         )
     # Without a report this is the last that is seen of the columns.
-    write_series(reduction.series, arguments.out, give_up=not arguments.report)
+    write = write_series if arguments.report else hand_over_series
+    write(reduction.series, arguments.out)
     if arguments.report:
         from comparisons.report import ReportSection, write_report
 

@@ -23,9 +23,10 @@ NUMBER_BYTES = 8
 # In memory a reduction holds, at its widest, so many columns a channel: as matched, filtered,
 # marked for faults, and its share of the averages (68 columns were measured for 20 channels).
 COLUMNS_A_CHANNEL = 4
-# On disk it holds the channels with a byte a row for their faults, and so many columns beside them
-# (168 bytes a row in all were measured with 16 channels of codes, 4 of numbers and a report).
-COLUMNS_BESIDE = 28
+# On disk it holds the channels with a byte a row for their faults, and so many columns beside them:
+# of 20 channels 445 bytes a row were measured where none is of codes and the lag of the
+# thermocouples is undone, 130 as a rule.
+COLUMNS_BESIDE = 34
 # A row of a series: 12 columns, at most 25 characters each as text.
 SERIES_BYTES = 300
 # What a reduction takes in memory up to this stays there; beyond it the system clears pages for

@@ -73,6 +73,8 @@ class ComputedColumn(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **given: Any) -> Any:
         """Apply a function of numpy to the whole column."""
+        if any(isinstance(out, ComputedColumn) for out in given.get("out", ())):
+            raise ValueError("output array is read-only")
         arrays = (np.asarray(i) if isinstance(i, ComputedColumn) else i for i in inputs)
         return getattr(ufunc, method)(*arrays, **given)
 

@@ -12,7 +12,7 @@ import mmap
 import tempfile
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,6 @@ __all__ = [
     "Workspace",
     "blocks",
     "evaluated",
-    "mapped",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -107,8 +106,8 @@ class Workspace(ABC):
         """Return a column of a narrow type as one of a wider, evaluated or not as `derived`."""
 
     @abstractmethod
-    def tidy(self, *, but: int = 0) -> None:
-        """Give back the room that is kept for columns to come, but for those of so many bytes."""
+    def tidy(self, *, but_rows: int = 0) -> None:
+        """Give back the room that is kept for columns to come, but for float64 of so many rows."""
 
     @abstractmethod
     def discard(self, column: NDArray[Any]) -> None:
@@ -162,7 +161,7 @@ class InMemory(Workspace):
         wide.setflags(write=False)
         return wide
 
-    def tidy(self, *, but: int = 0) -> None:
+    def tidy(self, *, but_rows: int = 0) -> None:
         """Do nothing: no room is kept."""
 
     def discard(self, column: NDArray[Any]) -> None:
@@ -273,9 +272,10 @@ class OnDisk(Workspace):
         """Return a column that is computed each time."""
         return widened(column, dtype)
 
-    def tidy(self, *, but: int = 0) -> None:
+    def tidy(self, *, but_rows: int = 0) -> None:
         """Close the files that are kept for columns to come, but for those of one size."""
-        self._spare = {size: files for size, files in self._spare.items() if size == but}
+        size = but_rows * np.dtype(np.float64).itemsize
+        self._spare = {size: self._spare[size]} if size in self._spare else {}
 
     def discard(self, column: NDArray[Any]) -> None:
         """Have the system forget what is in the file, as far as it can."""
@@ -283,6 +283,8 @@ class OnDisk(Workspace):
         if mapped_file is not None and hasattr(mmap, "MADV_REMOVE"):
             with suppress(OSError):
                 mapped_file.madvise(mmap.MADV_REMOVE)
+                # Without its room it is no file for a column to come.
+                mapped_file.file.size = 0
 
     def release(self) -> None:
         """Give the pages back to the system, which has them in its cache or on the disk."""
@@ -429,37 +431,3 @@ def evaluated(
         column.append(np.asarray(function(rows)))
         workspace.release()
     return column.finished()
-
-
-def mapped(
-    workspace: Workspace,
-    inputs: Sequence[NDArray[Any]],
-    function: Callable[..., Sequence[FloatArray]],
-    n_outputs: int,
-) -> list[FloatArray]:
-    """Evaluate a function of single rows, block by block.
-
-    Parameters
-    ----------
-    workspace : Workspace
-        Where the results lie.
-    inputs : sequence of ndarray of shape (n,)
-        Columns of one length.
-    function : callable
-        ``function(*blocks)`` returns ``n_outputs`` arrays, each row of which depends on the same
-        row of the inputs alone.
-    n_outputs : int
-        Number of results.
-
-    Returns
-    -------
-    list of ndarray of shape (n,)
-        The results, read-only.
-    """
-    n_rows = inputs[0].size
-    outputs = [workspace.writer(n_rows) for _ in range(n_outputs)]
-    for rows in blocks(n_rows):
-        for output, values in zip(outputs, function(*(i[rows] for i in inputs)), strict=True):
-            output.append(np.asarray(values))
-        workspace.release()
-    return [output.finished() for output in outputs]

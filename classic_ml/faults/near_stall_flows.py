@@ -18,7 +18,7 @@ from classic_ml.plane_averages import plane_flows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 
-__all__ = ["near_stall_flows"]
+__all__ = ["check_flows"]
 
 # In the steady flow near stall the planes pass the same but for bleeds of a few per cent (0.3 % on
 # the independent record); exchanged areas are a factor of twenty.
@@ -28,7 +28,7 @@ FLOWS_REFUSED = 0.2
 NEAR_STALL_PHI = (0.1, 1.5)
 
 
-def near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
+def check_flows(record: Record, test: TestDescription) -> LedgerEntry:
     """Check φ, and the flow of one plane against the other's, in the steady flow near stall.
 
     Parameters
@@ -46,34 +46,17 @@ def near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
     Raises
     ------
     InputError
-        When no machine has such a flow.
+        When the flow is not steady, pairs of one plane contradict each other, W25 and W31 differ
+        by more than a fifth, or no compressor has such a φ near stall.
     """
     if test.near_stall_shifts:
         return LedgerEntry("near-stall flow", "not known: the reading is not in this record")
-    rows = near_stall_rows(record, test)
-    steady = replace(
-        record,
-        channels={n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()},
-        start_s=record.time_at_s(rows.start),
-        # The tenth of a second that it is needs no files.
-        workspace=IN_MEMORY,
-    )
+    steady = _steady(record, test)
     check_steady(steady, test)
     # No row is in a window yet: only what cannot be matched is left out here.
     steady = choose_channels(steady, test, slice(0, 0))
     flags = check_pairs(steady, test)
     steady = plane_flows(steady, test)
-    phi = float(
-        np.mean(
-            flow_coefficient(
-                steady["Wc25_kg_s"],
-                steady["T25_K"],
-                test.areas_m2[25],
-                test.rotor_velocity_m_s,
-                test.compressor,
-            )
-        )
-    )
     inlet, leaving = _steady_flows(steady, test)
     how = "" if "W31_kg_s" in steady else " (with the facility's T31)"
     differ = abs(leaving / inlet - 1.0)
@@ -85,15 +68,7 @@ def near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
             found=f"{inlet:.4g} and {leaving:.4g} kg/s",
             remedy=f"check {areas} ({test.areas_m2[25]:g} and {test.areas_m2[31]:g} m²)",
         )
-    if not NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
-        raise InputError(
-            f"{record.source}: φ near stall",
-            expected=f"{NEAR_STALL_PHI[0]:g} to {NEAR_STALL_PHI[1]:g}",
-            found=f"{phi:.3g}",
-            # The area is not among them: it cancels between Eq 3 and its inverse.
-            remedy=f"check rotor_speed_rpm and mean_radius_m in {test.source}, and the zero and "
-            "calibrate readings",
-        )
+    phi = _steady_phi(steady, test)
     flags += (*unusual_machine(test, phi), *beside_the_record(record, test))
     if differ > FLOWS_DIFFER:
         flags += (
@@ -104,6 +79,34 @@ def near_stall_flows(record: Record, test: TestDescription) -> LedgerEntry:
         f"φ {phi:.3f}, W25 {inlet:.2f} kg/s, W31 {leaving:.2f} kg/s{how}",
         {"phi": round(phi, 4), "W25_kg_s": round(inlet, 4), "W31_kg_s": round(leaving, 4)},
         flags=flags,
+    )
+
+
+def _steady(record: Record, test: TestDescription) -> Record:
+    """Return the tenth of a second near stall, which needs no files."""
+    rows = near_stall_rows(record, test)
+    return replace(
+        record,
+        channels={n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()},
+        start_s=record.time_at_s(rows.start),
+        workspace=IN_MEMORY,
+    )
+
+
+def _steady_phi(steady: Record, test: TestDescription) -> float:
+    """Return the mean φ, or refuse one that no compressor has."""
+    columns = steady["Wc25_kg_s"], steady["T25_K"]
+    area_m2, speed_m_s = test.areas_m2[25], test.rotor_velocity_m_s
+    phi = float(np.mean(flow_coefficient(*columns, area_m2, speed_m_s, test.compressor)))
+    if NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
+        return phi
+    raise InputError(
+        f"{steady.source}: φ near stall",
+        expected=f"{NEAR_STALL_PHI[0]:g} to {NEAR_STALL_PHI[1]:g}",
+        found=f"{phi:.3g}",
+        # The area is not among them: it cancels between Eq 3 and its inverse.
+        remedy=f"check rotor_speed_rpm and mean_radius_m in {test.source}, and the zero and "
+        "calibrate readings",
     )
 
 

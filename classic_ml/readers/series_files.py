@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.columns.workspace import blocks
+from classic_ml.columns.computed import is_computed
+from classic_ml.columns.workspace import Workspace, blocks
 from classic_ml.errors import InputError
 from classic_ml.files import replace_whole
 from classic_ml.readers.raw_columns import one_line
@@ -31,7 +32,7 @@ from classic_ml.series import (
     CoefficientSeries,
 )
 
-__all__ = ["ledger_path", "read_series", "write_series"]
+__all__ = ["hand_over_series", "ledger_path", "read_series", "write_series"]
 
 # A compressor surges a few times a second: what is sampled more slowly shows no cycle.
 LONGEST_STEP_S = 0.05
@@ -129,9 +130,7 @@ def _other_record(
     return (LedgerEntry("read series", f"{time_s.size} rows", flags=(flag,)),)
 
 
-def write_series(
-    series: CoefficientSeries, path: str | os.PathLike[str], *, give_up: bool = False
-) -> None:
+def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
     """Write a series file, whole or not at all, with its ledger.
 
     A netCDF file carries the ledger as the attribute ``history``, as JSON and without the dates
@@ -144,16 +143,35 @@ def write_series(
         What to write.
     path : str or path
         Target, ending in ``.csv``, ``.nc``, ``.nc4`` or ``.netcdf``.
-    give_up : bool
-        Let go of columns on disk as they are written to a netCDF file, which then takes their room:
-        the series is of no use afterwards.
 
     Raises
     ------
     InputError
         When the suffix is unknown or the folder does not exist.
     """
-    file = Path(path)
+    _write(series, Path(path), give_up=False)
+
+
+def hand_over_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
+    """Write a series file as :func:`write_series` does, for whoever does not look at it again.
+
+    A netCDF file takes the room of the columns on disk one by one. Whatever holds such a column,
+    the record of its reduction too, reads anything from it afterwards.
+
+    Parameters
+    ----------
+    series, path
+        As for :func:`write_series`.
+
+    Raises
+    ------
+    InputError
+        As there.
+    """
+    _write(series, Path(path), give_up=True)
+
+
+def _write(series: CoefficientSeries, file: Path, *, give_up: bool) -> None:
     if file.suffix.lower() not in _READERS:
         raise InputError(
             str(file),
@@ -348,7 +366,7 @@ def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
             variable.attrs["long_name"] = LONG_NAMES[name]
     # The rows are no matter of netCDF any more, whose own way takes twice the time.
     with h5py.File(file, "r+") as out:
-        for name, values in columns.items():
+        for number, (name, values) in enumerate(columns.items()):
             variable = out[name]
             for first in range(0, series.n_samples, WRITTEN_ROWS):
                 rows = slice(first, min(first + WRITTEN_ROWS, series.n_samples))
@@ -356,7 +374,17 @@ def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
                 variable.write_direct(part, None, rows)
                 series.workspace.release()
             if give_up:
-                series.workspace.discard(values)
+                later = list(columns.values())[number + 1 :]
+                _discard_unless_read_by(later, values, series.workspace)
+
+
+def _discard_unless_read_by(
+    later: Sequence[NDArray[Any]], values: NDArray[Any], place: Workspace
+) -> None:
+    """Let go of a column, unless another name for it is still to be written."""
+    arrays = [column for column in later if not is_computed(column)]
+    if not is_computed(values) and not any(np.may_share_memory(values, a) for a in arrays):
+        place.discard(values)
 
 
 def _stored_type(name: str, values: NDArray[Any]) -> np.dtype[Any]:

@@ -323,7 +323,7 @@ def test_an_interruption_leaves_nothing_behind(
         raise KeyboardInterrupt
 
     before = set(rig.iterdir())
-    for place in ("classic_ml.reduction.find_cycles", "comparisons.commands.write_series"):
+    for place in ("classic_ml.reduction.find_cycles", "classic_ml.readers.series_files._write"):
         with monkeypatch.context() as patch:
             patch.setattr(place, interrupted)
             assert command(rig, rig / "series.nc", "--chunk", "500") == EXIT_INTERRUPTED

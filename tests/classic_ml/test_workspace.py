@@ -20,7 +20,6 @@ from classic_ml.columns.workspace import (
     Workspace,
     blocks,
     evaluated,
-    mapped,
 )
 from classic_ml.errors import InputError
 from classic_ml.records import Channel, Record
@@ -75,10 +74,6 @@ def test_functions_of_rows_are_those_of_the_whole(
     place: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workspace, "BLOCK_ROWS", 7)
-    one, other = RNG.standard_normal((2, 50))
-    added, product = mapped(place, (one, other), lambda a, b: (a + b, a * b), 2)
-    np.testing.assert_array_equal(added, one + other)
-    np.testing.assert_array_equal(product, one * other)
     squares = evaluated(place, 50, lambda rows: np.arange(rows.start, rows.stop) ** 2, np.int64)
     np.testing.assert_array_equal(squares, np.arange(50) ** 2, strict=True)
 

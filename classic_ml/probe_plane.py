@@ -66,12 +66,12 @@ class AveragedPlane:
         """Yield the pairs of all immersions."""
         return (pair for pairs in self.pairs.values() for pair in pairs)
 
-    def over_places(
+    def over_immersions(
         self, local: Mapping[str, FloatArray]
     ) -> tuple[dict[str, FloatArray], FloatArray]:
         """Return the mean of each immersion, and over those in use, of what each pair shows."""
-        by_place = {i: _mean([local[p.name] for p in pairs]) for i, pairs in self.pairs.items()}
-        return by_place, _mean([by_place[i] for i in self.used])
+        by_immersion = {i: _mean([local[p.name] for p in pairs]) for i, pairs in self.pairs.items()}
+        return by_immersion, _mean([by_immersion[i] for i in self.used])
 
     def names(self) -> list[str]:
         """Return the names of the averages."""
@@ -94,17 +94,22 @@ class AveragedPlane:
         temperatures_K : sequence of ndarray
             Of the thermocouples.
         names : collection of str
-            Those that are asked for.
+            Those that are asked for, of this plane.
+
+        Returns
+        -------
+        dict of str to ndarray of shape (n,)
+            By name.
         """
         p = self.plane
         found: dict[str, FloatArray] = {}
         if self.needs_flows(names):
             flows = {name: flow for name, (flow, _) in local.items() if flow is not None}
-            by_place, found[f"Wc{p}_kg_s"] = self.over_places(flows)
-            found |= {f"Wc{p}_{i}_kg_s": by_place[i] for i in by_place}
+            by_immersion, found[f"Wc{p}_kg_s"] = self.over_immersions(flows)
+            found |= {f"Wc{p}_{i}_kg_s": by_immersion[i] for i in by_immersion}
         if self.flow in names or self.pressure in names:
             totals = {name: total for name, (_, total) in local.items()}
-            found[self.pressure] = self.over_places(totals)[1]
+            found[self.pressure] = self.over_immersions(totals)[1]
         if self.flow in names or f"T{p}_K" in names:
             found[f"T{p}_K"] = _mean(temperatures_K)
         if self.flow in names:
@@ -133,9 +138,11 @@ def averaged_plane(record: Record, test: TestDescription, plane: int, probes: st
     """
     wanted = ("tip", "hub") if probes == "all" else (probes,)
     pairs = present_pairs(record, test, plane)
-    by_place = {i: tuple(p for p in pairs if p.immersion == i) for i in ("tip", "hub")}
-    used = [i for i in wanted if by_place[i] or any(p.immersion == i for p in test.pairs(plane))]
-    missing = [i for i in used if not by_place[i]]
+    by_immersion = {i: tuple(p for p in pairs if p.immersion == i) for i in ("tip", "hub")}
+    used = [
+        i for i in wanted if by_immersion[i] or any(p.immersion == i for p in test.pairs(plane))
+    ]
+    missing = [i for i in used if not by_immersion[i]]
     if missing or not used:
         raise InputError(
             f"{record.source}: plane {plane}",
@@ -151,7 +158,7 @@ def averaged_plane(record: Record, test: TestDescription, plane: int, probes: st
             found="none",
             remedy="without T25 there is neither φ nor ψ'",
         )
-    return AveragedPlane(plane, {i: p for i, p in by_place.items() if p}, tuple(used), couples)
+    return AveragedPlane(plane, {i: p for i, p in by_immersion.items() if p}, tuple(used), couples)
 
 
 def _mean(values: Sequence[FloatArray]) -> FloatArray:
