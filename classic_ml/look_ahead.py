@@ -23,6 +23,7 @@ from classic_ml.plane_averages import (
     plane_averages,
     plane_flows,
 )
+from classic_ml.probe_plane import averaged_plane
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import FloatArray, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
@@ -149,6 +150,9 @@ def _in_use(record: Record, test: TestDescription) -> tuple[str, ...]:
 def _by_way_of_probes(
     record: Record, test: TestDescription, settings: ReductionSettings, keep_probes: bool
 ) -> Record:
+    for plane in test.areas_m2:
+        # Refused before anything is computed, as where the averages are made in one go.
+        averaged_plane(record, test, plane, settings.probes)
     filtered = filter_channels(
         record,
         _in_use(record, test),

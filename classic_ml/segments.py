@@ -294,6 +294,13 @@ def _state(
             np.bool_,
         )
     if parameters["stall_rule"] == "hub-tip":
+        if not knows_hub_and_tip(record):
+            raise InputError(
+                f"{record.source}: plane 25",
+                expected='probe pairs at hub and tip, which stall_rule="hub-tip" compares',
+                found="none at one of them",
+                remedy='use stall_rule="threshold"',
+            )
         cell_hz = cell_frequency_hz(record, window)
         parameters["cell_hz"] = round(cell_hz, 3)
         return hub_tip_stall(record, window, cell_hz)

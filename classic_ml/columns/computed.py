@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import numpy as np
@@ -49,13 +49,28 @@ class ComputedColumn(np.lib.mixins.NDArrayOperatorsMixin):
     def __len__(self) -> int:
         return self.size
 
+    def __repr__(self) -> str:
+        return f"<column of {self.size} rows, {self.dtype}, computed when it is read>"
+
+    def __iter__(self) -> Iterator[Any]:
+        """Go through the values, as pandas does with what it takes for a list."""
+        return iter(self._read_only(slice(0, self.size)))
+
+    def __bool__(self) -> bool:
+        """Return what an array does: it tells that a column is neither true nor false."""
+        return bool(np.asarray(self))
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        """Refuse, as an array that is read-only does."""
+        raise ValueError("assignment destination is read-only")
+
     def __getitem__(self, key: Any) -> Any:
         """Return one value, or those of a slice without gaps as an array."""
         if isinstance(key, slice):
             start, stop, step = key.indices(self.size)
             if step == 1:
                 return self._read_only(slice(start, max(start, stop)))
-        if isinstance(key, int | np.integer):
+        if isinstance(key, int | np.integer) and not isinstance(key, bool):
             row = range(self.size)[key]
             return self._rows(slice(row, row + 1))[0]
         return self._read_only(slice(0, self.size))[key]
@@ -68,8 +83,7 @@ class ComputedColumn(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return the whole column."""
-        values = self._rows(slice(0, self.size))
-        return np.array(values, dtype=dtype, copy=copy)
+        return np.array(self._read_only(slice(0, self.size)), dtype=dtype, copy=copy)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **given: Any) -> Any:
         """Apply a function of numpy to the whole column."""

@@ -111,7 +111,11 @@ class Workspace(ABC):
 
     @abstractmethod
     def discard(self, column: NDArray[Any]) -> None:
-        """Give back the room of a column, which nobody reads any more: it may hold anything."""
+        """Give back the room of a whole column, which nobody may read any more."""
+
+    @abstractmethod
+    def is_discarded(self, column: NDArray[Any]) -> bool:
+        """Tell whether a column has been discarded."""
 
     @abstractmethod
     def release(self) -> None:
@@ -166,6 +170,10 @@ class InMemory(Workspace):
 
     def discard(self, column: NDArray[Any]) -> None:
         """Do nothing: an array is in memory for as long as it lives."""
+
+    def is_discarded(self, column: NDArray[Any]) -> bool:
+        """Return False."""
+        return False
 
     def release(self) -> None:
         """Do nothing: an array is in memory for as long as it lives."""
@@ -279,12 +287,23 @@ class OnDisk(Workspace):
 
     def discard(self, column: NDArray[Any]) -> None:
         """Have the system forget what is in the file, as far as it can."""
-        mapped_file = None if is_computed(column) else self._columns.get(_address(column))
-        if mapped_file is not None and hasattr(mmap, "MADV_REMOVE"):
+        mapped_file = self._file_behind(column)
+        # A part of a column that begins with it is not the column.
+        whole = mapped_file is not None and column.nbytes == len(mapped_file)
+        if mapped_file is not None and whole and hasattr(mmap, "MADV_REMOVE"):
             with suppress(OSError):
                 mapped_file.madvise(mmap.MADV_REMOVE)
+                mapped_file.discarded = True
                 # Without its room it is no file for a column to come.
                 mapped_file.file.size = 0
+
+    def is_discarded(self, column: NDArray[Any]) -> bool:
+        """Tell whether the file behind it was made empty."""
+        mapped_file = self._file_behind(column)
+        return mapped_file is not None and mapped_file.discarded
+
+    def _file_behind(self, column: NDArray[Any]) -> _Mapped | None:
+        return None if is_computed(column) else self._columns.get(_address(column))
 
     def release(self) -> None:
         """Give the pages back to the system, which has them in its cache or on the disk."""
@@ -331,6 +350,7 @@ class _Mapped(mmap.mmap):
     """A mapping, which goes when nobody holds the column."""
 
     file: NamelessFile
+    discarded = False
 
 
 def _address(column: NDArray[Any]) -> int:

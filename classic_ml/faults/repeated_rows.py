@@ -119,8 +119,11 @@ def rows_repeated(record: Record, test: TestDescription) -> RepeatedRows:
         first = max(0, rows.start - 1)
         for name, values in channels.items():
             part = np.ascontiguousarray(values[first : rows.stop])
-            bits = part.view(np.uint64) if part.dtype == np.float64 else part
-            _mix(bits[rows.start - first :], hashes)
+            own = part[rows.start - first :]
+            if own.dtype == np.float64:
+                _mix_numbers(own, own.view(np.uint64), hashes)
+            else:
+                _mix(own, hashes)
             if name in pressures:
                 _count_moved(part, moved[first + 1 - rows.start :])
         search.follow(hashes, moved)
@@ -175,10 +178,20 @@ def _listed(places: list[str], n: int) -> str:
 
 @as_written
 def _mix(bits: NDArray[Any], hashes: RowHashes) -> None:
-    """Mix the readings of a channel, as they are stored, into the hashes of their rows."""
+    """Mix the readings of a channel, or their bits, into the hashes of their rows."""
     for row in range(bits.size):
         # The upper bits, which alone differ in small whole numbers, go down to the lower ones.
         mixed = (hashes[row] ^ np.uint64(bits[row])) * FACTOR
+        hashes[row] = mixed ^ (mixed >> FOLD)
+
+
+@as_written
+def _mix_numbers(values: NDArray[Any], bits: NDArray[Any], hashes: RowHashes) -> None:
+    """Mix readings and their bits into the hashes: a code of 16 bits as :func:`_mix` has it."""
+    for row in range(values.size):
+        code = np.uint64(values[row]) if 0.0 <= values[row] <= 65535.0 else np.uint64(0)
+        key = code if np.float64(code) == values[row] else bits[row]
+        mixed = (hashes[row] ^ key) * FACTOR
         hashes[row] = mixed ^ (mixed >> FOLD)
 
 

@@ -155,8 +155,8 @@ def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> Non
 def hand_over_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
     """Write a series file as :func:`write_series` does, for whoever does not look at it again.
 
-    A netCDF file takes the room of the columns on disk one by one. Whatever holds such a column,
-    the record of its reduction too, reads anything from it afterwards.
+    A netCDF file takes the room of the columns on disk one by one. Nothing may read such a column
+    afterwards, from the record of its reduction neither, whether the file came to its end or not.
 
     Parameters
     ----------
@@ -177,6 +177,13 @@ def _write(series: CoefficientSeries, file: Path, *, give_up: bool) -> None:
             str(file),
             expected="an output file ending in .csv or .nc",
             found=f"the suffix '{file.suffix}'",
+        )
+    if any(series.workspace.is_discarded(column) for column in series.columns().values()):
+        raise InputError(
+            series.source,
+            expected="a series that has its columns",
+            found="one that was handed over",
+            remedy="reduce the record again, or read the file that was written",
         )
     if file.suffix.lower() != ".csv":
         replace_whole(file, lambda temporary: _write_netcdf_or_tell(series, temporary, give_up))
@@ -338,8 +345,8 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
 def _write_netcdf_or_tell(series: CoefficientSeries, file: Path, give_up: bool) -> None:
     try:
         _write_netcdf(series, file, give_up)
-    except RuntimeError as error:
-        # HDF5 finds only when it closes a file that there is no room for it.
+    except (RuntimeError, OSError) as error:
+        # HDF5 tells in its own words of a full disk, perhaps not before it closes the file.
         cause = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
         if cause is None:
             raise

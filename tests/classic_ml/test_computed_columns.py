@@ -10,6 +10,7 @@ import weakref
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from raw_data import make_test
 
@@ -57,6 +58,29 @@ def test_whatever_is_done_with_it_is_done_with_all_of_its_rows() -> None:
         column[5:7][0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
         column += 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        column[0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        np.asarray(column)[0] = 1.0
+    with pytest.raises(ValueError, match="ambiguous"):
+        bool(column)
+    assert column[True].shape == (1, 100)
+    assert "100 rows" in repr(column)
+
+
+def test_pandas_takes_it_for_the_numbers_it_is() -> None:
+    column, array = squared(), VALUES**2
+    for frame in (pd.DataFrame({"a": column}), pd.DataFrame({"a": array}).assign(b=column)):
+        assert set(frame.dtypes) == {np.dtype(np.float64)}
+        np.testing.assert_array_equal(frame.iloc[:, -1], array)
+    np.testing.assert_array_equal(pd.Series(column), array)
+
+
+def test_a_kept_block_is_not_changed_from_outside() -> None:
+    columns = computed_together(100, ("plain",), lambda rows: {"plain": VALUES[rows].copy()})
+    with pytest.raises(ValueError, match="read-only"):
+        np.asarray(columns["plain"])[:] = 0.0
+    np.testing.assert_array_equal(columns["plain"], VALUES)
 
 
 def test_a_wider_type_is_that_of_the_array_and_remembers_the_narrow_one() -> None:
@@ -144,10 +168,25 @@ def test_a_series_that_is_handed_over_is_written_whole_and_leaves_its_room(tmp_p
         written.append(file.read_bytes())
         taken.append(taken_bytes(tmp_path))
         assert read_series(file).n_samples == series.n_samples
+    with pytest.raises(InputError, match="found one that was handed over"):
+        write_series(series, tmp_path / "again.csv")
     assert written[0] == written[1]
     if taken[0] == 0:
         pytest.skip("the file system does not tell what a file takes")
     assert taken[1] < 0.5 * taken[0]
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".csv"])
+def test_a_part_of_a_series_that_is_handed_over_leaves_the_whole(
+    tmp_path: Path, suffix: str
+) -> None:
+    make_test().write(tmp_path)
+    raw = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml", workspace=OnDisk(tmp_path))
+    series = reduce_record(*raw, keep="series").series
+    phi = np.array(series.phi)
+    columns = {name: values[:2000] for name, values in series.columns().items()}
+    hand_over_series(dataclasses.replace(series, **columns), tmp_path / f"part{suffix}")
+    np.testing.assert_array_equal(series.phi, phi)
 
 
 def test_two_names_of_one_column_are_both_written(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,13 @@ from clean_records import CLEAN, clean_record, rows_of, with_channels
 
 from classic_ml.columns import workspace
 from classic_ml.columns.workspace import OnDisk
-from classic_ml.faults.repeated_rows import WINDOW, repeated_rows, rows_repeated
+from classic_ml.faults.repeated_rows import (
+    WINDOW,
+    _mix,
+    _mix_numbers,
+    repeated_rows,
+    rows_repeated,
+)
 from classic_ml.records import Channel, FloatArray
 from classic_ml.reduction import reduce_record
 
@@ -133,3 +140,36 @@ def test_blocks_and_places_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> Non
     channels = {name: computed(c) for name, c in record.channels.items()}
     found = rows_repeated(replace(record, channels=channels, workspace=disk), test)
     np.testing.assert_array_equal(found.again, whole.again)
+
+
+def test_a_reading_has_one_hash_however_it_is_stored() -> None:
+    """Which rows share a place of the table is in the finding: in memory and on disk the same."""
+    codes = np.array([0, 1, 1409, 4095, 65535], dtype=np.uint16)
+    hashes = [np.arange(5, dtype=np.uint64) for _ in range(2)]
+    _mix(codes, hashes[0])
+    numbers = codes.astype(np.float64)
+    _mix_numbers(numbers, numbers.view(np.uint64), hashes[1])
+    np.testing.assert_array_equal(*hashes)
+    others = np.array([-1.0, 0.5, 65536.0, 1409.25, 1e300])
+    found = np.zeros(5, dtype=np.uint64)
+    _mix_numbers(others, others.view(np.uint64), found)
+    assert np.unique(found).size == 5
+    assert not set(found) & set(hashes[0])
+
+
+def test_copies_with_odd_rows_are_told_alike_in_memory_and_on_disk(tmp_path: Path) -> None:
+    record, test = clean_record("985/1")
+    copied = rows_of(record, np.r_[0:3000, np.tile(np.arange(1000, 3000), 20)])
+    odd = copied["P31_A_tip_forward"].copy()
+    odd[np.random.default_rng(0).integers(3000, odd.size, 60)] = 4095.0
+    copied = with_channels(copied, lambda _: odd, "P31_A_tip_forward")
+    place = OnDisk(tmp_path)
+
+    def stored(channel: Channel) -> Channel:
+        writer = place.readings_writer(channel.values.size)
+        writer.append(channel.values)
+        return Channel(channel.name, writer.finished(), channel.unit)
+
+    channels = {name: stored(channel) for name, channel in copied.channels.items()}
+    on_disk = replace(copied, channels=channels, workspace=place)
+    assert repeated_rows(on_disk, test) == repeated_rows(copied, test) != []

@@ -13,7 +13,7 @@ from classic_ml.columns import workspace
 from classic_ml.columns.intervals import intervals_where, label_intervals, labelled
 from classic_ml.errors import InputError
 from classic_ml.free_run_rows import near
-from classic_ml.records import Record
+from classic_ml.records import LedgerEntry, Record
 from classic_ml.segments import (
     cell_frequency_hz,
     hub_tip_stall,
@@ -304,6 +304,13 @@ def test_without_a_hub_tip_shift_that_rule_is_refused() -> None:
     flat = Record.from_arrays(same, sample_rate_hz=RATE, source="flat")
     with pytest.raises(InputError, match="more flow at the hub than at the tip"):
         hub_tip_stall(flat, window_rows(flat, (1.0, 2.5)), 82.5)
+
+
+def test_without_probes_at_the_hub_that_rule_is_refused_in_words() -> None:
+    record = record_of()
+    bare = record.after(LedgerEntry("choose", "no hub"), drop=["Wc25_hub_kg_s"])
+    with pytest.raises(InputError, match=r"plane 25: expected probe pairs at hub and tip, which"):
+        segment(bare, window_rows(bare, (1.0, 2.5)), threshold_lbm_s=50.0, stall_rule="hub-tip")
 
 
 def test_a_stall_without_recovery_needs_no_flag_where_no_regime_was_declared() -> None:
