@@ -16,7 +16,7 @@ from comparisons.missing_effect.words import (
     untried_words,
     verdict_words,
 )
-from comparisons.rounding import significant
+from comparisons.rounding import log_units, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis
@@ -27,7 +27,6 @@ __all__ = ["candidate_cells", "candidate_heads", "candidate_table", "diagnosis_t
 WIDTH = 100
 # Of a long ranking the best are printed; --json holds all.
 ROWS_PRINTED = 8
-LARGE_GAIN = 1e7
 _NAME, _END = ("round", "candidate"), ("τ [ms]", "n", "fate")
 _CHANCE_HEADS = (*_NAME, "score", "fitted", "later", "other", "z", "p", *_END)
 _SHARE_HEADS = (*_NAME, "explains", "asked", "left out", "last", *_END)
@@ -164,11 +163,8 @@ def diagnosis_text(
     return "\n".join(lines)
 
 
-def _gain(log_units: float) -> str:
-    if np.isnan(log_units):
-        return "n/a"
-    # A curve far beyond its data can miss by anything.
-    return f"{log_units:.1f}" if abs(log_units) < LARGE_GAIN else f"{log_units:.2g}"
+def _gain(gain: float) -> str:
+    return log_units(gain, "n/a")
 
 
 def _fate(d: Diagnosis, row: CandidateRow) -> str:

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from comparisons.rounding import bracketed, round_like, round_to_error, significant
+from comparisons.rounding import bracketed, log_units, round_like, round_to_error, significant
 
 
 @pytest.mark.parametrize(
@@ -84,3 +84,20 @@ def test_a_bracketed_error_stands_for_the_last_digits(
     value: float, error: float, text: str
 ) -> None:
     assert bracketed(value, error) == text
+
+
+@pytest.mark.parametrize(
+    ("gain", "text"),
+    [
+        (0.04, "0.0"),
+        (-12.34, "-12.3"),
+        (99.94, "99.9"),
+        (3578.41, "3578"),
+        (-707.7, "-708"),
+        (2.34e9, "2.3e+09"),
+        (math.nan, "–"),
+        (math.inf, "–"),
+    ],
+)
+def test_large_gains_of_the_likelihood_have_no_tenths(gain: float, text: str) -> None:
+    assert log_units(gain, "–") == text

@@ -17,7 +17,7 @@ from comparisons.missing_effect.systems.shown import (
     typical,
 )
 from comparisons.missing_effect.systems.where import SignalRow, SystemWhere
-from comparisons.rounding import round_to_error, significant
+from comparisons.rounding import log_units, round_to_error, significant
 
 __all__ = [
     "between_words",
@@ -211,9 +211,9 @@ def candidate_cells(d: SystemDiagnosis, step: Round, candidate: Candidate) -> tu
     return (
         candidate.placed.label(d.model),
         _equation(d, candidate),
-        *(f"{value:.1f}" for value in numbers),
+        *(log_units(value) for value in numbers),
         f"{evidence.z:.1f}",
-        f"{candidate.score:.1f}",
+        log_units(candidate.score),
         FATES[fate_of(d, step, candidate)] + (" (vanished)" if candidate.vanished else ""),
     )
 

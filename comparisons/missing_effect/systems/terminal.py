@@ -13,7 +13,7 @@ from comparisons.missing_effect.systems.words import (
     plain_name,
     system_words,
 )
-from comparisons.rounding import bracketed, significant
+from comparisons.rounding import bracketed, log_units, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.results import SystemDiagnosis
@@ -23,7 +23,6 @@ __all__ = ["system_text"]
 WIDTH = 100
 # Of a long ranking the best are printed; --json holds all.
 ROWS_PRINTED = 8
-LARGE_GAIN = 1e7
 _LEFT = ("effect", "where it acts", "candidate", "fate", "parameter", "unit", "record", "output")
 
 
@@ -137,10 +136,8 @@ def _untried(d: SystemDiagnosis) -> list[str]:
     return ["What these records cannot show", *told]
 
 
-def _gain(log_units: float) -> str:
-    if not math.isfinite(log_units):
-        return "–"
-    return f"{log_units:.1f}" if abs(log_units) < LARGE_GAIN else f"{log_units:.2g}"
+def _gain(gain: float) -> str:
+    return log_units(gain, "–")
 
 
 def _aligned(lines: Sequence[tuple[str, ...]]) -> str:

@@ -15,6 +15,7 @@ from comparisons.missing_effect.systems.report import system_parts, system_repor
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.words import system_words
 from comparisons.report.blocks import Bullets, Part, Picture, Table, Words
+from comparisons.rounding import log_units
 
 HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)>"
 
@@ -113,7 +114,7 @@ def test_every_candidate_fitted_is_in_the_table_of_its_round(
     for shown, step in zip(tables, found.rounds, strict=True):
         fitted = [c for c in step.candidates if c.evidence is not None]
         assert column(shown, "candidate") == [c.placed.label(found.model) for c in fitted]
-        assert column(shown, "score") == [f"{c.score:.1f}" for c in fitted]
+        assert column(shown, "score") == [log_units(c.score) for c in fitted]
     assert column(tables[1], "fate")[:2] == ["added", "cannot be told from the best"]
     assert column(tables[2], "fate")[0] == "best, but too little to add"
     quiet = [b.text for b in part(parts, "Who").blocks if isinstance(b, Words)]
