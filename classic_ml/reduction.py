@@ -250,10 +250,8 @@ def _unfiltered(
     # Without W31 no ψ is computed, which nobody wants of these.
     plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES, stored=())
     if knows_hub_and_tip(plain):
-        plain = plain.after(
-            LedgerEntry("hub less tip", "for the state of stall"),
-            add=[Channel(HUB_LESS_TIP, hub_tip_difference(plain), "kg/s")],
-        )
+        shift = Channel(HUB_LESS_TIP, hub_tip_difference(plain), "kg/s")
+        plain = replace(plain, channels={**plain.channels, HUB_LESS_TIP: shift})
     plain = coefficients(
         plain,
         test,

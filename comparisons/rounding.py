@@ -1,4 +1,4 @@
-"""Numbers as people read them, under the name by which this package has always known them."""
+"""Numbers as people read them: those of the lag model, and gains of the log-likelihood."""
 
 from __future__ import annotations
 
