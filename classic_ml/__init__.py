@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from classic_ml.characteristics import PiecewiseLinear
-    from classic_ml.errors import InputError
-    from classic_ml.fit_state import FitState
     from classic_ml.lag_model import LagRegressor
     from classic_ml.readers.series_files import read_series, write_series
     from classic_ml.records import Record
     from classic_ml.series import CoefficientSeries
+    from surge_core.errors import InputError
+    from surge_core.fit_state import FitState
 
 __all__ = [
     "CoefficientSeries",
@@ -25,20 +25,24 @@ __all__ = [
     "write_series",
 ]
 
-_HOME = {
-    "CoefficientSeries": "series",
-    "FitState": "fit_state",
-    "InputError": "errors",
-    "LagRegressor": "lag_model",
-    "PiecewiseLinear": "characteristics",
-    "Record": "records",
-    "read_series": "readers.series_files",
-    "write_series": "readers.series_files",
+_HOMES = {
+    "CoefficientSeries": "classic_ml.series",
+    "FitState": "surge_core.fit_state",
+    "InputError": "surge_core.errors",
+    "LagRegressor": "classic_ml.lag_model",
+    "PiecewiseLinear": "classic_ml.characteristics",
+    "Record": "classic_ml.records",
+    "read_series": "classic_ml.readers.series_files",
+    "write_series": "classic_ml.readers.series_files",
 }
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is asked for: scikit-learn takes a second to load."""
-    if name not in _HOME:
+    if name not in _HOMES:
         raise AttributeError(f"module 'classic_ml' has no attribute {name!r}")
-    return getattr(import_module(f"classic_ml.{_HOME[name]}"), name)
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -12,10 +12,9 @@ from classic_ml.columns.computed import is_computed
 from classic_ml.columns.elementary import powers
 from classic_ml.columns.order_statistics import lowest
 from classic_ml.columns.workspace import blocks
-from classic_ml.errors import InputError
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import Compressor, TestDescription
-from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.forms import (
     PSI_MINIMUM_PHI,
     WORK_FORMS,
@@ -23,6 +22,8 @@ from classic_ml.work.forms import (
     with_work,
     work_coefficient,
 )
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "PSI_MINIMUM_PHI",

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
-from classic_ml.validation import positive, whole_number
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
+from surge_core.validation import positive, whole_number
 
 __all__ = ["Decimated", "decimate", "emptied_above_hz", "needed_factor"]
 

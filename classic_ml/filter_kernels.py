@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["CHANNELS", "run_sections"]
 

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.computed import as_column
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
-from classic_ml.errors import InputError
 from classic_ml.filter_kernels import CHANNELS, run_sections
-from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "LocalFilter",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.elementary import power_of
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["change_scale", "invert_flow", "pair_flow", "pair_total"]
 

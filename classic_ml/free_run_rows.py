@@ -19,7 +19,7 @@ from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.filtering import period_average
-from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.segments import (
     LOWEST_CELL_HZ,
     hub_tip_difference,
@@ -27,11 +27,10 @@ from classic_ml.segments import (
     knows_hub_and_tip,
 )
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["FreeRunRows", "cell_period_s", "extend_while_settled", "free_run_rows", "near"]
 
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.
 MINIMUM_PHI = 0.0075

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from classic_ml.columns.workspace import BLOCK_ROWS
-from classic_ml.errors import InputError
 from classic_ml.faults.held import held_in_chunks
 from classic_ml.faults.plateaus import LEAST_TIMES, REACH, EndSearch
 from classic_ml.inspection_clock import ClockFacts, ClockTally, clock_tally
@@ -17,7 +16,8 @@ from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.sampled_together import sampled_apart
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file", "is_still"]
 

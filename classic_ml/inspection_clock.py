@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.passed_over_clock import CLOCK_NAMES
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
 from classic_ml.units import Conversion, time_conversion
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["ClockFacts", "ClockTally", "clock_tally"]
 

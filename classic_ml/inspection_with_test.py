@@ -10,13 +10,14 @@ import numpy as np
 
 from classic_ml.calibration import probe_pressure_Pa
 from classic_ml.columns.workspace import BLOCK_ROWS, IN_MEMORY, OnDisk, Workspace
-from classic_ml.errors import InputError
 from classic_ml.inspection import Inspection
 from classic_ml.readers.raw_files import FeedColumn, feeds, nearest_names, open_raw
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["ChannelMatch", "PairOrder", "ReductionPreview", "TestMatch", "match_test", "preview"]
 

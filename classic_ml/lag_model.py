@@ -11,18 +11,18 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
-from classic_ml.display import FittedDisplay, Sheet
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
 from classic_ml.lag.conditioning import condition
-from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
 from classic_ml.lag.fit import LagFit, fit_lag
 from classic_ml.lag.prediction import LagProblem
 from classic_ml.lag.setup import lag_problem, ripple_frequencies
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
-from classic_ml.validation import one_of, positive, whole_number
+from surge_core.display import FittedDisplay, Sheet
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
+from surge_core.validation import one_of, positive, whole_number
 
 __all__ = ["LagRegressor"]
 

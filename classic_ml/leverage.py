@@ -10,11 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.lag.prediction import rows_late
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of, scored_pieces
+from surge_core.errors import InputError
+from surge_core.lag import FirstOrderLag
+from surge_core.segments import runs_of, scored_pieces
+from surge_core.types import FloatArray
 
 __all__ = ["CycleShifts", "LinearisedFit", "cycle_shifts", "linearised_fit"]
 

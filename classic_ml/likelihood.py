@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.fit_state import FitState
-from classic_ml.lag.cells import Cells, IntArray
+from classic_ml.lag.cells import Cells
 from classic_ml.lag.prediction import LagProblem, Pass, Point
-from classic_ml.records import FloatArray
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Bench", "Fit", "pseudo_inverse", "scan", "search"]
 

@@ -25,8 +25,9 @@ from classic_ml.plane_averages import (
 )
 from classic_ml.probe_plane import averaged_plane
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, LedgerEntry, Record
+from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
+from surge_core.types import FloatArray
 
 __all__ = ["LookAhead", "look_ahead", "probe_averages", "without"]
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
-from classic_ml.records import FloatArray
 from classic_ml.residual_checks import whiteness
-from classic_ml.runs import runs_of
-from classic_ml.validation import one_of, whole_number
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.lag import Hold
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
+from surge_core.validation import one_of, whole_number
 
 __all__ = ["OrderRow", "OrderTable", "select_order"]
 

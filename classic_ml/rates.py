@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["rate_in"]
 

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.columns.computed import ComputedColumn
-from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace
-from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
+from classic_ml.columns.workspace import IN_MEMORY, Workspace
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
-__all__ = ["Channel", "Dropped", "FloatArray", "LedgerEntry", "Record"]
+__all__ = ["Channel", "Dropped", "LedgerEntry", "Record"]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.work.forms import WORK_FORMS
+from surge_core.errors import InputError
 
 __all__ = ["ReductionSettings"]
 

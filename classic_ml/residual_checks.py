@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.leverage import CycleShifts, LinearisedFit, cycle_shifts, linearised_fit
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from classic_ml.whitening import (
     autoregressive_innovations,
     bartlett_widening,
     lagged_correlation,
 )
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 __all__ = [
     "CheckRow",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from classic_ml.spectra import peak_frequency_hz
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 __all__ = ["ripple_frequency_hz"]
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.columns.intervals import intervals_where, labelled, long_ones
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, evaluated
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.records import Channel, Dropped, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from classic_ml.surge_cycles import first_reversal
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "HUB_LESS_TIP",
@@ -27,8 +27,6 @@ __all__ = [
     "window_rows",
 ]
 
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 # The difference of two plane averages, where it is looked at more often than they are.
 HUB_LESS_TIP = "Wc25_hub_less_tip_kg_s"

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from classic_ml.columns.clock import uniform_period_s
 from classic_ml.columns.computed import as_stored, is_computed
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
-from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray, LedgerEntry
+from classic_ml.records import LedgerEntry
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from classic_ml.readers.series_files import ledger_path, read_series, write_series

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.display import Field, Grid, Sheet
-from classic_ml.fit_state import FitState
-from classic_ml.rounding import bracketed, round_to_error, significant
+from surge_core.display import Field, Grid, Sheet
+from surge_core.fit_state import FitState
+from surge_core.rounding import bracketed, round_to_error, significant
 
 if TYPE_CHECKING:
     from classic_ml.lag_model import LagRegressor

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace
-from classic_ml.errors import InputError
+from classic_ml.columns.workspace import IN_MEMORY, Workspace
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["detrend", "peak_frequency_hz", "power_spectrum"]
 

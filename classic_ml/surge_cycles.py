@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.columns import workspace as places
@@ -15,9 +14,10 @@ from classic_ml.columns.intervals import intervals_where
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.peaks import prominent_peaks
 from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.errors import InputError
 from classic_ml.filtering import filter_channels
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "DEEP_SHARE",
@@ -30,8 +30,6 @@ __all__ = [
     "first_reversal",
 ]
 
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 # Surge is below 20 Hz; what lies above (cells, noise) must not make peaks of its own.
 CYCLE_BAND_HZ = 30.0

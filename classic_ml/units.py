@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.columns.workspace import FloatArray
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "COUNT",

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["autoregressive_innovations", "bartlett_widening", "lagged_correlation"]
 

@@ -18,13 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.characteristics import polynomial_basis, term_names
-from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.leverage import linearised_fit
-from classic_ml.records import FloatArray
 from classic_ml.residual_checks import (
     CheckRow,
     coverage,
@@ -32,7 +27,6 @@ from classic_ml.residual_checks import (
     leverage,
     normality,
 )
-from classic_ml.runs import runs_of
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
     WholeRunRows,
@@ -43,6 +37,12 @@ from classic_ml.whole_run_rows import (
     stacked_rows,
     whole_run_rows,
 )
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.lag import Hold
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 __all__ = [
     "StackedRuns",

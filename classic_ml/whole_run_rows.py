@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "WholeRunRows",

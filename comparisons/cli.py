@@ -64,8 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from classic_ml.errors import InputError
-    from sindy_surge.errors import InputError as SparseInputError
+    from surge_core.errors import InputError
+    from surge_core.errors import InputError as SparseInputError
 
     try:
         with _printed(arguments):
@@ -359,8 +359,8 @@ def _run_reproduce(arguments: argparse.Namespace) -> None:
 
 
 def _tau(text: str) -> float:
-    from classic_ml.errors import InputError
     from comparisons.tau_trial import parse_tau
+    from surge_core.errors import InputError
 
     try:
         return parse_tau(text)

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from classic_ml.errors import InputError
-from classic_ml.files import check_apart, check_target, write_whole
 from classic_ml.series import CoefficientSeries, ledger_path, read_series, write_series
 from comparisons.progress import shown_over, shown_steps
+from surge_core.errors import InputError
+from surge_core.files import check_apart, check_target, write_whole
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction

@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.display import Displayed, Sheet
-from classic_ml.lag.first_order_lag import Hold
-from classic_ml.records import FloatArray
 from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
@@ -38,6 +35,9 @@ from comparisons.record_cautions import (
     told_time_constants,
 )
 from comparisons.structure import StructureChoice, structure_of
+from surge_core.display import Displayed, Sheet
+from surge_core.lag import Hold
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.extended_lag import ExtendedLag

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.series import write_series
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
@@ -211,7 +211,7 @@ def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) ->
 
 def _power_part(power: WorkCharacteristic, truth: Truth) -> Part:
     from comparisons.report.blocks import Head, Part, Table, Words
-    from comparisons.rounding import round_to_error
+    from surge_core.rounding import round_to_error
 
     at = np.round(np.arange(0.02, WORK_TO_PHI + 0.005, 0.01), 3)
     value, stderr = power.characteristic(at)

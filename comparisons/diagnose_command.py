@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from classic_ml.errors import InputError
 from comparisons.progress import shown_over, shown_steps
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -130,10 +130,10 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 
 def _run_lag_diagnosis(arguments: argparse.Namespace) -> None:
-    from classic_ml.files import write_whole
     from classic_ml.readers.series_files import read_series
     from comparisons.fit_rows import check_once
     from comparisons.missing_effect.terminal import diagnosis_text
+    from surge_core.files import write_whole
 
     _check(arguments)
     steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
@@ -266,8 +266,8 @@ def _saved(d: Diagnosis, path: Path) -> str:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, options that contradict and targets that cannot be."""
-    from classic_ml.files import check_apart, check_target
     from classic_ml.series import ledger_path
+    from surge_core.files import check_apart, check_target
 
     if arguments.base == "sindy" and arguments.degree is not None:
         raise InputError(

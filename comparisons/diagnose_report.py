@@ -28,7 +28,7 @@ from comparisons.missing_effect.words import (
     verdict_words,
 )
 from comparisons.report.blocks import Block, Bullets, Head, Part, Picture, Table, Words
-from comparisons.rounding import significant
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_rows import FitRows
+from surge_core.lag import Hold
 
 __all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints"]
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["FitScore", "block_errors", "paired_difference", "score_fit", "trusted_range"]
 

@@ -10,14 +10,15 @@ from itertools import combinations
 import numpy as np
 
 from classic_ml.decimation import emptied_above_hz
-from classic_ml.fit_state import FitState
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
 from classic_ml.leverage import linearised_fit
-from classic_ml.records import FloatArray, LedgerEntry
-from classic_ml.runs import runs_of
+from classic_ml.records import LedgerEntry
 from comparisons.fit_rows import FitRows
 from comparisons.tau_trial import TauEstimate
+from surge_core.fit_state import FitState
+from surge_core.lag import Hold
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 __all__ = [
     "Drift",

@@ -272,11 +272,11 @@ def _reduction_text(reduction: ReductionPreview) -> str:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.inspection import inspect_file
     from classic_ml.inspection_draft import draft_test_toml
     from comparisons.json_output import to_strict_json
     from comparisons.progress import shown_steps
+    from surge_core.files import check_apart, check_target, write_whole
 
     targets = [path for path in (arguments.json, arguments.draft) if path is not None]
     for path in targets:
@@ -313,7 +313,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _check_draft(arguments: argparse.Namespace) -> None:
-    from classic_ml.errors import InputError
+    from surge_core.errors import InputError
 
     if arguments.draft is not None and arguments.draft.exists():
         raise InputError(
@@ -333,8 +333,8 @@ def _check_draft(arguments: argparse.Namespace) -> None:
 
 def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
     """Return the description of the test, or why there is none: the file is shown anyway."""
-    from classic_ml.errors import InputError
     from classic_ml.readers.test_toml import read_test_description
+    from surge_core.errors import InputError
 
     if arguments.test is None:
         return None, ()
@@ -345,8 +345,8 @@ def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
 
 
 def _series_remark(file: Path) -> str:
-    from classic_ml.errors import InputError
     from classic_ml.readers.series_files import read_series
+    from surge_core.errors import InputError
 
     try:
         series = read_series(file)

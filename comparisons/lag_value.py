@@ -12,13 +12,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.display import Displayed, Sheet
-from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from comparisons.model_fields import Fields, ModelFormat, read_models, write_models
-from comparisons.rounding import bracketed
 from comparisons.terms import evaluate_terms, is_known_term
+from surge_core.display import Displayed, Sheet
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.rounding import bracketed
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 __all__ = ["MODEL_SCHEMA", "FittedLag", "LagEstimator", "load_models", "save_models"]
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["check_ways", "run_model_diagnosis"]
 
@@ -77,7 +77,7 @@ def run_model_diagnosis(arguments: argparse.Namespace) -> None:
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
-    from classic_ml.files import write_whole
+    from surge_core.files import write_whole
 
     _check_files(arguments)
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
@@ -107,7 +107,7 @@ def run_model_diagnosis(arguments: argparse.Namespace) -> None:
 
 def _check_files(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, records given twice and targets that cannot be."""
-    from classic_ml.files import check_apart, check_target
+    from surge_core.files import check_apart, check_target
 
     seen: set[Path] = set()
     for path in (*arguments.fit, *arguments.check):

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from classic_ml.errors import InputError
-from classic_ml.files import write_whole
 from classic_ml.readers.toml_file import no_file, shown
+from surge_core.errors import InputError
+from surge_core.files import write_whole
 
 __all__ = ["Fields", "ModelFormat", "read_models", "write_models"]
 

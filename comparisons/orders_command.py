@@ -50,7 +50,7 @@ def orders_text(table: OrderTable) -> str:
     table : OrderTable
         From :func:`classic_ml.order_selection.select_order`.
     """
-    from comparisons.rounding import round_to_error
+    from surge_core.rounding import round_to_error
 
     lines = [f"{'model':28s}{'BIC':>9s}{'AICc':>9s}{'held-out':>10s}{'τ [ms]':>14s}  white  state"]
     for row in table.rows[:ROWS_SHOWN]:
@@ -89,11 +89,11 @@ def orders_document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.order_selection import select_order
     from classic_ml.readers.series_files import read_series
     from comparisons.fit_rows import check_once, stack_rows
     from comparisons.json_output import to_strict_json
+    from surge_core.files import check_apart, check_target, write_whole
 
     if arguments.json:
         check_target(arguments.json, ())

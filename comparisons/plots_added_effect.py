@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from classic_ml.records import FloatArray
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.shown import Curve
     from comparisons.missing_effect.where import Where
+    from surge_core.types import FloatArray
 
 __all__ = [
     "AFTER",

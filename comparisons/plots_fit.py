@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from comparisons.compare import Comparison, EstimatorResult
 from comparisons.labels import estimator_label
 from comparisons.plots_style import (
@@ -37,6 +35,8 @@ from comparisons.residual_analysis import (
     segment_spectrum,
 )
 from comparisons.truth import Truth
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.compare import Comparison
 from comparisons.labels import estimator_label
 from comparisons.plots_fit import correlations_of
 from comparisons.residual_analysis import segment_spectrum
-from comparisons.rounding import round_to_error, significant
 from comparisons.tau_trial import TauTrial
 from comparisons.truth import Truth
+from surge_core.rounding import round_to_error, significant
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.reconstruction import Reconstruction

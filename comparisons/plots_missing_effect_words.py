@@ -9,7 +9,7 @@ import numpy as np
 from comparisons.missing_effect.quantities import tau_ms
 from comparisons.missing_effect.shown import contributions, held_out_run, steady_curves, stretch
 from comparisons.plots_missing_effect import title
-from comparisons.rounding import significant
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis

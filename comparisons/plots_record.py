@@ -9,9 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import psi_is_known
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from classic_ml.series import CoefficientSeries
 from comparisons.plots_style import (
     ACCENT,
@@ -29,6 +26,9 @@ from comparisons.plots_style import (
     robust_limits,
 )
 from comparisons.residual_analysis import stall_inception
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

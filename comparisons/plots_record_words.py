@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.plots_record import CELL_HZ, LOOP_ROWS, rows_drawn, where_defined, window_rows
 from comparisons.plots_style import robust_limits
 from comparisons.residual_analysis import stall_inception
-from comparisons.rounding import significant
+from surge_core.errors import InputError
+from surge_core.rounding import significant
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_quality import FitScore, score_fit
 from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag, load_models
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.extended_lag import ExtendedLag

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import has_whole_run
 from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS, FitRows
 from comparisons.fit_warnings import drift_of, drift_warnings, filter_warnings, noise_model_warnings
 from comparisons.tau_trial import TauEstimate
+from surge_core.lag import Hold
 
 if TYPE_CHECKING:
     from comparisons.compare import EstimatorResult

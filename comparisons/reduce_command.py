@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.readers import TestDescription

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.reduction import ReductionSettings

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from classic_ml.whitening import bartlett_widening, lagged_correlation
+from surge_core.types import FloatArray
 
 __all__ = [
     "Correlation",

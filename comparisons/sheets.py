@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.display import Field, Grid, Sheet
-from comparisons.rounding import round_to_error, significant
+from surge_core.display import Field, Grid, Sheet
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     from comparisons.compare import Comparison

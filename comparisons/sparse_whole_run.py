@@ -14,10 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.fit_state import FitState
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag_model import LagRegressor
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import COMMON_CURVE_SHARE, COMMON_TAU_SHARE, WholeRunFit, check_rates
 from classic_ml.whole_run_rows import (
@@ -29,6 +26,9 @@ from classic_ml.whole_run_rows import (
     whole_run_rows,
 )
 from comparisons.terms import evaluate_terms
+from surge_core.fit_state import FitState
+from surge_core.lag import Hold
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -131,11 +131,11 @@ def run_structure(arguments: argparse.Namespace) -> None:
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
-    from classic_ml.files import write_whole
     from classic_ml.readers.series_files import read_series
     from comparisons.fit_rows import check_once
     from comparisons.progress import shown_steps
     from comparisons.structure_output import structure_text
+    from surge_core.files import write_whole
 
     _check_targets(arguments)
     with shown_steps(3) as begin:
@@ -200,8 +200,8 @@ def _contents(arguments: argparse.Namespace, found: FoundStructure) -> list[tupl
 
 def _check_targets(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, a target that cannot or must not be written."""
-    from classic_ml.files import check_apart, check_target
     from classic_ml.series import ledger_path
+    from surge_core.files import check_apart, check_target
 
     outputs = [path for path in (arguments.json, arguments.report, arguments.python) if path]
     for path in outputs:

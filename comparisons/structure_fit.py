@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS, FitRows, stack_rows
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
-    from classic_ml.records import FloatArray
     from classic_ml.series import CoefficientSeries
     from sindy_surge.equations import EquationParts
     from sindy_surge.summary import ModelSummary
+    from surge_core.types import FloatArray
 
 __all__ = ["FoundStructure", "find_structure"]
 
@@ -118,8 +118,8 @@ class FoundStructure:
     def summary(self) -> ModelSummary:
         """All fields and tables of the fit."""
         from sindy_surge.equations import pretty_term
-        from sindy_surge.states import FitState
         from sindy_surge.summary import ModelSummary
+        from surge_core.fit_state import FitState
 
         fit, known = self.fit, self.inclusion
         rows = self.fitted_to == "rows"
@@ -309,7 +309,7 @@ def _from_whole_runs(
 
 def _by_option(error: ValueError) -> ValueError:
     """Name the option of the command line in place of the estimator's parameter."""
-    from sindy_surge.errors import InputError as SparseInputError
+    from surge_core.errors import InputError as SparseInputError
 
     if not isinstance(error, SparseInputError):
         return error

@@ -14,7 +14,7 @@ from comparisons.compare import Comparison, ComparisonRow, EstimatorResult
 from comparisons.fit_quality import paired_difference
 from comparisons.labels import estimator_label
 from comparisons.reconstruction import Reconstruction
-from comparisons.rounding import NOT_KNOWN, round_like, round_to_error, significant
+from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 
 __all__ = [
     "FIELDS",

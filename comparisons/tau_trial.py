@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.characteristics import polynomial_basis
 from classic_ml.decimation import emptied_above_hz
-from classic_ml.errors import InputError
-from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
-from classic_ml.records import FloatArray
 from comparisons.fit_quality import block_errors, paired_difference
 from comparisons.fit_rows import FitRows
+from surge_core.errors import InputError
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.compare import Comparison

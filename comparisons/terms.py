@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["evaluate_terms", "is_known_term"]
 

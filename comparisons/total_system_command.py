@@ -109,8 +109,6 @@ def run_total_system(arguments: argparse.Namespace) -> None:
     InputError
         When an input cannot be used; the sentence names it.
     """
-    from classic_ml.errors import InputError
-    from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.readers import read_raw
     from comparisons.json_output import to_strict_json
     from comparisons.progress import shown_count, shown_steps
@@ -120,6 +118,8 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         fit_total_system,
         measured_signals,
     )
+    from surge_core.errors import InputError
+    from surge_core.files import check_apart, check_target, write_whole
 
     outputs = [path for path in (arguments.json, arguments.save_facility) if path is not None]
     for path in outputs:
@@ -173,9 +173,9 @@ def run_total_system(arguments: argparse.Namespace) -> None:
 
 def _facility(path: Path | None, test: TestDescription) -> tuple[Facility, str]:
     """Return the facility and where its numbers come from."""
-    from classic_ml.errors import InputError
     from comparisons.total_system import read_facility
     from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
+    from surge_core.errors import InputError
 
     if path is not None:
         return read_facility(path), str(path)
@@ -210,7 +210,7 @@ def _in_options(error: Any, kind: type[Exception]) -> Exception:
 
 
 def _print(fit: TotalSystemFit, source: str, origin: str) -> None:
-    from comparisons.rounding import round_to_error, significant
+    from surge_core.rounding import round_to_error, significant
 
     _say(f"Total-system fit of {source}\nfacility: {origin}\n")
     _say(f"  τ      {round_to_error(1e3 * fit.tau_s, 1e3 * fit.tau_stderr_s)} ms")

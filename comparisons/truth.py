@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["Truth"]
 

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.readers.test_description import TestDescription
-    from classic_ml.records import FloatArray, Record
+    from classic_ml.records import Record
     from classic_ml.work.coefficient import WorkCharacteristic
+    from surge_core.types import FloatArray
 
 __all__ = ["WORK_SCHEMA", "fit_work", "run_work", "work_document", "work_table"]
 
@@ -144,7 +145,7 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     searched : bool
         The breakpoints were searched: then the errors do not say all.
     """
-    from comparisons.rounding import bracketed, round_to_error
+    from surge_core.rounding import bracketed, round_to_error
 
     low, high = fit.valid_phi
     if not math.isfinite(high):
@@ -177,10 +178,10 @@ def run_work(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         ``raw``, ``test``, ``breakpoints``, ``tau``, ``json``.
     """
-    from classic_ml.files import check_apart, check_target, write_whole
     from classic_ml.readers import read_raw
     from comparisons.json_output import to_strict_json
     from comparisons.progress import shown_over, shown_steps
+    from surge_core.files import check_apart, check_target, write_whole
 
     if arguments.json:
         check_target(arguments.json, ())

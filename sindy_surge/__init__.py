@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sindy_surge.closed_loop import LoopState, SurgeModel, discover_surge_model
-    from sindy_surge.errors import InputError
     from sindy_surge.regressor import SparseLagRegressor
-    from sindy_surge.states import FitState
+    from surge_core.errors import InputError
+    from surge_core.fit_state import FitState
 
 __all__ = [
     "FitState",
@@ -20,8 +20,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "FitState": "sindy_surge.states",
-    "InputError": "sindy_surge.errors",
+    "FitState": "surge_core.fit_state",
+    "InputError": "surge_core.errors",
     "LoopState": "sindy_surge.closed_loop",
     "SparseLagRegressor": "sindy_surge.regressor",
     "SurgeModel": "sindy_surge.closed_loop",

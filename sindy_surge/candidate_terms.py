@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sindy_surge.errors import InputError
 from sindy_surge.library import default_library, hinge_name
 from sindy_surge.library_adapters import evaluated, fitted_library, term_names
 from sindy_surge.linear_problem import least_squares
 from sindy_surge.state_terms import ProductStateTerms, StateTerms, state_terms
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["CandidateTerms", "aliases_of", "independent_columns", "polynomial_degree"]
-
-FloatArray = NDArray[np.float64]
 
 
 class CandidateTerms:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
 from sindy_surge.simulation import FreeModel
-from sindy_surge.states import FitState
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from sindy_surge.identification import Identified
 
 __all__ = ["cautions_of", "check_parameters", "is_constant", "refuse_not_finite"]
 
-FloatArray = NDArray[np.float64]
 
 # Below this gap of forward and reverse weak estimates noise does not matter: at 1 % of noise on
 # both channels it is 0.6 %.

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["Constraints", "constraints_of"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _WORDS = ("required", "forbidden", "positive", "negative")
 
@@ -53,8 +51,8 @@ class Constraints:
 
 
 def constraints_of(
-    wishes: Mapping[str, str] | None, names: Sequence[str], usable: IntArray
-) -> tuple[IntArray, Constraints]:
+    wishes: Mapping[str, str] | None, names: Sequence[str], usable: IndexArray
+) -> tuple[IndexArray, Constraints]:
     """Read a user's constraints.
 
     Parameters

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.free_run import Segments
 from sindy_surge.lag_fit import StructureFit
 from sindy_surge.lag_problem import LagProblem
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["block_slices", "jackknife_covariance", "leave_out_moves", "sandwich"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # Scores further apart than two time constants are taken for independent.
 _LAG_IN_TAU = 2.0
@@ -116,7 +114,7 @@ def block_slices(segments: Segments, shortest: int) -> list[slice]:
 
 
 def leave_out_moves(
-    columns: FloatArray, residual: FloatArray, blocks: Sequence[IntArray]
+    columns: FloatArray, residual: FloatArray, blocks: Sequence[IndexArray]
 ) -> FloatArray:
     """Return how the parameters of a least-squares fit move when one block is left out.
 

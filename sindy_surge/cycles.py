@@ -5,15 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.covariance import block_slices
 from sindy_surge.free_run import Segments
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["cycle_blocks", "surge_period_s"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # The range of φ without spikes. The band of the hysteresis is its middle third: about a standard
 # deviation of a surge wave, more than rotating stall and noise make from peak to peak.
@@ -97,7 +95,7 @@ def _first(phi: FloatArray) -> FloatArray:
     return phi if phi.ndim == 1 else phi[:, 0]
 
 
-def _rises(phi: FloatArray, segments: Segments) -> IntArray:
+def _rises(phi: FloatArray, segments: Segments) -> IndexArray:
     """Return the rows at which φ leaves the band upwards, having come from below it."""
     low, high = np.quantile(phi, _RANGE)
     middle, half = (low + high) / 2, _BAND * (high - low) / 2
@@ -105,16 +103,16 @@ def _rises(phi: FloatArray, segments: Segments) -> IntArray:
     outside = np.flatnonzero(side)
     home = _home(outside, segments)
     risen = (side[outside[1:]] > side[outside[:-1]]) & (home[1:] == home[:-1])
-    found: IntArray = outside[1:][risen]
+    found: IndexArray = outside[1:][risen]
     return found
 
 
-def _home(rows: IntArray, segments: Segments) -> IntArray:
+def _home(rows: IndexArray, segments: Segments) -> IndexArray:
     """Return the number of each row's segment."""
     return np.searchsorted(segments.starts, rows, side="right").astype(np.intp)
 
 
-def _period(rises: IntArray, segments: Segments) -> float | None:
+def _period(rises: IndexArray, segments: Segments) -> float | None:
     home = _home(rises, segments)
     lengths = np.diff(rises)[home[1:] == home[:-1]]
     if lengths.size < 2:

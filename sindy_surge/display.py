@@ -6,8 +6,8 @@ import html
 import textwrap
 from typing import Any
 
-from sindy_surge.states import FitState
 from sindy_surge.summary import ModelSummary, Table, summary_fields, summary_tables
+from surge_core.fit_state import FitState
 
 __all__ = ["FittedDisplay", "html_summary", "text_summary"]
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = [
     "EquationParts",

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.equations import FUNCTIONS, EquationParts, read_term, require_rate
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["RateFunction", "SelectedTerms", "TermValues", "python_source"]
 
-FloatArray = NDArray[np.float64]
 # From ψ' (n,) and the inputs (n, n_inputs), delayed already, to the terms (n, n_terms) in order.
 TermValues = Callable[[FloatArray, FloatArray], FloatArray]
 

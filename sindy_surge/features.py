@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.lag_problem import LagProblem
+from surge_core.types import FloatArray
 
 __all__ = ["Features", "features"]
 
-FloatArray = NDArray[np.float64]
 
 _SMALL_STEP = 1e-5
 

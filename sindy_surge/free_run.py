@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
     "Hold",
@@ -23,8 +24,6 @@ __all__ = [
     "tap_sensitivities",
 ]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 Hold = Literal["first", "zero"]
 
 
@@ -40,8 +39,8 @@ class Segments:
         One past the last row of each segment.
     """
 
-    starts: IntArray
-    stops: IntArray
+    starts: IndexArray
+    stops: IndexArray
 
     @classmethod
     def from_labels(cls, labels: ArrayLike | None, n_rows: int) -> Segments:
@@ -92,7 +91,7 @@ class Segments:
         )
 
     @property
-    def lengths(self) -> IntArray:
+    def lengths(self) -> IndexArray:
         """Number of rows in each segment."""
         return self.stops - self.starts
 
@@ -102,7 +101,7 @@ class Segments:
         return int(self.stops[-1]) if self.stops.size else 0
 
     @property
-    def later(self) -> IntArray:
+    def later(self) -> IndexArray:
         """Rows that have a predecessor in their own segment: one equation each."""
         keep = np.ones(self.n_rows, dtype=bool)
         keep[self.starts] = False
@@ -112,7 +111,7 @@ class Segments:
         """Return the rows of each segment."""
         return [slice(int(a), int(b)) for a, b in zip(self.starts, self.stops, strict=True)]
 
-    def offsets(self) -> IntArray:
+    def offsets(self) -> IndexArray:
         """Return the number of samples since the start of the row's own segment."""
         return np.arange(self.n_rows) - np.repeat(self.starts, self.lengths)
 
@@ -191,7 +190,7 @@ class LagTaps:
     shift: int
     taps: FloatArray
 
-    def drive(self, values: FloatArray, rows: IntArray) -> FloatArray:
+    def drive(self, values: FloatArray, rows: IndexArray) -> FloatArray:
         """Apply the input side: Σ_i taps[i] values[row - shift - i].
 
         Parameters

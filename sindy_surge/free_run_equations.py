@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.covariance import block_slices
 from sindy_surge.free_run import Hold, HoldCoefficients, Segments, hold_coefficients, simulate
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 from sindy_surge.sparse_paths import Support
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["FreeRunEquations", "FreeRunFit"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _SHORTEST_SAMPLES = 0.1
 # A lag three times the longest run cannot be told from an integrator.
@@ -104,12 +102,12 @@ class FreeRunEquations:
         return _LONGEST_RUNS * float(self.runs.lengths.max()) * self.sample_period_s
 
     @cached_property
-    def scored(self) -> IntArray:
+    def scored(self) -> IndexArray:
         """Rows that are scored."""
         return np.flatnonzero(self.weight > 0)
 
     @cached_property
-    def run(self) -> IntArray:
+    def run(self) -> IndexArray:
         """Number of the run of each scored row."""
         return np.repeat(np.arange(self.runs.starts.size), self.runs.lengths)[self.scored]
 
@@ -200,7 +198,7 @@ class FreeRunEquations:
         nuisances = np.column_stack((fit.joint[:, -1], stacked[:, :n]))
         return without_nuisances(nuisances, stacked[:, n:-1], target)
 
-    def blocks(self, cycles: IntArray, time_constant_s: float) -> list[IntArray]:
+    def blocks(self, cycles: IndexArray, time_constant_s: float) -> list[IndexArray]:
         """Return the scored rows of each cycle, counted among the scored.
 
         Parameters

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.constraints import Constraints
 from sindy_surge.covariance import jackknife_covariance, leave_out_moves
@@ -27,11 +26,10 @@ from sindy_surge.trials import (
 )
 from sindy_surge.weak_equations import WeakEquations, blocks_for
 from sindy_surge.weak_form import MIN_HALF_WIDTH
+from surge_core.types import FloatArray
 
 __all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out", "with_held_out"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # Variance of what all terms leave over that of the noise which fourth differences show. An
 # autoregression of first order has 3.5/(1 - a²): 16 for a = 0.9, 88 for a = 0.98, which is a noise

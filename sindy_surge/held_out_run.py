@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.covariance import leave_out_moves
-from sindy_surge.errors import InputError
 from sindy_surge.lag_equations import Point, free_run
 from sindy_surge.lag_fit import StructureFit, moved_point
 from sindy_surge.lag_problem import LagProblem
+from surge_core.errors import InputError
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["HeldOutRun", "held_out_rms", "paired_difference"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class HeldOutRun:
 
     rms: float
     per_block: FloatArray
-    freedom: IntArray
+    freedom: IndexArray
 
 
 def held_out_rms(
@@ -146,7 +143,7 @@ def paired_difference(a: HeldOutRun, b: HeldOutRun) -> tuple[float, float]:
 
 
 def _without_folds(
-    problem: LagProblem, fit: StructureFit, blocks: Sequence[slice], fold_of: IntArray
+    problem: LagProblem, fit: StructureFit, blocks: Sequence[slice], fold_of: IndexArray
 ) -> list[Point]:
     """Return the parameters fitted without each fold."""
     fold_of_row = np.full(problem.output.size, -1)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
@@ -31,14 +30,13 @@ from sindy_surge.selection import PathRow, Selection, information_penalty, selec
 from sindy_surge.simulation import FreeModel
 from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
-from sindy_surge.states import FitState
 from sindy_surge.weak_form import WeakLag
 from sindy_surge.whitening import NoiseLevels, autoregression
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["Choices", "Identified", "identify", "silent_problem"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # Blocks of cycles are left out and drawn whole; none is shorter than this many rows.
 _SHORTEST_BLOCK = 20
@@ -111,7 +109,7 @@ class Identified:
     """
 
     problem: LagProblem
-    selected: IntArray
+    selected: IndexArray
     coefficients: FloatArray
     time_constant_s: float
     dead_time_s: float
@@ -133,7 +131,7 @@ def silent_problem(
     sample_period_s: float,
     hold: Any,
     terms: CandidateTerms,
-    columns: IntArray,
+    columns: IndexArray,
 ) -> LagProblem:
     """Return the problem before anything is known of its noise.
 

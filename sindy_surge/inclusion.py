@@ -9,15 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
 from sindy_surge.lag_fit import WhiteEquations
 from sindy_surge.sparse_paths import Support, beam_search
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["Inclusion", "inclusion_probabilities"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 # Weight of a block that a resample leaves out. It keeps the resampled Gram positive definite when
 # a term acts in that block alone, and decides nothing: χ² changes by one part in 1e9.

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.lag_equations import Point
 from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
@@ -15,10 +14,10 @@ from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import Support, beam_search, support_chi2
+from surge_core.types import FloatArray
 
 __all__ = ["MovedKnot", "knot_columns", "moved_knots", "with_hinges"]
 
-FloatArray = NDArray[np.float64]
 Hinge = tuple[int, float]
 
 # Knots tried over the range of an input; between two of them a hinge is placed to within a

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.features import features
 from sindy_surge.free_run import LagTaps, Segments, run_lag, tap_sensitivities
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.whitening import Whitener
+from surge_core.types import FloatArray
 
 __all__ = [
     "Equations",
@@ -21,8 +21,6 @@ __all__ = [
     "start_point",
 ]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # Second difference by a parabola through seven points (Savitzky & Golay 1964, table of 2nd
 # derivatives): a plain one would be mostly noise.

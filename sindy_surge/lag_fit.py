@@ -18,6 +18,7 @@ from sindy_surge.lag_equations import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from surge_core.types import FloatArray
 
 __all__ = [
     "StructureFit",
@@ -31,7 +32,6 @@ __all__ = [
     "white_equations",
 ]
 
-FloatArray = NDArray[np.float64]
 
 _MAX_STEPS = 20
 # Steps before the estimated noise of φ is damped: a kink can throw it to and fro for ever.

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.free_run import (
@@ -18,11 +17,10 @@ from sindy_surge.free_run import (
     lag_taps,
 )
 from sindy_surge.whitening import NoiseLevels
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["DeadTime", "LagProblem", "UsableRows"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # τ below a thousandth of the sample period is no lag at all: e^-1000 = 0.
 _SHORTEST_LAG_SAMPLES = 1e-3
@@ -58,12 +56,12 @@ class UsableRows:
         Segment of the record that each run lies in.
     """
 
-    rows: IntArray
+    rows: IndexArray
     segments: Segments
-    home: IntArray
+    home: IndexArray
 
     @property
-    def later(self) -> IntArray:
+    def later(self) -> IndexArray:
         """Positions within `rows` that have a predecessor: one equation each."""
         return self.segments.later
 
@@ -100,7 +98,7 @@ class LagProblem:
     sample_period_s: float
     hold: Hold
     terms: CandidateTerms
-    columns: IntArray
+    columns: IndexArray
     noise: NoiseLevels
     dead_time: DeadTime = DeadTime()
 

@@ -11,9 +11,10 @@ from pysindy.feature_library import ConcatLibrary, PolynomialLibrary
 from pysindy.feature_library.base import BaseFeatureLibrary, x_sequence_or_item
 from pysindy.utils import AxesArray
 
-from sindy_surge.errors import InputError
 from sindy_surge.free_run import Segments
 from sindy_surge.whitening import difference_noise
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "Powers",
@@ -25,7 +26,6 @@ __all__ = [
     "piecewise_linear_library",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # More polynomial terms than this cannot be told apart on a record of a few thousand rows.
 _MAX_POLYNOMIAL_TERMS = 70

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Evaluator", "evaluated", "fitted_library", "term_names"]
-
-FloatArray = NDArray[np.float64]
 
 
 class Evaluator(Protocol):

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surge_core.types import FloatArray
 
 __all__ = ["LinearProblem", "least_squares", "without_nuisances"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

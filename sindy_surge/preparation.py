@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.covariance import sandwich
 from sindy_surge.cycles import surge_period_s
-from sindy_surge.errors import InputError
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -26,10 +24,10 @@ from sindy_surge.linear_problem import LinearProblem, least_squares, without_nui
 from sindy_surge.sparse_paths import Support, beam_search
 from sindy_surge.weak_form import WeakLag, compensated_lag, weak_lag
 from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["DeadTimeChoice", "Prepared", "prepare", "weak_estimates"]
-
-FloatArray = NDArray[np.float64]
 
 
 # A dead time is believed beyond this many standard errors of the fit of all terms.

@@ -14,20 +14,20 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sindy_surge.checks import check_parameters, is_constant, refuse_not_finite
 from sindy_surge.display import FittedDisplay
 from sindy_surge.equations import EquationParts, pysindy_equations, write_equation
-from sindy_surge.errors import InputError
 from sindy_surge.export import RateFunction, SelectedTerms, python_source
 from sindy_surge.free_run import Hold, Segments
 from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.simulation import FreeModel
-from sindy_surge.states import FitState
 from sindy_surge.summary import ModelSummary
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from sindy_surge.identification import Identified
 
 __all__ = ["SparseLagRegressor"]
 
-FloatArray = NDArray[np.float64]
 
 # Equations that a lag with its simplest characteristic (1, φ) needs beside its own unknowns.
 _SPARE_EQUATIONS = 8

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.constraints import Constraints
 from sindy_surge.lag_fit import (
@@ -20,10 +19,10 @@ from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.preparation import Prepared
 from sindy_surge.sparse_paths import Support, beam_search, proposals, support_chi2
 from sindy_surge.state_terms import PhysicalForm, physical_form
+from surge_core.types import FloatArray
 
 __all__ = ["PathRow", "Selection", "information_penalty", "select_structure"]
 
-FloatArray = NDArray[np.float64]
 
 # Extended BIC (Chen & Chen 2008): k (ln N + 2 γ ln p). 1.5 was needed once in 240 records.
 _GAMMA = 1.5

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.free_run import Hold, Segments, hold_coefficients, lag_taps, run_lag
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["FreeModel"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _MOST_STEPS = 60
 _STEP = 1e-6
@@ -43,7 +41,7 @@ class FreeModel:
     """
 
     terms: CandidateTerms
-    selected: IntArray
+    selected: IndexArray
     coefficients: FloatArray
     time_constant_s: float
     dead_time_s: float

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
 from sindy_surge.linear_problem import LinearProblem
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "OPTIMIZERS",
@@ -23,7 +23,6 @@ __all__ = [
     "without_required",
 ]
 
-FloatArray = NDArray[np.float64]
 Support = tuple[int, ...]
 
 OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")

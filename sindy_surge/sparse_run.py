@@ -12,18 +12,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.covariance import jackknife_covariance, leave_out_moves
-from sindy_surge.errors import InputError
 from sindy_surge.free_run import Hold, Segments
 from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import HeldOutFit, with_held_out
 from sindy_surge.linear_problem import least_squares
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import Support, proposals
-from sindy_surge.states import FitState
 from sindy_surge.trials import (
     Block,
     Trials,
@@ -33,11 +31,12 @@ from sindy_surge.trials import (
     polynomial_ladder,
     special_structures,
 )
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["SparseRun", "select_on_free_run"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # On 169 records of the simulated rig, whose truth is a parabola, the best of some 18 structures off
 # the ladder left 0.77 to 0.99 of the ladder's held-out error: by luck, and by learning what comes
@@ -276,7 +275,7 @@ def _chosen(
     return best, [s for s in special if s != best and not pays(trials, s, best)]
 
 
-def _scatter(fit: FreeRunFit, blocks: Sequence[IntArray]) -> FloatArray:
+def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
     """Return the jackknife over cycles, in which the nuisances are estimated anew as well."""
     moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = fit.parameters.size - 1

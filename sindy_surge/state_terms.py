@@ -9,10 +9,10 @@ from math import comb
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
 from sindy_surge.library_adapters import evaluated, fitted_library, term_names
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "LibraryStateTerms",
@@ -23,7 +23,6 @@ __all__ = [
     "state_terms",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # ψ'², ψ'³, ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
 # a time shift between the channels.

@@ -18,7 +18,7 @@ from sindy_surge.equations import (
     round_to_error,
     write_equation,
 )
-from sindy_surge.states import FitState
+from surge_core.fit_state import FitState
 
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow

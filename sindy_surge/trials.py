@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.covariance import leave_out_moves
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.sparse_paths import Support, support_chi2
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
     "FEWEST_BLOCKS",
@@ -25,8 +25,6 @@ __all__ = [
     "special_structures",
 ]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # A characteristic in stall falls, turns and rises: a cubic (Moore & Greitzer 1986) is the
 # most that is asked of a polynomial when the data cannot tell a term from an error.
@@ -55,8 +53,8 @@ class Block:
         Equations on which the fit without it is scored.
     """
 
-    touched: IntArray
-    own: IntArray
+    touched: IndexArray
+    own: IndexArray
 
 
 @dataclass
@@ -118,7 +116,7 @@ class Trials:
         return {s: (self.mean(s) ** 0.5, self.lags[s]) for s in self.errors}
 
 
-def _leverage(design: FloatArray, rows: IntArray) -> float:
+def _leverage(design: FloatArray, rows: IndexArray) -> float:
     """Return the largest share of the information on any parameter that some rows hold."""
     norms = np.linalg.norm(design, axis=0)
     norms[norms == 0] = 1.0

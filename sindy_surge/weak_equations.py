@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.covariance import block_slices
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 from sindy_surge.sparse_paths import Support
 from sindy_surge.weak_form import weak_centres, weak_lag, weak_rows
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["WeakEquations", "blocks_for"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,7 @@ class WeakEquations:
     derivative: FloatArray
     signal: FloatArray
     columns: FloatArray
-    centres: IntArray
+    centres: IndexArray
     half_width: int
 
     @classmethod
@@ -108,7 +105,7 @@ class WeakEquations:
         return without_nuisances(self.derivative[:, None], self.columns, self.signal)
 
 
-def blocks_for(problem: LagProblem, weak: WeakEquations) -> list[tuple[slice, IntArray]]:
+def blocks_for(problem: LagProblem, weak: WeakEquations) -> list[tuple[slice, IndexArray]]:
     """Return the blocks of rows to leave out, each with the weak equations centred in it.
 
     Parameters

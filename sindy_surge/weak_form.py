@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.free_run import Segments
+from surge_core.types import FloatArray
 
 __all__ = [
     "MIN_HALF_WIDTH",
@@ -19,7 +20,6 @@ __all__ = [
     "weak_rows",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # Below 4 samples the trapezoid sums of (1 - z²)⁴ and of its slope are no longer accurate.
 MIN_HALF_WIDTH = 4

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.free_run import LagTaps, Segments
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["NoiseLevels", "Whitener", "autoregression", "difference_noise", "refine_noise"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # The least noise assumed is that of a 12-bit converter whose range is five standard deviations,
 # 5 / 4096 / √12: below it, rounding and interpolation would ask for terms.
@@ -97,7 +95,7 @@ class Whitener:
         slopes: FloatArray,
         noise: NoiseLevels,
         segments: Segments,
-        rows: IntArray | None = None,
+        rows: IndexArray | None = None,
         ahead: FloatArray | None = None,
         behind: FloatArray | None = None,
         doubt: FloatArray | None = None,
@@ -187,7 +185,7 @@ def refine_noise(
     slopes: FloatArray,
     guess: NoiseLevels,
     segments: Segments,
-    rows: IntArray,
+    rows: IndexArray,
     output_scale: float,
 ) -> NoiseLevels:
     """Split the residual of a fit between the noise of ψ' and that of the inputs.

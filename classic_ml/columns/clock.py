@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
-from classic_ml.errors import InputError
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["CLOCK_TOLERANCE", "uniform_period_s"]
 

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
+from surge_core.types import FloatArray
 
 __all__ = ["as_codes"]
-
-FloatArray = NDArray[np.float64]
 
 
 @as_written

@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["ComputedColumn", "as_column", "as_stored", "computed", "is_computed", "widened"]
+from surge_core.types import FloatArray
 
-FloatArray = NDArray[np.float64]
+__all__ = ["ComputedColumn", "as_column", "as_stored", "computed", "is_computed", "widened"]
 
 
 class ComputedColumn(np.lib.mixins.NDArrayOperatorsMixin):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.columns.workspace import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["power_of", "powers"]
 

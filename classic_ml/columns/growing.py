@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.columns.workspace import Workspace
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["GrowingColumns"]
 
-FloatArray = NDArray[np.float64]
 
 # Rows that come in a few at a time are gathered so many before they are put away.
 STAGED_ROWS = 4_096

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
+from surge_core.types import BoolArray, IntArray
 
 __all__ = ["intervals_where", "label_intervals", "labelled", "long_ones"]
-
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 def intervals_where(

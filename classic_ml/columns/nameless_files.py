@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["MappedMemory", "NamelessFile", "few_files"]
 

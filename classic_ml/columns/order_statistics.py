@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.columns import workspace as places
 from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Pieces", "Rows", "lowest", "mean", "median", "percentile", "total"]
 
@@ -23,7 +24,6 @@ Pieces = Callable[[], Iterable[FloatArray]]
 Rows = slice | NDArray[np.bool_] | None
 
 KeyArray = NDArray[np.uint64]
-IntArray = NDArray[np.int64]
 
 # One pass sorts by 16 of the 64 bits: its counts (512 KB) stay in the second-level cache.
 DIGIT_BITS = 16

@@ -8,14 +8,13 @@ keeps the peaks that nothing higher has followed so far.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.columns.workspace import IN_MEMORY, FloatArray, Workspace, blocks
+from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["prominent_peaks"]
 
-IntArray = NDArray[np.int64]
 
 # What the pass remembers between two blocks, in whole numbers: open peaks, peaks found, whether
 # the signal rises (1), falls (0) or has not moved yet (-1), first row of its present value.

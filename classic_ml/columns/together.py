@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.columns import workspace as places
 from classic_ml.columns.computed import computed
+from surge_core.types import FloatArray
 
 __all__ = ["computed_together"]
 
-FloatArray = NDArray[np.float64]
 Evaluate = Callable[[slice], Mapping[str, FloatArray]]
 
 # Whoever goes through the columns once, a row beyond each block included, has each block computed

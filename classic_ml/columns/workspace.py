@@ -34,7 +34,6 @@ __all__ = [
     "evaluated",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # One block of 20 channels is 10 MB: more than the caches hold, little beside any memory. A record
 # of a minute at 1 kHz is one block.

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.intervals import intervals_where
 from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["bridged_rows"]
-
-IntArray = NDArray[np.int64]
 
 
 def bridged_rows(

@@ -9,7 +9,6 @@ import numpy as np
 
 from classic_ml.calibration import near_stall_rows
 from classic_ml.columns.workspace import blocks
-from classic_ml.errors import InputError
 from classic_ml.faults.bridging import bridged_rows
 from classic_ml.faults.marks import (
     BEYOND_LIMITS,
@@ -33,6 +32,7 @@ from classic_ml.readers.test_description import (
     TestDescription,
 )
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
+from surge_core.errors import InputError
 
 __all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_bridged"]
 

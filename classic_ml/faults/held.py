@@ -16,18 +16,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.workspace import blocks
-from classic_ml.errors import InputError
 from classic_ml.faults.standstill import Tally
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
+from surge_core.errors import InputError
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["HeldSearch", "check_held", "held_channels", "held_in_chunks", "times_held"]
 
-IntArray = NDArray[np.int64]
 
 # In steps of the resolution, and half a one, so that no rounding decides. Two readings of a noise
 # that makes such a step are alike by chance in one case of fourteen at most.

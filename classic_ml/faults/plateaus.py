@@ -24,11 +24,11 @@ from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
 from classic_ml.faults.standstill import Tally
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LEAST_TIMES", "REACH", "End", "EndSearch", "cut_off_ends", "ends_of_ranges"]
 
-IntArray = NDArray[np.int64]
 
 # Times that a channel must be seen to be cut off for two rows or more. Some of them are longer, or
 # single readings reach the extreme too: in a signal that repeats itself exactly, two readings

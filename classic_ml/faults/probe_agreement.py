@@ -13,7 +13,8 @@ from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import mean
 from classic_ml.faults.marks import fault_name
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Channel, FloatArray, Record
+from classic_ml.records import Channel, Record
+from surge_core.types import FloatArray
 
 __all__ = [
     "Agreement",

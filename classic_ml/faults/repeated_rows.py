@@ -23,10 +23,10 @@ from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
+from surge_core.types import IntArray
 
 __all__ = ["WINDOW", "RepeatedRows", "repeated_rows", "rows_repeated"]
 
-IntArray = NDArray[np.int64]
 RowHashes = NDArray[np.uint64]
 
 # How far back a block is looked for, in rows: a power of two.

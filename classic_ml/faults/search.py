@@ -28,7 +28,8 @@ from classic_ml.readers.test_description import (
     TemperatureChannel,
     TestDescription,
 )
-from classic_ml.records import FloatArray, LedgerEntry, Record
+from classic_ml.records import LedgerEntry, Record
+from surge_core.types import FloatArray
 
 __all__ = ["inspect_readings"]
 

@@ -19,11 +19,11 @@ from classic_ml.faults.standstill_kernels import (
     tally_codes,
     tally_steps,
 )
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["DROPOUT_ROWS", "Tally", "still_runs", "tallies"]
 
-IntArray = NDArray[np.int64]
 
 # A short dropout is told from a plateau by its edges: both are jumps far beyond the usual step.
 DROPOUT_ROWS = 5

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["count_moved", "find_runs", "tally_codes", "tally_steps"]
-
-IntArray = NDArray[np.int64]
 
 
 @as_written

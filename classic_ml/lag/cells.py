@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Cells", "Knots", "cut_into_cells"]
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

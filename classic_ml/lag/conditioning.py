@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.lag.compiled import compiled
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["Conditioned", "condition"]
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from classic_ml.lag.compiled import compiled
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["block_edges", "correlation_length", "scatter", "slow_correlation_length"]
 
-IntArray = NDArray[np.int64]
 
 # A long record is cut into twenty: enough to estimate a variance to a sixth, few enough that a
 # block is long against the memory of its errors.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from classic_ml.errors import InputError
 from classic_ml.lag.cells import Knots
+from surge_core.errors import InputError
 
 __all__ = ["knots_of"]
 

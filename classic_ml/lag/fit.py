@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.fit_state import FitState
-from classic_ml.lag.cells import IntArray
 from classic_ml.lag.conditioning import Conditioned
 from classic_ml.lag.covariance import (
     BLOCKS,
@@ -20,7 +18,8 @@ from classic_ml.lag.leave_out import leave_out_moves
 from classic_ml.lag.prediction import LagProblem, Point
 from classic_ml.likelihood import Bench, Fit, pseudo_inverse, scan, search
 from classic_ml.noise_models import MovingAverage
-from classic_ml.records import FloatArray
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LagFit", "fit_lag"]
 

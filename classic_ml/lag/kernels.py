@@ -14,14 +14,12 @@ from __future__ import annotations
 from math import cos, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.lag.compiled import compiled
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["equation_error_pass", "output_error_pass", "sum_hats"]
 
-IntArray = NDArray[np.int64]
 
 # Rows of one chunk: eight columns of it stay in the first-level cache.
 CHUNK = 512

@@ -6,10 +6,10 @@ from math import sqrt
 
 import numpy as np
 
-from classic_ml.lag.cells import Cells, IntArray
+from classic_ml.lag.cells import Cells
 from classic_ml.lag.compiled import compiled, inlined
 from classic_ml.lag.local_columns import Columns, Eliminated
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["leave_out_moves"]
 

@@ -13,9 +13,9 @@ from math import sqrt
 
 import numpy as np
 
-from classic_ml.lag.cells import Cells, IntArray
+from classic_ml.lag.cells import Cells
 from classic_ml.lag.compiled import compiled
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Columns", "Eliminated", "eliminate"]
 

@@ -7,13 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from classic_ml.lag.cells import Cells, IntArray, Knots, cut_into_cells
-from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
+from classic_ml.lag.cells import Cells, Knots, cut_into_cells
 from classic_ml.lag.kernels import equation_error_pass, output_error_pass, sum_hats
 from classic_ml.lag.local_columns import Columns, Eliminated, eliminate
 from classic_ml.noise_models import MovingAverage, NoiseKind
-from classic_ml.records import FloatArray
-from classic_ml.runs import scored_pieces
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.segments import scored_pieces
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LagProblem", "Pass", "Point", "rows_late"]
 

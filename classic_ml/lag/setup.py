@@ -6,14 +6,14 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.lag.conditioning import Conditioned
 from classic_ml.lag.drift import knots_of
-from classic_ml.lag.first_order_lag import Hold
 from classic_ml.lag.prediction import LagProblem, rows_late
 from classic_ml.noise_models import NoiseKind
-from classic_ml.records import FloatArray
-from classic_ml.runs import with_known_inputs
+from surge_core.errors import InputError
+from surge_core.lag import Hold
+from surge_core.segments import with_known_inputs
+from surge_core.types import FloatArray
 
 __all__ = ["LagSettings", "lag_problem", "ripple_frequencies"]
 

@@ -11,12 +11,13 @@ from classic_ml.columns import workspace as places
 from classic_ml.columns.clock import CLOCK_TOLERANCE, uniform_period_s
 from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.workspace import IN_MEMORY, Workspace
-from classic_ml.errors import InputError
 from classic_ml.readers.raw_files import open_raw
 from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, Columns, RawFile
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.readers.test_toml import read_test_description
-from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["TestDescription", "possible_ranges", "read_raw", "read_test_description"]
 

@@ -10,9 +10,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TextIO
 
-from classic_ml.errors import InputError
 from classic_ml.readers.iso_stamps import Stamps, stamp_of, stamps_like
 from classic_ml.units import is_unit_label, kind_of_unit, unit_in_brackets
+from surge_core.errors import InputError
 
 __all__ = [
     "LOOKED_AT",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["needed"]
 

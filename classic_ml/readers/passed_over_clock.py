@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.raw_table import TIME_COLUMN, RawFile
-from classic_ml.records import FloatArray
 from classic_ml.units import Conversion, kind_of_unit, states_a_unit, time_conversion
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["CLOCK_NAMES", "PassedOverClock", "passed_over_clock"]
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.raw_table import Columns, RawFile, Sampling, check_unique, in_one_line
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Vector", "as_columns", "made_clock", "one_line"]
 

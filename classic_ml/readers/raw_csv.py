@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.csv_layout import (
     LONGEST_LINE,
     CsvLayout,
@@ -21,6 +20,7 @@ from classic_ml.readers.csv_layout import (
 )
 from classic_ml.readers.raw_table import Columns, RawFile, arrow_file, check_unique, rebatched
 from classic_ml.readers.test_description import FileLayout
+from surge_core.errors import InputError
 
 __all__ = ["LONGEST_LINE", "open_csv", "open_csv_leniently", "row_of_units"]
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.passed_over_clock import passed_over_clock
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_parquet import INDEX
@@ -31,6 +30,7 @@ from classic_ml.units import (
     temperature_conversion,
     time_conversion,
 )
+from surge_core.errors import InputError
 
 __all__ = ["FeedColumn", "check_columns", "check_units", "feeds", "nearest_names", "open_raw"]
 

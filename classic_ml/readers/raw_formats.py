@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from classic_ml.errors import InputError
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.readers.toml_file import no_file
+from surge_core.errors import InputError
 
 __all__ = ["open_stored"]
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.hdf5_claims import MOST_TEXTS, attributes_of, check_texts
 from classic_ml.readers.hdf5_heaps import GuardedFile
 from classic_ml.readers.raw_columns import as_columns, one_line
 from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
+from surge_core.errors import InputError
 
 __all__ = ["UNIT_ATTRIBUTES", "Walk", "hdf5_columns", "open_hdf5", "opened_hdf5", "unit_of"]
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.hdf5_claims import attributes_of
 from classic_ml.readers.mat_elements import check_mat_elements
 from classic_ml.readers.raw_columns import as_columns, one_line
@@ -18,6 +17,7 @@ from classic_ml.readers.raw_hdf5 import Walk, hdf5_columns
 from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Node, Tree, Unreadable, array_leaf, vectors
 from classic_ml.readers.test_description import FileLayout
+from surge_core.errors import InputError
 
 __all__ = ["open_mat"]
 

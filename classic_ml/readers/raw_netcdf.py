@@ -19,8 +19,8 @@ from classic_ml.readers.raw_hdf5 import UNIT_ATTRIBUTES, Walk, hdf5_columns, uni
 from classic_ml.readers.raw_table import RawFile, cannot_be_read
 from classic_ml.readers.raw_tree import Leaf, Node, Tree, Unreadable, vectors
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
 from classic_ml.units import kind_of_unit, time_conversion
+from surge_core.types import FloatArray
 
 __all__ = ["open_netcdf"]
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.raw_columns import one_line
 from classic_ml.readers.raw_table import (
     Columns,
@@ -22,6 +21,7 @@ from classic_ml.readers.raw_table import (
     rebatched,
 )
 from classic_ml.readers.test_description import FileLayout
+from surge_core.errors import InputError
 
 __all__ = ["INDEX", "open_parquet"]
 

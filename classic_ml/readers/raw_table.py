@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "MINIMUM_ROWS",

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.optional_package import needed
 from classic_ml.readers.raw_columns import Vector, as_columns, made_clock, one_line
 from classic_ml.readers.raw_table import RawFile, Sampling, cannot_be_read
 from classic_ml.readers.test_description import FileLayout
-from classic_ml.records import FloatArray
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["open_tdms", "open_tdms_leniently"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from classic_ml.errors import InputError
 from classic_ml.readers.raw_table import RawFile, Sampling
 from classic_ml.readers.test_description import TestDescription
+from surge_core.errors import InputError
 
 __all__ = ["check_rate", "check_sampled_together", "sampled_apart"]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.csv_layout import LOOKED_AT, decimal_sign, separator_of
 from classic_ml.series import COLUMNS
+from surge_core.errors import InputError
 
 __all__ = ["read_series_table"]
 

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.computed import is_computed
 from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.errors import InputError
-from classic_ml.files import replace_whole
 from classic_ml.readers.raw_columns import one_line
 from classic_ml.readers.raw_hdf5 import opened_hdf5
 from classic_ml.readers.series_csv import read_series_table
-from classic_ml.records import Dropped, FloatArray, LedgerEntry
+from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.series import (
     COLUMNS,
     COUNT_COLUMNS,
@@ -31,6 +29,9 @@ from classic_ml.series import (
     UNITS,
     CoefficientSeries,
 )
+from surge_core.errors import InputError
+from surge_core.files import replace_whole
+from surge_core.types import FloatArray
 
 __all__ = ["hand_over_series", "ledger_path", "read_series", "write_series"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from math import nan, pi
 from types import MappingProxyType
 
-from classic_ml.errors import InputError
 from classic_ml.units import COUNT
+from surge_core.errors import InputError
 
 __all__ = [
     "DEFAULT_THRESHOLD_LBM_S",

@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from classic_ml.errors import InputError
 from classic_ml.readers.test_description import (
     DEFAULT_THRESHOLD_LBM_S,
     PLAUSIBLE_BIAS,
@@ -28,6 +27,7 @@ from classic_ml.units import (
     temperature_conversion,
     time_conversion,
 )
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     import os

@@ -8,7 +8,7 @@ from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["load_toml", "no_file", "shown"]
 

@@ -7,9 +7,9 @@ from difflib import get_close_matches
 from math import isfinite
 from typing import Any
 
-from classic_ml.errors import InputError
 from classic_ml.readers.toml_file import shown
 from classic_ml.units import quantity_in
+from surge_core.errors import InputError
 
 __all__ = ["Table"]
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from classic_ml.filtering import period_average
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
+from surge_core.types import FloatArray
 
 __all__ = [
     "EXIT_WEIGHT",

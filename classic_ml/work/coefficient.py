@@ -16,20 +16,21 @@ from numpy.typing import NDArray
 from classic_ml.airflow import corrected_from_physical
 from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.coefficients import flow_coefficient
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.fit_state import FitState
-from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import cell_frequency_hz, hub_tip_stall
-from classic_ml.validation import positive
 from classic_ml.work.balance import (
     MIXING_PHI,
     delivered_power,
     exit_flow_at_inlet,
     flat_average,
 )
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag
+from surge_core.types import BoolArray, FloatArray
+from surge_core.validation import positive
 
 __all__ = ["WorkCharacteristic", "fit_work_characteristic"]
 
@@ -40,7 +41,6 @@ SEARCHED_TAU_S = (0.003, 0.1)
 SCAN_POINTS = 16
 # Fewer cycles tell nothing of the scatter between them.
 FEWEST_CYCLES = 4
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers import possible_ranges
 from classic_ml.readers.raw_files import FeedColumn, check_columns, check_units, feeds
 from classic_ml.readers.raw_table import RawFile, check_unique
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Channel, FloatArray, Record
+from classic_ml.records import Channel, Record
 from classic_ml.units import unit_in_brackets
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["FEED", "FeedColumns", "described_columns", "feed_columns"]
 

@@ -183,9 +183,9 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
     """Return where series and raw record go, or refuse what cannot be written."""
-    from classic_ml.errors import InputError
-    from classic_ml.files import check_apart, check_target
     from classic_ml.series import ledger_path
+    from surge_core.errors import InputError
+    from surge_core.files import check_apart, check_target
 
     out = arguments.out or Path(f"live-{datetime.now():%Y%m%d-%H%M%S}.csv")
     raw = arguments.raw or out.with_name(f"{out.stem}.raw.csv")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from classic_ml.errors import InputError
 from classic_ml.readers import read_test_description
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings
@@ -16,6 +15,7 @@ from comparisons.live.session import Session
 from comparisons.live.spool import Piece
 from comparisons.live.state import counted
 from comparisons.reduce_command import reduce_file
+from surge_core.errors import InputError
 
 __all__ = ["Result", "reduce_pieces"]
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from classic_ml.reduction import ReductionSettings
@@ -79,9 +79,9 @@ def estimate_of(
     Estimate
         With the reason in it where the rows do not bear a fit yet.
     """
-    from classic_ml.errors import InputError
     from classic_ml.reduction import reduce_record
     from classic_ml.whole_run import fit_whole_runs, has_whole_run
+    from surge_core.errors import InputError
 
     begun = time.monotonic()
     try:

@@ -7,8 +7,9 @@ import numpy as np
 from classic_ml.faults.choice import BEYOND_SHARE, CLIPPED_SHARE
 from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK, fault_name
 from classic_ml.faults.search import inspect_readings
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
 from comparisons.live.columns import FeedColumns
+from surge_core.types import FloatArray
 
 __all__ = ["FaultyChannels"]
 

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.live.rows import End, Header, Item, Rows, Tally
+from surge_core.types import FloatArray
 
 __all__ = [
     "FRAME_FORMAT",

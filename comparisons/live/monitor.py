@@ -7,9 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.test_description import PressureChannel, TestDescription
-from classic_ml.records import FloatArray
 from classic_ml.units import COUNT
 from comparisons.live.columns import FeedColumns, described_columns
 from comparisons.live.detection import Sighting, SurgeDetector
@@ -24,6 +22,8 @@ from comparisons.live.operating_point import (
 )
 from comparisons.live.running_estimate import Estimator, NoEstimate
 from comparisons.live.state import Point, tau_words
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Monitor", "Note", "warm_up"]
 

@@ -10,11 +10,11 @@ from classic_ml.calibration import (
     match_near_stall,
     near_stall_match,
 )
-from classic_ml.errors import InputError
 from classic_ml.faults.search import inspect_readings
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["NearStallMatch"]
 

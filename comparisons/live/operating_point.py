@@ -18,12 +18,13 @@ from classic_ml.coefficients import (
     pressure_coefficient,
     rate_of_change,
 )
-from classic_ml.errors import InputError
 from classic_ml.filtering import phase_delay_s
 from classic_ml.plane_averages import local_flows, plane_averages
-from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record
 from comparisons.live.columns import FeedColumns
 from comparisons.live.near_stall import NearStallMatch
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["CUTOFF_HZ", "ORDER", "CausalChain", "OperatingPoints", "low_pass_delay_s"]
 

@@ -8,8 +8,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from typing import Any
 
-from classic_ml.errors import InputError
 from comparisons.live.state import LiveState, page_document
+from surge_core.errors import InputError
 
 __all__ = ["Page"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.live.rows import Rows, Tally
+from surge_core.types import FloatArray
 
 __all__ = ["RowOrder", "Stretch"]
 

@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["Decoder", "End", "Header", "Item", "Rows", "Tally", "Units"]
 

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.live.columns import FeedColumns
 from comparisons.live.estimate import Estimate, estimate_of
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from classic_ml.reduction import ReductionSettings

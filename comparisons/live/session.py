@@ -10,8 +10,6 @@ from datetime import datetime
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.live.columns import FEED, FeedColumns, described_columns, feed_columns
 from comparisons.live.feed import Arrival, Closed, Data, Opened
 from comparisons.live.frames import MAGIC
@@ -23,6 +21,8 @@ from comparisons.live.session_parts import SessionParts
 from comparisons.live.silence import Silence
 from comparisons.live.spool import RawSpool
 from comparisons.live.state import Event, LiveState, latency_words, tau_words
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Session"]
 

@@ -8,9 +8,9 @@ import stat
 import time
 from pathlib import Path
 
-from classic_ml.errors import InputError
 from comparisons.live.callers import Caller, Callers
 from comparisons.live.feed import CHUNK, POLL_S, Closed, Data, Feed
+from surge_core.errors import InputError
 
 __all__ = ["CallingFeed", "ListeningFeed", "parse_address"]
 

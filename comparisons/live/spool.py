@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from classic_ml.columns.workspace import BLOCK_ROWS
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["Piece", "RawSpool", "numbered"]
 

@@ -9,7 +9,7 @@ from typing import Any
 from classic_ml.airflow import LBM_KG
 from comparisons.live.estimate import Estimate
 from comparisons.live.latency import Latency
-from comparisons.rounding import round_to_error
+from surge_core.rounding import round_to_error
 
 __all__ = [
     "Event",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.readers.raw_csv import row_of_units
-from classic_ml.records import FloatArray
 from comparisons.live.rows import End, Header, Item, Rows, Tally, Units
+from surge_core.types import FloatArray
 
 __all__ = ["LONGEST_LINE", "TEXT_FORMAT", "TextDecoder"]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["autoregression", "chosen_order"]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.lag_data import TRAIN
 from comparisons.missing_effect.loading import load_data
 from comparisons.terms import is_known_term
+from surge_core.errors import InputError
 
 __all__ = ["BaseTerms", "discovered_terms"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.lag_data import TRAIN, LagData
+from surge_core.types import FloatArray
 
 __all__ = ["CHANGES", "Change", "changed"]
 

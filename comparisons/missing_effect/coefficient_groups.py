@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.uncertainty import linear_columns
+from surge_core.types import FloatArray
 
 __all__ = ["CoefficientGroups", "assembled_fit", "coefficient_groups", "refitted_on"]
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.fit import Fit
@@ -21,6 +20,7 @@ from comparisons.missing_effect.uncertainty import (
     on_all_rows,
     size_in_errors,
 )
+from surge_core.types import FloatArray
 
 __all__ = ["concluded", "evidence_numbers"]
 

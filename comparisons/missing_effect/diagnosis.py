@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import has_whole_run
 from comparisons.missing_effect.candidates import Bench, Candidate
@@ -30,6 +29,7 @@ from comparisons.missing_effect.search import (
 )
 from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.whole_run_diagnosis import diagnose_whole_runs
+from surge_core.errors import InputError
 
 __all__ = [
     "Diagnosis",

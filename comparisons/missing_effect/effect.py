@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Effect", "Parameter", "PortName"]
 

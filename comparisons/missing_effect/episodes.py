@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from comparisons.missing_effect.metric import Metric
+from surge_core.types import FloatArray
 
 __all__ = ["errors_on", "without_episodes"]
 

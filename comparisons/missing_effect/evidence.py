@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
+from surge_core.types import FloatArray
 
 __all__ = ["Evidence", "Rows", "alias_rows", "evidence_of", "paired_z"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.lag_data import LagData
+from surge_core.types import FloatArray
 
 __all__ = ["amplitude_of", "block_rows", "smooth_channel", "surge_frequency_hz"]
 

@@ -10,13 +10,13 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.estimators import EstimatorSpec
 from comparisons.fit_rows import FitRows
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import REVERSE, SHAPE
 from comparisons.missing_effect.extended_rows import rows_in
+from surge_core.types import FloatArray
 
 __all__ = ["ExtendedLagFit", "extended_specs"]
 

@@ -9,10 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
-from classic_ml.lag.first_order_lag import Hold
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_rows import FitRows
 from comparisons.missing_effect.catalogue import find_effect
@@ -32,8 +28,12 @@ from comparisons.missing_effect.extended_run import FreeRun
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.structure import Structure
-from comparisons.rounding import bracketed
 from comparisons.terms import evaluate_terms
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
+from surge_core.lag import Hold
+from surge_core.rounding import bracketed
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.lag_data import LagData
+from surge_core.types import FloatArray
 
 __all__ = [
     "MOST_EFFECTS",

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench
@@ -35,6 +33,8 @@ from comparisons.missing_effect.uncertainty import (
     fitted_parameters,
     linear_columns,
 )
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["refitted", "value_of"]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.loading import load_data
+from surge_core.types import FloatArray
 
 __all__ = ["fitted_data", "row_of_sample", "rows_in", "segment_data"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
+from surge_core.types import FloatArray
 
 __all__ = ["Fit", "fit_structure", "solved"]
 

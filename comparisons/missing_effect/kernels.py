@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.lag.compiled import compiled
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = [
     "lag_pass",
@@ -16,8 +15,6 @@ __all__ = [
     "varying_lag_pass",
     "whiten",
 ]
-
-IntArray = NDArray[np.int64]
 
 
 @compiled

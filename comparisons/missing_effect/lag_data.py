@@ -10,12 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.terms import evaluate_terms
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LATER", "OTHER", "TRAIN", "LagData", "Part"]
 
-IntArray = NDArray[np.int64]
 Part = Literal["train", "later", "other"]
 TRAIN, LATER, OTHER = 0, 1, 2
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from comparisons.rounding import significant
+from surge_core.rounding import significant
 
 __all__ = ["CHECKED_AT", "Limit", "Limits", "size_words"]
 

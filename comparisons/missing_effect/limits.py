@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.diagnosis import MOST_EFFECTS, Diagnosis, diagnose_data
@@ -22,6 +21,7 @@ from comparisons.missing_effect.planting import Planter
 from comparisons.missing_effect.uncertainty import LEAST_SIZE, size_in_errors
 from comparisons.missing_effect.whole_run_diagnosis import CHAIN_ERROR, LARGEST_MODEL_ERROR
 from comparisons.missing_effect.whole_runs import alias_by_share, plain_bench, weighed_by_share
+from surge_core.errors import InputError
 
 __all__ = ["Limit", "Limits", "planted_limits"]
 

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
 from classic_ml.free_run_rows import near
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
 from classic_ml.whole_run_rows import (
@@ -22,7 +20,9 @@ from classic_ml.whole_run_rows import (
 )
 from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS
 from comparisons.missing_effect.excitation import amplitude_of, smooth_channel, surge_frequency_hz
-from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, IntArray, LagData
+from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
+from surge_core.errors import InputError
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["FINE_STEPS", "load_data"]
 

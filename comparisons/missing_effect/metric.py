@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.kernels import flow_noise_whiten, whiten
 from comparisons.missing_effect.lag_data import LagData
+from surge_core.types import FloatArray
 
 __all__ = ["FlowNoise", "Metric", "projected"]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.lag.first_order_lag import FirstOrderLag
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.autoregression import chosen_order
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import FlowNoise, Metric
+from surge_core.lag import FirstOrderLag
+from surge_core.types import FloatArray
 
 __all__ = ["NoiseModel", "noise_of"]
 

@@ -7,13 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.lag_effects import no_shape, rising
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.kernels import lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
+from surge_core.types import FloatArray
 
 __all__ = ["open_terms", "with_own_state", "with_state"]
 
@@ -25,7 +25,7 @@ def _above(state: FloatArray, level: float) -> FloatArray:
 
 
 def _slow(state: FloatArray, data: LagData, tau_s: float) -> FloatArray:
-    from classic_ml.lag.first_order_lag import FirstOrderLag
+    from surge_core.lag import FirstOrderLag
 
     lag = FirstOrderLag(tau_s, data.step_s, "first")
     column = np.ascontiguousarray(state[:, None])
@@ -92,7 +92,7 @@ def with_state(data: LagData, fit: Fit) -> LagData:
     target = ports.driven @ fit.coefficients[:q]
     if ports.gain is not None:
         target = target * ports.gain
-    from classic_ml.lag.first_order_lag import FirstOrderLag
+    from surge_core.lag import FirstOrderLag
 
     lag = FirstOrderLag(fit.tau_s, data.step_s, "first")
     state = lag_pass(

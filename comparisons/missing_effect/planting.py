@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
 from comparisons.missing_effect.coefficient_groups import (
@@ -24,6 +23,7 @@ from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.open_terms import with_own_state
 from comparisons.missing_effect.probes import Prober
+from surge_core.types import FloatArray
 
 __all__ = ["NoiseSource", "Planter"]
 

@@ -8,11 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from classic_ml.lag.first_order_lag import FirstOrderLag
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
-from comparisons.missing_effect.lag_data import IntArray, LagData
+from comparisons.missing_effect.lag_data import LagData
 from comparisons.terms import evaluate_terms
+from surge_core.lag import FirstOrderLag
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Ports", "Response", "respond"]
 

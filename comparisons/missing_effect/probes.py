@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.output_effects import HIGHEST_SHARE, stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit, Solution, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.ports import Ports, respond
+from surge_core.types import FloatArray
 
 __all__ = ["Probe", "Prober"]
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from comparisons.rounding import round_to_error, significant
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import FittedParameter

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from classic_ml.display import Displayed, Sheet
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.whole_runs import RippleLine
+from surge_core.display import Displayed, Sheet
 
 __all__ = ["SIZE", "Diagnosis", "FittedParameter", "Gap", "MissingEffect"]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import alias_rows, paired_z
@@ -16,6 +15,7 @@ from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.noise import NoiseModel
 from comparisons.missing_effect.probes import Probe
+from surge_core.types import FloatArray
 
 __all__ = ["Leftover", "Round", "leftover_of", "search_round"]
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
@@ -26,6 +25,7 @@ from comparisons.missing_effect.fit import Fit, fit_structure
 from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.probes import Prober
+from surge_core.types import FloatArray
 
 __all__ = ["Distance", "Measurement", "Separation", "SetSeparation", "separating_measurements"]
 

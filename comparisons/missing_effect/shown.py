@@ -8,7 +8,6 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.diagnosis import Diagnosis
 from comparisons.missing_effect.episodes import errors_on
@@ -21,6 +20,7 @@ from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.uncertainty import fitted_parameters, without_amplitude
 from comparisons.missing_effect.where import ResidualRuns, Where, localise
 from comparisons.missing_effect.whole_runs import cycles_left_out
+from surge_core.types import FloatArray
 
 __all__ = [
     "Contribution",

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.effect import PORT_ORDER, Effect
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports, Response, respond
+from surge_core.types import FloatArray
 
 __all__ = ["Structure"]
 

@@ -16,7 +16,7 @@ from comparisons.missing_effect.words import (
     untried_words,
     verdict_words,
 )
-from comparisons.rounding import log_units, significant
+from surge_core.rounding import log_units, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.fit import Fit, fit_structure, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.open_terms import with_own_state
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.candidates import Bench

@@ -14,9 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
-from classic_ml.validation import positive
 from comparisons.missing_effect.where_cycles import Blocks, Cycles, blocks_of, cycles_of, falls
 from comparisons.missing_effect.where_noise import (
     FloorNoise,
@@ -28,7 +25,6 @@ from comparisons.missing_effect.where_noise import (
     tolerant,
 )
 from comparisons.missing_effect.where_rows import (
-    BoolArray,
     FlowRow,
     FrequencyRow,
     Line,
@@ -46,6 +42,9 @@ from comparisons.missing_effect.where_spectrum import (
     narrow_line,
 )
 from comparisons.missing_effect.where_words import describe
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray
+from surge_core.validation import positive
 
 __all__ = ["ResidualRuns", "Where", "localise"]
 

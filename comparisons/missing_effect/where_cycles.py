@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.columns.peaks import prominent_peaks
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from classic_ml.surge_cycles import deep_ones
-from comparisons.missing_effect.where_rows import BoolArray, IntArray, ResidualRuns
+from comparisons.missing_effect.where_rows import ResidualRuns
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["Blocks", "Cycles", "blocks_of", "cycles_of", "falls"]
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
-from comparisons.missing_effect.where_rows import BoolArray, IntArray
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "FloorNoise",

@@ -6,10 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from classic_ml.records import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "PANELS",
@@ -24,9 +21,6 @@ __all__ = [
 ]
 
 PANELS = ("time", "frequency", "flow", "phase", "regime")
-
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.where_noise import power_bound, power_z, tolerant
-from comparisons.missing_effect.where_rows import BoolArray, Line
+from comparisons.missing_effect.where_rows import Line
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["HARMONICS", "Spectrum", "band_edges", "floor_spectra", "narrow_line"]
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.conclusion import concluded
@@ -35,6 +34,7 @@ from comparisons.missing_effect.whole_runs import (
     ripple_line,
     weighed_by_share,
 )
+from surge_core.errors import InputError
 
 __all__ = ["diagnose_whole_runs"]
 

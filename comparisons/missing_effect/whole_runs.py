@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.filtering import period_average
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue import DRIFT_FAMILY
@@ -27,6 +26,7 @@ from comparisons.missing_effect.lag_data import TRAIN, LagData
 from comparisons.missing_effect.loading import cell_average_s
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.structure import Structure
+from surge_core.types import FloatArray
 
 __all__ = [
     "RippleLine",

@@ -22,7 +22,7 @@ from comparisons.missing_effect.ranked import CandidateRow, candidate_rows, effe
 from comparisons.missing_effect.results import SIZE
 from comparisons.missing_effect.shown import tau_before_stderr_s
 from comparisons.missing_effect.uncertainty import LEAST_SIZE
-from comparisons.rounding import significant
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.diagnosis import Diagnosis, MissingEffect

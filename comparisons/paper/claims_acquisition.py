@@ -14,12 +14,12 @@ from classic_ml.airflow import (
     true_mach,
 )
 from classic_ml.calibration import volts
-from classic_ml.records import FloatArray
 from comparisons.paper.claims_base import PSI_PA, Claim, ClaimCheck, near_stall_mean, sensors_of
 from comparisons.paper.instabilities import INSTABILITIES, Instabilities
 from comparisons.rig.gas import probe_pressures_pa
 from comparisons.rig.readings import remote_pressure_pa
 from comparisons.rig.sensors import lag, rake_temperature_k, tube
+from surge_core.types import FloatArray
 
 __all__ = ["CLAIMS"]
 

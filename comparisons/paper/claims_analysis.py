@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from classic_ml.calibration import calibrate
 from classic_ml.filtering import low_pass
-from classic_ml.records import FloatArray
 from classic_ml.surge_cycles import find_cycles
 from comparisons.paper.claims_base import (
     LBM_KG,
@@ -18,6 +17,7 @@ from comparisons.paper.claims_base import (
     window_mask,
 )
 from comparisons.paper.instabilities import Instabilities, InstabilityRun
+from surge_core.types import FloatArray
 
 __all__ = ["CLAIMS", "cell_power_ratio"]
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from classic_ml.characteristics import polynomial_basis
 from classic_ml.columns.intervals import label_intervals
-from classic_ml.records import FloatArray
 from comparisons.fit_quality import trusted_range
 from comparisons.lag_value import FittedLag
 from comparisons.paper.claims_base import (
@@ -29,6 +28,7 @@ from comparisons.paper.instabilities import (
     simulate_and_reduce,
 )
 from comparisons.paper.paper_fit import fit_paper
+from surge_core.types import FloatArray
 
 __all__ = ["CLAIMS"]
 

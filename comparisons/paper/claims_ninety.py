@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from classic_ml.airflow import LBM_KG
-from classic_ml.records import FloatArray
 from comparisons.fit_quality import FitScore, score_fit
 from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
@@ -21,6 +20,7 @@ from comparisons.paper.instabilities import (
     reduce_run,
 )
 from comparisons.paper.paper_fit import fit_paper
+from surge_core.types import FloatArray
 
 __all__ = ["CLAIMS"]
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from classic_ml.files import check_apart, check_target, write_whole
 from comparisons.progress import shown_over
+from surge_core.files import check_apart, check_target, write_whole
 
 if TYPE_CHECKING:
     from comparisons.paper.claims_base import Claim

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.faults.marks import fault_name
-from classic_ml.records import FloatArray, Record
-from classic_ml.runs import runs_of
+from classic_ml.records import Record
 from comparisons.plots_style import INK, MARK, QUIET, SHADE, dress, new_figure
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from comparisons.paper.figures_common import (
     CYCLES_S,
     MEDIUM,
@@ -36,6 +34,8 @@ from comparisons.paper.figures_truth import (
 )
 from comparisons.paper.instabilities import InstabilityRun
 from comparisons.plots_style import ACCENT, INK, MARK, QUIET, legend_above
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filtering import butterworth_gain, filter_channels
 from classic_ml.plane_averages import local_flows
-from classic_ml.records import FloatArray, Record
+from classic_ml.records import Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.paper.figures_common import (
     HIGH,
@@ -31,6 +31,7 @@ from comparisons.paper.figures_common import (
 )
 from comparisons.paper.instabilities import InstabilityRun
 from comparisons.plots_style import ACCENT, INK, MARK, MEASURED, legend_above
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classic_ml.coefficients import PSI_MINIMUM_PHI
-from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of
 from comparisons.lag_value import FittedLag
 from comparisons.paper.figures_common import (
     HIGH,
@@ -39,6 +37,8 @@ from comparisons.plots_style import (
     robust_limits,
 )
 from comparisons.reconstruction import Reconstruction, reconstruct_record
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG, T_STANDARD_K
-from classic_ml.records import FloatArray
 from comparisons.paper.figures_common import (
     INCEPTION_S,
     MEDIUM,
@@ -39,6 +38,7 @@ from comparisons.plots_style import (
     new_figure,
 )
 from comparisons.residual_analysis import stall_inception
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml import PiecewiseLinear
-from classic_ml.records import FloatArray
 from comparisons.paper.figures_common import (
     HIGH,
     MACHINE,
@@ -44,6 +43,7 @@ from comparisons.plots_style import (
     legend_above,
     new_figure,
 )
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import flow_coefficient
-from classic_ml.records import FloatArray
 from comparisons.paper.figures_common import case_table
 from comparisons.paper.instabilities import InstabilityRun
+from surge_core.types import FloatArray
 
 __all__ = [
     "in_stall_psi",

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from classic_ml import LagRegressor, PiecewiseLinear
-from classic_ml.lag.first_order_lag import FirstOrderLag
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.estimators import psi_breakpoints
 from comparisons.fit_quality import trusted_range
 from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.lag_value import FittedLag
+from surge_core.lag import FirstOrderLag
+from surge_core.types import FloatArray
 
 __all__ = ["fit_held", "fit_paper", "fit_steady"]
 

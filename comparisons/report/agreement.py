@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.compare import Comparison
 from comparisons.residual_analysis import dwelt_on
-from comparisons.rounding import significant
+from surge_core.rounding import significant
 
 __all__ = ["CurveGap", "dwelling", "dwelling_words", "widest_gap"]
 

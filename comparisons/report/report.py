@@ -10,11 +10,11 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from classic_ml.files import check_target, write_whole
 from comparisons.compare import Comparison
 from comparisons.reconstruction import Reconstruction
 from comparisons.report.blocks import Head, Part, Table
 from comparisons.truth import Truth
+from surge_core.files import check_target, write_whole
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction

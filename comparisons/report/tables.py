@@ -11,13 +11,13 @@ from comparisons.compare import Comparison, EstimatorResult
 from comparisons.labels import estimator_label
 from comparisons.report.blocks import Cell, Head, Table, Words
 from comparisons.report.words import coefficient_name
-from comparisons.rounding import round_to_error, significant
 from comparisons.table import (
     FIELDS,
     RECONSTRUCTION_FIELDS,
     comparison_cells,
     reconstruction_cells,
 )
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     from comparisons.reconstruction import Reconstruction

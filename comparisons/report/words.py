@@ -12,8 +12,8 @@ from comparisons.cautions import grouped_cautions, ranking_meaning, tau_caution,
 from comparisons.compare import Comparison
 from comparisons.report.agreement import dwelling, dwelling_words
 from comparisons.report.blocks import Bullets, Words
-from comparisons.rounding import round_to_error, significant
 from comparisons.truth import Truth
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     from comparisons.report.report import ReportSection

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 from math import isfinite, pi, sqrt
 from types import MappingProxyType
 
-from classic_ml.errors import InputError
 from comparisons.rig.gas import LBM_KG, T_REF_K
+from surge_core.errors import InputError
 
 __all__ = ["CASES", "RigCase", "find_case"]
 

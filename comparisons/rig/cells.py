@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from math import pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import P_REF_PA, T_REF_K
 from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC, UNTOUCHED, Alteration
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
 from comparisons.rig.sensors import SensorSettings
+from surge_core.types import FloatArray
 
 __all__ = ["IMMERSIONS", "RAKES", "LocalFlow", "corrected_plane_flow_kg_s", "local_flow"]
 
-FloatArray = NDArray[np.float64]
 
 RAKES = ("A", "B")
 IMMERSIONS = ("tip", "hub")

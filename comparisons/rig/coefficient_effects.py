@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.rig.coefficient_plant import Plant, Points
+from surge_core.types import FloatArray
 
 __all__ = [
     "CHARACTERISTIC",
@@ -29,7 +30,6 @@ __all__ = [
     "stall_state",
 ]
 
-FloatArray = NDArray[np.float64]
 Parameters = Mapping[str, float]
 
 EFFECTS = (

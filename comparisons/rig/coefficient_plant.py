@@ -18,10 +18,10 @@ from comparisons.rig.coefficient_signals import (
     draw_flows,
     slow_amplitude,
 )
+from surge_core.types import FloatArray
 
 __all__ = ["Plant", "Points", "draw_plant", "lay_grid", "sample_points"]
 
-FloatArray = NDArray[np.float64]
 
 # What is left at the start of a record of the state it was begun from: exp(-12).
 _LEAD_TIME_CONSTANTS = 12.0

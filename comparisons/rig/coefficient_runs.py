@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from comparisons.rig.coefficient_effects import (
     CHARACTERISTIC,
     LAG,
@@ -18,10 +16,11 @@ from comparisons.rig.coefficient_effects import (
 )
 from comparisons.rig.coefficient_kernels import backlash, constant_lag, varying_lag
 from comparisons.rig.coefficient_plant import Plant, Points, lay_grid, sample_points
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["check_together", "lagged", "run_record"]
 
-FloatArray = NDArray[np.float64]
 Planted = Mapping[str, Parameters]
 
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, hilbert, sosfiltfilt
 
+from surge_core.types import FloatArray
+
 __all__ = ["ChannelSignal", "Excitation", "FlowSignal", "draw_flows", "slow_amplitude"]
 
-FloatArray = NDArray[np.float64]
 
 # The amplitude of surge is what varies more slowly than this share of its frequency ...
 _AMPLITUDE_BAND = 0.25

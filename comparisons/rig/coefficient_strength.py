@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from comparisons.rig.coefficient_effects import FORMS
 from comparisons.rig.coefficient_kernels import constant_lag
 from comparisons.rig.coefficient_plant import Plant, Points, lay_grid
 from comparisons.rig.coefficient_runs import run_record
+from surge_core.types import FloatArray
 
 __all__ = ["BaseRefit", "Sized", "size_effect"]
 
-FloatArray = NDArray[np.float64]
 
 # The part of the first records that a model is fitted to; the rest is held out.
 _TRAIN_SHARE = 0.6

@@ -14,12 +14,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
 from comparisons.rig.coefficient_plant import Plant, draw_plant
 from comparisons.rig.coefficient_runs import check_together, run_record
 from comparisons.rig.coefficient_signals import Excitation
 from comparisons.rig.coefficient_strength import BaseRefit, Sized, size_effect
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "EFFECTS",
@@ -33,7 +34,6 @@ __all__ = [
     "simulate_test",
 ]
 
-FloatArray = NDArray[np.float64]
 Noise = Literal["white", "ar1", "t3", "outliers", "phi1", "phi3"]
 NOISES: tuple[Noise, ...] = get_args(Noise)
 

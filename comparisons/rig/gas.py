@@ -7,7 +7,9 @@ routine, a wrong equation would cancel out between the rig and the reduction.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from surge_core.types import FloatArray
 
 __all__ = [
     "CP_J_KG_K",
@@ -26,7 +28,6 @@ __all__ = [
     "probe_pressures_pa",
 ]
 
-FloatArray = NDArray[np.float64]
 
 GAMMA = 1.4
 GAS_CONSTANT_J_KG_K = 287.05

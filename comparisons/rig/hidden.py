@@ -18,7 +18,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = [
     "BRANCH_PHIS",

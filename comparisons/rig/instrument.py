@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.rig.cases import RigCase
 from comparisons.rig.cells import IMMERSIONS, RAKES, local_flow
@@ -34,10 +33,10 @@ from comparisons.rig.sensors import (
     rake_temperature_k,
     tube,
 )
+from surge_core.types import FloatArray
 
 __all__ = ["PLANES", "PROBES", "RAW_RATE_HZ", "Instrumented", "instrument"]
 
-FloatArray = NDArray[np.float64]
 
 RAW_RATE_HZ = 1_000.0
 PLANES = (25, 31)

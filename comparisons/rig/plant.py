@@ -20,9 +20,7 @@ from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import (
     CP_J_KG_K,
@@ -42,10 +40,11 @@ from comparisons.rig.hidden import (
     UNTOUCHED,
     Alteration,
 )
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["PLANT_RATE_HZ", "PlantRun", "run_plant"]
 
-FloatArray = NDArray[np.float64]
 
 PLANT_RATE_HZ = 10_000.0
 # Exit flow below which the storage correction of T31 fades; 3 kg/s is phi of about 0.03.

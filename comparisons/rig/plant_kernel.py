@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from comparisons.rig.gas import (
     CP_J_KG_K,
@@ -22,6 +21,7 @@ from comparisons.rig.gas import (
     P_REF_PA,
     T_REF_K,
 )
+from surge_core.types import FloatArray
 
 __all__ = [
     "OUTPUTS",
@@ -31,8 +31,6 @@ __all__ = [
     "orifice_flow",
     "unstalled_psi_p",
 ]
-
-FloatArray = NDArray[np.float64]
 
 
 def _compile(function: Callable[..., Any]) -> Callable[..., Any]:

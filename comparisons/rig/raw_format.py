@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.records import Record
 from comparisons.rig.simulation import RigRun
+from surge_core.errors import InputError
 
 __all__ = ["toml_text", "write_run"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import PSI_PA
@@ -17,6 +16,7 @@ from comparisons.rig.sensors import (
     counts_from_volts,
     lag,
 )
+from surge_core.types import FloatArray
 
 __all__ = [
     "CALIBRATE_PA",
@@ -32,7 +32,6 @@ __all__ = [
     "remote_pressure_pa",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # Nominal ranges ±10 psi (plane 25) and ±110 psi (plane 31) over ±5 V; calibrate pressures 6 and
 # 66 psi: section 5 and the independent record.

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields
 from math import isfinite, pi, tan
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "ADC_BITS",
@@ -23,7 +23,6 @@ __all__ = [
     "tube",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # The paper names 12 bits; the range is that of the independent record.
 ADC_BITS = 12

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.records import LedgerEntry, Record
 from comparisons.rig.cases import RigCase, find_case
 from comparisons.rig.cells import corrected_plane_flow_kg_s
@@ -20,6 +19,7 @@ from comparisons.rig.instrument import RAW_RATE_HZ, Instrumented, instrument
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
 from comparisons.rig.readings import NEAR_STALL_S, NearStall, read_near_stall
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
+from surge_core.errors import InputError
 
 __all__ = ["RigRun", "simulate"]
 

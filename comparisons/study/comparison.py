@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.study.paired import (
     SAME,
     Cells,
@@ -29,6 +26,9 @@ from comparisons.study.paired import (
     paired,
 )
 from comparisons.study.scores import SCORES, Score
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

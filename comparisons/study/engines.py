@@ -14,9 +14,9 @@ from dataclasses import replace
 from itertools import islice
 from typing import Any, Protocol
 
-from classic_ml.errors import InputError
 from comparisons.study.design import Task
 from comparisons.study.work import Row, failed_row, rows_of, run_task
+from surge_core.errors import InputError
 
 __all__ = ["Engine", "Outcome", "dask_engine", "engine_for", "joblib_engine", "serial_engine"]
 

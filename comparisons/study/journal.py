@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["Journal", "finished_cells", "read_rows"]
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from classic_ml.series import CoefficientSeries
 from comparisons.fit_rows import FitRows
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["BUILT_IN", "check_methods", "scores_of"]
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.study.scores import Score
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from comparisons.plots_style import (
     INK,
     LineStyle,
@@ -22,7 +21,6 @@ from comparisons.plots_style import (
     new_figure,
     printable,
 )
-from comparisons.rounding import round_to_error, significant
 from comparisons.study.comparison import (
     GroupComparison,
     MethodRow,
@@ -33,13 +31,15 @@ from comparisons.study.comparison import (
 )
 from comparisons.study.scores import Score
 from comparisons.study.words import loss_label, value_words, where_words
+from surge_core.errors import InputError
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from classic_ml.records import FloatArray
+    from surge_core.types import FloatArray
 
 __all__ = ["Drawn", "draw_differences", "draw_over_axis", "draw_seconds", "method_styles"]
 

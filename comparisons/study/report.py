@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from comparisons.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
-from comparisons.rounding import round_to_error, significant
 from comparisons.study.comparison import (
     GroupComparison,
     axes_in,
@@ -23,6 +22,7 @@ from comparisons.study.comparison import (
 from comparisons.study.paired import plain_values
 from comparisons.study.scores import Score
 from comparisons.study.words import fields_of, lead_sentence, loss_label, value_words, where_words
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,7 +73,7 @@ def write_study_report(
     InputError
         When the target cannot be written; it is refused before any picture is drawn.
     """
-    from classic_ml.files import check_target, write_whole
+    from surge_core.files import check_target, write_whole
 
     target = Path(path)
     check_target(target, (".html", ".htm"))

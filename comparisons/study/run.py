@@ -15,8 +15,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from classic_ml.errors import InputError
-from classic_ml.files import replace_whole, write_whole
 from comparisons.study.design import Task, count_cells, tasks_of
 from comparisons.study.engines import Engine, Outcome, serial_engine
 from comparisons.study.journal import Journal, finished_cells, read_rows
@@ -25,6 +23,8 @@ from comparisons.study.scores import NUMBERS
 from comparisons.study.sources import defaults_of
 from comparisons.study.spec import SCHEMA, Range, StudySpec
 from comparisons.study.work import failed_row
+from surge_core.errors import InputError
+from surge_core.files import replace_whole, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
-from classic_ml.errors import InputError
 from comparisons.rig import CASES, HIDEABLE, SensorSettings
 from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
+from surge_core.errors import InputError
 
 __all__ = ["SOURCES", "TABLES", "Setting"]
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries, read_series
 from comparisons.study.design import Point
 from comparisons.study.spec import Scalar, StudySpec
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.readers.test_description import TestDescription

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from classic_ml.errors import InputError
 from classic_ml.readers.toml_file import load_toml
 from comparisons.study.scores import SCORES
 from comparisons.study.settings import SOURCES, TABLES, Setting
+from surge_core.errors import InputError
 
 __all__ = ["SCHEMA", "Design", "Method", "Range", "Scalar", "StudySpec", "read_spec"]
 

@@ -7,7 +7,6 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from comparisons.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from comparisons.study.comparison import (
     LEVEL,
     GroupComparison,
@@ -17,6 +16,7 @@ from comparisons.study.comparison import (
 )
 from comparisons.study.scores import Score
 from comparisons.table import TableField
+from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.study.design import Point, Task
 from comparisons.study.methods import scores_of
 from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
+from surge_core.errors import InputError
 
 __all__ = ["failed_row", "rows_of", "run_task"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 from math import isfinite
 from pathlib import Path
 
-from classic_ml.errors import InputError
 from classic_ml.readers.toml_file import load_toml
 from classic_ml.readers.toml_tables import Table
+from surge_core.errors import InputError
 
 __all__ = ["Facility", "facility_toml", "read_facility"]
 

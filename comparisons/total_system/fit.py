@@ -7,9 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import Reduction
@@ -33,10 +31,11 @@ from comparisons.total_system.shooting import (
     multiple_shooting,
     single_shooting,
 )
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["fit_total_system", "prepare", "surge_start_s", "with_start_values"]
 
-FloatArray = NDArray[np.float64]
 
 # In the first pass each channel weighs by its noise and this share of its spread; then by its own
 # residual, but never by more than that, or a channel left to itself would lose all weight.

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surge_core.types import FloatArray
 
 __all__ = ["Solution", "solve"]
 
-FloatArray = NDArray[np.float64]
 # Residuals of each segment, flat; None where the model did not stay finite.
 Residuals = Callable[[FloatArray, FloatArray], "list[FloatArray] | None"]
 

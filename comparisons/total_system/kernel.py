@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from surge_core.types import FloatArray
 
 __all__ = ["Constants", "Inlet", "integrate", "latches", "observe", "orifice"]
 
-FloatArray = NDArray[np.float64]
 
 # Positions in the state vector and, behind it, in an output row; `model` names them.
 W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(11)

@@ -5,20 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.airflow import corrected_from_physical, physical_flow
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from comparisons.total_system.model import STATES, Drive, TotalSystemModel
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["OUTPUTS", "Measured", "measured_signals", "observed_states", "state_before_surge"]
 
-FloatArray = NDArray[np.float64]
 
 # Channels that are fitted, and their units.
 OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}

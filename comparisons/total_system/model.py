@@ -18,19 +18,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.airflow import T_STANDARD_K
-from classic_ml.errors import InputError
 from classic_ml.readers.test_description import TestDescription
 from comparisons.total_system.facility import Facility
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.total_system.kernel import Constants, Inlet
 
 __all__ = ["COLUMNS", "STATES", "Drive", "TotalSystemModel"]
 
-FloatArray = NDArray[np.float64]
 
 # In the order of the compiled loops.
 STATES = ("W25", "psi_p_lagged", "psi", "P31", "T31", "P_in", "T_in", "P_ex", "T_ex", "T_coil",

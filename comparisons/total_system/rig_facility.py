@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from classic_ml.errors import InputError
 from comparisons.rig import CASES, RigCase
 from comparisons.total_system.facility import Facility
+from surge_core.errors import InputError
 
 __all__ = ["facility_of_case", "rig_case_of_test"]
 

@@ -7,13 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
-from comparisons.rounding import NOT_KNOWN, round_to_error, significant
 from comparisons.total_system.fit import fit_total_system, prepare
 from comparisons.total_system.measured import SMOOTHING_S, Measured, measured_signals
 from comparisons.total_system.settings import (
@@ -21,6 +18,9 @@ from comparisons.total_system.settings import (
     TotalSystemSettings,
     TotalSystemState,
 )
+from surge_core.errors import InputError
+from surge_core.rounding import NOT_KNOWN, round_to_error, significant
+from surge_core.types import FloatArray
 
 __all__ = [
     "COMPONENT",
@@ -32,7 +32,6 @@ __all__ = [
     "start_error_table",
 ]
 
-FloatArray = NDArray[np.float64]
 
 COMPONENT, MULTIPLE = "component", "multiple-shooting"
 METHODS = (COMPONENT, MULTIPLE, "aligned", "fitted")

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.errors import InputError
 from comparisons.total_system.facility import Facility
+from surge_core.errors import InputError
 
 __all__ = ["STARTS", "TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
 

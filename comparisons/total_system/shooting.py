@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
 from comparisons.total_system.measured import (
     OUTPUTS,
     Measured,
@@ -17,6 +15,8 @@ from comparisons.total_system.measured import (
 )
 from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSystemModel
 from comparisons.total_system.settings import TotalSystemSettings
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = [
     "Parameters",
@@ -26,7 +26,6 @@ __all__ = [
     "single_shooting",
 ]
 
-FloatArray = NDArray[np.float64]
 
 _FITTED = [COLUMNS.index(name) for name in OUTPUTS]
 # β of order (1, 3, 50); logarithms are their own scale; 10 ms of start.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surge_core.types import FloatArray
 
 __all__ = ["Cycles", "measure_cycles"]
 
-FloatArray = NDArray[np.float64]
 
 # The range of φ without spikes; a cycle counts once φ has been below the lower and above the
 # upper edge of its middle third, which noise and ripple do not reach.

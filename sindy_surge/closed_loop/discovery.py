@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.closed_loop.cycles import Cycles, measure_cycles
@@ -29,13 +29,13 @@ from sindy_surge.closed_loop.structure import (
 )
 from sindy_surge.closed_loop.terms import StateTerms, surge_library
 from sindy_surge.closed_loop.windows import Supports, Windows
-from sindy_surge.errors import InputError
 from sindy_surge.free_run import Segments
 from sindy_surge.whitening import difference_noise
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["discover_surge_model"]
 
-FloatArray = NDArray[np.float64]
 
 # Noise assumed at least, as a share of the spread: that of a 12-bit converter whose range is five
 # standard deviations. Below it, rounding and the integrator's error would ask for terms.

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.closed_loop.terms import StateTerms
 from sindy_surge.closed_loop.windows import Supports, Windows, simulate_windows
 from sindy_surge.linear_problem import LinearProblem
+from surge_core.types import FloatArray
 
 __all__ = [
     "JointFit",
@@ -20,7 +20,6 @@ __all__ = [
     "library_equations",
 ]
 
-FloatArray = NDArray[np.float64]
 
 _MAX_STEPS = 30
 _MAX_TRIALS = 8

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sindy_surge.closed_loop.cycles import Cycles, measure_cycles
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["FEWEST_CYCLES", "half_width_samples", "hidden_plenum", "read_record", "record_cycles"]
 
-FloatArray = NDArray[np.float64]
 
 FEWEST_CYCLES = 4
 # A period of fewer samples leaves too few to a jump from one branch to the other.

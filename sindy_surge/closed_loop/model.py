@@ -7,17 +7,17 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sindy_surge.closed_loop.cycles import Cycles
 from sindy_surge.closed_loop.structure import StructureRow
 from sindy_surge.closed_loop.terms import STATES, StateTerms
 from sindy_surge.equations import format_uncertain
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["CycleRow", "LoopState", "SurgeModel"]
 
-FloatArray = NDArray[np.float64]
 
 _RTOL = 1e-8
 # A simulation that strays from the record by this many of its ranges has left for infinity.

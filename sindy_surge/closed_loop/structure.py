@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import chain, combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.closed_loop.fit import (
     JointFit,
@@ -22,10 +21,10 @@ from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import Support, proposals, support_chi2
 from sindy_surge.weak_form import weak_rows
+from surge_core.types import FloatArray
 
 __all__ = ["StructureRow", "WeakStructure", "settle_structure", "weak_structure"]
 
-FloatArray = NDArray[np.float64]
 
 # The trapezoid sums of the test functions are no better than this share of the derivative.
 _QUADRATURE = 1e-3

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["STATES", "StateTerms", "surge_library"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # The states of the loop, in the order of every array of states.
 STATES = ("phi", "psi_p", "plenum")
@@ -38,7 +36,7 @@ class StateTerms:
         Powers of φ, ψ', Ψ, sign(Ψ) √|Ψ| and min(φ, 0).
     """
 
-    exponents: IntArray
+    exponents: IndexArray
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -129,7 +127,7 @@ def _powers(states: FloatArray, highest: int) -> FloatArray:
     return powers
 
 
-def _name(exponents: IntArray) -> str:
+def _name(exponents: IndexArray) -> str:
     parts = []
     for factor, power in zip(_FACTORS, exponents.tolist(), strict=True):
         if power:

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.closed_loop.terms import StateTerms
+from surge_core.types import FloatArray
 
 __all__ = ["Supports", "Windows", "simulate_windows"]
 
-FloatArray = NDArray[np.float64]
 Supports = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 
 _RTOL = 1e-6

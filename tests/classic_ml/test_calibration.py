@@ -18,8 +18,8 @@ from classic_ml.calibration import (
     pressure_from_counts,
     volts,
 )
-from classic_ml.errors import InputError
 from classic_ml.records import Channel, Record
+from surge_core.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,6 @@ from classic_ml import filtering
 from classic_ml.columns import workspace as places
 from classic_ml.columns.computed import ComputedColumn
 from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
-from classic_ml.errors import InputError
 from classic_ml.faults import probe_agreement
 from classic_ml.readers import read_raw
 from classic_ml.reduction import STEPS, ReductionSettings, reduce_record
@@ -33,6 +32,7 @@ from comparisons import reduce_command
 from comparisons.cli import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE, main
 from comparisons.reduce_command import excerpt
 from comparisons.rig import simulate, write_run
+from surge_core.errors import InputError
 
 INDEPENDENT = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "independent_rig_985"
 

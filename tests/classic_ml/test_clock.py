@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from classic_ml.columns import workspace
 from classic_ml.columns.clock import CLOCK_TOLERANCE, NEAR_MEDIAN, uniform_period_s
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 CLOCK = np.arange(500) * 1e-3
 

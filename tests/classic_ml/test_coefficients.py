@@ -19,9 +19,9 @@ from classic_ml.coefficients import (
     rate_of_change,
     work_coefficient,
 )
-from classic_ml.errors import InputError
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
+from surge_core.errors import InputError
 
 AIR = Compressor(0.28, 10.7, 0.08, GAMMA, GAS)
 HEAT = GAMMA * GAS / (GAMMA - 1)

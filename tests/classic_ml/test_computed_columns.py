@@ -21,12 +21,12 @@ from classic_ml.columns import workspace
 from classic_ml.columns.computed import ComputedColumn, as_stored, computed, is_computed, widened
 from classic_ml.columns.together import computed_together
 from classic_ml.columns.workspace import IN_MEMORY, OnDisk
-from classic_ml.errors import InputError
 from classic_ml.plane_averages import local_flows, plane_flows
 from classic_ml.readers import read_raw
 from classic_ml.readers.series_files import hand_over_series, write_series
 from classic_ml.records import Channel
 from classic_ml.reduction import IN_SERIES, ReductionSettings, reduce_record
+from surge_core.errors import InputError
 
 VALUES = np.random.default_rng(1).standard_normal(100)
 

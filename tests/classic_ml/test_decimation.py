@@ -10,7 +10,7 @@ from sklearn.preprocessing import FunctionTransformer
 
 from classic_ml import LagRegressor
 from classic_ml.decimation import Decimated, decimate, emptied_above_hz, needed_factor
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 
 def low_pass(values: np.ndarray, order: int, cutoff_hz: float, phase: str) -> np.ndarray:

@@ -16,11 +16,11 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from classic_ml import LagRegressor
-from classic_ml.display import Displayed, Field, Grid, Sheet
 from classic_ml.records import Dropped, LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.sheets import record_sheet, reduction_sheet, series_sheet
+from surge_core.display import Displayed, Field, Grid, Sheet
 
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)></style>&amp;"
 SHEET = Sheet(

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from comparison_data import made_series
 
-from classic_ml.errors import InputError
-from classic_ml.files import check_apart, check_target, replace_whole, write_whole
 from classic_ml.series import write_series
+from surge_core.errors import InputError
+from surge_core.files import check_apart, check_target, replace_whole, write_whole
 
 
 @pytest.mark.parametrize("way", ["same", "hard link", "symbolic link", "relative"])

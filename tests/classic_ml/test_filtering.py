@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
 
 from classic_ml import filtering
-from classic_ml.errors import InputError
 from classic_ml.filtering import (
     butterworth_gain,
     channel_filter,
@@ -17,6 +16,7 @@ from classic_ml.filtering import (
     phase_delay_s,
 )
 from classic_ml.records import Record
+from surge_core.errors import InputError
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from classic_ml.lag.first_order_lag import FirstOrderLag
+from surge_core.lag import FirstOrderLag
 
 HOLDS = ("zero", "first")
 

@@ -7,8 +7,8 @@ import pytest
 from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 
 from classic_ml import LagRegressor
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
 
 NOISES = ("arx", "armax", "output-error")
 HOLDS = ("zero", "first")

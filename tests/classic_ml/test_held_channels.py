@@ -11,11 +11,11 @@ from clean_records import CLEAN, clean_record, with_channels
 
 from classic_ml.columns import workspace
 from classic_ml.columns.workspace import OnDisk
-from classic_ml.errors import InputError
 from classic_ml.faults.held import HeldSearch, check_held, held_channels
 from classic_ml.faults.standstill import tallies
 from classic_ml.records import Channel, FloatArray, Record
 from classic_ml.reduction import reduce_record
+from surge_core.errors import InputError
 
 QUICK = ("985/1", "75-stall/1", "made/1/1")
 

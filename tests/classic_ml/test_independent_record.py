@@ -11,11 +11,11 @@ from scipy.signal import butter, sosfiltfilt
 
 from classic_ml import LagRegressor
 from classic_ml.airflow import LBM_KG
-from classic_ml.errors import InputError
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from surge_core.errors import InputError
 
 FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "independent_rig_985"
 pytestmark = pytest.mark.skipif(

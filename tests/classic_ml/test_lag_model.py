@@ -14,8 +14,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, SplineTransformer
 
 from classic_ml import LagRegressor, PiecewiseLinear
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
 
 NOISES = ("arx", "armax", "output-error")
 HOLDS = ("zero", "first")

@@ -10,10 +10,10 @@ import pytest
 from clean_records import CLEAN, clean_record, with_channels
 from raw_data import make_test
 
-from classic_ml.errors import InputError
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
+from surge_core.errors import InputError
 
 
 def told(record: Record, test: TestDescription) -> list[str]:

@@ -17,7 +17,6 @@ from raw_data import make_test, to_toml, write_csv
 
 from classic_ml.columns import workspace
 from classic_ml.columns.workspace import OnDisk
-from classic_ml.errors import InputError
 from classic_ml.faults import plateaus
 from classic_ml.faults.marks import CLIPPED
 from classic_ml.faults.plateaus import End, cut_off_ends
@@ -27,6 +26,7 @@ from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
 from classic_ml.reduction import reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run
+from surge_core.errors import InputError
 
 PSI = 6894.757
 COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from raw_data import RawTest, make_test, to_toml, write_csv
 
-from classic_ml.errors import InputError
 from classic_ml.readers import read_raw, read_test_description
+from surge_core.errors import InputError
 
 
 @pytest.fixture(scope="module")

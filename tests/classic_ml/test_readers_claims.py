@@ -24,7 +24,7 @@ STANDS_STILL_S = 60.0
 READ = """
 import json, sys
 from pathlib import Path
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 from classic_ml.readers.raw_formats import open_stored
 for file in sys.argv[1:]:
     try:

@@ -12,12 +12,12 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from raw_data import RawTest, make_test, to_toml, write_csv
 
-from classic_ml.errors import InputError
 from classic_ml.inspection import inspect_file
 from classic_ml.inspection_draft import draft_test_toml
 from classic_ml.readers import read_raw
 from classic_ml.readers.iso_stamps import stamp_of
 from classic_ml.readers.raw_formats import open_stored
+from surge_core.errors import InputError
 
 Columns = dict[str, np.ndarray]
 FROM_RATE = {"clock": "from rate"}

@@ -17,13 +17,13 @@ from nptdms import ChannelObject, RootObject, TdmsWriter
 from raw_data import RawTest, make_test, write_csv
 from scipy.io import netcdf_file, savemat
 
-from classic_ml.errors import InputError
 from classic_ml.readers import read_raw
 from classic_ml.readers.raw_files import open_raw
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
 from classic_ml.readers.test_description import FileLayout
 from classic_ml.readers.test_toml import read_test_description
+from surge_core.errors import InputError
 
 Columns = Mapping[str, np.ndarray]
 CODES = np.dtype(np.uint16)

@@ -16,9 +16,9 @@ from nptdms import ChannelObject, TdmsWriter
 from raw_data import RawTest, make_test, to_toml, write_csv
 
 from classic_ml.calibration import calibrate, pressure_from_counts
-from classic_ml.errors import InputError
 from classic_ml.readers import read_raw, read_test_description
 from classic_ml.reduction import reduce_record
+from surge_core.errors import InputError
 
 PSI = 0.45359237 * 9.80665 / 0.0254**2
 BAROMETER_PA = 101_200.0

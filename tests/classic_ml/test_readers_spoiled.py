@@ -17,13 +17,13 @@ import pytest
 from raw_data import RawTest, make_test, write_csv
 from scipy.io import savemat
 
-from classic_ml.errors import InputError
 from classic_ml.inspection import inspect_file
 from classic_ml.inspection_draft import draft_test_toml
 from classic_ml.readers import read_raw
 from classic_ml.readers.netcdf_classic import read_header
 from classic_ml.readers.raw_csv import LONGEST_LINE
 from classic_ml.readers.raw_formats import open_stored
+from surge_core.errors import InputError
 
 ROWS = 120
 GOOD = {"time_s": np.arange(ROWS) / 1000.0, "P": np.linspace(1.0, 2.0, ROWS)}

@@ -11,9 +11,9 @@ from raw_data import INERTIA_PER_M, U_M_S, RawTest, make_test
 
 from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import psi_is_known
-from classic_ml.errors import InputError
 from classic_ml.filtering import low_pass
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from surge_core.errors import InputError
 
 
 @pytest.fixture(scope="module")

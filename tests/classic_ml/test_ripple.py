@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from classic_ml import LagRegressor
-from classic_ml.errors import InputError
-from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.ripple import ripple_frequency_hz
+from surge_core.errors import InputError
+from surge_core.lag import FirstOrderLag
 
 PERIOD_S = 1e-3
 TAU_S = 0.018

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from classic_ml import CoefficientSeries
-from classic_ml.errors import InputError
 from classic_ml.records import LedgerEntry
+from surge_core.errors import InputError
 
 N = 300
 

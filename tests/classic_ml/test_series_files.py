@@ -13,10 +13,10 @@ import pytest
 
 from classic_ml import CoefficientSeries, read_series, write_series
 from classic_ml.columns import workspace
-from classic_ml.errors import InputError
 from classic_ml.readers import series_csv, series_files
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.series import ledger_path
+from surge_core.errors import InputError
 
 HISTORY = (
     LedgerEntry(

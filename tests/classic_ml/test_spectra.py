@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from classic_ml.errors import InputError
 from classic_ml.spectra import detrend, peak_frequency_hz, power_spectrum
+from surge_core.errors import InputError
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

@@ -11,8 +11,8 @@ from lag_data import PERIOD_S, coloured, flow, lagged
 from sklearn.preprocessing import FunctionTransformer
 
 from classic_ml import LagRegressor
-from classic_ml.fit_state import FitState
 from classic_ml.lag.conditioning import condition
+from surge_core.fit_state import FitState
 
 FITS = [
     ("arx", 0, True),

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from classic_ml import units
-from classic_ml.errors import InputError
 from classic_ml.units import (
     Conversion,
     is_count,
@@ -26,6 +25,7 @@ from classic_ml.units import (
     time_conversion,
     unit_in_brackets,
 )
+from surge_core.errors import InputError
 
 INCH, FOOT, POUND, GRAVITY = (
     Fraction(254, 10_000),

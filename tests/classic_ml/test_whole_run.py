@@ -7,11 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
-from classic_ml.fit_state import FitState
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows, near
-from classic_ml.lag.first_order_lag import FirstOrderLag
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import (
@@ -21,6 +18,9 @@ from classic_ml.whole_run import (
     has_whole_run,
     whole_run_rows,
 )
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag
 
 BETA = np.array([1.2, 3.0, 47.0])
 TAU_S = 0.018

@@ -13,8 +13,6 @@ from raw_data import GAMMA, GAS, U_M_S, make_test
 
 from classic_ml.airflow import corrected_flow
 from classic_ml.coefficients import coefficients
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
@@ -29,6 +27,8 @@ from classic_ml.work.balance import (
 )
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
 from comparisons.rig import simulate, write_run
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
 
 HEAT = GAMMA * GAS / (GAMMA - 1)
 HEAD = 2 * HEAT / U_M_S**2

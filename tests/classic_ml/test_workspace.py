@@ -21,8 +21,8 @@ from classic_ml.columns.workspace import (
     blocks,
     evaluated,
 )
-from classic_ml.errors import InputError
 from classic_ml.records import Channel, Record
+from surge_core.errors import InputError
 
 RNG = np.random.default_rng(0)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.compare import compare_records
 from comparisons.estimators import default_estimators, psi_breakpoints
@@ -18,6 +17,7 @@ from comparisons.fit_rows import stack_rows
 from comparisons.json_output import comparison_document, to_strict_json
 from comparisons.lag_value import FittedLag
 from comparisons.reconstruction import reconstruct_record, reconstruction_csv
+from surge_core.errors import InputError
 
 CLASSICAL = default_estimators()[:4]
 

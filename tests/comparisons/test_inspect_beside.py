@@ -14,10 +14,10 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from raw_data import RawTest, make_test
 
-from classic_ml.errors import InputError
 from classic_ml.inspection import inspect_file
 from classic_ml.readers import read_raw
 from comparisons.cli import main
+from surge_core.errors import InputError
 
 
 @pytest.fixture(scope="module")

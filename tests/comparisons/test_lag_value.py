@@ -12,8 +12,8 @@ import pytest
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
-from classic_ml.errors import InputError
 from comparisons.lag_value import FittedLag, load_models, save_models
+from surge_core.errors import InputError
 
 
 def fitted(hold: str = "first") -> tuple[LagRegressor, FittedLag, np.ndarray, np.ndarray]:

@@ -16,13 +16,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 from raw_data import make_test
 
-from classic_ml.errors import InputError
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from classic_ml.runs import runs_of
 from comparisons import plots
 from comparisons.plots_style import broken, estimator_styles, printable, robust_limits
 from comparisons.reconstruction import reconstruct_record
 from comparisons.truth import Truth
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
 
 HOSTILE = "p$25_{x}^2 \\frac \U0001f4a5 漢字 <b>"
 

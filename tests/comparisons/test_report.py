@@ -16,7 +16,6 @@ from comparison_data import LINES, made_comparison, made_series
 from raw_data import make_test
 from report_page import without_own_script
 
-from classic_ml.errors import InputError
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.compare import Comparison
@@ -24,6 +23,7 @@ from comparisons.reconstruction import reconstruct_record
 from comparisons.report import Part, ReportSection, Words, render_report, write_report
 from comparisons.report.agreement import dwelling_words, widest_gap
 from comparisons.truth import Truth
+from surge_core.errors import InputError
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
 HEADINGS = (

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from comparisons.rounding import bracketed, log_units, round_like, round_to_error, significant
+from surge_core.rounding import bracketed, log_units, round_like, round_to_error, significant
 
 
 @pytest.mark.parametrize(

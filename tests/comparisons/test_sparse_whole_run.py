@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
-from classic_ml.fit_state import FitState
 from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
@@ -24,6 +22,8 @@ from comparisons.rig import simulate, write_run
 from comparisons.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
 from comparisons.tau_trial import trial_of
 from sindy_surge import SparseLagRegressor
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
 
 TAU_S = 0.018
 AT = np.array([0.0, 0.05, 0.1, 0.15])

@@ -11,7 +11,6 @@ from comparison_data import made_comparison, made_series
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 from PIL import Image
 
-from classic_ml.errors import InputError
 from comparisons.fit_rows import FitRows, stack_rows
 from comparisons.plots_tau_trial import plot_tau_trial
 from comparisons.tau_trial import (
@@ -21,6 +20,7 @@ from comparisons.tau_trial import (
     reconstruction_error_over_tau,
     trial_taus,
 )
+from surge_core.errors import InputError
 
 
 def rows_of(seed: int, noise: float = 0.003, n: int = 2400) -> FitRows:

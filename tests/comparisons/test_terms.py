@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from classic_ml import LagRegressor, PiecewiseLinear
-from classic_ml.errors import InputError
 from comparisons.terms import evaluate_terms, is_known_term
+from surge_core.errors import InputError
 
 PHI = np.array([-0.1, 0.0, 0.05, 0.3])
 

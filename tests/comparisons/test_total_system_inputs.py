@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from total_system_runs import TRUE_TAU_S, ideal, model_of, near_truth, settings, signals
 
-from classic_ml.errors import InputError
 from classic_ml.records import Channel, LedgerEntry, Record
 from comparisons.rig import CASES, SensorSettings, simulate, write_run
 from comparisons.total_system import (
@@ -26,6 +25,7 @@ from comparisons.total_system import (
 )
 from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
 from comparisons.total_system_command import add_total_system_parser
+from surge_core.errors import InputError
 
 
 @pytest.mark.parametrize("case", sorted(CASES))

@@ -18,7 +18,7 @@ from sindy_surge.closed_loop import (
 )
 from sindy_surge.closed_loop.cycles import measure_cycles
 from sindy_surge.closed_loop.input import half_width_samples, hidden_plenum
-from sindy_surge.errors import InputError
+from surge_core.errors import InputError
 
 PERIOD_S = 1e-3
 DUCT_PER_S = 125.0

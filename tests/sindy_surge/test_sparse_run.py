@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sindy_surge import FitState
-from sindy_surge.errors import InputError
 from sindy_surge.sparse_run import SparseRun, select_on_free_run
+from surge_core.errors import InputError
 
 from .conftest import PERIOD_S, TAU_S, lag
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from sklearn.preprocessing import PolynomialFeatures
 
-from classic_ml.fit_state import FitState
-from classic_ml.lag.first_order_lag import FirstOrderLag, Hold
 from classic_ml.noise_models import MovingAverage
 from classic_ml.records import FloatArray
-from classic_ml.runs import runs_of, scored_pieces
+from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.segments import runs_of, scored_pieces
 
 MAXIMUM_ITERATIONS = 60
 NEWTON_DECREMENT = 1e-16

@@ -30,7 +30,7 @@ def find_effect(name: str) -> Effect:
     InputError
         For an unknown name.
     """
-    from classic_ml.errors import InputError
+    from surge_core.errors import InputError
 
     known = (*CATALOGUE, FLOW_NOISE)
     for effect in known:

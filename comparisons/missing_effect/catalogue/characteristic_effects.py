@@ -7,12 +7,12 @@ from math import comb
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.lag_effects import no_shape
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.kernels import piecewise_cubics
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
+from surge_core.types import FloatArray
 
 __all__ = ["CHARACTERISTIC_EFFECTS"]
 

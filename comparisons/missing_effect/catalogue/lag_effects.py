@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.kernels import shifted
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
+from surge_core.types import FloatArray
 
 __all__ = ["INPUT_EFFECTS", "LAG_EFFECTS"]
 

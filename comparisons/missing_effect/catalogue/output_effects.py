@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.catalogue.lag_effects import no_shape
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.ports import Ports
+from surge_core.types import FloatArray
 
 __all__ = ["FLOW_NOISE", "OUTPUT_EFFECTS", "stall_episodes"]
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, runs_of
 from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
+from surge_core.types import FloatArray
 
 __all__ = ["Bench", "base_bench", "tolerance_for", "whitened_fit"]
 

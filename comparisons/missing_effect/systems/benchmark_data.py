@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["BENCHMARK_FOLDER", "benchmark_file"]
 

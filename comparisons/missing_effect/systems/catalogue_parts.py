@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Place
 from comparisons.missing_effect.systems.roles import displacements, free_equations, physical
+from surge_core.types import FloatArray
 
 __all__ = [
     "THRESHOLDS",

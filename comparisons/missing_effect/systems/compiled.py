@@ -17,8 +17,8 @@ from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
-from classic_ml.errors import InputError
 from comparisons.missing_effect.systems.model import Model
+from surge_core.errors import InputError
 
 __all__ = ["Compiled", "call_at", "compiled"]
 

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
@@ -27,6 +25,8 @@ from comparisons.missing_effect.systems.results import (
 )
 from comparisons.missing_effect.systems.search import Round, search_round
 from comparisons.missing_effect.systems.structure import Run, Structure
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["MOST_EFFECTS", "diagnose_model"]
 

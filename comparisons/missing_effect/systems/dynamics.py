@@ -13,11 +13,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.compiled import call_at
 from comparisons.missing_effect.systems.shapes import map_value, term_value
+from surge_core.types import FloatArray, IntArray
 
 __all__ = [
     "HEAD",
@@ -41,8 +40,6 @@ ROW = 6
 # drive within as few. Fast enough to be instantaneous at the sample rate, and no faster.
 SPILL_SAMPLES = 0.25
 PLAY_SAMPLES = 0.5
-
-IntArray = NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy")

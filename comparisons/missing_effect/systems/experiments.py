@@ -8,9 +8,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.model import Model
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Experiment", "input_pieces"]
 

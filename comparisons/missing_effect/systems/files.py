@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from classic_ml.readers.mat_elements import check_mat_elements
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["load_model", "read_experiment"]
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import rms
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import Path, answers, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
+from surge_core.types import FloatArray
 
 __all__ = ["Fit", "fit_runs", "own_starts", "scales_of", "settled"]
 

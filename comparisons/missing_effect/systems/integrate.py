@@ -13,12 +13,12 @@ from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.dynamics import (
     SLOTS,
     extended_rhs,
     scratch_for,
 )
+from surge_core.types import FloatArray
 
 __all__ = ["integrated"]
 

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.compiled import call_at
 from comparisons.missing_effect.systems.dynamics import (
     HEAD,
@@ -23,10 +21,10 @@ from comparisons.missing_effect.systems.dynamics import (
     prepare,
     scratch_for,
 )
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["FINE", "along", "forced", "output_slopes", "parameter_forcing", "propagators"]
 
-IntArray = NDArray[np.int64]
 
 # Points a sample on which a run is kept.
 FINE = 4

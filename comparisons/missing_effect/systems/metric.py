@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.autoregression import autoregression
+from surge_core.types import FloatArray
 
 __all__ = ["MOST_LAGS", "Metric", "metric_of", "raw_metric"]
 

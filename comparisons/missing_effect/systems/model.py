@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-from classic_ml.display import Displayed, Sheet
-from classic_ml.errors import InputError
+from surge_core.display import Displayed, Sheet
+from surge_core.errors import InputError
 
 __all__ = ["BetweenSamples", "Model", "P"]
 

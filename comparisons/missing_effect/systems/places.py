@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.shapes import Kind
+from surge_core.types import FloatArray
 
 __all__ = ["Number", "Place", "Placed", "SystemEffect", "signal_names"]
 

@@ -33,14 +33,14 @@ from comparisons.plots_style import (
     printable,
     robust_limits,
 )
-from comparisons.rounding import significant
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from classic_ml.records import FloatArray
     from comparisons.missing_effect.systems.search import Candidate, Round
+    from surge_core.types import FloatArray
 
 __all__ = ["MOST_RUNS", "draw_candidates", "draw_errors", "draw_residuals", "draw_runs"]
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, parameter_steps
 from comparisons.missing_effect.systems.metric import Metric
@@ -17,6 +16,7 @@ from comparisons.missing_effect.systems.results import FittedNumber
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import answers
 from comparisons.missing_effect.systems.structure import Run
+from surge_core.types import FloatArray
 
 __all__ = ["covariance", "numbers_of"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["all_pass"]
 

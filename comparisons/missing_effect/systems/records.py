@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rate_of
 from comparisons.missing_effect.systems.structure import Run
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["Records", "check_run", "runs_of"]
 

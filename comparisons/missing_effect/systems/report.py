@@ -30,7 +30,7 @@ from comparisons.missing_effect.systems.shown import (
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import number_words, system_words
 from comparisons.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
-from comparisons.rounding import round_to_error, significant
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.search import Round

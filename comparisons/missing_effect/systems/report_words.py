@@ -17,7 +17,7 @@ from comparisons.missing_effect.systems.shown import (
     typical,
 )
 from comparisons.missing_effect.systems.where import SignalRow, SystemWhere
-from comparisons.rounding import log_units, round_to_error, significant
+from surge_core.rounding import log_units, round_to_error, significant
 
 __all__ = [
     "between_words",

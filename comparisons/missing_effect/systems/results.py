@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.display import Displayed, Sheet
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.search import Round
+from surge_core.display import Displayed, Sheet
+from surge_core.types import FloatArray
 
 __all__ = ["CheckRun", "FittedNumber", "FoundEffect", "ParameterRow", "SystemDiagnosis"]
 

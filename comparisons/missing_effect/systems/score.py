@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.fit import Fit, own_starts, parameter_steps
 from comparisons.missing_effect.systems.linearised import FINE, along, forced, propagators
 from comparisons.missing_effect.systems.metric import Metric
@@ -20,6 +19,7 @@ from comparisons.missing_effect.systems.places import Place, Placed, SystemEffec
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import answers, filled, output_answers
 from comparisons.missing_effect.systems.structure import Run
+from surge_core.types import FloatArray
 
 __all__ = ["Probe", "Prober", "placed_effects"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from classic_ml.errors import InputError
 from comparisons.progress import shown_steps
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.experiments import Experiment
@@ -110,9 +110,9 @@ def _run(
     prog: str,
     argv: Sequence[str] | None,
 ) -> None:
-    from classic_ml.files import check_apart, check_target, write_whole
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.terminal import system_text
+    from surge_core.files import check_apart, check_target, write_whole
 
     if not cases:
         raise InputError("diagnoses", expected="at least one", found="none")

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.evidence import Evidence, Rows, alias_rows, evidence_of
 from comparisons.missing_effect.lag_data import LATER, TRAIN
 from comparisons.missing_effect.systems.bench import Bench, whitened_fit
@@ -23,6 +22,7 @@ from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
+from surge_core.types import FloatArray
 
 __all__ = ["Candidate", "Round", "search_round"]
 

@@ -8,10 +8,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.search import Candidate, Round
-from comparisons.rounding import significant
+from surge_core.rounding import significant
+from surge_core.types import FloatArray
 
 __all__ = [
     "Scale",

@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.dynamics import extended_output, scratch_for
 from comparisons.missing_effect.systems.integrate import integrated
 from comparisons.missing_effect.systems.linearised import (
@@ -24,10 +23,10 @@ from comparisons.missing_effect.systems.linearised import (
     propagators,
 )
 from comparisons.missing_effect.systems.structure import Run, Structure
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Path", "answers", "filled", "output_answers", "path_of"]
 
-IntArray = NDArray[np.int64]
 
 RUNAWAY = 1e4
 # Of the coefficients of the recording filter.

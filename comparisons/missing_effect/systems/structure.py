@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.compiled import compiled
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS
 from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
@@ -15,6 +14,7 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.shapes import Kind
+from surge_core.types import FloatArray
 
 __all__ = ["FIRST_TOLERANCE", "MOST_OFFSET", "Run", "Structure"]
 

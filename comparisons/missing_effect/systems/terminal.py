@@ -13,7 +13,7 @@ from comparisons.missing_effect.systems.words import (
     plain_name,
     system_words,
 )
-from comparisons.rounding import bracketed, log_units, significant
+from surge_core.rounding import bracketed, log_units, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.results import SystemDiagnosis

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.errors import InputError
-from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.results import CheckRun, FoundEffect
 from comparisons.missing_effect.systems.roles import measured_as
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.model import Model

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.missing_effect.systems.shown import scale_of
-from comparisons.rounding import round_to_error, significant
+from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.results import (

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from live_records import LiveRecord, play, series_of
 
-from classic_ml.errors import InputError
 from classic_ml.readers import read_raw
 from comparisons.cli import main
 from comparisons.live.columns import feed_columns
 from comparisons.live.feed import Arrival, Closed, Data, Opened
 from comparisons.live.frames import FrameDecoder, columns_frame, end_frame, rows_frame
 from comparisons.live.sockets import CallingFeed, ListeningFeed
+from surge_core.errors import InputError
 
 LOST = Closed("lost")
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from live_records import LiveRecord, play
 
-from classic_ml.errors import InputError
 from comparisons.live.estimate import Estimate
 from comparisons.live.latency import Latency
 from comparisons.live.page import Page
 from comparisons.live.state import Event, LiveState, Point, page_document
+from surge_core.errors import InputError
 
 STATE = LiveState(
     test='<script>alert("1")</script> & co',

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from live_records import LiveRecord, cut, play, series_of
 
-from classic_ml.errors import InputError
 from comparisons.live.feed import Closed, Opened
 from comparisons.live.frames import FrameDecoder, columns_frame, end_frame, rows_frame
 from comparisons.live.state import LiveState
+from surge_core.errors import InputError
 
 LOST = Closed("lost")
 

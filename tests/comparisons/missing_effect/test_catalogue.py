@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from effect_data import CUBIC, hidden, series_of, without_channels
 
-from classic_ml.errors import InputError
 from comparisons.missing_effect import CATALOGUE, Effect, find_effect
 from comparisons.missing_effect.catalogue import DRIFT_FAMILY
 from comparisons.missing_effect.lag_data import LagData
@@ -16,6 +15,7 @@ from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.open_terms import open_terms
 from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.structure import Structure
+from surge_core.errors import InputError
 
 PORTS = {
     "transport_delay": "input",

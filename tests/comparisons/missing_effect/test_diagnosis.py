@@ -19,13 +19,13 @@ from effect_data import (
     without_channels,
 )
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose
 from comparisons.missing_effect.diagnosis import polynomial_terms
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.loading import load_data
 from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
+from surge_core.errors import InputError
 
 Records = list[CoefficientSeries]
 SHORT = {"seed": 3, "n_samples": 1000}

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries, write_series
 from comparisons.cli import main
 from comparisons.compare import compare_records
@@ -29,6 +28,7 @@ from comparisons.missing_effect.open_terms import open_terms, with_state
 from comparisons.missing_effect.structure import Structure
 from comparisons.reconstruction import load_any_models, reconstruct_record
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
+from surge_core.errors import InputError
 
 TERMS = ("1", "phi", "phi^2", "phi^3")
 ADDED = {

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
@@ -18,6 +17,7 @@ from comparisons.missing_effect.limits import Limit, Limits, planted_limits
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.planting import Planter
 from comparisons.rig.coefficient_tests import Noise, simulate_test
+from surge_core.errors import InputError
 
 ROWS = 600
 

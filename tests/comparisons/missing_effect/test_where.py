@@ -12,10 +12,10 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from classic_ml.errors import InputError
 from comparisons.missing_effect.where import ResidualRuns, Where, localise
 from comparisons.missing_effect.where_noise import SlowPart, floor_noise, power_bound, power_z
 from comparisons.missing_effect.where_rows import PANELS
+from surge_core.errors import InputError
 
 RATE_HZ = 100.0
 SURGE_HZ = (1.1, 0.9, 1.5)

@@ -9,7 +9,6 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from classic_ml.errors import InputError
 from classic_ml.series import CoefficientSeries
 from comparisons.rig.coefficient_signals import Excitation
 from comparisons.rig.coefficient_tests import (
@@ -21,6 +20,7 @@ from comparisons.rig.coefficient_tests import (
     Noise,
     simulate_test,
 )
+from surge_core.errors import InputError
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from classic_ml.filtering import period_average
 from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
@@ -36,6 +35,7 @@ from comparisons.rig.hidden import (
     SETTLED_SPEED_FRAC,
 )
 from comparisons.rig.sensors import lag, late
+from surge_core.errors import InputError
 
 Runs = Callable[[str], RigRun]
 Array = np.ndarray

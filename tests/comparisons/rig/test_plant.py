@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.rig import CASES
 from comparisons.rig.gas import CP_J_KG_K, GAMMA, GAS_CONSTANT_J_KG_K
 from comparisons.rig.plant import PlantRun, run_plant
+from surge_core.errors import InputError
 
 H = 1e-4
 Plant = Callable[[str], PlantRun]

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate
 from comparisons.rig.plant import run_plant
 from comparisons.rig.readings import CALIBRATE_PA, Transducer, read_transducer
@@ -17,6 +16,7 @@ from comparisons.rig.sensors import (
     rake_temperature_k,
     tube,
 )
+from surge_core.errors import InputError
 
 FS = 10_000.0
 Runs = Callable[[str], RigRun]

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.cli import build_parser
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
+from surge_core.errors import InputError
 
 Runs = Callable[[str], RigRun]
 Table = dict[str, np.ndarray]

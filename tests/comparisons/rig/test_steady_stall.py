@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate
 from comparisons.rig.plant import run_plant
 from comparisons.rig.readings import remote_pressure_pa
+from surge_core.errors import InputError
 
 Runs = Callable[[str], RigRun]
 WINDOW = slice(1_000, 3_901)

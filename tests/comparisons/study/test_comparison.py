@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.study.comparison import (
     LEVEL,
     compare_methods,
@@ -20,6 +19,7 @@ from comparisons.study.comparison import (
 from comparisons.study.paired import jackknife
 from comparisons.study.scores import Score
 from comparisons.study.words import lead_sentence, study_text
+from surge_core.errors import InputError
 
 RMS = "curve_rms_error"
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.study.design import Task, count_cells
 from comparisons.study.engines import Engine, Outcome, dask_engine
 from comparisons.study.run import run_study
 from comparisons.study.spec import spec_from
+from surge_core.errors import InputError
 
 pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 

@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.cli import main
 from comparisons.study.design import Task, count_cells
 from comparisons.study.engines import Outcome, joblib_engine, serial_engine
@@ -25,6 +24,7 @@ from comparisons.study.journal import Journal, read_rows
 from comparisons.study.run import StudyFiles, run_study
 from comparisons.study.spec import StudySpec, spec_from
 from comparisons.study.work import run_task
+from surge_core.errors import InputError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "study.toml"
 SUPPORT = str(Path(__file__).parents[2] / "support")

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.study.design import CELLS_A_TASK, count_cells, points_of, tasks_of
 from comparisons.study.spec import Range, StudySpec, read_spec, spec_from
+from surge_core.errors import InputError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "study.toml"
 

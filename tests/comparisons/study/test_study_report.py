@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 from report_page import without_own_script
 
-from classic_ml.errors import InputError
 from comparisons.study.comparison import compare_methods, methods_in
 from comparisons.study.plots import (
     draw_differences,
@@ -22,6 +21,7 @@ from comparisons.study.plots import (
     method_styles,
 )
 from comparisons.study.report import render_study_report, write_study_report
+from surge_core.errors import InputError
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
 

@@ -13,8 +13,8 @@ import scipy.io
 import xarray
 from driven_mass import MODEL, PERIOD_S, table
 
-from classic_ml.errors import InputError
 from comparisons.missing_effect.systems.files import load_model, read_experiment
+from surge_core.errors import InputError
 
 N = 200
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.errors import InputError
 from comparisons.missing_effect.systems.compiled import compiled
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.model import Model, P
@@ -23,6 +22,7 @@ from comparisons.missing_effect.systems.roles import (
     rate_of,
     rates,
 )
+from surge_core.errors import InputError
 
 GOOD: Mapping[str, Any] = {
     "states": {"q": "m", "v": "m/s"},

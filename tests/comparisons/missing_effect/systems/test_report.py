@@ -15,7 +15,7 @@ from comparisons.missing_effect.systems.report import system_parts, system_repor
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.words import system_words
 from comparisons.report.blocks import Bullets, Part, Picture, Table, Words
-from comparisons.rounding import log_units
+from surge_core.rounding import log_units
 
 HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)>"
 

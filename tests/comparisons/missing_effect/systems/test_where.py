@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from made_systems import machine, made_diagnosis, run_of
 
-from classic_ml.errors import InputError
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.results import CheckRun
 from comparisons.missing_effect.systems.where import where_of, worst_output
+from surge_core.errors import InputError
 
 PERIOD_S = 0.01
 N = 8000

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["check_apart", "check_target", "replace_whole", "write_whole"]
 

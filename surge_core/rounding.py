@@ -8,6 +8,7 @@ __all__ = [
     "NOT_KNOWN",
     "bracketed",
     "decimals_for",
+    "log_units",
     "round_like",
     "round_to_error",
     "significant",
@@ -134,3 +135,26 @@ def _rounded_error(error: float) -> float:
 def _fixed(value: float, decimals: int) -> str:
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+# From here on tenths are no evidence, and a search that ends on a flat crest does not hold them.
+WHOLE_LOG_UNITS = 100.0
+# A curve far beyond its data can miss by anything.
+LARGE_LOG_UNITS = 1e7
+
+
+def log_units(gain: float, not_known: str = NOT_KNOWN) -> str:
+    """Return a gain of the log-likelihood to the digits that say something.
+
+    Parameters
+    ----------
+    gain : float
+        In natural log-units.
+    not_known : str
+        What stands for no finite number.
+    """
+    if not math.isfinite(gain):
+        return not_known
+    if abs(gain) >= LARGE_LOG_UNITS:
+        return f"{gain:.2g}"
+    return f"{gain:.1f}" if abs(gain) < WHOLE_LOG_UNITS else f"{gain:.0f}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.errors import InputError
+from surge_core.errors import InputError
 
 __all__ = ["one_of", "positive", "whole_number"]
 

@@ -1,4 +1,4 @@
-"""What became of a fit, and what to do about it."""
+"""How a fit ended: a code, and the advice that goes with it."""
 
 from __future__ import annotations
 
@@ -8,23 +8,56 @@ __all__ = ["FitState"]
 
 
 class FitState(StrEnum):
-    """Result of a fit; each member carries its advice.
+    """How a fit ended; a member is its code as written to JSON.
 
     Attributes
     ----------
     advice : str
-        What the result means and what to do about it.
+        What the state means and what to do about it.
     """
 
     advice: str
 
     def __new__(cls, code: str, advice: str) -> FitState:
-        """Make a string member and hang its advice on it."""
+        """Make a string member that carries its advice."""
         member = str.__new__(cls, code)
         member._value_ = code
         member.advice = advice
         return member
 
+    CONVERGED = ("converged", "The fit converged.")
+    NOT_CONVERGED = (
+        "not_converged",
+        "The fit stopped before it converged: check φ and ψ' for outliers and misalignment, or "
+        "take a simpler characteristic.",
+    )
+    AT_LOWER_BOUND = (
+        "at_lower_bound",
+        "The time constant ran to its lower bound: the data show no lag at this sample rate; "
+        "sample faster, or check that φ and ψ' were filtered alike.",
+    )
+    AT_UPPER_BOUND = (
+        "at_upper_bound",
+        "The time constant ran to its upper bound: slow drift is read as the lag; take "
+        "noise='output-error' with drift='spline', or shorten the window.",
+    )
+    RANK_DEFICIENT = (
+        "rank_deficient",
+        "The terms cannot be separated on these rows (φ hardly moves, or a term is the sum of "
+        "others): neither the characteristic nor the time constant can be read; take fewer terms "
+        "or rows in which φ moves.",
+    )
+    TOO_FEW_ROWS = (
+        "too_few_rows",
+        "There are fewer scored rows than parameters: no time constant can be had; the terms are "
+        "fitted as a static curve of least norm.",
+    )
+    BLOWDOWN = (
+        "blowdown",
+        "Hardly a row in stall is in forward flow: the plenum blows down at nearly constant φ, and "
+        "its time constant would be read as the lag's; none is stated. Take a record with more "
+        "throttle, or a smaller discharge volume.",
+    )
     OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
         "no_consistent_structure",
@@ -63,17 +96,13 @@ class FitState(StrEnum):
         "terms with ψ' give a lag that the weak form does not see: strongly coloured noise or a "
         "missing effect passes for them; fit again with psi_terms=False and compare",
     )
-    NOT_CONVERGED = (
-        "not_converged",
-        "the last iterations still moved the result; check the range of φ and the scatter of ψ'",
-    )
-    TOO_FEW_ROWS = (
-        "too_few_rows",
-        "not enough equations within the segments for a lag; the fit is static, of minimum norm: "
-        "use longer segments or a smaller library",
-    )
     CONSTANT_SIGNAL = (
         "constant_signal",
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "
         "with surge cycles",
     )
+
+    @property
+    def code(self) -> str:
+        """The code, as written to JSON."""
+        return str(self.value)

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from classic_ml.records import FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["FirstOrderLag", "Hold"]
 

@@ -1,0 +1,1 @@
+"""The shared ground: errors, types, segments, the discrete lag, rounding and display."""
