@@ -46,7 +46,7 @@ PROCESS = """
 import json, os, sys, time
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 told = sys.argv.pop(1)
-from comparisons.process import run
+from comparisons.cli import main as run
 code = run()
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
 with open(told, "w") as out:

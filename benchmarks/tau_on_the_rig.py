@@ -20,8 +20,8 @@ import numpy as np
 
 from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
-from comparisons.compare import compare_records
-from comparisons.estimators import default_estimators
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators
 from comparisons.rig import CASES, SensorSettings, simulate, write_run
 
 AT = np.array([0.0, 0.05, 0.1, 0.15])

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from classic_ml.readers import read_raw
+from comparisons.cli.work import fit_work
 from comparisons.rig import CASES, simulate, write_run
-from comparisons.work_command import fit_work
 
 AT = np.array([0.02, 0.05, 0.1])
 WAYS: dict[str, dict[str, Any]] = {

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from classic_ml.readers import read_raw
 from classic_ml.reduction import Reduction, reduce_record
-from comparisons.compare import compare_records
-from comparisons.estimators import default_estimators
-from comparisons.reconstruction import reconstruct_record
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators
+from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.rig import simulate, write_run
-from comparisons.table import comparison_table
+from comparisons.show.table import comparison_table
 
 
 def reduced(case: str, seed: int, folder: Path) -> Reduction:

@@ -9,9 +9,9 @@ from pathlib import Path
 from classic_ml.calibration import MINIMUM_NEAR_STALL_ROWS
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.reduction import near_stall_shifts
+from comparisons.cli.one_sentence import printable
+from comparisons.cli.reduce import read_file
 from comparisons.live.spool import Piece
-from comparisons.one_sentence import printable
-from comparisons.reduce_command import read_file
 from surge_core.errors import InputError
 
 __all__ = ["carry_matches"]

@@ -9,12 +9,12 @@ from classic_ml.readers import read_test_description
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings
 from classic_ml.series import write_series
+from comparisons.cli.reduce import reduce_file
 from comparisons.live.carried_match import carry_matches
 from comparisons.live.columns import FEED
 from comparisons.live.session import Session
 from comparisons.live.spool import Piece
 from comparisons.live.state import counted
-from comparisons.reduce_command import reduce_file
 from surge_core.errors import InputError
 
 __all__ = ["Result", "reduce_pieces"]

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.terms import is_known_term
 from comparisons.missing_effect.lag_data import TRAIN
 from comparisons.missing_effect.loading import load_data
-from comparisons.terms import is_known_term
 from surge_core.errors import InputError
 
 __all__ = ["BaseTerms", "discovered_terms"]
@@ -75,13 +75,13 @@ def _fitted_until(ordered: Sequence[CoefficientSeries]) -> list[float | None]:
 
 
 def _whole_run_terms(records: Sequence[CoefficientSeries], until_s: list[float]) -> list[str]:
-    from comparisons.sparse_whole_run import fit_sparse_whole_runs
+    from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 
     return list(fit_sparse_whole_runs(records, until_s=until_s).terms_)
 
 
 def _row_terms(records: Sequence[CoefficientSeries], until_s: list[float]) -> list[str]:
-    from comparisons.fit_rows import stack_rows
+    from comparisons.harness.rows import stack_rows
     from sindy_surge import SparseLagRegressor
 
     rows = stack_rows([_cut(r, end) for r, end in zip(records, until_s, strict=True)])

@@ -53,7 +53,7 @@ def diagnosis_document(
     Returns
     -------
     dict
-        Numbers that are not finite are NaN here; `comparisons.json_output.to_strict_json` writes
+        Numbers that are not finite are NaN here; `to_strict_json` writes
         them as null.
     """
     where_rows = {name: [] for name in PANELS} if where is None else where.to_json()

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
-from comparisons.estimators import EstimatorSpec
-from comparisons.fit_rows import FitRows
+from comparisons.harness.estimators import EstimatorSpec
+from comparisons.harness.rows import FitRows
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import REVERSE, SHAPE
 from comparisons.missing_effect.extended_rows import rows_in

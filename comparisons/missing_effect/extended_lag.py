@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.series import CoefficientSeries
-from comparisons.fit_rows import FitRows
+from comparisons.harness.rows import FitRows
+from comparisons.harness.terms import evaluate_terms
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
@@ -28,7 +29,6 @@ from comparisons.missing_effect.extended_run import FreeRun
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.structure import Structure
-from comparisons.terms import evaluate_terms
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold
@@ -370,7 +370,7 @@ class ExtendedLag(Displayed):
         return extended_from_json(data)
 
     def _sheet(self) -> Sheet:
-        from comparisons.sheets import extended_sheet
+        from comparisons.show.sheets import extended_sheet
 
         return extended_sheet(self)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.fit_quality import trusted_range
+from comparisons.harness.fit_quality import trusted_range
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.coefficient_groups import coefficient_groups, refitted_on

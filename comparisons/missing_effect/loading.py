@@ -18,7 +18,7 @@ from classic_ml.whole_run_rows import (
     is_blowdown,
     whole_run_rows,
 )
-from comparisons.fit_rows import MINIMUM_SEGMENT_ROWS
+from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
 from comparisons.missing_effect.excitation import amplitude_of, smooth_channel, surge_frequency_hz
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
 from surge_core.errors import InputError

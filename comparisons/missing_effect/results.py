@@ -158,6 +158,6 @@ class Diagnosis(Displayed):
         return tuple(item.effect for item in self.missing)
 
     def _sheet(self) -> Sheet:
-        from comparisons.sheets import diagnosis_sheet
+        from comparisons.show.sheets import diagnosis_sheet
 
         return diagnosis_sheet(self)

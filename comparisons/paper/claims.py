@@ -17,7 +17,7 @@ from comparisons.paper import (
 )
 from comparisons.paper.claims_base import Claim, ClaimCheck
 from comparisons.paper.instabilities import Instabilities
-from comparisons.report.blocks import Cell, Head, Table
+from comparisons.show.report.blocks import Cell, Head, Table
 
 __all__ = ["CHECKS", "Claim", "check_claims", "claims_block", "claims_json", "claims_table"]
 

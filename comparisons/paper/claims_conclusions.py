@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.lag_value import FittedLag
+from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.claims_base import CURVE_PHI, Claim, ClaimCheck, curve_change
 from comparisons.paper.figures_truth import in_stall_psi_p
 from comparisons.paper.instabilities import Instabilities, simulate_and_reduce

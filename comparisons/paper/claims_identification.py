@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from classic_ml.characteristics import polynomial_basis
 from classic_ml.columns.intervals import label_intervals
-from comparisons.fit_quality import trusted_range
-from comparisons.lag_value import FittedLag
+from comparisons.harness.fit_quality import trusted_range
+from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.claims_base import (
     LBM_KG,
     Claim,

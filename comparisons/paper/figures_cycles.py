@@ -33,7 +33,7 @@ from comparisons.paper.figures_truth import (
     unstalled_psi_p,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.plots_style import ACCENT, INK, MARK, QUIET, legend_above
+from comparisons.show.plots_style import ACCENT, INK, MARK, QUIET, legend_above
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 

@@ -18,7 +18,7 @@ from comparisons.paper.figures_common import (
     case_table,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.plots_style import (
+from comparisons.show.plots_style import (
     ACCENT,
     INK,
     MARK,

@@ -30,7 +30,7 @@ from comparisons.paper.figures_common import (
     stall_time_s,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.plots_style import ACCENT, INK, MARK, MEASURED, legend_above
+from comparisons.show.plots_style import ACCENT, INK, MARK, MEASURED, legend_above
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classic_ml.coefficients import PSI_MINIMUM_PHI
-from comparisons.lag_value import FittedLag
+from comparisons.harness.lag_value import FittedLag
+from comparisons.harness.reconstruction import Reconstruction, reconstruct_record
 from comparisons.paper.figures_common import (
     HIGH,
     MEDIUM,
@@ -25,7 +26,7 @@ from comparisons.paper.instabilities import (
     WRONG_TIME_CONSTANT_S,
     InstabilityRun,
 )
-from comparisons.plots_style import (
+from comparisons.show.plots_style import (
     ACCENT,
     INK,
     MARK,
@@ -36,7 +37,6 @@ from comparisons.plots_style import (
     legend_above,
     robust_limits,
 )
-from comparisons.reconstruction import Reconstruction, reconstruct_record
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG, T_STANDARD_K
+from comparisons.harness.residual_analysis import stall_inception
 from comparisons.paper.figures_common import (
     INCEPTION_S,
     MEDIUM,
@@ -28,7 +29,7 @@ from comparisons.paper.figures_common import (
     stall_time_s,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.plots_style import (
+from comparisons.show.plots_style import (
     ACCENT,
     INK,
     MARK,
@@ -37,7 +38,6 @@ from comparisons.plots_style import (
     legend_above,
     new_figure,
 )
-from comparisons.residual_analysis import stall_inception
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from comparisons.paper.figures_common import (
     case_table,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.plots_style import ACCENT, INK, MARK, QUIET, new_figure
+from comparisons.show.plots_style import ACCENT, INK, MARK, QUIET, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

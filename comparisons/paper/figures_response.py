@@ -32,7 +32,7 @@ from comparisons.paper.figures_truth import (
     unstalled_psi_p,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.plots_style import (
+from comparisons.show.plots_style import (
     ACCENT,
     FAINT,
     INK,

@@ -9,10 +9,10 @@ import numpy as np
 
 from classic_ml import LagRegressor, PiecewiseLinear
 from classic_ml.series import CoefficientSeries
-from comparisons.estimators import psi_breakpoints
-from comparisons.fit_quality import trusted_range
-from comparisons.fit_rows import FitRows, stack_rows
-from comparisons.lag_value import FittedLag
+from comparisons.harness.estimators import psi_breakpoints
+from comparisons.harness.fit_quality import trusted_range
+from comparisons.harness.lag_value import FittedLag
+from comparisons.harness.rows import FitRows, stack_rows
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 

@@ -134,7 +134,7 @@ class GroupComparison(Displayed):
         return next(row for row in self.rows if row.method == method)
 
     def _sheet(self) -> Sheet:
-        from comparisons.sheets import methods_sheet
+        from comparisons.show.sheets import methods_sheet
 
         return methods_sheet(self)
 
@@ -168,7 +168,7 @@ class PairwiseDifferences(Displayed):
         return np.array([[p.stderr for p in row] for row in self.pairs], dtype=np.float64)
 
     def _sheet(self) -> Sheet:
-        from comparisons.sheets import pairwise_sheet
+        from comparisons.show.sheets import pairwise_sheet
 
         return pairwise_sheet(self)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.fit_rows import FitRows
+from comparisons.harness.rows import FitRows
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 from surge_core.errors import InputError
@@ -115,8 +115,8 @@ def _may_be_lag(estimator: Any) -> bool:
 def _lag_scores(
     method: Method, records: Sequence[CoefficientSeries], made: Made, fit: dict[str, Any]
 ) -> dict[str, Any]:
-    from comparisons.compare import compare_records
-    from comparisons.estimators import EstimatorSpec, default_estimators
+    from comparisons.harness.compare import compare_records
+    from comparisons.harness.estimators import EstimatorSpec, default_estimators
 
     if method.built_in:
         specs = {spec.name: spec for spec in default_estimators(**fit)}
@@ -173,8 +173,8 @@ def _regressor_scores(
     method: Method, records: Sequence[CoefficientSeries], made: Made
 ) -> dict[str, Any]:
     """Score any regressor by what it predicts: it has no characteristic, and perhaps no τ."""
-    from comparisons.fit_quality import score_fit
-    from comparisons.fit_rows import stack_rows
+    from comparisons.harness.fit_quality import score_fit
+    from comparisons.harness.rows import stack_rows
 
     rows = stack_rows(records, "psi_p")
     begun = time.perf_counter()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.show.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
 from comparisons.study.comparison import (
     GroupComparison,
     axes_in,
@@ -27,7 +27,7 @@ from surge_core.rounding import round_to_error, significant
 if TYPE_CHECKING:
     import pandas as pd
 
-    from comparisons.report import ReportSection
+    from comparisons.show.report import ReportSection
     from comparisons.study.plots import Drawn
 
 __all__ = ["render_study_report", "study_sections", "write_study_report"]
@@ -125,7 +125,7 @@ def render_study_report(
     str
         HTML with its style and its pictures in it; all text is escaped.
     """
-    from comparisons.report import render_report
+    from comparisons.show.report import render_report
 
     sections = study_sections(table, spec_words, scores, reference, by)
     return render_report(sections, title=title, command=command, version=version)
@@ -145,7 +145,7 @@ def study_sections(
     table, spec_words, scores, reference, by
         See :func:`render_study_report`.
     """
-    from comparisons.report import ReportSection
+    from comparisons.show.report import ReportSection
 
     study = _Study(table, reference, tuple(by))
     known = [score for score in map(score_named, scores) if score.name in table.columns]

@@ -70,7 +70,7 @@ class Method:
     name : str
         How it is called in the table.
     built_in : str
-        Name of an estimator of `comparisons.estimators`; empty for another class.
+        Name of an estimator of `comparisons.harness.estimators`; empty for another class.
     import_path : str
         ``module:Class`` of an estimator that follows scikit-learn's contract; empty for a built-in.
     parameters : tuple of tuple of str and value

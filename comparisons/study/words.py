@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from comparisons.show.table import TableField
 from comparisons.study.comparison import (
     LEVEL,
     GroupComparison,
@@ -15,7 +16,6 @@ from comparisons.study.comparison import (
     score_named,
 )
 from comparisons.study.scores import Score
-from comparisons.table import TableField
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 
 if TYPE_CHECKING:

@@ -58,8 +58,8 @@ def rows_of(task: Task) -> Iterator[Row]:
 
 def _load() -> None:
     """Import what brings libraries with threads of their own, before they are limited."""
-    import comparisons.compare
-    import comparisons.sparse_whole_run  # noqa: F401
+    import comparisons.harness.compare
+    import comparisons.harness.sparse_whole_run  # noqa: F401
 
 
 class _Workshop:

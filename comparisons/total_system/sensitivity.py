@@ -261,8 +261,8 @@ def _component_row(
     record: Record, test: TestDescription, error_s: float, factor: float
 ) -> SensitivityRow:
     """Reduce and fit the component method anew with what it would be told."""
-    from comparisons.estimators import default_estimators
-    from comparisons.fit_rows import stack_rows
+    from comparisons.harness.estimators import default_estimators
+    from comparisons.harness.rows import stack_rows
 
     machine = replace(
         test.compressor, internal_volume_m3=factor * test.compressor.internal_volume_m3

@@ -28,9 +28,9 @@ from classic_ml.faults import probe_agreement
 from classic_ml.readers import read_raw
 from classic_ml.reduction import STEPS, ReductionSettings, reduce_record
 from classic_ml.series import ledger_path
-from comparisons import reduce_command
-from comparisons.cli import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE, main
-from comparisons.reduce_command import excerpt
+from comparisons.cli import reduce as reduce_command
+from comparisons.cli.parser import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE, main
+from comparisons.cli.reduce import excerpt
 from comparisons.rig import simulate, write_run
 from surge_core.errors import InputError
 
@@ -286,8 +286,8 @@ def test_a_long_record_goes_to_the_disk_unasked_where_there_is_room(
             folders.append(folder)
             super().__init__(folder)
 
-    monkeypatch.setattr("comparisons.reduce_command.OnDisk", Noted)
-    monkeypatch.setattr("comparisons.reduce_command.IN_MEMORY_BYTES", 1_000_000)
+    monkeypatch.setattr("comparisons.cli.reduce.OnDisk", Noted)
+    monkeypatch.setattr("comparisons.cli.reduce.IN_MEMORY_BYTES", 1_000_000)
     monkeypatch.delenv("TMPDIR", raising=False)
     assert files_of(rig, out) == whole
     assert folders == [rig]

@@ -8,7 +8,7 @@ import pytest
 from comparison_data import made_comparison
 
 from classic_ml.records import Dropped, LedgerEntry
-from comparisons.cautions import (
+from comparisons.harness.cautions import (
     grouped_cautions,
     low_pass_before_flow,
     ranking_caution,

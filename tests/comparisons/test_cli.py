@@ -45,7 +45,8 @@ def run(*arguments: object) -> int:
 
 def test_help_answers_without_loading_anything_heavy() -> None:
     code = (
-        "import sys; from comparisons.cli import build_parser; build_parser().format_help(); "
+        "import sys; from comparisons.cli.parser import build_parser; "
+        "build_parser().format_help(); "
         f"print([m for m in {HEAVY!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -277,7 +278,7 @@ def test_an_interrupt_is_one_line(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("comparisons.commands.run_compare", interrupted)
+    monkeypatch.setattr("comparisons.cli.commands.run_compare", interrupted)
     assert run("compare", tmp_path / "s.csv") == 130
     assert capsys.readouterr().err.count("\n") == 1
 

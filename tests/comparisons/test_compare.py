@@ -10,13 +10,18 @@ import pytest
 from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml.series import CoefficientSeries
-from comparisons.compare import compare_records
-from comparisons.estimators import default_estimators, psi_breakpoints
-from comparisons.fit_quality import block_errors, paired_difference, score_fit, trusted_range
-from comparisons.fit_rows import stack_rows
-from comparisons.json_output import comparison_document, to_strict_json
-from comparisons.lag_value import FittedLag
-from comparisons.reconstruction import reconstruct_record, reconstruction_csv
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators, psi_breakpoints
+from comparisons.harness.fit_quality import (
+    block_errors,
+    paired_difference,
+    score_fit,
+    trusted_range,
+)
+from comparisons.harness.lag_value import FittedLag
+from comparisons.harness.reconstruction import reconstruct_record, reconstruction_csv
+from comparisons.harness.rows import stack_rows
+from comparisons.show.json_output import comparison_document, to_strict_json
 from surge_core.errors import InputError
 
 CLASSICAL = default_estimators()[:4]

@@ -11,8 +11,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from classic_ml import LagRegressor
 from classic_ml.records import LedgerEntry
-from comparisons.fit_rows import FitRows
-from comparisons.fit_warnings import (
+from comparisons.harness.fit_warnings import (
     Drift,
     drift_of,
     drift_warnings,
@@ -21,7 +20,8 @@ from comparisons.fit_warnings import (
     misalignment,
     noise_model_warnings,
 )
-from comparisons.tau_trial import TauEstimate
+from comparisons.harness.rows import FitRows
+from comparisons.harness.tau_trial import TauEstimate
 
 N = 3000
 

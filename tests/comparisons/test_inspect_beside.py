@@ -90,7 +90,7 @@ def test_files_are_written_though_nobody_reads_the_text(made: RawTest, tmp_path:
         header=",".join((*made.columns, *wide)),
         comments="",
     )
-    code = "import sys; from comparisons.cli import main; sys.exit(main())"
+    code = "import sys; from comparisons.cli.parser import main; sys.exit(main())"
     command = [sys.executable, "-c", code, "inspect", str(raw)]
     command += ["--json", str(tmp_path / "d.json"), "--draft", str(tmp_path / "d.toml")]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)

@@ -12,7 +12,7 @@ import pytest
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
 from classic_ml import LagRegressor
-from comparisons.lag_value import FittedLag, load_models, save_models
+from comparisons.harness.lag_value import FittedLag, load_models, save_models
 from surge_core.errors import InputError
 
 

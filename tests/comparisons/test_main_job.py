@@ -12,10 +12,10 @@ from classic_ml import LagRegressor
 from classic_ml.readers import read_raw
 from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
-from comparisons.compare import Comparison, compare_records
-from comparisons.estimators import EstimatorSpec, default_estimators
-from comparisons.json_output import comparison_document
+from comparisons.harness.compare import Comparison, compare_records
+from comparisons.harness.estimators import EstimatorSpec, default_estimators
 from comparisons.rig import simulate, write_run
+from comparisons.show.json_output import comparison_document
 
 AT = np.array([0.0, 0.05, 0.1, 0.15])
 RECORD = Path(__file__).parents[3] / "shared" / "data" / "independent_rig_985"
@@ -193,7 +193,7 @@ def test_the_start_of_c_matters_on_low_passed_data(seed: int, folder: Path) -> N
 
 
 def test_a_second_instability_is_reconstructed_by_the_model_of_the_first(folder: Path) -> None:
-    from comparisons.reconstruction import reconstruct_record
+    from comparisons.harness.reconstruction import reconstruct_record
 
     model = (
         compare_records([own_series("985", 0, folder)], estimators=only("paper")).results[0].model

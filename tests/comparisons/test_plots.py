@@ -17,10 +17,10 @@ from PIL import Image
 from raw_data import make_test
 
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from comparisons import plots
-from comparisons.plots_style import broken, estimator_styles, printable, robust_limits
-from comparisons.reconstruction import reconstruct_record
-from comparisons.truth import Truth
+from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.harness.truth import Truth
+from comparisons.show import plots
+from comparisons.show.plots_style import broken, estimator_styles, printable, robust_limits
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
 
@@ -230,7 +230,7 @@ def test_limits_leave_out_a_stray_row_and_survive_nothing() -> None:
 def test_drawing_leaves_no_global_state_and_no_window() -> None:
     code = """
 import sys
-from comparisons import plots
+from comparisons.show import plots
 assert "matplotlib" not in sys.modules
 figure = plots.new_figure()
 figure.add_subplot()

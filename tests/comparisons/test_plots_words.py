@@ -13,23 +13,25 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
 from classic_ml.series import CoefficientSeries
+from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.harness.truth import Truth
 from comparisons.missing_effect.shown import contributions, steady_curves, where_of
-from comparisons.plots_fit_words import (
+from comparisons.show.plots_fit_words import (
     characteristics_words,
     reconstruction_words,
     residual_structure_words,
     residuals_words,
     validation_words,
 )
-from comparisons.plots_missing_effect_words import (
+from comparisons.show.plots_missing_effect_words import (
     characteristics_words as diagnosis_curve_words,
 )
-from comparisons.plots_missing_effect_words import (
+from comparisons.show.plots_missing_effect_words import (
     contributions_words,
     diagnosis_words,
     spectra_words,
 )
-from comparisons.plots_record_words import (
+from comparisons.show.plots_record_words import (
     hub_and_tip_words,
     inlet_spectra_words,
     loops_words,
@@ -37,8 +39,6 @@ from comparisons.plots_record_words import (
     series_words,
     surge_cycles_words,
 )
-from comparisons.reconstruction import reconstruct_record
-from comparisons.truth import Truth
 
 RATE_HZ = 1000.0
 

@@ -18,7 +18,7 @@ from raw_data import make_test
 
 from classic_ml.series import write_series
 from comparisons.cli import main
-from comparisons.progress import shown_count, shown_over, shown_steps
+from comparisons.cli.progress import shown_count, shown_over, shown_steps
 from comparisons.rig import SensorSettings, simulate, write_run
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
@@ -149,7 +149,7 @@ def test_nothing_is_drawn_where_stderr_is_a_pipe(
 def test_the_search_for_breakpoints_of_the_work_characteristic_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from comparisons.work_command import fit_work
+    from comparisons.cli.work import fit_work
 
     record, test = make_test(cells_lbm_s=8.0, noise_counts=1.5).load()
     counted: list[object] = []
@@ -180,7 +180,7 @@ def test_an_iteration_is_counted_and_gives_what_it_was_given(
 def test_what_was_finished_before_tells_nothing_of_the_time_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from comparisons import progress
+    from comparisons.cli import progress
 
     monkeypatch.setattr(progress, "_TICK_S", 0.01)
     million = 10**6
@@ -207,7 +207,7 @@ def test_a_count_whose_end_is_not_known_is_shown(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_clock_goes_on_while_a_step_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
-    from comparisons import progress
+    from comparisons.cli import progress
 
     monkeypatch.setattr(progress, "_TICK_S", 0.01)
     before = threading.active_count()

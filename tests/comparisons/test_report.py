@@ -18,11 +18,11 @@ from report_page import without_own_script
 
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, reduce_record
-from comparisons.compare import Comparison
-from comparisons.reconstruction import reconstruct_record
-from comparisons.report import Part, ReportSection, Words, render_report, write_report
-from comparisons.report.agreement import dwelling_words, widest_gap
-from comparisons.truth import Truth
+from comparisons.harness.compare import Comparison
+from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.harness.truth import Truth
+from comparisons.show.report import Part, ReportSection, Words, render_report, write_report
+from comparisons.show.report.agreement import dwelling_words, widest_gap
 from surge_core.errors import InputError
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"

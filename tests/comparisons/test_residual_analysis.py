@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from comparisons.residual_analysis import (
+from comparisons.harness.residual_analysis import (
     autocorrelation,
     cross_correlation,
     dwelt_on,

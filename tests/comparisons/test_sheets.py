@@ -14,8 +14,8 @@ from made_systems import made_diagnosis as made_system
 
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.quantities import tau_ms
+from comparisons.show.table import FIELDS, comparison_cells
 from comparisons.study.comparison import compare_methods, pairwise
-from comparisons.table import FIELDS, comparison_cells
 
 
 def shown(value: Any) -> tuple[str, str]:

@@ -14,13 +14,13 @@ from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs
-from comparisons.compare import Comparison, compare_records
-from comparisons.estimators import default_estimators
-from comparisons.json_output import comparison_document, to_strict_json
-from comparisons.lag_value import load_models, save_models
+from comparisons.harness.compare import Comparison, compare_records
+from comparisons.harness.estimators import default_estimators
+from comparisons.harness.lag_value import load_models, save_models
+from comparisons.harness.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
+from comparisons.harness.tau_trial import trial_of
 from comparisons.rig import simulate, write_run
-from comparisons.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
-from comparisons.tau_trial import trial_of
+from comparisons.show.json_output import comparison_document, to_strict_json
 from sindy_surge import SparseLagRegressor
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
@@ -184,7 +184,7 @@ def test_rows_without_unfiltered_columns_are_left_to_the_likelihood() -> None:
     record = CoefficientSeries(
         time_s, phi, 1.0 + phi + 1e-3 * rng.standard_normal(n), np.ones(n, dtype=np.int64)
     )
-    from comparisons.fit_rows import stack_rows
+    from comparisons.harness.rows import stack_rows
 
     (spec,) = [s for s in default_estimators() if s.name == "sindy"]
     assert isinstance(spec.fitted(stack_rows([record]), [record], None), SparseLagRegressor)

@@ -17,7 +17,7 @@ from PIL import Image
 from report_page import without_own_script
 
 from comparisons.cli import main
-from comparisons.structure_command import _dead_time
+from comparisons.cli.structure import _dead_time
 
 PERIOD_S = 1e-3
 TAU_S = 0.018

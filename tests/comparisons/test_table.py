@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from comparison_data import LINES, made_comparison, made_series
 
-from comparisons.reconstruction import reconstruct_record
-from comparisons.table import FIELDS, comparison_cells, comparison_table, reconstruction_table
+from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.show.table import FIELDS, comparison_cells, comparison_table, reconstruction_table
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "comparison_table.txt"
 CAUTIONS = (

@@ -13,6 +13,7 @@ import pytest
 from total_system_runs import TRUE_TAU_S, ideal, model_of, near_truth, settings, signals
 
 from classic_ml.records import Channel, LedgerEntry, Record
+from comparisons.cli.total_system import add_total_system_parser
 from comparisons.rig import CASES, SensorSettings, simulate, write_run
 from comparisons.total_system import (
     Facility,
@@ -24,7 +25,6 @@ from comparisons.total_system import (
     sensitivity_rows,
 )
 from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
-from comparisons.total_system_command import add_total_system_parser
 from surge_core.errors import InputError
 
 

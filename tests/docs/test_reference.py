@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from comparisons.cli import build_parser
+from comparisons.cli.parser import build_parser
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -31,10 +31,10 @@ PUBLIC = (
     "classic_ml.units",
     "classic_ml.whole_run",
     "classic_ml.work.coefficient",
-    "comparisons.compare",
-    "comparisons.estimators",
-    "comparisons.fit_quality",
-    "comparisons.lag_value",
+    "comparisons.harness.compare",
+    "comparisons.harness.estimators",
+    "comparisons.harness.fit_quality",
+    "comparisons.harness.lag_value",
     "comparisons.live.columns",
     "comparisons.live.detection",
     "comparisons.live.estimate",
@@ -46,16 +46,16 @@ PUBLIC = (
     "comparisons.missing_effect.extended_lag",
     "comparisons.missing_effect.limits",
     "comparisons.missing_effect.separate",
-    "comparisons.reconstruction",
-    "comparisons.report",
+    "comparisons.harness.reconstruction",
+    "comparisons.show.report",
     "comparisons.rig",
     "comparisons.rig.coefficient_tests",
-    "comparisons.structure_fit",
+    "comparisons.harness.structure_fit",
     "comparisons.study.comparison",
     "comparisons.study.report",
     "comparisons.study.run",
     "comparisons.study.spec",
-    "comparisons.table",
+    "comparisons.show.table",
     "comparisons.total_system",
     "sindy_surge",
     "sindy_surge.closed_loop",

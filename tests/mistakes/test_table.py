@@ -36,7 +36,7 @@ def test_the_installed_command_refuses_as_the_function_does(
     row: object, clean: Path, tmp_path: Path
 ) -> None:
     here = hand_in(row, clean, tmp_path)  # type: ignore[arg-type]
-    code = "import sys; from comparisons.cli import main; sys.exit(main())"
+    code = "import sys; from comparisons.cli.parser import main; sys.exit(main())"
     done = subprocess.run(
         [sys.executable, "-c", code, *row.command.split()],  # type: ignore[attr-defined]
         cwd=tmp_path,

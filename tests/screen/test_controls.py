@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from made_pages import PAGES
 
-from comparisons.report import Cell, Head, Part, ReportSection, Table, render_report
+from comparisons.show.report import Cell, Head, Part, ReportSection, Table, render_report
 
 if TYPE_CHECKING:
     from conftest import Browser

@@ -8,10 +8,10 @@ from lag_data import BETA, PERIOD_S, flow, lagged
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.residual_checks import CheckRow
 from classic_ml.series import CoefficientSeries
-from comparisons.compare import Comparison, ComparisonRow, EstimatorResult
-from comparisons.fit_quality import FitScore, block_errors, score_fit, trusted_range
-from comparisons.fit_rows import stack_rows
-from comparisons.lag_value import FittedLag
+from comparisons.harness.compare import Comparison, ComparisonRow, EstimatorResult
+from comparisons.harness.fit_quality import FitScore, block_errors, score_fit, trusted_range
+from comparisons.harness.lag_value import FittedLag
+from comparisons.harness.rows import stack_rows
 
 LOW_PASS = LedgerEntry(
     "filter",

@@ -12,9 +12,9 @@ from comparison_data import made_comparison, made_series
 from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
-from comparisons.report import Part, ReportSection, Words, render_report
-from comparisons.structure_fit import FoundStructure
-from comparisons.truth import Truth
+from comparisons.harness.structure_fit import FoundStructure
+from comparisons.harness.truth import Truth
+from comparisons.show.report import Part, ReportSection, Words, render_report
 
 __all__ = ["EVIL", "PAGES", "made_page"]
 
@@ -39,7 +39,7 @@ def made_page(kind: str, name: str = "record.csv") -> str:
 
 
 def _compare(name: str) -> str:
-    from comparisons.reconstruction import reconstruct_record
+    from comparisons.harness.reconstruction import reconstruct_record
 
     comparison = made_comparison(
         made_series(source=name), cautions=(f"{name}: P25_A: 40 rows clipped",)
@@ -70,8 +70,8 @@ def _reduce(name: str) -> str:
 def _diagnose(name: str) -> str:
     from made_diagnosis import Told, made_diagnosis
 
-    from comparisons.diagnose_report import diagnosis_report
     from comparisons.missing_effect.shown import where_of
+    from comparisons.show.diagnose_report import diagnosis_report
 
     d = made_diagnosis("alias_set")
     d = replace(d, data=replace(d.data, sources=(name, f"{name} 2")), unavailable={name: name})
@@ -96,13 +96,13 @@ def _system(name: str) -> str:
 
 @cache
 def _found() -> FoundStructure:
-    from comparisons.structure_fit import find_structure
+    from comparisons.harness.structure_fit import find_structure
 
     return find_structure([made_series(n=1200, n_segments=3)], n_bootstrap=5, max_terms=4)
 
 
 def _structure(name: str) -> str:
-    from comparisons.structure_report import structure_report
+    from comparisons.show.structure_report import structure_report
 
     found = _found()
     records = tuple(replace(record, source=name) for record in found.records)
@@ -144,8 +144,8 @@ def _study(name: str) -> str:
 
 
 def _reproduce(name: str) -> str:
+    from comparisons.cli.reproduce import claims_sections
     from comparisons.paper.claims_base import Claim
-    from comparisons.paper.command import claims_sections
     from comparisons.paper.figures_common import PaperFigure, one_panel
 
     figure, ax = one_panel()

@@ -20,7 +20,7 @@ from mistake import REDUCE, Mistake
 from raw_data import RawTest, make_test
 
 from comparisons.cli import main
-from comparisons.lag_value import FittedLag, save_models
+from comparisons.harness.lag_value import FittedLag, save_models
 from comparisons.total_system import facility_toml
 from comparisons.total_system.rig_facility import facility_of_case
 

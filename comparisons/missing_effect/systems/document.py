@@ -47,7 +47,7 @@ def system_document(d: SystemDiagnosis, where: Mapping[str, Any] | None = None) 
     Returns
     -------
     dict
-        Numbers that are not finite are NaN here; `comparisons.json_output.to_strict_json` writes
+        Numbers that are not finite are NaN here; `to_strict_json` writes
         them as null.
     """
     told = NO_WHERE if where is None else where

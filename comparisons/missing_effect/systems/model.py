@@ -144,7 +144,7 @@ class Model(Displayed):
         return kinds[0](*x), kinds[1](*u), kinds[2](*p)
 
     def _sheet(self) -> Sheet:
-        from comparisons.sheets import model_sheet
+        from comparisons.show.sheets import model_sheet
 
         return model_sheet(self)
 

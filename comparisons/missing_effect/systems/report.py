@@ -29,7 +29,7 @@ from comparisons.missing_effect.systems.shown import (
 )
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import number_words, system_words
-from comparisons.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.show.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def system_report(
     str
         HTML with its style and its pictures in it; all text is escaped.
     """
-    from comparisons.report import ReportSection, render_report
+    from comparisons.show.report import ReportSection, render_report
 
     return render_report(
         [ReportSection(title=name, extra=system_parts(d)) for name, d in diagnoses.items()],

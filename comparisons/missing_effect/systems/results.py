@@ -215,6 +215,6 @@ class SystemDiagnosis(Displayed):
         return next(row for row in self.parameters if row.name == name)
 
     def _sheet(self) -> Sheet:
-        from comparisons.sheets import system_sheet
+        from comparisons.show.sheets import system_sheet
 
         return system_sheet(self)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from comparisons.progress import shown_steps
+from comparisons.cli.progress import shown_steps
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def contents_of(
     """
     out = []
     if json:
-        from comparisons.json_output import to_strict_json
+        from comparisons.show.json_output import to_strict_json
 
         out.append(("numbers", json, to_strict_json(_document(diagnoses))))
     if report:

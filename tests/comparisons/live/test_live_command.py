@@ -55,7 +55,14 @@ class Running:
 @contextmanager
 def running(record: LiveRecord, folder: Path, *options: str) -> Iterator[Running]:
     log = folder / "log.txt"
-    command = [sys.executable, "-m", "comparisons.cli", "live", "--test", str(record.test_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "comparisons.cli",
+        "live",
+        "--test",
+        str(record.test_path),
+    ]
     with log.open("w", encoding="utf-8") as stream:
         process = subprocess.Popen(
             [*command, "-o", str(folder / "series.csv"), *options],

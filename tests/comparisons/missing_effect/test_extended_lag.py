@@ -13,9 +13,10 @@ import pytest
 
 from classic_ml.series import CoefficientSeries, write_series
 from comparisons.cli import main
-from comparisons.compare import compare_records
-from comparisons.estimators import default_estimators
-from comparisons.fit_rows import stack_rows
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators
+from comparisons.harness.reconstruction import load_any_models, reconstruct_record
+from comparisons.harness.rows import stack_rows
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
 from comparisons.missing_effect.extended_estimator import extended_specs
@@ -26,7 +27,6 @@ from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.open_terms import open_terms, with_state
 from comparisons.missing_effect.structure import Structure
-from comparisons.reconstruction import load_any_models, reconstruct_record
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
 from surge_core.errors import InputError
 

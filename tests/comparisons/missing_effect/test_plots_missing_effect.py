@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.shown import contributions, where_of
-from comparisons.plots_added_effect import AFTER, BEFORE
-from comparisons.plots_missing_effect import (
+from comparisons.show.plots_added_effect import AFTER, BEFORE
+from comparisons.show.plots_missing_effect import (
     draw_characteristics,
     draw_contributions,
     draw_diagnosis,

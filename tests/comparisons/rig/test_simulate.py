@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.cli import build_parser
+from comparisons.cli.parser import build_parser
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
 from surge_core.errors import InputError
 

@@ -243,7 +243,7 @@ def test_a_killed_command_loses_no_finished_cell(tmp_path: Path) -> None:
         '[[method]]\nname = "classic_ml_output_error"\n[[method]]\nname = "classic_ml_arx"\n',
         "utf-8",
     )
-    run = "from comparisons.cli import main; raise SystemExit(main())"
+    run = "from comparisons.cli.parser import main; raise SystemExit(main())"
     line = [sys.executable, "-c", run, "study", str(declared), "--jobs", "2", "--out"]
     killed, whole = StudyFiles(tmp_path / "killed"), StudyFiles(tmp_path / "whole")
     process = subprocess.Popen(

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from driven_mass import CUBIC, NOISE_M, files
 
-from comparisons.json_output import to_strict_json
 from comparisons.missing_effect.systems import document as documents
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.files import load_model, read_experiment
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.terminal import system_text
 from comparisons.missing_effect.systems.words import system_words
+from comparisons.show.json_output import to_strict_json
 
 KEYS = {
     "schema",

@@ -10,11 +10,11 @@ import pytest
 from made_systems import made_diagnosis
 from report_page import without_own_script
 
-from comparisons import plots_style
 from comparisons.missing_effect.systems.report import system_parts, system_report
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.words import system_words
-from comparisons.report.blocks import Bullets, Part, Picture, Table, Words
+from comparisons.show import plots_style
+from comparisons.show.report.blocks import Bullets, Part, Picture, Table, Words
 from surge_core.rounding import log_units
 
 HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)>"

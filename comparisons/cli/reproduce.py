@@ -1,0 +1,159 @@
+"""What `sindy-surge reproduce` does: run the tests, check the claims, write rows and report."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from comparisons.cli.progress import shown_over
+from surge_core.files import check_apart, check_target, write_whole
+
+if TYPE_CHECKING:
+    from comparisons.paper.claims_base import Claim
+    from comparisons.paper.figures_common import PaperFigure
+    from comparisons.show.report import ReportSection
+
+__all__ = ["claims_sections", "command_line", "reproduce", "show_progress", "write_claims_report"]
+
+HTML = (".html", ".htm")
+
+
+def reproduce(
+    *,
+    seed: int = 0,
+    json_path: Path | None = None,
+    report: Path | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+    command: str = "sindy-surge reproduce",
+) -> str:
+    """Check the paper claim by claim on four simulated instabilities.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the rig's sensors.
+    json_path : path, optional
+        Where the rows go as JSON.
+    report : path, optional
+        Where the HTML report with the counterparts of the paper's figures goes.
+    progress : callable
+        Wraps iterations, to show how far they are.
+    command : str
+        Printed in the report.
+
+    Returns
+    -------
+    str
+        The table of the claims, and what was written.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be written; it is refused before any work is done.
+    """
+    wanted = [(path, kind) for path, kind in ((json_path, ()), (report, HTML)) if path is not None]
+    for path, suffixes in wanted:
+        check_target(path, suffixes)
+    check_apart([], [path for path, _ in wanted])
+
+    from comparisons.paper.claims import check_claims, claims_json, claims_table
+    from comparisons.paper.instabilities import run_instabilities
+
+    runs = run_instabilities(seed, progress)
+    claims = check_claims(runs, progress)
+    said = [claims_table(claims)]
+    if json_path is not None:
+        rows = json.dumps(claims_json(claims), indent=1, allow_nan=False, ensure_ascii=False)
+        write_whole(json_path, rows + "\n")
+        said.append(f"numbers: {json_path}")
+    if report is not None:
+        from comparisons.paper.figures import draw_figures
+
+        write_claims_report(report, claims, draw_figures(runs), command, progress)
+        said.append(f"report: {report}")
+    return "\n".join(said)
+
+
+def write_claims_report(
+    path: Path,
+    claims: Sequence[Claim],
+    figures: Sequence[PaperFigure],
+    command: str,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> None:
+    """Write claims and figures as one HTML page.
+
+    Parameters
+    ----------
+    path : path
+        Target, ending in ``.html``.
+    claims : sequence of Claim
+        Checked claims.
+    figures : sequence of PaperFigure
+        Counterparts of the paper's figures.
+    command : str
+        The command line that made it.
+    progress : callable
+        Wraps the iteration over the figures, to show how far it is.
+    """
+    from comparisons.show.report import write_report
+
+    sections = claims_sections(claims, figures, progress)
+    write_report(path, sections, title="The paper, claim by claim", command=command)
+
+
+def claims_sections(
+    claims: Sequence[Claim],
+    figures: Sequence[PaperFigure],
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> tuple[ReportSection, ...]:
+    """Return the sections of the page: the claims, and the figures where there are any.
+
+    Parameters
+    ----------
+    claims : sequence of Claim
+        Checked claims.
+    figures : sequence of PaperFigure
+        Counterparts of the paper's figures.
+    progress : callable
+        Wraps the iteration over the figures, to show how far it is.
+    """
+    from comparisons.paper.claims import claims_block
+    from comparisons.show.report import Part, Picture, ReportSection, Words
+
+    about = Words(
+        "Four surge tests and one of steady rotating stall were simulated on a rig whose truth is "
+        "known, read from their raw counts and reduced and fitted the paper's way: Butterworth "
+        "filter of order 3 at 48 Hz on the pressures, run once; 50 lbm/s between the regimes; "
+        "maximum likelihood with a moving average and zero-order hold. A claim about the rig's own "
+        "sensors or machine is tested on these. What does not hold is printed as such.",
+        "quiet",
+    )
+    table = ReportSection("Claims", extra=(Part("Table", (about, claims_block(claims))),))
+    pictures = tuple(
+        Part(
+            f"Figure {f.number}: {f.title}",
+            (Picture.of(f.title, f.figure, f.caption, f"In the paper: “{f.paper_caption}”"),),
+        )
+        for f in progress(figures)
+    )
+    return (table, ReportSection("Figures", extra=pictures)) if pictures else (table,)
+
+
+def show_progress(items: Iterable[Any]) -> Iterable[Any]:
+    """Show how far a work is, on a terminal only.
+
+    Parameters
+    ----------
+    items : iterable
+        What is worked through.
+    """
+    return shown_over(items)
+
+
+def command_line() -> str:
+    """Return the command as it was called."""
+    return " ".join(["sindy-surge", *sys.argv[1:]])

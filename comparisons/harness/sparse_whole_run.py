@@ -1,0 +1,196 @@
+"""The sparse regression by one free run through whole records, from unfiltered signals.
+
+Rows, average and nuisances are those of `classic_ml.whole_run`; terms, τ and errors are found by
+`sindy_surge.sparse_run`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from classic_ml.lag_model import LagRegressor
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import COMMON_CURVE_SHARE, COMMON_TAU_SHARE, WholeRunFit, check_rates
+from classic_ml.whole_run_rows import (
+    WholeRunRows,
+    is_blowdown,
+    moving_columns,
+    scored_until,
+    stacked_rows,
+    whole_run_rows,
+)
+from comparisons.harness.terms import evaluate_terms
+from surge_core.fit_state import FitState
+from surge_core.lag import Hold
+from surge_core.types import FloatArray
+
+if TYPE_CHECKING:
+    from sindy_surge.selection import PathRow
+    from sindy_surge.sparse_run import SparseRun
+
+__all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
+
+
+@dataclass(frozen=True)
+class SparseWholeRunFit(WholeRunFit):
+    """Terms chosen on whole runs, with the attributes of an estimator (DESIGN section 5).
+
+    ``rows_`` hold the terms that were chosen, and ``model_`` is output error with these, for the
+    checks; ``degree`` is that of the highest power among them.
+
+    Parameters
+    ----------
+    candidate_terms_ : tuple of str
+        Every name of the library.
+    path_ : tuple of PathRow
+        Every structure tried, with its error on cycles left out.
+    """
+
+    candidate_terms_: tuple[str, ...]
+    path_: tuple[PathRow, ...]
+
+    def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return ψ'_QS and its standard error at φ, of shape (n,)."""
+        values = evaluate_terms(self.terms_, np.ravel(np.asarray(phi, dtype=np.float64)))
+        variance: FloatArray = np.einsum("ij,jk,ik->i", values, self.covariance_, values)
+        return values @ self.coef_, np.sqrt(np.maximum(variance, 0.0))
+
+
+def fit_sparse_whole_runs(
+    records: Sequence[CoefficientSeries],
+    *,
+    hold: Hold = "first",
+    until_s: Sequence[float] | None = None,
+    optimizer: Any = "SSR",
+    max_terms: int = 6,
+) -> SparseWholeRunFit:
+    """Choose the terms of one lag model on whole runs through one or several records.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        At one sample rate, with their unfiltered columns.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    until_s : sequence of float, optional
+        Score each record up to this time only; the rest is held out.
+    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+        What proposes structures.
+    max_terms : int
+        Largest structure considered.
+
+    Returns
+    -------
+    SparseWholeRunFit
+        Refused by its state, with τ NaN, where hardly a row is in forward flow in stall.
+
+    Raises
+    ------
+    InputError
+        When a series lacks the unfiltered columns.
+    """
+    from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+    from sindy_surge.sparse_run import select_on_free_run
+
+    check_rates(records)
+    plain = scored_until([whole_run_rows(record) for record in records], until_s)
+    scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
+    if not scored_phi.size:
+        return _refusal(records[0].sample_period_s, hold, plain)
+    # Knots and scales where the curve is asked for, not where φ is only simulated through.
+    library = CandidateTerms(None, scored_phi[:, None], ["phi"])
+    rows = scored_until(
+        [whole_run_rows(r, terms=lambda phi: library(phi[:, None])) for r in records], until_s
+    )
+    inputs, psi_p, weight, runs = stacked_rows(rows)
+    n_terms = len(library.names)
+    kept = moving_columns(inputs, n_terms)
+    found = select_on_free_run(
+        inputs[:, :n_terms],
+        library.names,
+        [polynomial_degree(name, ["phi"]) for name in library.names],
+        inputs[:, kept[n_terms:]],
+        psi_p,
+        weight,
+        runs,
+        np.concatenate([row.cycle for row in rows]),
+        records[0].sample_period_s,
+        hold=hold,
+        optimizer=optimizer,
+        max_terms=max_terms,
+        common_tau_share=COMMON_TAU_SHARE,
+        common_curve_share=COMMON_CURVE_SHARE,
+    )
+    return _result(found, records[0].sample_period_s, hold, rows, library.names)
+
+
+def _output_error(sample_period_s: float, hold: Hold) -> LagRegressor:
+    from sklearn.preprocessing import FunctionTransformer
+
+    return LagRegressor(
+        sample_period_s, noise="output-error", hold=hold, basis=FunctionTransformer()
+    )
+
+
+def _refusal(
+    sample_period_s: float, hold: Hold, rows: tuple[WholeRunRows, ...]
+) -> SparseWholeRunFit:
+    """Without a row to score nothing is chosen."""
+    return SparseWholeRunFit(
+        math.nan,
+        math.nan,
+        [],
+        np.zeros(0),
+        np.zeros((0, 0)),
+        0,
+        0,
+        0,
+        FitState.BLOWDOWN,
+        _output_error(sample_period_s, hold),
+        rows,
+        (),
+        (),
+        (),
+    )
+
+
+def _result(
+    found: SparseRun,
+    sample_period_s: float,
+    hold: Hold,
+    rows: tuple[WholeRunRows, ...],
+    names: tuple[str, ...],
+) -> SparseWholeRunFit:
+    from sindy_surge.candidate_terms import polynomial_degree
+
+    chosen = tuple(replace(row, terms=row.terms[:, list(found.support)]) for row in rows)
+    inputs, psi_p, weight, runs = stacked_rows(chosen)
+    kept = moving_columns(inputs, len(found.terms))
+    model = _output_error(sample_period_s, hold)
+    if found.terms:
+        model.fit(inputs[:, kept], psi_p, segments=runs, sample_weight=weight)
+    refused = is_blowdown(rows)
+    unknown = np.full((len(found.terms), len(found.terms)), math.nan)
+    powers = [polynomial_degree(name, ["phi"]) for name in found.terms]
+    return SparseWholeRunFit(
+        math.nan if refused else found.time_constant_s,
+        math.nan if refused else found.time_constant_stderr_s,
+        list(found.terms),
+        found.coefficients,
+        unknown if refused else found.covariance[:-1, :-1],
+        max((power for power in powers if power is not None), default=0),
+        found.n_blocks,
+        int(weight.sum()),
+        FitState.BLOWDOWN if refused else found.state,
+        model,
+        chosen,
+        kept,
+        names,
+        found.path,
+    )

@@ -1,0 +1,1 @@
+"""What is shown of results: text, HTML, JSON and pictures."""

@@ -1,0 +1,369 @@
+"""What a report says of a diagnosis: verdict, where, who, added, shown, limits."""
+
+from __future__ import annotations
+
+import math
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+from comparisons.missing_effect.quantities import (
+    equation_of,
+    model_equation,
+    quantity,
+    symbol,
+    tau_ms,
+)
+from comparisons.missing_effect.ranked import candidate_rows, effect_of, not_fitted
+from comparisons.missing_effect.shown import contributions, residual_runs, tau_before_stderr_s
+from comparisons.missing_effect.terminal import (
+    TOO_SHORT,
+    candidate_cells,
+    candidate_heads,
+    legend_of,
+)
+from comparisons.missing_effect.words import (
+    noise_words,
+    opening_words,
+    untried_words,
+    verdict_words,
+)
+from comparisons.show.report.blocks import Block, Bullets, Head, Part, Picture, Table, Words
+from surge_core.rounding import significant
+
+if TYPE_CHECKING:
+    from comparisons.missing_effect.diagnosis import Diagnosis
+    from comparisons.missing_effect.effect import Parameter
+    from comparisons.missing_effect.where import Where
+
+__all__ = ["diagnosis_parts", "diagnosis_report"]
+
+_WORDS_COLUMNS = ("candidate", "fate")
+
+
+def diagnosis_parts(
+    d: Diagnosis,
+    before: Where | None,
+    after: Where | None = None,
+    *,
+    limits: Any = None,
+    separation: Any = None,
+) -> tuple[Part, ...]:
+    """Return the parts of a report section on what is missing.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    before, after : Where or None
+        Where the residual of the model before and after stands out; None where the records are
+        too short to tell.
+    limits, separation : object, optional
+        With ``lines``: what would have been named, and what would tell an alias set apart.
+    """
+    words = verdict_words(d, limited=limits is not None, separated=separation is not None)
+    tone = "plain" if d.verdict in ("named", "nothing_missing", "alias_set") else "caution"
+    parts = (
+        Part(
+            f"What is missing: {d.verdict.replace('_', ' ')}",
+            (Words(words, tone), _headline_picture(d, before, after), _gap_table(d)),
+        ),
+        Part("Where the model and the measurement part", _where(d, before)),
+        Part("Who was tried", _who(d)),
+        Part("What was added", _added(d)),
+        Part("What it changes", _shown(d, before, after)),
+        Part("Noise and what is left", _left(d, after)),
+        Part("Limits", _lines(limits, _limits_hint(d))),
+        Part("What would tell an alias set apart", _lines(separation, _separation_hint(d))),
+        Part("Effects that could not be tried", (_ledger(d),)),
+    )
+    return tuple(part for part in parts if part.blocks)
+
+
+def diagnosis_report(
+    d: Diagnosis,
+    before: Where | None,
+    after: Where | None = None,
+    *,
+    limits: Any = None,
+    separation: Any = None,
+    command: str = "sindy-surge diagnose",
+    version: str | None = None,
+) -> str:
+    """Return a diagnosis as one self-contained HTML page.
+
+    Parameters
+    ----------
+    d, before, after, limits, separation
+        See :func:`diagnosis_parts`.
+    command : str
+        The command line that made it.
+    version : str, optional
+        Version of this package; that of the installed one without it.
+    """
+    from comparisons.show.report import ReportSection, render_report
+
+    names = ", ".join(PurePath(source).name for source in d.data.sources)
+    parts = diagnosis_parts(d, before, after, limits=limits, separation=separation)
+    return render_report(
+        [ReportSection(title=names, extra=parts)],
+        title=f"What is missing in the lag model of {names}",
+        command=command,
+        version=version,
+    )
+
+
+def _headline_picture(d: Diagnosis, before: Where | None, after: Where | None) -> Picture:
+    from comparisons.show.plots_missing_effect import draw_diagnosis
+    from comparisons.show.plots_missing_effect_words import diagnosis_words
+
+    return Picture.of(
+        "The diagnosis in one picture",
+        draw_diagnosis(d, before, after),
+        diagnosis_words(d),
+        "Top: the held-out stretch on which the model before is worst, simulated from φ alone by "
+        "fits to other rows; what is left of the error after should stay within the shaded band "
+        "in 19 rows of 20. Below, left: how far the residual of a fit to all rows stands out in "
+        "each view, on a logarithmic scale; right of the dashed line is beyond chance. Middle: "
+        "all that competed, the alias set hatched or pale. Right: the characteristic.",
+    )
+
+
+def _gap_table(d: Diagnosis) -> Table:
+    gap = d.gap
+    stderr = tau_before_stderr_s(d)
+    heads = (
+        Head("model"),
+        Head("held-out rms of ψ'", "by a fit to other rows", numeric=True),
+        Head("times the noise", numeric=True),
+        Head("τ", "by a fit to all rows, with its standard error", numeric=True),
+    )
+    rows = [("before", gap.before_rms, tau_ms(d.tau_before_s, stderr))]
+    if d.missing:
+        rows.append(("after", gap.after_rms, tau_ms(d.tau_after_s, d.tau_stderr_s)))
+        aliases = [name for item in d.missing for name in item.alias_set[1:]]
+        rows += [
+            (f"with {name} instead", math.nan, tau_ms(d.tau_by_alias_s[name]))
+            for name in aliases
+            if name in d.tau_by_alias_s
+        ]
+    cells = [
+        (name, *(("", "") if math.isnan(rms) else _rms_cells(rms, gap.floor_rms)), tau)
+        for name, rms, tau in rows
+    ]
+    cells.append(("noise", significant(gap.floor_rms, 3), "1.00", ""))
+    closed = f"; {100.0 * min(gap.shrink, 1.0):.1f} % of it closed" if d.missing else ""
+    return Table(f"Gap on rows held out{closed}", heads, tuple(cells))
+
+
+def _rms_cells(rms: float, floor: float) -> tuple[str, str]:
+    return significant(rms, 3), f"{rms / floor:.2f}"
+
+
+def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
+    if before is None:
+        return (Words(TOO_SHORT),)
+    from comparisons.show.plots_where import draw_where
+
+    return (
+        Words(opening_words(d), "quiet"),
+        Bullets(before.words),
+        Picture.of(
+            "The residual of the model before",
+            draw_where(residual_runs(d, d.before), before),
+            " ".join(before.words),
+            "Everything in floors: the rms of the measurement noise is 1. Top: the residual over "
+            "time with mean and rms of each block. Middle: its spectrum over the noise's, and its "
+            "mean over the surge cycle. Below: its mean where φ was and which way it went, and its "
+            "rms in each record. Red: beyond what chance reaches in all these looks together.",
+            told_above=True,
+        ),
+    )
+
+
+def _who(d: Diagnosis) -> tuple[Block, ...]:
+    heads = tuple(
+        Head(text, numeric=text not in _WORDS_COLUMNS, prose=text == "fate")
+        for text in candidate_heads(d)
+    )
+    rows = candidate_rows(d)
+    marks = tuple("best" if row.chosen or row.alias else "" for row in rows)
+    table = Table(
+        "Candidates, round by round, best first",
+        heads,
+        tuple(candidate_cells(d, row) for row in rows),
+        marks,
+    )
+    told = tuple(Words(words, "quiet") for words in untried_words(d)[: bool(not_fitted(d))])
+    if not rows:
+        return (Words("No effect promised enough to be worth a fit."), *told)
+    how = (
+        "Each effect is fitted together with τ and the characteristic, and accepted only where the "
+        "fitted rows, later time and the other record all speak for it, the search paid for. Open "
+        "terms, which have no name, compete beside them."
+    )
+    if d.whole_runs:
+        how = (
+            "Each effect is fitted together with τ and the characteristic. From raw counts on the "
+            "model leaves far more than the noise, so that an effect is accepted only where it "
+            "explains more of the squared errors than any does on untouched records, and on "
+            "cycles left out."
+        )
+    return (
+        Words(how),
+        table,
+        Words(legend_of(d), "quiet"),
+        *told,
+    )
+
+
+def _added(d: Diagnosis) -> tuple[Block, ...]:
+    models = [f"before: {model_equation(d.before)}"]
+    if not d.missing:
+        return (Words("\n".join(models), "code"), Words("Nothing was added."))
+    if d.after.structure.effects:
+        models.append(f"after:  {model_equation(d.after)}")
+    heads = (
+        Head("effect"),
+        Head("port"),
+        Head("equation", prose=True),
+        Head("number"),
+        Head("value", numeric=True),
+        Head("bounds", "physical bounds of the search"),
+    )
+    rows = []
+    for item in d.missing:
+        effect = effect_of(d, item.effect)
+        bounds = {own.name: _bounds(own) for own in effect.parameters}
+        for i, p in enumerate(item.parameters):
+            first = (item.effect, effect.port, equation_of(effect)) if i == 0 else ("", "", "")
+            rows.append(
+                (
+                    *first,
+                    symbol(p.name),
+                    quantity(p.value, p.stderr, p.unit),
+                    bounds.get(p.name, ""),
+                )
+            )
+    confirm = tuple(
+        f"{name}: {effect_of(d, name).confirm}"
+        for item in d.missing
+        for name in item.alias_set
+        if not effect_of(d, name).unnamed
+    )
+    suffers = tuple(
+        f"{item.effect}: {effect_of(d, item.effect).on_tau}"
+        for item in d.missing
+        if not effect_of(d, item.effect).unnamed
+    )
+    return (
+        Words("\n".join(models), "code"),
+        Table("What was added, fitted to all rows", heads, tuple(rows)),
+        *((Bullets(confirm, heading="What would confirm it"),) if confirm else ()),
+        *((Bullets(suffers, heading="What τ suffers without it"),) if suffers else ()),
+    )
+
+
+def _bounds(parameter: Parameter) -> str:
+    if not math.isfinite(parameter.high):
+        return "none"
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    return f"{parameter.low:g} to {parameter.high:g}{unit}"
+
+
+def _shown(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Block, ...]:
+    from comparisons.show.plots_missing_effect import (
+        draw_characteristics,
+        draw_contributions,
+        draw_spectra,
+    )
+    from comparisons.show.plots_missing_effect_words import (
+        characteristics_words,
+        contributions_words,
+        spectra_words,
+    )
+
+    blocks: list[Block] = []
+    parts = contributions(d)
+    if parts:
+        blocks.append(
+            Picture.of(
+                "Characteristic before and after",
+                draw_characteristics(d),
+                characteristics_words(d),
+                "As a slow sweep would draw it: with two branches where there is hysteresis, at "
+                "both ends of the test where it drifts. The measured points lie off the curve by "
+                "the lag.",
+            )
+        )
+        blocks.append(
+            Picture.of(
+                "Contribution of each effect in time",
+                draw_contributions(d),
+                contributions_words(d),
+                "The free run with everything, less the same with this effect's amplitude at zero "
+                "and all other numbers as they are; the band is the noise. A part of it the model "
+                "before could mimic with another τ and another curve: that part does not show in "
+                "the residual.",
+            )
+        )
+    if before is not None:
+        last = after if d.missing else None
+        blocks.append(
+            Picture.of(
+                "Spectrum of the residual",
+                draw_spectra(before, last),
+                spectra_words(before, last),
+                "At 1 there is nothing but noise. Peaks at surge and its harmonics follow φ; a "
+                "rise at the left is drift; a line far above surge is cells that turn.",
+            )
+        )
+    return tuple(blocks)
+
+
+def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
+    left = d.leftover
+    words = (
+        f"A joint test of {left.degrees} columns, those of all effects and open terms that were "
+        f"not added, would win {left.gain:.1f} log-units on the fitted rows (p "
+        f"{left.p_value:.2g}): "
+        + ("structure is left." if left.structured else "no more than chance.")
+    )
+    blocks: list[Block] = [Words(noise_words(d)), *([Words(words)] if left.degrees else [])]
+    if d.missing and after is not None:
+        blocks.append(Bullets(after.words, heading="Where the model after still stands out"))
+    return tuple(blocks)
+
+
+def _limits_hint(d: Diagnosis) -> str:
+    if d.missing:
+        return ""
+    return (
+        "Not looked for. `sindy-surge diagnose --limits` plants each effect into these records and "
+        "says how small it may be and still be named in nine trials of ten."
+    )
+
+
+def _separation_hint(d: Diagnosis) -> str:
+    if all(len(item.alias_set) < 2 for item in d.missing):
+        return ""
+    return (
+        "Not looked for. `sindy-surge diagnose --separate` says, from simulation, which further "
+        "measurement would tell the names apart."
+    )
+
+
+def _lines(told: Any, hint: str) -> tuple[Block, ...]:
+    if told is not None:
+        # The lines may be those of a table.
+        return (Words("\n".join(told.lines), "code"),)
+    return (Words(hint, "quiet"),) if hint else ()
+
+
+def _ledger(d: Diagnosis) -> Block:
+    if not d.unavailable:
+        return Words("None: these records can show every effect of the catalogue.")
+    return Table(
+        "Effects that these records cannot show",
+        (Head("effect"), Head("why", prose=True)),
+        tuple(d.unavailable.items()),
+    )

@@ -1,0 +1,326 @@
+"""The picture of a diagnosis: gap, where, who, and the characteristic before and after."""
+
+from __future__ import annotations
+
+from textwrap import shorten
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from comparisons.missing_effect.quantities import equation_of, numbers_of, open_words, tau_ms
+from comparisons.missing_effect.ranked import CandidateRow, candidate_rows, effect_of
+from comparisons.missing_effect.shown import (
+    HeldOutRun,
+    held_out_run,
+    steady_curves,
+    stretch,
+)
+from comparisons.show.plots_added_effect import (
+    AFTER,
+    BEFORE,
+    draw_characteristics,
+    draw_contributions,
+    draw_spectra,
+    plain_numbers,
+    plot_curves,
+)
+from comparisons.show.plots_style import (
+    FAINT,
+    INK,
+    MEASURED,
+    QUIET,
+    SHADE,
+    dress,
+    legend,
+    new_figure,
+    printable,
+    robust_limits,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from comparisons.missing_effect.diagnosis import Diagnosis
+    from comparisons.missing_effect.where import Where
+
+__all__ = ["draw_characteristics", "draw_contributions", "draw_diagnosis", "draw_spectra", "title"]
+
+PALE = "#d3e5f1"
+SMALL = 8.5
+TINY = 7.5
+CANDIDATES_SHOWN = 6
+BAND_FLOORS = 2.0
+LONGEST_LINE = 130
+# A heading longer than this is set smaller.
+HEADING_LETTERS, HEADING_SIZE = 72, 14.0
+# Height of the heading, of a line below it, and of what constrained layout leaves between panels.
+HEADING_PT, LINE_PT, MARGINS_PT = 26.0, 15.5, 60.0
+VIEWS = ("time", "frequency", "flow", "phase", "regime")
+
+
+def title(d: Diagnosis) -> str:
+    """Return the verdict in a line.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    """
+    if not d.missing:
+        return {
+            "nothing_missing": "Nothing missing",
+            "noise_model_wrong": "Nothing missing; the noise is not white and normal",
+            "unexplained_structure": "Something is left that has no name",
+        }[d.verdict]
+    names = []
+    for item in d.missing:
+        effect = effect_of(d, item.effect)
+        bare = equation_of(effect).removeprefix("+ ")
+        names.append(bare if effect.unnamed else " or ".join(item.alias_set))
+    lead = {"unnamed_term": "Missing, without a name", "provisional": "Missing, provisional name"}
+    return f"{lead.get(d.verdict, 'Missing')}: {' and '.join(names)}"
+
+
+def draw_diagnosis(d: Diagnosis, before: Where | None, after: Where | None = None) -> Figure:
+    """Draw a diagnosis in one picture: gap, where, who, characteristic, verdict.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        The diagnosis.
+    before, after : Where or None
+        Of the model before and after; None where the records are too short to tell.
+
+    Returns
+    -------
+    Figure
+        On top measured and simulated ψ' on a held-out stretch, and both residuals over the noise;
+        below, how far the residual stands out in each view, the candidates by score with τ, and
+        the characteristic before and after.
+    """
+    figure = new_figure(height_in=8.2)
+    lines = _told(d)
+    room_pt = HEADING_PT + LINE_PT * len(lines)
+    heights = [1.15, 0.8, 1.45]
+    heading = sum(heights) * room_pt / (72.0 * 8.2 - MARGINS_PT - room_pt)
+    grid = figure.add_gridspec(4, 1, height_ratios=[heading, *heights])
+    _headline(figure.add_subplot(grid[0]), title(d), lines)
+    run = held_out_run(d)
+    shown = stretch(d, run)
+    upper = dress(figure.add_subplot(grid[1]))
+    lower = dress(figure.add_subplot(grid[2], sharex=upper))
+    _over_time(upper, d, run, shown)
+    _residuals(lower, d, run, shown)
+    bottom = grid[3].subgridspec(1, 3, width_ratios=[0.8, 1.15, 1.15], wspace=0.04)
+    _views(dress(figure.add_subplot(bottom[0])), before, after if d.missing else None)
+    _candidates(figure.add_subplot(bottom[1]), d)
+    _curves(dress(figure.add_subplot(bottom[2])), d)
+    return figure
+
+
+def _headline(ax: Axes, heading: str, lines: list[str]) -> None:
+    ax.set_axis_off()
+    told = "\n".join(shorten(_plain(line), LONGEST_LINE, placeholder=" …") for line in lines)
+    size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
+    for words, below, style in (
+        (_plain(heading), 2.0, {"fontsize": size, "fontweight": "bold"}),
+        (told, HEADING_PT, {"fontsize": 9.5, "linespacing": 1.35}),
+    ):
+        text = ax.annotate(
+            words,
+            (0.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, -below),
+            textcoords="offset points",
+            va="top",
+            color=INK,
+            **style,
+        )
+        # It may be wider than the panels: these keep their place.
+        text.set_in_layout(False)
+
+
+def _told(d: Diagnosis) -> list[str]:
+    """Return what stands below the heading: each effect's numbers, τ, the gap."""
+    before, after = d.gap.before_rms / d.gap.floor_rms, d.gap.after_rms / d.gap.floor_rms
+    if not d.missing:
+        tau = tau_ms(d.tau_before_s, d.tau_stderr_s)
+        return [f"τ = {tau};  held-out rms {before:.2f} times the noise"]
+    lines = [
+        f"{equation_of(effect_of(d, item.effect))};  {numbers_of(item.effect, item.parameters)}"
+        for item in d.missing
+    ]
+    closed = 100.0 * min(d.gap.shrink, 1.0)
+    return [
+        *lines,
+        f"τ {tau_ms(d.tau_before_s)} → {tau_ms(d.tau_after_s, d.tau_stderr_s)};  held-out rms "
+        f"{before:.2f} → {after:.2f} times the noise: {closed:.1f} % of the gap closed",
+    ]
+
+
+def _over_time(ax: Axes, d: Diagnosis, run: HeldOutRun, shown: slice) -> None:
+    time_s = run.time_s[shown]
+    ax.plot(time_s, run.measured[shown], color=MEASURED, lw=3.2, alpha=0.75, label="measured")
+    if d.missing:
+        ax.plot(time_s, run.before[shown], color=BEFORE, lw=1.4, label="simulated before")
+        ax.plot(
+            time_s, run.after[shown], color=AFTER, lw=1.3, ls=(0, (4, 1.2)), label="simulated after"
+        )
+    else:
+        ax.plot(time_s, run.after[shown], color=AFTER, lw=1.3, label="simulated")
+    ax.set_ylabel(r"$\psi'$ [-]")
+    ax.tick_params(labelbottom=False)
+    source = d.data.sources[int(d.data.record[shown.start])].rsplit("/", 1)[-1]
+    how = "cycles left out in turn" if d.whole_runs else "held out"
+    ax.set_title(f"{how}: {printable(source, 40)}", fontsize=9, color=INK, loc="left")
+    _legend_over(ax)
+
+
+def _residuals(ax: Axes, d: Diagnosis, run: HeldOutRun, shown: slice) -> None:
+    floor = d.gap.floor_rms
+    ax.axhspan(
+        -BAND_FLOORS, BAND_FLOORS, color=SHADE, lw=0, label=f"± {BAND_FLOORS:.0f} times the noise"
+    )
+    ax.axhline(0.0, color=INK, lw=0.7)
+    values = [(run.measured - run.after)[shown] / floor]
+    if d.missing:
+        values.append((run.measured - run.before)[shown] / floor)
+        ax.plot(run.time_s[shown], values[1], color=BEFORE, lw=1.2, label="before")
+    ax.plot(
+        run.time_s[shown],
+        values[0],
+        color=AFTER,
+        lw=0.9,
+        label="after" if d.missing else "residual",
+    )
+    low, high = robust_limits(*values, margin=0.1)
+    ax.set_ylim(min(low, -1.3 * BAND_FLOORS), max(high, 1.3 * BAND_FLOORS))
+    ax.set_xlim(run.time_s[shown][0], run.time_s[shown][-1])
+    ax.set_ylabel("residual [noise rms]", fontsize=9)
+    ax.set_xlabel("facility clock [s]", fontsize=9)
+    _legend_over(ax)
+
+
+def _legend_over(ax: Axes) -> None:
+    ax.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.98),
+        ncols=3,
+        fontsize=SMALL,
+        frameon=False,
+        borderaxespad=0.0,
+        handlelength=1.8,
+    )
+
+
+def _views(ax: Axes, before: Where | None, after: Where | None) -> None:
+    ax.set_title("where the residual stands out", fontsize=9, color=INK, loc="left")
+    if before is None:
+        ax.set_axis_off()
+        ax.text(0.0, 0.6, "records too short to tell", fontsize=SMALL, color=QUIET)
+        return
+    names = [name for name in VIEWS if before.strongest_z[name] > 0.0]
+    both = [(before, BEFORE if after is not None else AFTER, -0.19, "before")]
+    if after is not None:
+        both.append((after, AFTER, 0.19, "after"))
+    height = 0.34 if after is not None else 0.5
+    for where, colour, offset, label in both:
+        size = [max(where.strongest_z[name] / where.bound_z, 0.02) for name in names]
+        place = np.arange(len(names)) + (offset if after is not None else 0.0)
+        ax.barh(place, size, height=height, color=colour, lw=0, label=label)
+    ax.axvline(1.0, color=INK, lw=1.0, ls=(0, (5, 2)))
+    ax.set_xscale("log")
+    largest = max(before.strongest_z.values()) / before.bound_z
+    ax.set_xlim(0.1, max(3.0 * largest, 10.0))
+    ax.set_yticks(range(len(names)), names, fontsize=SMALL)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.grid(False, axis="y")
+    plain_numbers(ax, both=False)
+    ax.set_xlabel("strongest z over what chance reaches", fontsize=SMALL)
+
+
+def _candidates(ax: Axes, d: Diagnosis) -> None:
+    ax.spines[:].set_visible(False)
+    ax.tick_params(left=False, labelleft=False, colors=INK, labelsize=SMALL)
+    unit = " %" if d.whole_runs else ""
+    what = "squared errors explained" if d.whole_runs else "score in log-units"
+    ax.set_title(f"who: {what}, and τ with it", fontsize=9, color=INK, loc="left")
+    rows = _rows_drawn(d)
+    if not rows:
+        ax.set_axis_off()
+        ax.text(0.0, 0.6, "no effect promised enough\nto be worth a fit", fontsize=SMALL)
+        return
+    sizes = [100.0 * row.share if d.whole_runs else row.score for row in rows]
+    largest = max(*sizes, 1.0)
+    colours = {"added": AFTER, "alias": PALE, "accepted": FAINT, "refused": "white"}
+    for place, (row, size) in enumerate(zip(rows, sizes, strict=True)):
+        fate = _fate(row)
+        ax.barh(
+            place + 0.18,
+            max(size, 0.004 * largest),
+            height=0.36,
+            color=colours[fate],
+            edgecolor=AFTER if fate in ("added", "alias") else QUIET,
+            linewidth=0.7,
+            hatch="////" if fate == "alias" else None,
+            alpha=0.95,
+        )
+        word = {"added": "", "alias": " (alias)", "accepted": "", "refused": " (refused)"}[fate]
+        ax.text(
+            0.0,
+            place - 0.04,
+            f"{_plain(_name(row))}{word}",
+            va="bottom",
+            fontsize=SMALL,
+            color=INK,
+            fontweight="bold" if fate == "added" else "normal",
+        )
+        ax.text(
+            max(size, 0.0) + 0.02 * largest,
+            place + 0.18,
+            f"{size:.0f}{unit}, τ {1e3 * row.time_constant_s:.4g} ms",
+            va="center",
+            fontsize=TINY,
+            color=QUIET,
+        )
+    ax.set_xlim(0.0, 1.5 * largest)
+    ax.set_ylim(max(len(rows), 4) - 0.45, -0.55)
+    ax.set_xticks([])
+
+
+def _rows_drawn(d: Diagnosis) -> list[CandidateRow]:
+    """Return the candidates of the round that found first, names before pairs of them."""
+    rows = candidate_rows(d)
+    first = next((row.round for row in rows if row.chosen), 1)
+    own = [row for row in rows if row.round == first]
+    kept = [row for row in own if row.chosen or row.alias]
+    kept += [row for row in own if row not in kept]
+    shown = kept[:CANDIDATES_SHOWN]
+    return sorted(shown, key=own.index)
+
+
+def _name(row: CandidateRow) -> str:
+    return open_words(row.name) if row.kind == "unnamed_term" else row.name
+
+
+def _fate(row: CandidateRow) -> str:
+    if row.chosen:
+        return "added"
+    if row.alias:
+        return "alias"
+    return "accepted" if row.accepted else "refused"
+
+
+def _curves(ax: Axes, d: Diagnosis) -> None:
+    new = steady_curves(d.after, d.data) if d.missing else ()
+    plot_curves(ax, steady_curves(d.before, d.data), new)
+    ax.set_xlabel(r"flow coefficient $\varphi$ [-]", fontsize=9)
+    ax.set_title(
+        r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", fontsize=9, color=INK, loc="left"
+    )
+    legend(ax, loc="best", fontsize=TINY, handlelength=2.2)
+
+
+def _plain(text: str) -> str:
+    return printable(text, 400)

@@ -1,0 +1,184 @@
+"""Picture of τ by trial: the error of the reconstruction over the τ that is held."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from comparisons.harness.tau_trial import TauTrial
+from comparisons.show.plots_style import (
+    INK,
+    MEASURED,
+    QUIET,
+    SHADE,
+    coefficient_symbol,
+    dress,
+    estimator_styles,
+    legend_above,
+    new_figure,
+    printable,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_tau_trial"]
+
+BAND = 2.0
+HEADROOM = 0.08
+
+
+def plot_tau_trial(
+    trial: TauTrial, marked_tau_s: float | None = None, *, marked_as: str = "held by trial"
+) -> Figure:
+    """Draw the reconstruction error over τ with what the estimators found.
+
+    Parameters
+    ----------
+    trial : TauTrial
+        From :func:`comparisons.harness.tau_trial.reconstruction_error_over_tau`.
+    marked_tau_s : float, optional
+        A τ to be marked, in seconds: one held by trial as the paper held 18 ms, or a known truth.
+    marked_as : str
+        What the mark is called.
+
+    Returns
+    -------
+    Figure
+        Error of the free run with the curve refitted to each τ (full) and with the best τ's
+        curve (dashed); shaded, the values of τ that are no worse within two paired errors; each
+        estimator as a ring at its τ and the error of its own reconstruction, and below with ± 2
+        standard errors; the noise of the measurement as the floor.
+    """
+    n = len(trial.estimates)
+    figure = new_figure(height_in=4.3 + (0.45 + 0.24 * n if n else 0.0))
+    grid = figure.add_gridspec(2 if n else 1, 1, height_ratios=[13, 1 + n] if n else None)
+    ax = dress(figure.add_subplot(grid[0]))
+    tau_ms = 1e3 * trial.tau_s
+    low, high = (1e3 * edge for edge in trial.interval_s)
+    ax.axvspan(low, high, color=SHADE, lw=0, label="no worse within two paired errors")
+    ax.plot(
+        tau_ms,
+        trial.held_rms,
+        color=MEASURED,
+        lw=1.4,
+        ls=(0, (4, 2)),
+        label=r"curve held at that of the best $\tau$",
+    )
+    ax.plot(tau_ms, trial.refitted_rms, color=INK, lw=2.0, label=r"curve refitted to each $\tau$")
+    _floor(ax, trial)
+    panels = [ax]
+    if n:
+        below = dress(figure.add_subplot(grid[1], sharex=ax))
+        below.axvspan(low, high, color=SHADE, lw=0)
+        _estimates(ax, below, trial)
+        ax.tick_params(labelbottom=False)
+        panels.append(below)
+    if marked_tau_s is not None:
+        _mark(panels, marked_tau_s, marked_as)
+    _axes(panels, trial)
+    legend_above(figure, ax, columns=2)
+    return figure
+
+
+def _mark(panels: list[Axes], tau_s: float, called: str) -> None:
+    for ax in panels:
+        ax.axvline(1e3 * tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
+    panels[0].annotate(
+        f"{called}: {1e3 * tau_s:.3g} ms",
+        (1e3 * tau_s, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(0, 2),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=8.5,
+        color=QUIET,
+    )
+
+
+def _floor(ax: Axes, trial: TauTrial) -> None:
+    best_ms = 1e3 * trial.best_tau_s
+    ax.plot(
+        best_ms,
+        trial.least_rms,
+        marker="v",
+        color=INK,
+        markersize=7,
+        ls="none",
+        label=f"least error, at {best_ms:.3g} ms",
+    )
+    if math.isfinite(trial.noise_rms):
+        ax.axhline(trial.noise_rms, color=QUIET, lw=1.0, ls=(0, (5, 1.5, 1, 1.5)))
+        ax.annotate(
+            "floor: noise of the measurement",
+            (1.0, trial.noise_rms),
+            xycoords=("axes fraction", "data"),
+            xytext=(-4, 3),
+            textcoords="offset points",
+            ha="right",
+            fontsize=8.5,
+            color=QUIET,
+        )
+
+
+def _estimates(ax: Axes, below: Axes, trial: TauTrial) -> None:
+    """Mark each estimator on the axes of the error, and list them with intervals below."""
+    styles = estimator_styles(estimate.name for estimate in trial.estimates)
+    longest_ms = 1e3 * float(trial.tau_s[-1])
+    for line, estimate in enumerate(trial.estimates):
+        tau_ms, reach_ms = 1e3 * estimate.tau_s, 1e3 * BAND * estimate.stderr_s
+        colour = styles[estimate.name].colour
+        # Open marks, so that those of one τ do not hide each other.
+        ax.plot(
+            tau_ms,
+            estimate.rms,
+            marker="o",
+            mfc="none",
+            mec=colour,
+            mew=1.6,
+            markersize=5.0 + 2.5 * line,
+            ls="none",
+            zorder=4,
+        )
+        if math.isfinite(reach_ms):
+            # On a logarithmic axis an interval that reaches zero has no left end.
+            ends = [max(tau_ms - reach_ms, 1e-3 * tau_ms), tau_ms + reach_ms]
+            below.plot(ends, [line, line], color=colour, lw=2.0, solid_capstyle="butt")
+        below.plot(tau_ms, line, marker="o", color=colour, markersize=5.0)
+        beyond = f" {tau_ms:.3g} ms" + (" (beyond the axis)" if tau_ms > longest_ms else "")
+        below.annotate(
+            beyond,
+            (1.0, line),
+            xycoords=("axes fraction", "data"),
+            fontsize=8.5,
+            va="center",
+            color=INK,
+        )
+    labels = [printable(estimate.label, 34) for estimate in trial.estimates]
+    below.set_yticks(range(len(labels)), labels, fontsize=8.5)
+    below.set_ylim(len(labels) - 0.4, -0.6)
+    below.grid(False, axis="y")
+
+
+def _axes(panels: list[Axes], trial: TauTrial) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    shown = np.concatenate(
+        [trial.refitted_rms, [e.rms for e in trial.estimates], [trial.least_rms, trial.noise_rms]]
+    )
+    shown = shown[np.isfinite(shown)]
+    ax = panels[0]
+    bottom, top = float(shown.min()), float(shown.max())
+    pad = HEADROOM * (top - bottom)
+    ax.set_ylim(max(bottom - pad, 0.0), top + pad)
+    ax.set_xscale("log")
+    ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    panels[-1].set_xlabel(r"time constant $\tau$ [ms]")
+    ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")

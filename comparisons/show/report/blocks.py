@@ -1,0 +1,224 @@
+"""What a report is made of: parts that hold words, lists, tables and pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Block", "Bullets", "Cell", "Head", "Part", "Picture", "Table", "Words"]
+
+# Letters of a word that a printed column holds, and of a cell that stays in one line.
+LONGEST_WORD, LONGEST_LINE = 26, 30
+# Columns beyond which a table is set smaller, and beyond which its numbers are broken in print.
+MANY_COLUMNS, MOST_COLUMNS = 7, 16
+
+
+@dataclass(frozen=True)
+class Words:
+    """A paragraph.
+
+    Parameters
+    ----------
+    text : str
+        Plain text; the template escapes it.
+    tone : {"plain", "quiet", "caution", "code"}
+        How it is set.
+    """
+
+    kind: ClassVar[str] = "words"
+    text: str
+    tone: str = "plain"
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list.
+
+    Parameters
+    ----------
+    items : tuple of str
+        Plain text.
+    tone : {"plain", "caution"}
+        How it is set.
+    heading : str
+        A line above; may be empty.
+    """
+
+    kind: ClassVar[str] = "bullets"
+    items: tuple[str, ...]
+    tone: str = "plain"
+    heading: str = ""
+
+
+@dataclass(frozen=True)
+class Head:
+    """The head of a column.
+
+    Parameters
+    ----------
+    text, meaning : str
+        What it is called and what it says.
+    numeric, prose : bool
+        Whether its cells are numbers, or sentences that need room.
+    zero : str
+        The word in this column that is sorted as a zero; empty for none.
+    """
+
+    text: str
+    meaning: str = ""
+    numeric: bool = False
+    prose: bool = False
+    zero: str = ""
+
+    @property
+    def style(self) -> str:
+        """Class of its cells in the page."""
+        return "numeric" if self.numeric else "prose" if self.prose else "short"
+
+    def style_of(self, cell: str | Cell) -> str:
+        """Return the classes of a cell: one that is long, or holds a long word, may be broken.
+
+        Parameters
+        ----------
+        cell : str or Cell
+            The cell, or the head itself.
+        """
+        text = cell if isinstance(cell, str) else f"{cell.text} {cell.small}"
+        kinds = (
+            (self.style, True),
+            ("wrapped", not self.numeric and len(text) > LONGEST_LINE),
+            ("long", any(len(word) > LONGEST_WORD for word in text.split())),
+        )
+        return " ".join(name for name, known in kinds if known)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell with small print below it.
+
+    Parameters
+    ----------
+    text, small : str
+        What it says, and the small print.
+    """
+
+    text: str
+    small: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Parameters
+    ----------
+    caption : str
+        What it shows.
+    heads : tuple of Head
+        Its columns.
+    rows : tuple of tuple of str or Cell
+        Its cells.
+    marks : tuple of str
+        A class for each row: ``"failed"``, ``"best"`` or empty.
+    """
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    heads: tuple[Head, ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
+    marks: tuple[str, ...] = ()
+
+    @property
+    def sortable(self) -> bool:
+        """Whether its rows may change places: not where one goes on with the row above it."""
+        leads = [row[0] if isinstance(row[0], str) else row[0].text for row in self.rows]
+        return len(self.rows) > 1 and all(leads)
+
+    @property
+    def style(self) -> str:
+        """Classes of the table in the page."""
+        columns = len(self.heads)
+        kinds = (
+            ("sortable", self.sortable),
+            ("wide", columns > MANY_COLUMNS),
+            ("widest", columns > MOST_COLUMNS),
+        )
+        return " ".join(name for name, known in kinds if known)
+
+    def mark(self, row: int) -> str:
+        """Return the class of a row."""
+        return self.marks[row] if row < len(self.marks) else ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    uri : str
+        The image as a data URI.
+    alt : str
+        What it shows, in numbers: below the picture, and for those who cannot see it.
+    reading : str
+        How to read it.
+    told_above : bool
+        Whether the page says just before the picture what it shows.
+    """
+
+    kind: ClassVar[str] = "picture"
+    title: str
+    uri: str
+    alt: str
+    reading: str
+    told_above: bool = False
+
+    @classmethod
+    def of(
+        cls, title: str, drawn: Axes | Figure, alt: str, reading: str, *, told_above: bool = False
+    ) -> Picture:
+        """Return the picture of a figure, or of the figure that axes belong to.
+
+        Parameters
+        ----------
+        title : str
+            What it is.
+        drawn : Axes or Figure
+            What was drawn.
+        alt, reading, told_above
+            See the class.
+        """
+        from matplotlib.axes import Axes
+
+        from comparisons.show import plots_style
+
+        figure = drawn.get_figure(root=True) if isinstance(drawn, Axes) else drawn
+        if figure is None:
+            raise TypeError("the axes belong to no figure")
+        uri = plots_style.figure_to_data_uri(figure)
+        return cls(title, uri, alt, reading, told_above)
+
+
+Block = Words | Bullets | Table | Picture
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a section.
+
+    Parameters
+    ----------
+    title : str
+        Its heading.
+    blocks : tuple of Block
+        What it holds, in order.
+    """
+
+    title: str
+    blocks: tuple[Block, ...]

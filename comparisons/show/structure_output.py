@@ -1,0 +1,221 @@
+"""What the command `structure` found, as text and as JSON."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from comparisons.harness.structure_fit import FoundStructure
+
+if TYPE_CHECKING:
+    from sindy_surge.selection import PathRow
+    from sindy_surge.summary import ModelSummary
+
+__all__ = [
+    "LEAST_INCLUSION",
+    "STRUCTURE_SCHEMA",
+    "left_out_words",
+    "opening_words",
+    "structure_document",
+    "structure_text",
+]
+
+STRUCTURE_SCHEMA = "sindy-surge/structure/1"
+WIDTH = 100
+# One in a hundred resampled records is no evidence for a term.
+LEAST_INCLUSION = 0.01
+
+
+def structure_text(found: FoundStructure, *, latex: bool = False) -> str:
+    """Return all that is known as text of at most 100 columns.
+
+    Parameters
+    ----------
+    found : FoundStructure
+        From :func:`find_structure`.
+    latex : bool
+        Add the equation as LaTeX, on a line of its own.
+    """
+    from sindy_surge.display import text_summary
+
+    lines = _wrapped(opening_words(found))
+    if found.refused:
+        code, advice = found.state
+        return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
+    summary = found.summary
+    lines += ["", text_summary(replace(summary, path=()))]
+    lines += _wrapped(left_out_words(found))
+    if summary.path:
+        lines += ["", *_path_lines(summary)]
+    if latex:
+        lines += ["", "LaTeX:", found.equation("latex")]
+    return "\n".join(lines)
+
+
+def opening_words(found: FoundStructure) -> str:
+    """Say what was fitted, and why that.
+
+    Parameters
+    ----------
+    found : FoundStructure
+        The structure.
+    """
+    from sindy_surge.equations import pretty_term
+
+    names = ", ".join(Path(record.source).name for record in found.records)
+    return f"{pretty_term(found.target)} of {names}: {found.phi.size} rows; {found.reason}"
+
+
+def _wrapped(prose: str, later: str = "  ") -> list[str]:
+    return textwrap.wrap(prose, WIDTH, subsequent_indent=later, break_on_hyphens=False)
+
+
+def left_out_words(found: FoundStructure) -> str:
+    """Say how often terms that were not chosen came up, or why nothing is known of that.
+
+    Parameters
+    ----------
+    found : FoundStructure
+        The structure.
+    """
+    from sindy_surge.equations import pretty_term
+
+    known = found.inclusion
+    if not known:
+        return f"No inclusion probabilities: {_why_no_inclusion(found)}."
+    others = sorted(
+        ((p, name) for name, p in known.items() if name not in found.fit.terms_),
+        key=lambda pair: -pair[0],
+    )
+    shown = [f"{pretty_term(name)} {p:.2f}" for p, name in others if p >= LEAST_INCLUSION]
+    if not shown:
+        return "No other term came up in a resampled record."
+    return "Not chosen, yet in some resampled records: " + ", ".join(shown) + "."
+
+
+def _why_no_inclusion(found: FoundStructure) -> str:
+    if found.fitted_to == "whole runs":
+        return "the free run through whole records is not resampled (--bootstrap fits the rows)"
+    if found.settings.get("n_bootstrap") == 0:
+        return "no records were resampled"
+    return f"records are not resampled where a fit ended as {found.state[0]}"
+
+
+def _path_lines(summary: ModelSummary) -> list[str]:
+    """Tabulate the structures by size, the terms last, where they can wrap."""
+    from sindy_surge.summary import summary_tables
+
+    table = summary_tables(summary)[1]
+    order = [i for i, head in enumerate(table.header) if head not in ("chosen", "terms")]
+    words = table.header.index("terms")
+    grid = [table.header, *table.rows]
+    widths = {i: max(len(row[i]) for row in grid) for i in order}
+    lines = [table.title]
+    for number, row in enumerate(grid):
+        mark = "*" if number and number - 1 == table.marked else " "
+        cells = (
+            row[i].ljust(widths[i]) if i in table.words else row[i].rjust(widths[i]) for i in order
+        )
+        start = f" {mark}" + "  ".join(cells) + "  "
+        lines += textwrap.wrap(
+            row[words],
+            WIDTH,
+            initial_indent=start,
+            subsequent_indent=" " * len(start),
+            break_on_hyphens=False,
+            break_long_words=False,
+        )
+    return lines
+
+
+def structure_document(found: FoundStructure) -> dict[str, Any]:
+    """Return all that is known as plain JSON types.
+
+    Parameters
+    ----------
+    found : FoundStructure
+        From :func:`find_structure`.
+    """
+    from sindy_surge.summary import interval95
+
+    fit, parts, known = found.fit, found.parts, found.inclusion
+    code, advice = found.state
+    noise = getattr(fit, "noise_", None)
+    tau, error = parts.time_constant_s, parts.time_constant_stderr_s
+    return {
+        "schema": STRUCTURE_SCHEMA,
+        "records": [
+            {
+                "source": record.source,
+                "rows": record.n_samples,
+                "segments": record.n_segments,
+                "sample_rate_hz": record.sample_rate_hz,
+                "from_s": float(record.time_s[0]),
+                "to_s": float(record.time_s[-1]),
+            }
+            for record in found.records
+        ],
+        "target": found.target,
+        "fitted_to": found.fitted_to,
+        "rows_fitted": int(found.phi.size),
+        "segments_fitted": found.n_segments,
+        "settings": found.settings,
+        "equation": None if found.refused else found.equation(),
+        "time_constant_s": {
+            "value": tau,
+            "stderr": error,
+            "ci95": list(interval95(tau, error, positive=True)),
+        },
+        # Null where none was looked for.
+        "dead_time_s": {
+            "value": getattr(fit, "dead_time_s_", None),
+            "stderr": getattr(fit, "dead_time_stderr_s_", None),
+        },
+        "terms": [
+            {
+                "name": name,
+                "coefficient": coefficient,
+                "stderr": stderr,
+                "inclusion_probability": known.get(name),
+            }
+            for name, coefficient, stderr in zip(parts.terms, parts.coef, parts.stderr, strict=True)
+        ],
+        "candidates": list(fit.candidate_terms_),
+        "inclusion_probability": known,
+        "aliases": dict(getattr(fit, "aliases_", {})),
+        "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
+        "path": [_path_row(row) for row in fit.path_],
+        "weak_form": _weak_form(getattr(fit, "weak_form_", None)),
+        "noise": None
+        if noise is None
+        else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
+        "phi_range": [float(found.phi.min()), float(found.phi.max())] if found.phi.size else None,
+        "state": {"code": code, "advice": advice},
+        "cautions": list(found.cautions),
+    }
+
+
+def _path_row(row: PathRow) -> dict[str, Any]:
+    values = asdict(row)
+    return {
+        name: list(values[name]) if name == "terms" else values[name]
+        for name in (
+            "size",
+            "terms",
+            "score",
+            "chi2",
+            "time_constant_s",
+            "held_out_rms",
+            "consistent",
+            "chosen",
+        )
+    }
+
+
+def _weak_form(weak: Any) -> dict[str, float] | None:
+    names = ("forward_s", "reverse_s", "compensated_s", "gap", "half_width_s")
+    return None if weak is None else {name: float(getattr(weak, name)) for name in names}
