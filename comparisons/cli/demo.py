@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from comparisons.harness.compare import Comparison
     from comparisons.harness.reconstruction import Reconstruction
     from comparisons.harness.truth import Truth
+    from comparisons.page.blocks import Part
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
-    from comparisons.show.report.blocks import Part
 
 __all__ = ["Demo", "run"]
 
@@ -210,7 +210,7 @@ def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) ->
 
 
 def _power_part(power: WorkCharacteristic, truth: Truth) -> Part:
-    from comparisons.show.report.blocks import Head, Part, Table, Words
+    from comparisons.page.blocks import Head, Part, Table, Words
     from surge_core.rounding import round_to_error
 
     at = np.round(np.arange(0.02, WORK_TO_PHI + 0.005, 0.01), 3)

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from comparisons.page.blocks import Cell, Head, Table
 from comparisons.paper import (
     claims_acquisition,
     claims_analysis,
@@ -17,7 +18,6 @@ from comparisons.paper import (
 )
 from comparisons.paper.claims_base import Claim, ClaimCheck
 from comparisons.paper.instabilities import Instabilities
-from comparisons.show.report.blocks import Cell, Head, Table
 
 __all__ = ["CHECKS", "Claim", "check_claims", "claims_block", "claims_json", "claims_table"]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from classic_ml.airflow import LBM_KG
 from classic_ml.faults.marks import fault_name
 from classic_ml.records import Record
-from comparisons.show.plots_style import INK, MARK, QUIET, SHADE, dress, new_figure
+from comparisons.page.style import INK, MARK, QUIET, SHADE, dress, new_figure
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
+from comparisons.page.style import ACCENT, INK, MARK, QUIET, legend_above
 from comparisons.paper.figures_common import (
     CYCLES_S,
     MEDIUM,
@@ -33,7 +34,6 @@ from comparisons.paper.figures_truth import (
     unstalled_psi_p,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.show.plots_style import ACCENT, INK, MARK, QUIET, legend_above
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 

@@ -5,6 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from classic_ml.airflow import LBM_KG
+from comparisons.page.style import (
+    ACCENT,
+    INK,
+    MARK,
+    new_figure,
+)
 from comparisons.paper.figures_common import (
     MACHINE,
     MEDIUM,
@@ -18,12 +24,6 @@ from comparisons.paper.figures_common import (
     case_table,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.show.plots_style import (
-    ACCENT,
-    INK,
-    MARK,
-    new_figure,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

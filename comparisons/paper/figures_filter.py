@@ -15,6 +15,7 @@ from classic_ml.filtering import butterworth_gain, filter_channels
 from classic_ml.plane_averages import local_flows
 from classic_ml.records import Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from comparisons.page.style import ACCENT, INK, MARK, MEASURED, legend_above
 from comparisons.paper.figures_common import (
     HIGH,
     PSI_PA,
@@ -30,7 +31,6 @@ from comparisons.paper.figures_common import (
     stall_time_s,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.show.plots_style import ACCENT, INK, MARK, MEASURED, legend_above
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:

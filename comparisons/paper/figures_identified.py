@@ -10,6 +10,17 @@ import numpy as np
 from classic_ml.coefficients import PSI_MINIMUM_PHI
 from comparisons.harness.lag_value import FittedLag
 from comparisons.harness.reconstruction import Reconstruction, reconstruct_record
+from comparisons.page.style import (
+    ACCENT,
+    INK,
+    MARK,
+    MEASURED,
+    QUIET,
+    broken,
+    coefficient_symbol,
+    legend_above,
+    robust_limits,
+)
 from comparisons.paper.figures_common import (
     HIGH,
     MEDIUM,
@@ -25,17 +36,6 @@ from comparisons.paper.instabilities import (
     TRIAL_TIME_CONSTANT_S,
     WRONG_TIME_CONSTANT_S,
     InstabilityRun,
-)
-from comparisons.show.plots_style import (
-    ACCENT,
-    INK,
-    MARK,
-    MEASURED,
-    QUIET,
-    broken,
-    coefficient_symbol,
-    legend_above,
-    robust_limits,
 )
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray

@@ -9,6 +9,15 @@ from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG, T_STANDARD_K
 from comparisons.harness.residual_analysis import stall_inception
+from comparisons.page.style import (
+    ACCENT,
+    INK,
+    MARK,
+    QUIET,
+    dress,
+    legend_above,
+    new_figure,
+)
 from comparisons.paper.figures_common import (
     INCEPTION_S,
     MEDIUM,
@@ -29,15 +38,6 @@ from comparisons.paper.figures_common import (
     stall_time_s,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.show.plots_style import (
-    ACCENT,
-    INK,
-    MARK,
-    QUIET,
-    dress,
-    legend_above,
-    new_figure,
-)
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:

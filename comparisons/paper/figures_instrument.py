@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
+from comparisons.page.style import ACCENT, INK, MARK, QUIET, new_figure
 from comparisons.paper.figures_common import (
     MACHINE,
     MEDIUM,
@@ -16,7 +17,6 @@ from comparisons.paper.figures_common import (
     case_table,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.show.plots_style import ACCENT, INK, MARK, QUIET, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

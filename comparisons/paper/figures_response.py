@@ -9,6 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml import PiecewiseLinear
+from comparisons.page.style import (
+    ACCENT,
+    FAINT,
+    INK,
+    MARK,
+    QUIET,
+    dress,
+    legend,
+    legend_above,
+    new_figure,
+)
 from comparisons.paper.figures_common import (
     HIGH,
     MACHINE,
@@ -32,17 +43,6 @@ from comparisons.paper.figures_truth import (
     unstalled_psi_p,
 )
 from comparisons.paper.instabilities import InstabilityRun
-from comparisons.show.plots_style import (
-    ACCENT,
-    FAINT,
-    INK,
-    MARK,
-    QUIET,
-    dress,
-    legend,
-    legend_above,
-    new_figure,
-)
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:

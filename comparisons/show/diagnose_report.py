@@ -27,7 +27,7 @@ from comparisons.missing_effect.words import (
     untried_words,
     verdict_words,
 )
-from comparisons.show.report.blocks import Block, Bullets, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, Words
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:

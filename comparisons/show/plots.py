@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from comparisons.harness.truth import Truth
+from comparisons.page.style import LineStyle, estimator_styles, figure_to_data_uri, new_figure
 from comparisons.show.plots_fit import (
     plot_characteristics,
     plot_reconstruction,
@@ -18,7 +19,6 @@ from comparisons.show.plots_record import (
     plot_series,
     plot_surge_cycles,
 )
-from comparisons.show.plots_style import LineStyle, estimator_styles, figure_to_data_uri, new_figure
 from comparisons.show.plots_tau_trial import plot_tau_trial
 
 __all__ = [

@@ -12,7 +12,7 @@ from comparisons.missing_effect.shown import (
     steady_curves,
     stretch,
 )
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     ACCENT,
     FAINT,
     INK,

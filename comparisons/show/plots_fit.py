@@ -18,7 +18,7 @@ from comparisons.harness.residual_analysis import (
     segment_spectrum,
 )
 from comparisons.harness.truth import Truth
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     FAINT,
     INK,
     MEASURED,

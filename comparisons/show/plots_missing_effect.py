@@ -15,16 +15,7 @@ from comparisons.missing_effect.shown import (
     steady_curves,
     stretch,
 )
-from comparisons.show.plots_added_effect import (
-    AFTER,
-    BEFORE,
-    draw_characteristics,
-    draw_contributions,
-    draw_spectra,
-    plain_numbers,
-    plot_curves,
-)
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     FAINT,
     INK,
     MEASURED,
@@ -35,6 +26,15 @@ from comparisons.show.plots_style import (
     new_figure,
     printable,
     robust_limits,
+)
+from comparisons.show.plots_added_effect import (
+    AFTER,
+    BEFORE,
+    draw_characteristics,
+    draw_contributions,
+    draw_spectra,
+    plain_numbers,
+    plot_curves,
 )
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import psi_is_known
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.residual_analysis import stall_inception
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     ACCENT,
     FAINT,
     INK,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.residual_analysis import stall_inception
+from comparisons.page.style import robust_limits
 from comparisons.show.plots_record import CELL_HZ, LOOP_ROWS, rows_drawn, where_defined, window_rows
-from comparisons.show.plots_style import robust_limits
 from surge_core.errors import InputError
 from surge_core.rounding import significant
 from surge_core.types import FloatArray

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from comparisons.harness.tau_trial import TauTrial
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     INK,
     MEASURED,
     QUIET,

@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.where_rows import ResidualRuns, Where
 from comparisons.missing_effect.where_words import signed
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     ACCENT,
     FAINT,
     INK,

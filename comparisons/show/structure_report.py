@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from comparisons.show.report.blocks import Block, Part, Picture
+    from comparisons.page.blocks import Block, Part, Picture
     from sindy_surge.selection import PathRow
 
 __all__ = ["plot_inclusion", "plot_path", "plot_structure_curve", "structure_report"]
@@ -39,7 +39,7 @@ def plot_structure_curve(found: FoundStructure) -> Figure:
         ψ'_QS(φ) with its 95 % band over the measured points, and below the histogram of φ.
     """
     from comparisons.harness.residual_analysis import phi_density
-    from comparisons.show.plots_style import (
+    from comparisons.page.style import (
         FAINT,
         coefficient_symbol,
         dress,
@@ -93,7 +93,7 @@ def plot_inclusion(found: FoundStructure) -> Figure:
     found : FoundStructure
         One whose records were resampled.
     """
-    from comparisons.show.plots_style import ACCENT, FAINT, dress, new_figure, printable
+    from comparisons.page.style import ACCENT, FAINT, dress, new_figure, printable
     from sindy_surge.equations import pretty_term
 
     shown, n_left_out = _bars(found)
@@ -128,7 +128,7 @@ def plot_path(found: FoundStructure) -> Figure:
         scored about the fit with all terms and of those about their own. A panel without a finite
         value is left out.
     """
-    from comparisons.show.plots_style import coefficient_symbol, legend_above, new_figure
+    from comparisons.page.style import coefficient_symbol, legend_above, new_figure
 
     path = found.fit.path_
     held_out = [row for row in path if math.isfinite(row.held_out_rms)]
@@ -158,7 +158,7 @@ def plot_path(found: FoundStructure) -> Figure:
 def _path_panel(
     ax: Axes, rows: Sequence[PathRow], values: Sequence[float], sizes: set[int]
 ) -> None:
-    from comparisons.show.plots_style import FAINT, MARK, QUIET, dress
+    from comparisons.page.style import FAINT, MARK, QUIET, dress
 
     dress(ax)
     for refitted, face, label in (
@@ -223,7 +223,7 @@ def structure_report(
 
 
 def _parts(found: FoundStructure) -> tuple[Part, ...]:
-    from comparisons.show.report.blocks import Part, Words
+    from comparisons.page.blocks import Part, Words
 
     opening = Words(opening_words(found) + ".")
     code, advice = found.state
@@ -246,7 +246,7 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
 
 def _summary(found: FoundStructure) -> tuple[Block, ...]:
     """Return the fields and tables that a terminal and a notebook show of the fit."""
-    from comparisons.show.report.blocks import Head, Table
+    from comparisons.page.blocks import Head, Table
     from sindy_surge.summary import summary_fields, summary_tables
 
     summary = found.summary
@@ -276,7 +276,7 @@ def _summary(found: FoundStructure) -> tuple[Block, ...]:
 
 
 def _curve_picture(found: FoundStructure) -> Picture:
-    from comparisons.show.report.blocks import Picture
+    from comparisons.page.blocks import Picture
     from sindy_surge.equations import pretty_term
 
     phi, value, stderr = found.curve()
@@ -296,7 +296,7 @@ def _curve_picture(found: FoundStructure) -> Picture:
 
 
 def _inclusion_picture(found: FoundStructure) -> Picture:
-    from comparisons.show.report.blocks import Picture
+    from comparisons.page.blocks import Picture
     from sindy_surge.equations import pretty_term
 
     shown, _ = _bars(found)
@@ -313,7 +313,7 @@ def _inclusion_picture(found: FoundStructure) -> Picture:
 
 
 def _path_picture(found: FoundStructure) -> Picture:
-    from comparisons.show.report.blocks import Picture
+    from comparisons.page.blocks import Picture
     from sindy_surge.equations import pretty_term
 
     least: dict[int, float] = {}

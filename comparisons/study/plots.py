@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     INK,
     LineStyle,
     dress,

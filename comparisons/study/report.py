@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.show.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
 from comparisons.study.comparison import (
     GroupComparison,
     axes_in,

@@ -10,7 +10,7 @@ import numpy as np
 from lag_effects import PICTURE_SEED, Hidden, hidden
 from numpy.typing import NDArray
 
-from comparisons.show.plots_style import ACCENT, INK, MARK, dress, legend
+from comparisons.page.style import ACCENT, INK, MARK, dress, legend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ import numpy as np
 from system_effects import picture_seed, worst_output
 from system_truths_of_pages import NOISE, found
 
-from comparisons.show.plots_style import ACCENT, INK, MARK, MEASURED, SHADE, dress
+from comparisons.page.style import ACCENT, INK, MARK, MEASURED, SHADE, dress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

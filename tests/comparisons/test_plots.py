@@ -19,8 +19,8 @@ from raw_data import make_test
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.truth import Truth
+from comparisons.page.style import broken, estimator_styles, printable, robust_limits
 from comparisons.show import plots
-from comparisons.show.plots_style import broken, estimator_styles, printable, robust_limits
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
 

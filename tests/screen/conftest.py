@@ -152,7 +152,7 @@ def page_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         with pytest.MonkeyPatch.context() as patch:
             if name != PLAIN:
                 # Names are looked at in the page; drawing them takes the longest.
-                patch.setattr("comparisons.show.plots_style.figure_to_data_uri", lambda _: DOT)
+                patch.setattr("comparisons.page.style.figure_to_data_uri", lambda _: DOT)
             path.write_text(made_page(kind, name), "utf-8")
         return path
 

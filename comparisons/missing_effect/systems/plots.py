@@ -20,7 +20,7 @@ from comparisons.missing_effect.systems.shown import (
     typical,
 )
 from comparisons.missing_effect.systems.where import SystemWhere, where_of
-from comparisons.show.plots_style import (
+from comparisons.page.style import (
     ACCENT,
     FAINT,
     INK,

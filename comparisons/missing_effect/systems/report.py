@@ -29,7 +29,7 @@ from comparisons.missing_effect.systems.shown import (
 )
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import number_words, system_words
-from comparisons.show.report.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """The HTML report."""
 
-from comparisons.show.report.blocks import Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Bullets, Cell, Head, Part, Picture, Table, Words
 from comparisons.show.report.report import ReportSection, Truth, render_report, write_report
 
 __all__ = [

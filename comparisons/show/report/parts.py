@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from comparisons.harness.compare import Comparison
-from comparisons.show.report.blocks import Block, Part
+from comparisons.page.blocks import Block, Part
 from comparisons.show.report.pictures import (
     characteristic_picture,
     migration_pictures,

@@ -9,8 +9,8 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import Comparison
 from comparisons.harness.truth import Truth
+from comparisons.page.blocks import Block, Picture, Words
 from comparisons.show.report.agreement import dwelling_words
-from comparisons.show.report.blocks import Block, Picture, Words
 from comparisons.show.report.tables import validation_table
 from comparisons.show.report.words import coefficient_name
 

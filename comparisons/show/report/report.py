@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from comparisons.harness.compare import Comparison
 from comparisons.harness.reconstruction import Reconstruction
 from comparisons.harness.truth import Truth
-from comparisons.show.report.blocks import Head, Part, Table
+from comparisons.page.blocks import Head, Part, Table
 from surge_core.files import check_target, write_whole
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def render_report(
         HTML with its style and its images in it. All text is escaped: names of files and
         channels, and what ledgers say, are data.
     """
-    from comparisons.show.report.page import render_page
+    from comparisons.page.html import render_page
     from comparisons.show.report.parts import makers_of
 
     chosen = version_of("sindy-surge") if version is None else version

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from classic_ml.records import Dropped, LedgerEntry
 from comparisons.harness.compare import Comparison, EstimatorResult
 from comparisons.harness.labels import estimator_label
-from comparisons.show.report.blocks import Cell, Head, Table, Words
+from comparisons.page.blocks import Cell, Head, Table, Words
 from comparisons.show.report.words import coefficient_name
 from comparisons.show.table import (
     FIELDS,

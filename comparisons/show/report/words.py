@@ -16,8 +16,8 @@ from comparisons.harness.cautions import (
 )
 from comparisons.harness.compare import Comparison
 from comparisons.harness.truth import Truth
+from comparisons.page.blocks import Bullets, Words
 from comparisons.show.report.agreement import dwelling, dwelling_words
-from comparisons.show.report.blocks import Bullets, Words
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from comparisons.missing_effect.where import ResidualRuns, localise
-from comparisons.show.plots_style import MARK
+from comparisons.page.style import MARK
 from comparisons.show.plots_where import MOST_RECORDS, draw_where
 
 HOSTILE = "p$25_{x}^2 \\frac 漢字 <b>"

@@ -13,8 +13,8 @@ from report_page import without_own_script
 from comparisons.missing_effect.systems.report import system_parts, system_report
 from comparisons.missing_effect.systems.results import SystemDiagnosis
 from comparisons.missing_effect.systems.words import system_words
-from comparisons.show import plots_style
-from comparisons.show.report.blocks import Bullets, Part, Picture, Table, Words
+from comparisons.page import style as plots_style
+from comparisons.page.blocks import Bullets, Part, Picture, Table, Words
 from surge_core.rounding import log_units
 
 HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)>"

@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from comparisons.show.report.blocks import Part, Table
+    from comparisons.page.blocks import Part, Table
 
 __all__ = ["render_page"]
 
@@ -43,7 +43,7 @@ def render_page(
     from markupsafe import Markup
 
     environment = Environment(
-        loader=PackageLoader("comparisons.show.report"),
+        loader=PackageLoader("comparisons.page"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -85,7 +85,7 @@ def _content_policy(style: str, script: str) -> str:
 
 
 def _packaged(name: str) -> str:
-    return (files("comparisons.show.report") / "templates" / name).read_text("utf-8")
+    return (files("comparisons.page") / "templates" / name).read_text("utf-8")
 
 
 def _digest(text: str) -> str:

@@ -196,7 +196,7 @@ class Picture:
         """
         from matplotlib.axes import Axes
 
-        from comparisons.show import plots_style
+        from comparisons.page import style as plots_style
 
         figure = drawn.get_figure(root=True) if isinstance(drawn, Axes) else drawn
         if figure is None:

@@ -1,0 +1,1 @@
+"""The page toolkit: blocks, template and picture style; knows no result."""
