@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from classic_ml.description import Compressor
 from classic_ml.flow_kernels import invert_flow
-from classic_ml.readers.test_description import Compressor
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 

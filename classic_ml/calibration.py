@@ -11,11 +11,7 @@ import numpy as np
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.order_statistics import mean
 from classic_ml.columns.workspace import blocks
-from classic_ml.faults.marks import fault_name
-from classic_ml.faults.near_stall_levels import common_shifts
-from classic_ml.flow_kernels import change_scale
-from classic_ml.rates import rate_in
-from classic_ml.readers.test_description import (
+from classic_ml.description import (
     PLAUSIBLE_BIAS,
     PLAUSIBLE_BIAS_K,
     Converter,
@@ -24,6 +20,10 @@ from classic_ml.readers.test_description import (
     TemperatureChannel,
     TestDescription,
 )
+from classic_ml.faults.marks import fault_name
+from classic_ml.faults.near_stall_levels import common_shifts
+from classic_ml.flow_kernels import change_scale
+from classic_ml.rates import rate_in
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

@@ -12,8 +12,8 @@ from classic_ml.columns.computed import is_computed
 from classic_ml.columns.elementary import powers
 from classic_ml.columns.order_statistics import lowest
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import Compressor, TestDescription
 from classic_ml.rates import rate_in
-from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.forms import (
     PSI_MINIMUM_PHI,

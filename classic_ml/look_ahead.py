@@ -14,6 +14,7 @@ import numpy as np
 
 from classic_ml.calibration import invert_thermocouples
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import TestDescription
 from classic_ml.faults.marks import fault_name, kinds_of_fault
 from classic_ml.filtering import LocalFilter, channel_filter, filter_channels, filter_entry
 from classic_ml.plane_averages import (
@@ -24,7 +25,6 @@ from classic_ml.plane_averages import (
     plane_flows,
 )
 from classic_ml.probe_plane import averaged_plane
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
 from surge_core.types import FloatArray

@@ -13,13 +13,13 @@ from classic_ml.calibration import calibrate_and_match, invert_thermocouples, ne
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import DEFAULT_THRESHOLD_LBM_S, TestDescription
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall_flows import check_flows
 from classic_ml.faults.search import inspect_readings
 from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
 from classic_ml.plane_averages import plane_flows
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
@@ -104,7 +104,7 @@ def reduce_record(
     Parameters
     ----------
     record : Record
-        Counts and kelvin, as :func:`classic_ml.readers.read_raw` returns them.
+        Counts and kelvin, as :func:`classic_ml.io.read_raw` returns them.
     test : TestDescription
         The test they belong to.
     settings : ReductionSettings, optional
@@ -413,9 +413,8 @@ def _corrected_speed(record: Record, test: TestDescription) -> Channel:
 
 def _threshold(test: TestDescription, settings: ReductionSettings) -> float | None:
     """Return the corrected flow between the regimes; None where all is in stall."""
-    if settings.threshold_lbm_s is None:
-        return test.threshold_lbm_s
-    return None if settings.threshold_lbm_s == "none" else float(settings.threshold_lbm_s)
+    stated = settings.threshold_lbm_s or test.threshold_lbm_s or DEFAULT_THRESHOLD_LBM_S
+    return None if stated == "none" else float(stated)
 
 
 def _segmented(

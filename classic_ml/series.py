@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,7 @@ from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-if TYPE_CHECKING:
-    from classic_ml.readers.series_files import ledger_path, read_series, write_series
-
-__all__ = ["MINIMUM_ROWS", "CoefficientSeries", "ledger_path", "read_series", "write_series"]
+__all__ = ["MINIMUM_ROWS", "CoefficientSeries"]
 
 MINIMUM_ROWS = 100
 REQUIRED_COLUMNS = ("time_s", "phi", "psi_p")
@@ -339,10 +335,3 @@ def _constant(series: CoefficientSeries, name: str) -> InputError:
         found=f"the constant {getattr(series, name)[0]:g}",
         remedy="a lag cannot be identified without excitation",
     )
-
-
-def __getattr__(name: str) -> object:
-    """Lend the names of the file functions, which need this module themselves."""
-    if name not in ("ledger_path", "read_series", "write_series"):
-        raise AttributeError(f"module 'classic_ml.series' has no attribute {name!r}")
-    return getattr(import_module("classic_ml.readers.series_files"), name)

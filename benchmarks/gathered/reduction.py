@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from resident import Cost, cost
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from comparisons.rig import simulate, write_run
 from gathered.script_reduction import FloatArray, read, reduce_by_script

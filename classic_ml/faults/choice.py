@@ -9,6 +9,9 @@ import numpy as np
 
 from classic_ml.calibration import near_stall_rows
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import (
+    TestDescription,
+)
 from classic_ml.faults.bridging import bridged_rows
 from classic_ml.faults.marks import (
     BEYOND_LIMITS,
@@ -27,9 +30,6 @@ from classic_ml.faults.probe_agreement import (
     drifted_apart,
     exchanged_immersions,
     slow_pressures,
-)
-from classic_ml.readers.test_description import (
-    TestDescription,
 )
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from surge_core.errors import InputError

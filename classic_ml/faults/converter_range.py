@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import TestDescription
 from classic_ml.faults.plateaus import End, cut_off_ends
 from classic_ml.faults.standstill import Tally
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 
 __all__ = ["CodeRange", "codes_seen"]

@@ -19,8 +19,8 @@ import numpy as np
 
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import TestDescription
 from classic_ml.faults.standstill import Tally
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IntArray

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.description import TestDescription
 from classic_ml.records import Record
 
 __all__ = ["beside_the_record", "common_shifts", "unusual_machine"]

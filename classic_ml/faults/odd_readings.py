@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import TestDescription
 from classic_ml.faults.odd_kernels import jumping_rows, off_neighbours, standing_out
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 

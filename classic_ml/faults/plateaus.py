@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
+from classic_ml.description import TestDescription
 from classic_ml.faults.standstill import Tally
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from surge_core.types import FloatArray, IntArray
 

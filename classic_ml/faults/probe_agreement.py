@@ -11,8 +11,8 @@ import numpy as np
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import mean
+from classic_ml.description import TestDescription
 from classic_ml.faults.marks import fault_name
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, Record
 from surge_core.types import FloatArray
 

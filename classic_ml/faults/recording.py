@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from classic_ml.description import TestDescription
 from classic_ml.faults.converter_range import CodeRange, codes_seen
 from classic_ml.faults.held import check_held
 from classic_ml.faults.repeated_rows import repeated_rows
 from classic_ml.faults.standstill import Tally
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 
 __all__ = ["how_recorded"]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.description import TestDescription
 from classic_ml.records import Record
 from surge_core.types import IntArray
 

@@ -11,6 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from classic_ml.calibration import probe_pressure_Pa
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
+from classic_ml.description import (
+    PressureChannel,
+    TemperatureChannel,
+    TestDescription,
+)
 from classic_ml.faults.converter_range import CodeRange
 from classic_ml.faults.marks import (
     BEYOND_LIMITS,
@@ -23,11 +28,6 @@ from classic_ml.faults.odd_readings import copies, jumps, spiked_rows
 from classic_ml.faults.plateaus import End, ends_of_ranges
 from classic_ml.faults.recording import how_recorded
 from classic_ml.faults.standstill import DROPOUT_ROWS, Tally, still_runs, tallies
-from classic_ml.readers.test_description import (
-    PressureChannel,
-    TemperatureChannel,
-    TestDescription,
-)
 from classic_ml.records import LedgerEntry, Record
 from surge_core.types import FloatArray
 

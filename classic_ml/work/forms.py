@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from classic_ml.columns.order_statistics import median, percentile
 from classic_ml.columns.workspace import Workspace, blocks, evaluated
+from classic_ml.description import Compressor, TestDescription
 from classic_ml.faults.bridging import bridged_rows
 from classic_ml.rates import rate_in
-from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
 from surge_core.types import FloatArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.series import write_series
+from classic_ml.io.series import write_series
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _make(folder: Path) -> None:
 
 def _test(case: str, seed: int, folder: Path, hide: str | None = None) -> tuple[RigRun, Reduction]:
     """Simulate one test and reduce it from its files, as a real record is."""
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from classic_ml.reduction import reduce_record
     from comparisons.rig import simulate, write_run
 
@@ -192,7 +192,7 @@ def _validate(comparison: Comparison, seed: int, folder: Path) -> tuple[Reconstr
 
 def _power_balance(raw: Path) -> WorkCharacteristic:
     """Fit ψ_QS to the power the blading delivers, as `sindy-surge work` does."""
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from comparisons.cli.work import fit_work
 
     return fit_work(*read_raw(raw / "raw.csv", raw / "test.toml"))

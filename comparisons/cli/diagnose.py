@@ -130,7 +130,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 
 def _run_lag_diagnosis(arguments: argparse.Namespace) -> None:
-    from classic_ml.readers.series_files import read_series
+    from classic_ml.io.series import read_series
     from comparisons.harness.rows import check_once
     from comparisons.missing_effect.terminal import diagnosis_text
     from surge_core.files import write_whole
@@ -266,7 +266,7 @@ def _saved(d: Diagnosis, path: Path) -> str:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, options that contradict and targets that cannot be."""
-    from classic_ml.series import ledger_path
+    from classic_ml.io.series import ledger_path
     from surge_core.files import check_apart, check_target
 
     if arguments.base == "sindy" and arguments.degree is not None:

@@ -10,8 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from classic_ml.inspection import ChannelFacts, ClockFacts, Inspection
-    from classic_ml.inspection_with_test import ChannelMatch, ReductionPreview, TestMatch
+    from classic_ml.inspect import (
+        ChannelFacts,
+        ChannelMatch,
+        ClockFacts,
+        Inspection,
+        ReductionPreview,
+        TestMatch,
+    )
 
 __all__ = ["INSPECT_SCHEMA", "add_inspect_parser", "inspect_document", "inspect_text"]
 
@@ -20,6 +26,8 @@ SERIES_COLUMNS = frozenset(("time_s", "phi", "psi_p"))
 # Beyond this share of the facility's reading the near-stall match refuses a channel.
 FAR_OFF = 0.2
 MOST_LEFT_ASIDE = 12
+# Where the machine surges is shown if it is less than so much of the record.
+SURGING_SHARE = 0.8
 
 
 def add_inspect_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -105,6 +113,7 @@ def inspect_document(
         "left_aside": dict(inspection.left_aside),
         "other_groups": dict(inspection.other_groups),
         "sampled_apart": inspection.sampled_apart,
+        "surges_s": None if inspection.surges_s is None else list(inspection.surges_s),
         "remarks": list(remarks),
         "test": None if match is None else _match_document(match),
         "reduction": None if reduction is None else asdict(reduction),
@@ -121,6 +130,7 @@ def _file_text(inspection: Inspection) -> str:
     lines = [f"{inspection.source}: {inspection.rows} rows, {n} columns"]
     clock = inspection.clock
     lines.append("clock: no column looks like one" if clock is None else _clock_text(clock))
+    lines += _surge_text(inspection)
     width = max([len("column"), *(len(c.name) for c in inspection.channels)])
     units = max([len("unit"), *(len(c.unit) for c in inspection.channels)])
     head = "".join(f"{word:>12s}" for word in ("minimum", "mean", "maximum"))
@@ -176,9 +186,21 @@ def _clock_text(clock: ClockFacts) -> str:
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
 
 
+def _surge_text(inspection: Inspection) -> Iterator[str]:
+    """Yield where the machine surges, if that is a part of the record only."""
+    if inspection.surges_s is None or inspection.clock is None:
+        return
+    from_s, to_s = inspection.surges_s
+    if to_s - from_s < SURGING_SHARE * (inspection.clock.last_s - inspection.clock.first_s):
+        yield (
+            f"surge: the channels swing from {from_s:.6g} to {to_s:.6g} s; a part of a long record "
+            "is read with --from-s and --to-s, or [window] of test.toml"
+        )
+
+
 def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
     from classic_ml.faults.held import times_held
-    from classic_ml.inspection import is_still
+    from classic_ml.inspect import is_still
 
     notes = []
     if channel.not_finite == channel.rows:
@@ -272,8 +294,7 @@ def _reduction_text(reduction: ReductionPreview) -> str:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.inspection import inspect_file
-    from classic_ml.inspection_draft import draft_test_toml
+    from classic_ml.inspect import draft_test_toml, inspect_file, match_test, preview
     from comparisons.cli.progress import shown_steps
     from comparisons.show.json_output import to_strict_json
     from surge_core.files import check_apart, check_target, write_whole
@@ -292,12 +313,10 @@ def _run(arguments: argparse.Namespace) -> None:
             arguments.file, None if test is None else test.file, group=arguments.group
         )
         if test is not None:
-            from classic_ml.inspection_with_test import match_test, preview
-
             told("setting it beside the test")
             match = match_test(arguments.file, test, inspection)
             told("reducing it")
-            reduction = preview(arguments.file, arguments.test, rows=inspection.rows)
+            reduction = preview(arguments.file, test, inspection)
     if test is None and {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
         remarks = (*remarks, _series_remark(arguments.file))
     found: dict[str, Any] = {"match": match, "reduction": reduction, "remarks": remarks}
@@ -333,7 +352,7 @@ def _check_draft(arguments: argparse.Namespace) -> None:
 
 def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
     """Return the description of the test, or why there is none: the file is shown anyway."""
-    from classic_ml.readers.test_toml import read_test_description
+    from classic_ml.io.description_file import read_test_description
     from surge_core.errors import InputError
 
     if arguments.test is None:
@@ -345,7 +364,7 @@ def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
 
 
 def _series_remark(file: Path) -> str:
-    from classic_ml.readers.series_files import read_series
+    from classic_ml.io.series import read_series
     from surge_core.errors import InputError
 
     try:

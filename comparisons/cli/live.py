@@ -20,7 +20,7 @@ from comparisons.cli.reduction_options import (
 )
 
 if TYPE_CHECKING:
-    from classic_ml.readers import TestDescription
+    from classic_ml.io import TestDescription
     from classic_ml.reduction import ReductionSettings
     from comparisons.live.display import Screen
     from comparisons.live.ending import Result
@@ -136,7 +136,7 @@ class _WithFormats(argparse.RawDescriptionHelpFormatter):
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.readers import read_test_description
+    from classic_ml.io import read_test_description
     from comparisons.live.display import Display
     from comparisons.live.ending import reduce_pieces
     from comparisons.live.latency import LatencyMeter
@@ -183,7 +183,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
     """Return where series and raw record go, or refuse what cannot be written."""
-    from classic_ml.series import ledger_path
+    from classic_ml.io.series import ledger_path
     from surge_core.errors import InputError
     from surge_core.files import check_apart, check_target
 

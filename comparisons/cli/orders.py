@@ -89,8 +89,8 @@ def orders_document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> None:
+    from classic_ml.io.series import read_series
     from classic_ml.order_selection import select_order
-    from classic_ml.readers.series_files import read_series
     from comparisons.harness.rows import check_once, stack_rows
     from comparisons.show.json_output import to_strict_json
     from surge_core.files import check_apart, check_target, write_whole

@@ -23,7 +23,7 @@ from comparisons.cli.one_sentence import (
     too_many_digits,
 )
 from comparisons.cli.orders import add_orders_parser
-from comparisons.cli.reduction_options import add_reduction_options
+from comparisons.cli.reduction_options import add_read_window, add_reduction_options
 from comparisons.cli.structure import add_structure_parser
 from comparisons.cli.study import add_study_parser
 from comparisons.cli.total_system import add_total_system_parser
@@ -204,14 +204,7 @@ def _add_reduce(commands: _Commands) -> None:
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
     )
-    parser.add_argument(
-        "--chunk",
-        type=_chunk,
-        default=None,
-        metavar="ROWS",
-        help="read so many rows at once and keep the columns on disk, beside SERIES or in TMPDIR, "
-        "as is done with long records anyway; no number depends on it",
-    )
+    add_read_window(parser)
     add_reduction_options(parser)
     parser.add_argument(
         "--report",
@@ -388,12 +381,6 @@ class _command:
 
 def _seed(text: str) -> int:
     return _whole(text, 0, 2**32 - 1)
-
-
-def _chunk(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of rows, at least 1: '{text}'")
-    return int(text)
 
 
 def _degree(text: str) -> int:

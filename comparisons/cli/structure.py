@@ -131,7 +131,7 @@ def run_structure(arguments: argparse.Namespace) -> None:
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
-    from classic_ml.readers.series_files import read_series
+    from classic_ml.io.series import read_series
     from comparisons.cli.progress import shown_steps
     from comparisons.harness.rows import check_once
     from comparisons.show.structure_output import structure_text
@@ -200,7 +200,7 @@ def _contents(arguments: argparse.Namespace, found: FoundStructure) -> list[tupl
 
 def _check_targets(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, a target that cannot or must not be written."""
-    from classic_ml.series import ledger_path
+    from classic_ml.io.series import ledger_path
     from surge_core.files import check_apart, check_target
 
     outputs = [path for path in (arguments.json, arguments.report, arguments.python) if path]

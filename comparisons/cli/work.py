@@ -14,7 +14,7 @@ import numpy as np
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
-    from classic_ml.readers.test_description import TestDescription
+    from classic_ml.description import TestDescription
     from classic_ml.records import Record
     from classic_ml.work.coefficient import WorkCharacteristic
     from surge_core.types import FloatArray
@@ -41,7 +41,7 @@ def fit_work(
     Parameters
     ----------
     record : Record
-        Counts and kelvin, as :func:`classic_ml.readers.read_raw` returns them.
+        Counts and kelvin, as :func:`classic_ml.io.read_raw` returns them.
     test : TestDescription
         The test they belong to.
     breakpoints : tuple of float, optional
@@ -178,7 +178,7 @@ def run_work(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         ``raw``, ``test``, ``breakpoints``, ``tau``, ``json``.
     """
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from comparisons.cli.progress import shown_over, shown_steps
     from comparisons.show.json_output import to_strict_json
     from surge_core.files import check_apart, check_target, write_whole

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from classic_ml.readers.toml_file import no_file, shown
 from surge_core.errors import InputError
 from surge_core.files import write_whole
 
@@ -230,7 +229,7 @@ def read_models(path: str | Path, form: ModelFormat) -> dict[str, Fields]:
         return InputError(str(file), expected=form.expected, found=found)
 
     if not file.is_file():
-        raise refused(no_file(file))
+        raise refused("a folder" if file.is_dir() else "no such file")
     document = _json(file, form)
     if not isinstance(document, Mapping):
         raise refused(f"JSON of another kind, {_shown(document)}")
@@ -246,6 +245,10 @@ def read_models(path: str | Path, form: ModelFormat) -> dict[str, Fields]:
         name: Fields.of(values, f"{file}: models.{name}", form.remedy)
         for name, values in models.items()
     }
+
+
+# Of a value that is longer no more is shown.
+LONGEST = 60
 
 
 def _json(file: Path, form: ModelFormat) -> Any:
@@ -270,4 +273,7 @@ def _shown(value: object) -> str:
         return "null"
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else f"{'-' if value < 0.0 else ''}infinity"
-    return shown(value)
+    if isinstance(value, Mapping):
+        return "a table"
+    text = repr(value) if isinstance(value, str) else str(value).lower()
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"

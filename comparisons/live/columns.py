@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.readers import possible_ranges
-from classic_ml.readers.raw_files import FeedColumn, check_columns, check_units, feeds
-from classic_ml.readers.raw_table import RawFile, check_unique
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.description import TestDescription
+from classic_ml.io import possible_ranges
+from classic_ml.io.mapping import FeedColumn, check_columns, check_units, feeds
+from classic_ml.io.table import RawFile, check_unique
 from classic_ml.records import Channel, Record
 from classic_ml.units import unit_in_brackets
 from surge_core.errors import InputError
@@ -111,7 +111,7 @@ def _table(names: tuple[str, ...], units: tuple[str, ...] = ()) -> RawFile:
     """Return a feed as a table of which nothing is known but names and units of its columns."""
     labels = units or tuple(map(unit_in_brackets, names))
     stated = {name: label for name, label in zip(names, labels, strict=True) if label}
-    return RawFile(FEED, names, lambda _: iter(()), stated)
+    return RawFile(FEED, names, lambda *_: iter(()), stated)
 
 
 def _layout(table: RawFile, test: TestDescription) -> tuple[FeedColumn, ...]:

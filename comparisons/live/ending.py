@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from classic_ml.readers import read_test_description
+from classic_ml.io import read_test_description
+from classic_ml.io.series import write_series
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings
-from classic_ml.series import write_series
 from comparisons.cli.reduce import reduce_file
 from comparisons.live.carried_match import carry_matches
 from comparisons.live.columns import FEED
@@ -108,8 +108,6 @@ def _reduced(
             piece.path,
             piece.test or test_path,
             settings,
-            chunk_rows=piece.chunk_rows,
-            out=out,
             for_report=False,
         )
     except InputError as error:

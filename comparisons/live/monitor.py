@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from classic_ml.readers.test_description import PressureChannel, TestDescription
+from classic_ml.description import PressureChannel, TestDescription
 from classic_ml.units import COUNT
 from comparisons.live.columns import FeedColumns, described_columns
 from comparisons.live.detection import Sighting, SurgeDetector

@@ -10,8 +10,8 @@ from classic_ml.calibration import (
     match_near_stall,
     near_stall_match,
 )
+from classic_ml.description import TestDescription
 from classic_ml.faults.search import inspect_readings
-from classic_ml.readers.test_description import TestDescription
 from comparisons.live.columns import FeedColumns
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

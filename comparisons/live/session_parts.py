@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.description import TestDescription
 from comparisons.live.display import Display
 from comparisons.live.feed import Feed
 from comparisons.live.latency import LatencyMeter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.readers.raw_csv import row_of_units
+from classic_ml.io.csv import row_of_units
 from comparisons.live.rows import End, Header, Item, Rows, Tally, Units
 from surge_core.types import FloatArray
 

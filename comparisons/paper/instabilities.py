@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.paper_fit import fit_held, fit_paper, fit_steady

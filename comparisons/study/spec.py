@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from classic_ml.readers.toml_file import load_toml
 from comparisons.study.scores import SCORES
 from comparisons.study.settings import SOURCES, TABLES, Setting
 from surge_core.errors import InputError
+from surge_core.models import read_toml
 
 __all__ = ["SCHEMA", "Design", "Method", "Range", "Scalar", "StudySpec", "read_spec"]
 
@@ -157,7 +157,7 @@ def read_spec(path: Path) -> StudySpec:
     InputError
         Naming the file and the key at fault.
     """
-    return spec_from(load_toml(path, "a study's TOML file"), str(path))
+    return spec_from(read_toml(path, "a study's TOML file"), str(path))
 
 
 def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
-from classic_ml.readers.toml_file import load_toml
-from classic_ml.readers.toml_tables import Table
+from pydantic import Field, create_model
+
 from surge_core.errors import InputError
+from surge_core.models import Table, read_toml, validated
 
 __all__ = ["Facility", "facility_toml", "read_facility"]
 
@@ -255,26 +257,35 @@ def read_facility(path: str | Path) -> Facility:
         that is not possible, or holds a key that nobody reads.
     """
     file = Path(path)
-    values = load_toml(file, "a facility description (.toml)")
-    top = Table(str(file), "", values, _SCHEMA)
-    numbers: dict[str, float] = {}
+    values = read_toml(file, "a facility description (.toml)")
+    tables: dict[str, Any] = {}
     for section, keys in _SCHEMA.items():
-        table = top.table(section, keys)
-        for key, (name, unit) in keys.items():
-            numbers[name] = table.number(
-                key,
-                above=0.0 if name in _POSITIVE else None,
-                least=None if name in _POSITIVE or name in _ANY_SIGN else 0.0,
-                default=_DEFAULTS.get(name),
-                unit=unit,
-            )
-        table.finish()
-    top.finish()
+        declared: dict[str, Any] = dict(map(_declared, keys.items()))
+        tables[section] = (create_model(section, __base__=Table, **declared), ...)
+    document = create_model("Facility", __base__=Table, **tables)
+    read = validated(document, values, str(file)).model_dump()
+    numbers = {
+        name: float(read[section][key])
+        for section, keys in _SCHEMA.items()
+        for key, (name, _) in keys.items()
+    }
     try:
         return Facility(**numbers)
     except InputError as error:
         where = f"{file}: {error.where.removeprefix('Facility.')}"
         raise InputError(where, expected=error.expected, found=error.found) from None
+
+
+def _declared(item: tuple[str, tuple[str, str]]) -> tuple[str, Any]:
+    """Return a key of the file with the type, the range and the default of its field."""
+    key, (name, unit) = item
+    bounds: dict[str, Any] = {} if name in _ANY_SIGN else {"ge": 0.0}
+    if name in _POSITIVE:
+        bounds = {"gt": 0.0}
+    words = {"ge": "a number from 0 on", "gt": "a number above 0"}
+    expected = f"{words.get(next(iter(bounds), ''), 'a number')} {unit}".strip()
+    default: Any = _DEFAULTS.get(name, ...)
+    return key, (float, Field(default, description=expected, **bounds))
 
 
 def facility_toml(facility: Facility) -> str:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.description import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import Reduction
 from comparisons.total_system.gauss_newton import Solution, solve

@@ -22,9 +22,9 @@ from classic_ml.airflow import (
 )
 from classic_ml.calibration import calibrate
 from classic_ml.columns.elementary import powers
+from classic_ml.description import Compressor
 from classic_ml.flow_kernels import pair_flow, pair_total
 from classic_ml.plane_averages import local_flows, plane_averages
-from classic_ml.readers.test_description import Compressor
 from classic_ml.records import Record
 from surge_core.errors import InputError
 

@@ -19,7 +19,7 @@ from classic_ml.coefficients import (
     rate_of_change,
     work_coefficient,
 )
-from classic_ml.readers.test_description import Compressor, TestDescription
+from classic_ml.description import Compressor, TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 

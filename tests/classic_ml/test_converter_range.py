@@ -13,7 +13,7 @@ from classic_ml.faults.converter_range import CodeRange, codes_seen
 from classic_ml.faults.marks import CLIPPED
 from classic_ml.faults.search import inspect_readings
 from classic_ml.faults.standstill import tallies
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import FloatArray, Record
 
 # Records of which some readings are clipped, in the blowdown alone.

@@ -17,7 +17,7 @@ from classic_ml.faults import standstill
 from classic_ml.faults.choice import choose_channels
 from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK
 from classic_ml.faults.search import inspect_readings
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Channel, Record
 from surge_core.errors import InputError
 

@@ -16,13 +16,12 @@ from hypothesis import strategies as st
 from raw_data import make_test, to_toml, write_csv
 
 from classic_ml.columns import workspace
-from classic_ml.columns.workspace import OnDisk
 from classic_ml.faults import plateaus
 from classic_ml.faults.marks import CLIPPED
 from classic_ml.faults.plateaus import End, cut_off_ends
 from classic_ml.faults.search import inspect_readings
-from classic_ml.inspection import inspect_file
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.inspect import inspect_file
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
 from classic_ml.reduction import reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run
@@ -116,19 +115,6 @@ def test_the_reduction_is_that_of_the_counts(rig: Path) -> None:
     (chosen,) = (e for e in found.record.history if e.step == "choose channels")
     assert [d.what for d in chosen.dropped] == ["T31_A", "T31_B", "W31 and ψ"]
     assert "clipped in" in chosen.dropped[0].why
-
-
-@pytest.mark.parametrize("rows", [7, 97, 1000])
-def test_no_bit_depends_on_blocks_chunks_or_where_the_columns_lie(
-    rig: Path, rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cell = in_other_units(rig)
-    whole = inspect_readings(*read(cell))
-    monkeypatch.setattr(workspace, "BLOCK_ROWS", rows)
-    pieces = inspect_readings(*read(cell, chunk_rows=rows + 3, workspace=OnDisk(tmp_path)))
-    assert pieces.history[-1] == whole.history[-1]
-    for name in whole.channels:
-        np.testing.assert_array_equal(pieces[name][:], whole[name], name)
 
 
 def test_stated_limits_are_believed_and_what_they_let_through_is_flagged(rig: Path) -> None:

@@ -16,7 +16,7 @@ from classic_ml.columns import workspace
 from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK, fault_name
 from classic_ml.faults.search import inspect_readings
 from classic_ml.faults.standstill import tallies
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Record
 
 LONG_ROWS = 50

@@ -10,7 +10,7 @@ import pytest
 from clean_records import SURGES, clean_record, rows_of
 
 from classic_ml.columns import workspace
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.surge_cycles import find_cycles

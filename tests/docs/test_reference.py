@@ -21,10 +21,9 @@ import public  # noqa: E402
 # Modules all of whose names are public; those behind them are the inside of the house.
 PUBLIC = (
     "classic_ml",
-    "classic_ml.inspection",
-    "classic_ml.inspection_with_test",
+    "classic_ml.inspect",
     "classic_ml.order_selection",
-    "classic_ml.readers",
+    "classic_ml.io",
     "classic_ml.records",
     "classic_ml.reduction",
     "classic_ml.residual_checks",

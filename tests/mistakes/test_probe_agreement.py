@@ -12,7 +12,7 @@ from classic_ml.faults.probe_agreement import (
     exchanged_immersions,
     slow_pressures,
 )
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Channel, Record
 
 CYCLES = slice(700, 2000)

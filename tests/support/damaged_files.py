@@ -51,7 +51,7 @@ def wrong_readings(sound: Path, spoiled: Path) -> int:
 
 
 def _table(file: Path) -> pd.DataFrame:
-    from classic_ml.readers.raw_formats import open_stored
+    from classic_ml.io.formats import open_stored
 
     stored = open_stored(file)
     return pd.DataFrame(np.concatenate(list(stored.chunks(1 << 16))), columns=list(stored.names))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from live_records import LiveRecord, play, series_of
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from comparisons.cli import main
 from comparisons.live.columns import feed_columns
 from comparisons.live.feed import Arrival, Closed, Data, Opened

@@ -9,7 +9,7 @@ import pytest
 from live_records import LiveRecord, made_record
 from raw_data import make_test
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from comparisons.live.columns import feed_columns
 from comparisons.live.detection import CycleCounter, Sighting, SurgeDetector

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from live_records import LiveRecord
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.segments import in_stall_by_threshold
 from comparisons.live.columns import FeedColumns, feed_columns

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from live_records import LiveRecord, made_record
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.live import running_estimate

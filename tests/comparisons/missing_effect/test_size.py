@@ -9,7 +9,7 @@ import pytest
 from effect_data import CUBIC, hidden, series_of
 
 from classic_ml.faults import search
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from comparisons.missing_effect import diagnose, find_effect
 from comparisons.missing_effect.candidates import Bench
