@@ -47,7 +47,7 @@ class SurgeSearch:
         whole = n_sections * rows
         self._starts.append(time_s[:whole:rows])
         # A reading that is no number makes the spread of its section none.
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             spreads = [np.std(c[:whole].reshape(-1, rows), axis=1) for c in columns]
         self._spreads.append(np.stack(spreads, axis=1))
         self._end_s = float(time_s[-1])

@@ -296,7 +296,6 @@ def _low_to_high(ends: list[float]) -> list[float]:
     return ends
 
 
-_Shift = Annotated[float, Field(description="a number in Pa or K")]
 _Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_to_high)]
 
 
@@ -307,7 +306,7 @@ class _Document(Table):
     near_stall: _NearStall = _key("a table")
     channels: dict[Text, _AnyChannel] = _key("a table of tables")
     adc: _Converter | None = None
-    near_stall_shifts: dict[str, _Shift] | None = None
+    near_stall_shifts: dict[str, float] | None = None
     limits: dict[str, _Range] = Field(default_factory=dict)
     segmentation: _Segmentation = Field(default_factory=_Segmentation)
     window: _Window | None = None

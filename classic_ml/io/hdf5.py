@@ -13,7 +13,7 @@ from classic_ml.description import FileLayout
 from classic_ml.io.table import RawFile
 from classic_ml.io.vectors import Leaf, as_table, found_in
 
-__all__ = ["MOST_TEXTS", "hdf5_table", "open_hdf5"]
+__all__ = ["MOST_TEXTS", "check_items", "hdf5_table", "open_hdf5"]
 
 UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units", "engineeringunits")
 _COLUMN_ATTRIBUTES = ("columns", "column_names", "channel_names", "channels", "names")
@@ -64,6 +64,17 @@ def hdf5_table(file: Path, layout: FileLayout, decoder: Decoder) -> RawFile:
     with opened() as handle:
         found = found_in(_tree(handle, decoder))
     return as_table(str(file), found, layout, opened)
+
+
+def check_items(file: Path) -> None:
+    """Look at each item of an HDF5 file, so that a damaged one is refused here.
+
+    h5netcdf leaves a file half open over it, and complains of that on its own later.
+    """
+    import h5py
+
+    with h5py.File(file, "r") as handle:
+        handle.visititems(lambda _, item: len(dict(item.attrs)) and None)
 
 
 def _tree(group: Any, decoder: Decoder) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.description import FileLayout
+from classic_ml.io.hdf5 import check_items
 from classic_ml.io.table import RawFile
 from classic_ml.io.vectors import Found, Vector, as_table
 from classic_ml.units import kind_of_unit, time_conversion
@@ -67,6 +68,8 @@ def _opened(file: Path) -> Iterator[Mapping[str, Any]]:
     with file.open("rb") as opened:
         classic = opened.read(3) == b"CDF"
         opened.seek(0)
+        if not classic:
+            check_items(file)
         try:
             groups = (
                 {"/": xr.open_dataset(opened, engine="scipy", **plain)}

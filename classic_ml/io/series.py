@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.io.csv import separator_of
+from classic_ml.io.hdf5 import check_items
 from classic_ml.io.table import fault_of
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.series import (
@@ -287,6 +288,7 @@ def _read_ledger(file: Path) -> _History:
 def _read_netcdf(file: Path) -> tuple[_Columns, _History]:
     import xarray as xr
 
+    check_items(file)
     with xr.open_dataset(
         file, engine="h5netcdf", decode_times=False, decode_timedelta=False
     ) as dataset:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from functools import partial
 from importlib.util import find_spec
@@ -49,7 +50,10 @@ def open_tdms(file: Path, layout: FileLayout, lenient: bool = False) -> RawFile:
             remedy="pip install 'sindy-surge[tdms]'",
         )
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
+    # It warns of a damaged file on stderr, beside the error.
+    log_manager.set_level(logging.ERROR)
     opened = partial(TdmsFile.open, file)
     found = Found()
     with opened() as handle:

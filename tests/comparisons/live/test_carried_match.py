@@ -179,7 +179,7 @@ def stated(shifts: dict[str, float]) -> str:
         ("P99 = 1.0\n", "the name of a forward probe or a thermocouple, found no such channel"),
         ("P25_A_tip_aft = 1.0\n", "found an aft probe; it moves with its forward mate"),
         ("P25_A_tip_forward = 30e3\n", "found 30000; it is added to the calibrated reading"),
-        ('T25_A = "1 degC"\n', "T25_A: expected a number in Pa or K, found '1 degC'"),
+        ('T25_A = "1 degC"\n', "T25_A: expected a number, found '1 degC'"),
     ],
 )
 def test_shifts_that_cannot_be_are_refused(
