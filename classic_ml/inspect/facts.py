@@ -320,8 +320,9 @@ def _part_of(values: FloatArray, first_row: int) -> _Part:
     heads = values[starts]
     still = np.where(np.isfinite(heads), lengths, 0)
     longest = int(np.argmax(still))
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         steps = np.abs(np.diff(values))
+        total = float(np.sum(finite))
     least_step = float(np.min(steps, where=steps > 0.0, initial=np.inf))
     readings = np.where(good, values, np.nan)
     cut_off: frozenset[float] = frozenset()
@@ -338,7 +339,7 @@ def _part_of(values: FloatArray, first_row: int) -> _Part:
         values.size - finite.size,
         None if good.all() else first_row + int(np.argmin(good)) + 1,
         float(low),
-        float(np.sum(finite)),
+        total,
         float(high),
         int(np.count_nonzero(finite == low)),
         int(np.count_nonzero(finite == high)),

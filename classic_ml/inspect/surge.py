@@ -15,9 +15,9 @@ __all__ = ["SurgeSearch"]
 SECTION_S, BRIDGED_S = 0.25, 3.0
 # Before stall the noise of a probe is a few tenths of a per cent, a surge swings it by tens of per
 # cent: sections that move so many times as much as the quiet ones are a surge's.
-LEAST_RATIO = 5.0
+LEAST_RATIO = 10.0
 # The share of sections that are as quiet as the machine is before it surges.
-QUIET_SHARE = 0.05
+QUIET_SHARE = 0.01
 
 
 class SurgeSearch:

@@ -15,7 +15,7 @@ from mistake_checks import check_sentence
 from mistake_desk import Answer, ledger_of, rms_errors, run_in
 from stored_records import WRITERS, write_stored
 
-SEEDS = 15
+SEEDS = 8
 # A library in C that dies of damaged bytes takes this process with it, and not the tests.
 LOOK = """
 import json, sys
