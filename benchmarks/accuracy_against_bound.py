@@ -24,7 +24,7 @@ from peers.lag_problem import NAMES, PERIOD_S, FloatArray, Problem
 from scipy.stats import t as student
 
 from classic_ml import LagRegressor
-from comparisons.harness.lag_value import FittedLag
+from comparisons.results import FittedLag
 
 PROBLEMS = (
     Problem("armax", -0.6),
