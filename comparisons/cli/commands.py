@@ -15,10 +15,8 @@ from surge_core.files import check_apart, check_target, write_whole
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
-    from comparisons.harness.compare import Comparison
     from comparisons.harness.estimators import EstimatorSpec
-    from comparisons.harness.lag_value import FittedLag
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Comparison, FittedLag, Reconstruction
 
 __all__ = [
     "command_line",
@@ -104,8 +102,8 @@ def run_reduce(arguments: argparse.Namespace) -> None:
 
 def run_compare(arguments: argparse.Namespace) -> None:
     """Fit the estimators to series files and set them side by side."""
-    from comparisons.harness.lag_value import save_models
     from comparisons.harness.rows import check_once
+    from comparisons.harness.saved_models import save_models
 
     inputs = [*arguments.series, *([arguments.model] if arguments.model else [])]
     _check_targets(inputs, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
@@ -142,8 +140,8 @@ def run_compare(arguments: argparse.Namespace) -> None:
 
 def run_reconstruct(arguments: argparse.Namespace) -> None:
     """Run saved models over other records."""
+    from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import (
-        load_any_models,
         reconstruct_record,
         reconstruction_csv,
         reconstruction_document,

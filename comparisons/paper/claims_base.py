@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.airflow import LBM_KG
-from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.instabilities import Instabilities, InstabilityRun
+from comparisons.results import FittedLag
 from comparisons.rig import SensorSettings
 from surge_core.types import FloatArray
 

@@ -6,14 +6,32 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
-from classic_ml.readers.toml_file import no_file, shown
+from comparisons.results import FittedLag, is_known_term
 from surge_core.errors import InputError
 from surge_core.files import write_whole
+from surge_core.lag import Hold
 
-__all__ = ["Fields", "ModelFormat", "read_models", "write_models"]
+__all__ = [
+    "MODEL_SCHEMA",
+    "MOST_BLOCKS",
+    "Fields",
+    "ModelFormat",
+    "lag_from_json",
+    "load_models",
+    "read_models",
+    "save_models",
+    "write_models",
+]
+
+MODEL_SCHEMA = "sindy-surge/model/1"
+# More than any record has.
+MOST_BLOCKS = 10**9
+LONGEST_SHOWN = 40
+_HOLDS: dict[str, Hold] = {"zero": "zero", "first": "first"}
 
 
 @dataclass(frozen=True)
@@ -41,8 +59,11 @@ class ModelFormat:
 
     @property
     def remedy(self) -> str:
-        """How to mend a key that cannot be used."""
-        return f"save the model anew with `{self.writer}`"
+        """What to do about a key that cannot be used."""
+        return f"save the model again with `{self.writer}`"
+
+
+MODEL_FORMAT = ModelFormat(MODEL_SCHEMA, "a model file", "sindy-surge compare --save")
 
 
 @dataclass(frozen=True)
@@ -56,7 +77,7 @@ class Fields:
     where : str
         File and key of the table, for errors.
     remedy : str
-        How to mend what is wrong in it.
+        What to do about what is wrong in it.
     """
 
     values: Mapping[str, Any]
@@ -71,13 +92,7 @@ class Fields:
         return cls(values, where, remedy)
 
     def refuse(self, key: str, expected: str, found: str) -> InputError:
-        """Return the error of a key.
-
-        Parameters
-        ----------
-        key, expected, found : str
-            The key, what was expected of it, and what it has.
-        """
+        """Return the error of a key: what was expected of it, and what it has."""
         return InputError(f"{self.where}.{key}", expected=expected, found=found, remedy=self.remedy)
 
     def text(self, key: str, what: str, choices: tuple[str, ...] = ()) -> str:
@@ -168,13 +183,10 @@ class Fields:
         above: float = -math.inf,
         least: float = -math.inf,
     ) -> float:
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            try:
-                number = float(value)
-            except OverflowError:
-                number = math.inf
-            if math.isfinite(number) and number > above and number >= least:
-                return number
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        # A whole number of 309 digits and more is no float.
+        if number and abs(value) < 1e308 and value > above and value >= least:
+            return float(value)
         raise self.refuse(key, what, _shown(value))
 
 
@@ -197,10 +209,8 @@ def write_models(models: Mapping[str, _Writable], path: str | Path, form: ModelF
     form : ModelFormat
         What the file is.
     """
-    document = {
-        "schema": form.schema,
-        "models": {name: model.to_json() for name, model in models.items()},
-    }
+    tables = {name: model.to_json() for name, model in models.items()}
+    document = {"schema": form.schema, "models": tables}
     write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
@@ -230,8 +240,14 @@ def read_models(path: str | Path, form: ModelFormat) -> dict[str, Fields]:
         return InputError(str(file), expected=form.expected, found=found)
 
     if not file.is_file():
-        raise refused(no_file(file))
-    document = _json(file, form)
+        raise refused("no such file" if not file.exists() else "a folder, a device or a pipe")
+    try:
+        document = json.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise refused(f"a file that cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        # No UTF-8, no JSON, or numbers and nests that Python does not take.
+        raise refused(f"no JSON ({error})") from None
     if not isinstance(document, Mapping):
         raise refused(f"JSON of another kind, {_shown(document)}")
     schema = document.get("schema")
@@ -248,26 +264,91 @@ def read_models(path: str | Path, form: ModelFormat) -> dict[str, Fields]:
     }
 
 
-def _json(file: Path, form: ModelFormat) -> Any:
-    try:
-        return json.loads(file.read_text("utf-8"))
-    except UnicodeDecodeError:
-        found = "bytes that are no text in UTF-8"
-    except json.JSONDecodeError as error:
-        empty = not error.doc.strip()
-        found = "an empty file" if empty else f"what is no JSON from line {error.lineno} on"
-    except RecursionError:
-        found = "values nested too deeply"
-    except ValueError:
-        # Python refuses to read a whole number of more digits.
-        found = "a number of more than 4300 digits"
-    raise InputError(str(file), expected=form.expected, found=found)
+def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
+    """Write fitted models as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    models : mapping of str to FittedLag
+        By estimator.
+    path : str or path
+        Target.
+    """
+    write_models(models, path, MODEL_FORMAT)
+
+
+def load_models(path: str | Path) -> dict[str, FittedLag]:
+    """Read models that :func:`save_models` wrote; the file is data, nothing in it is executed.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+
+    Raises
+    ------
+    InputError
+        When it is missing or is not a model file.
+    """
+    return {name: _from_fields(fields) for name, fields in read_models(path, MODEL_FORMAT).items()}
+
+
+def lag_from_json(data: Mapping[str, Any], where: str = "model") -> FittedLag:
+    """Build a model from what :meth:`~comparisons.results.FittedLag.to_json` gave.
+
+    Parameters
+    ----------
+    data : mapping
+        Plain JSON types.
+    where : str
+        File and key of the model, for errors.
+
+    Raises
+    ------
+    InputError
+        Naming the key that cannot be used.
+    """
+    return _from_fields(Fields.of(data, where, MODEL_FORMAT.remedy))
+
+
+def _from_fields(fields: Fields) -> FittedLag:
+    """Return a model from its table in a file, every number of it checked."""
+    terms = fields.tables("terms")
+    names = tuple(term.text("name", "the name of a term") for term in terms)
+    table = fields.points("characteristic")
+    if not all(map(is_known_term, names)) and not _is_curve(table):
+        raise fields.refuse(
+            "characteristic",
+            "rows of rising φ with values, from which terms of unknown names are run",
+            f"{len(table)} row{'' if len(table) == 1 else 's'} that make no curve",
+        )
+    late = fields.number("dead_time_s", "a dead time in s") if "dead_time_s" in fields.values else 0
+    return FittedLag(
+        fields.text("estimator", "the name of an estimator"),
+        fields.text("target", '"psi_p" or "psi"', ("psi_p", "psi")),
+        # Null is a time constant that was not identified; such a model runs without its lag.
+        fields.maybe("time_constant_s", "a time constant above 0 s, or null", above=0.0),
+        fields.maybe("time_constant_stderr_s", "a standard error in s, or null", least=0.0),
+        names,
+        tuple(term.number("coefficient", "a coefficient, a finite number") for term in terms),
+        tuple(term.maybe("stderr", "a standard error, or null", least=0.0) for term in terms),
+        _HOLDS[fields.text("hold", 'the hold "zero" or "first"', tuple(_HOLDS))],
+        fields.range("valid_phi"),
+        table,
+        fields.whole("n_blocks", "a number of blocks", MOST_BLOCKS),
+        float(late),
+    )
+
+
+def _is_curve(table: tuple[tuple[float, float, float], ...]) -> bool:
+    phi, value = ([row[k] for row in table] for k in (0, 1))
+    rises = all(before < after for before, after in pairwise(phi))
+    return bool(table) and rises and all(map(math.isfinite, value))
 
 
 def _shown(value: object) -> str:
-    """Return a value as the file has it: JSON has names of its own for three of them."""
-    if value is None:
-        return "null"
-    if isinstance(value, float) and not math.isfinite(value):
-        return "NaN" if math.isnan(value) else f"{'-' if value < 0.0 else ''}infinity"
-    return shown(value)
+    """Return a value as the file has it, cut where it is long."""
+    if isinstance(value, Mapping):
+        return "a table"
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"

@@ -3,44 +3,61 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from comparisons.harness.model_fields import Fields, ModelFormat, read_models, write_models
-from comparisons.harness.terms import evaluate_terms, is_known_term
-from surge_core.display import Displayed, Sheet
+from classic_ml.series import CoefficientSeries
+from comparisons.results.rows import FitRows
+from comparisons.results.tables import SYMBOLS
+from comparisons.results.terms import evaluate_terms, is_known_term
+from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.rounding import bracketed
+from surge_core.rounding import bracketed, round_to_error
 from surge_core.segments import runs_of
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
-__all__ = ["MODEL_SCHEMA", "FittedLag", "LagEstimator", "load_models", "save_models"]
-
-MODEL_SCHEMA = "sindy-surge/model/1"
-MODEL_FORMAT = ModelFormat(MODEL_SCHEMA, "a model file", "sindy-surge compare --save")
-TARGETS = ("psi_p", "psi")
-# More than any record has.
-MOST_BLOCKS = 10**9
-_HOLDS: dict[str, Hold] = {"zero": "zero", "first": "first"}
+__all__ = ["FittedLag", "LagModel"]
 
 
-class LagEstimator(Protocol):
-    """What the harness asks of a fitted estimator (DESIGN section 5)."""
+class LagModel(Protocol):
+    """A fitted model that can be run over another record, whatever it holds beside the lag."""
 
-    time_constant_s_: float
-    time_constant_stderr_s_: float
-    terms_: list[str]
-    coef_: FloatArray
-    covariance_: FloatArray
+    @property
+    def estimator(self) -> str:
+        """Name of what found it."""
 
-    def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the quasi-steady characteristic and its standard error."""
+    @property
+    def target(self) -> str:
+        """The coefficient it gives, "psi_p" or "psi"."""
+
+    @property
+    def time_constant_s(self) -> float:
+        """τ, in seconds."""
+
+    @property
+    def valid_phi(self) -> tuple[float, float]:
+        """Range of φ in which the curve can be trusted."""
+
+    def equation(self) -> str:
+        """Return the model in one line."""
+
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return the characteristic at φ, of shape (n,)."""
+
+    def free_run_over(
+        self,
+        rows: FitRows,
+        records: Sequence[CoefficientSeries],
+        labels: IntArray | None = None,
+    ) -> FloatArray:
+        """Return the free run over rows of records, each segment from its measured start."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the model as plain JSON types."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +80,13 @@ class FittedLag(Displayed):
         How φ acts between samples.
     valid_phi : tuple of float
         Range of φ in which the curve can be trusted.
+    table : tuple of tuple of float
+        The characteristic as (φ, value, standard error), for plots and for terms whose function
+        is not known by name.
     n_blocks : int
         Blocks behind the standard errors; 0 where the estimator does not say.
     dead_time_s : float
         How much later than φ the coefficient was measured, in seconds; negative if φ was late.
-    table : tuple of tuple of float
-        The characteristic as (φ, value, standard error), for plots and for terms whose function
-        is not known by name.
     """
 
     estimator: str
@@ -88,7 +105,7 @@ class FittedLag(Displayed):
     @classmethod
     def from_estimator(
         cls,
-        estimator: LagEstimator,
+        estimator: Any,
         name: str,
         target: str,
         hold: Hold,
@@ -99,8 +116,9 @@ class FittedLag(Displayed):
 
         Parameters
         ----------
-        estimator : LagEstimator
-            Fitted.
+        estimator : object
+            Fitted, with ``time_constant_s_``, ``time_constant_stderr_s_``, ``terms_``, ``coef_``,
+            ``covariance_`` and ``characteristic(phi)``.
         name, target : str
             How it is called and which coefficient it gives.
         hold : {"zero", "first"}
@@ -127,8 +145,13 @@ class FittedLag(Displayed):
         )
 
     @property
+    def measured(self) -> bool:
+        """Whether τ was measured: fitted, and two standard errors or more above zero."""
+        return 0.0 < 2.0 * self.time_constant_stderr_s < self.time_constant_s < math.inf
+
+    @property
     def ci95_s(self) -> tuple[float, float]:
-        """95 % interval of τ, in seconds; on log τ where τ is well told from zero."""
+        """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
         if not math.isfinite(self.time_constant_stderr_s):
             return (math.nan, math.nan)
         reach = self._quantile * self.time_constant_stderr_s
@@ -152,10 +175,6 @@ class FittedLag(Displayed):
             return np.asarray(terms @ np.asarray(self.coefficients))
         grid, value, _ = np.asarray(self.table).T
         return np.asarray(np.interp(np.asarray(phi, dtype=np.float64), grid, value))
-
-    def lag(self, sample_period_s: float) -> FirstOrderLag:
-        """Return the discrete lag for a sample period."""
-        return FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
 
     def free_run(
         self,
@@ -188,12 +207,25 @@ class FittedLag(Displayed):
             out[run] = lag.respond(forcing, begin[run.start])
         return out
 
-    def _late(self, forcing: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the forcing of one segment as it acts, dead_time_s later, its ends prolonged."""
-        if self.dead_time_s == 0.0:
-            return forcing
-        rows = np.arange(forcing.size, dtype=np.float64)
-        return np.interp(rows - self.dead_time_s / sample_period_s, rows, forcing)
+    def free_run_over(
+        self,
+        rows: FitRows,
+        records: Sequence[CoefficientSeries],
+        labels: IntArray | None = None,
+    ) -> FloatArray:
+        """Return the free run over rows, each segment from its measured start.
+
+        Parameters
+        ----------
+        rows : FitRows
+            The rows.
+        records : sequence of CoefficientSeries
+            The records they come from; a plain lag needs φ alone.
+        labels : ndarray of int, shape (n,), optional
+            In place of the rows' own segments.
+        """
+        marks = rows.labels if labels is None else labels
+        return self.free_run(rows.phi, rows.sample_period_s, marks, start=rows.measured)
 
     def one_step(
         self,
@@ -214,9 +246,20 @@ class FittedLag(Displayed):
             out[run.start + 1 : run.stop] = lag.a * before + lag.drive(forcing)
         return out
 
+    def lag(self, sample_period_s: float) -> FirstOrderLag:
+        """Return the discrete lag for a sample period."""
+        return FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
+
+    def _late(self, forcing: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the forcing of one segment as it acts, dead_time_s later, its ends prolonged."""
+        if self.dead_time_s == 0.0:
+            return forcing
+        rows = np.arange(forcing.size, dtype=np.float64)
+        return np.interp(rows - self.dead_time_s / sample_period_s, rows, forcing)
+
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
-        symbol = {"psi_p": "ψ'", "psi": "ψ"}.get(self.target, self.target)
+        symbol = SYMBOLS.get(self.target, self.target)
         terms = [
             _term(name, value, stderr)
             for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
@@ -229,7 +272,7 @@ class FittedLag(Displayed):
         return f"{tau_ms} ms · d{symbol}/dt + {symbol} = {right}{late}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the value as plain JSON types."""
+        """Return the value as plain JSON types, null for what is not known."""
         return {
             "estimator": self.estimator,
             "target": self.target,
@@ -248,92 +291,26 @@ class FittedLag(Displayed):
             "characteristic": [[_finite(v) for v in row] for row in self.table],
         }
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any], where: str = "model") -> FittedLag:
-        """Build from what :meth:`to_json` gave.
-
-        Parameters
-        ----------
-        data : mapping
-            Plain JSON types.
-        where : str
-            File and key of the model, for errors.
-
-        Raises
-        ------
-        InputError
-            Naming the key that cannot be used.
-        """
-        return _from_fields(Fields.of(data, where, MODEL_FORMAT.remedy))
-
     def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import lag_value_sheet
-
-        return lag_value_sheet(self)
-
-
-def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
-    """Write fitted models as JSON, whole or not at all.
-
-    Parameters
-    ----------
-    models : mapping of str to FittedLag
-        By estimator.
-    path : str or path
-        Target.
-    """
-    write_models(models, path, MODEL_FORMAT)
-
-
-def load_models(path: str | Path) -> dict[str, FittedLag]:
-    """Read models that :func:`save_models` wrote; the file is data, nothing in it is executed.
-
-    Parameters
-    ----------
-    path : str or path
-        The file.
-
-    Raises
-    ------
-    InputError
-        When it is missing or is not a model file.
-    """
-    return {name: _from_fields(fields) for name, fields in read_models(path, MODEL_FORMAT).items()}
-
-
-def _from_fields(fields: Fields) -> FittedLag:
-    """Return a model from its table in a file, every number of it checked."""
-    terms = fields.tables("terms")
-    names = tuple(term.text("name", "the name of a term") for term in terms)
-    table = fields.points("characteristic")
-    if not all(map(is_known_term, names)) and not _is_curve(table):
-        raise fields.refuse(
-            "characteristic",
-            "rows of rising φ with values, from which terms of unknown names are run",
-            f"{len(table)} row{'' if len(table) == 1 else 's'} that make no curve",
+        low, high = (1e3 * end for end in self.ci95_s)
+        known = math.isfinite(self.time_constant_s)
+        tau = round_to_error(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
+        fields = [Field("time constant τ", f"{tau} ms" if known else "not known")]
+        if math.isfinite(low) and math.isfinite(high):
+            fields.append(Field("τ, 95 % interval", f"{low:.3g} to {high:.3g} ms"))
+        if self.dead_time_s:
+            fields.append(Field("dead time", f"{1e3 * self.dead_time_s:.3g} ms"))
+        fields += [
+            Field("hold", self.hold),
+            Field("φ dwells", f"{self.valid_phi[0]:.3f} to {self.valid_phi[1]:.3f}"),
+        ]
+        rows = tuple(
+            (name, round_to_error(value, error))
+            for name, value, error in zip(self.terms, self.coefficients, self.stderr, strict=True)
         )
-    late = fields.number("dead_time_s", "a dead time in s") if "dead_time_s" in fields.values else 0
-    return FittedLag(
-        fields.text("estimator", "the name of an estimator"),
-        fields.text("target", '"psi_p" or "psi"', TARGETS),
-        # Null is a time constant that was not identified; such a model runs without its lag.
-        fields.maybe("time_constant_s", "a time constant above 0 s, or null", above=0.0),
-        fields.maybe("time_constant_stderr_s", "a standard error in s, or null", least=0.0),
-        names,
-        tuple(term.number("coefficient", "a coefficient, a finite number") for term in terms),
-        tuple(term.maybe("stderr", "a standard error, or null", least=0.0) for term in terms),
-        _HOLDS[fields.text("hold", 'the hold "zero" or "first"', tuple(_HOLDS))],
-        fields.range("valid_phi"),
-        table,
-        fields.whole("n_blocks", "a number of blocks", MOST_BLOCKS),
-        float(late),
-    )
-
-
-def _is_curve(table: tuple[tuple[float, float, float], ...]) -> bool:
-    phi, value = ([row[k] for row in table] for k in (0, 1))
-    rises = all(before < after for before, after in pairwise(phi))
-    return bool(table) and rises and all(map(math.isfinite, value))
+        terms = Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
+        title = f"Lag model of {SYMBOLS[self.target]} by {self.estimator}"
+        return Sheet(title, tuple(fields), (terms,))
 
 
 def _term(name: str, value: float, stderr: float) -> str:
