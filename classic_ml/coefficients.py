@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.airflow import T_STANDARD_K, mach_from_corrected_flow
 from classic_ml.columns.computed import is_computed
 from classic_ml.columns.elementary import powers
 from classic_ml.columns.order_statistics import lowest
 from classic_ml.columns.workspace import blocks
+from classic_ml.flow import T_STANDARD_K, mach_from_corrected_flow
 from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record

@@ -15,8 +15,8 @@ import numpy as np
 from classic_ml.calibration import invert_thermocouples
 from classic_ml.columns.workspace import blocks
 from classic_ml.faults.marks import fault_name, kinds_of_fault
-from classic_ml.filtering import LocalFilter, channel_filter, filter_channels, filter_entry
-from classic_ml.plane_averages import (
+from classic_ml.filters import LocalFilter, channel_filter, filter_channels, filter_entry
+from classic_ml.planes import (
     EvaluatedFlows,
     PlaneFlows,
     local_flows,
@@ -104,7 +104,7 @@ def probe_averages(
     Returns
     -------
     Record
-        With the averages of :func:`classic_ml.plane_averages.plane_averages`.
+        With the averages of :func:`classic_ml.planes.plane_averages`.
     """
     if keep_probes or settings.phase == "none" or settings.thermocouple_inversion:
         return _by_way_of_probes(record, test, settings, keep_probes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from classic_ml.airflow import physical_flow
+from classic_ml.flow import physical_flow
 from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Record
 from surge_core.errors import InputError

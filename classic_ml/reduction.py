@@ -13,12 +13,13 @@ from classic_ml.calibration import calibrate_and_match, invert_thermocouples, ne
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.workspace import blocks
+from classic_ml.cycles import FEW_CYCLES, cycles_within, find_cycles
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall_flows import check_flows
 from classic_ml.faults.search import inspect_readings
-from classic_ml.free_run_rows import extend_while_settled, free_run_rows
+from classic_ml.free_run import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
-from classic_ml.plane_averages import plane_flows
+from classic_ml.planes import plane_flows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction_settings import ReductionSettings
@@ -31,7 +32,6 @@ from classic_ml.segments import (
     window_rows,
 )
 from classic_ml.series import COLUMNS, CoefficientSeries
-from classic_ml.surge_cycles import FEW_CYCLES, cycles_within, find_cycles
 from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

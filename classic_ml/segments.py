@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.columns.intervals import intervals_where, labelled, long_ones
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, evaluated
-from classic_ml.filtering import period_average
+from classic_ml.cycles import first_reversal
+from classic_ml.filters import period_average
+from classic_ml.flow import LBM_KG
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
-from classic_ml.surge_cycles import first_reversal
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 

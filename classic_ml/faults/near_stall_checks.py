@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.faults.marks import fault_name
-from classic_ml.plane_averages import local_flows
+from classic_ml.planes import local_flows
 from classic_ml.probe_plane import present_pairs
 from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Record

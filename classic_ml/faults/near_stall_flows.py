@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.airflow import physical_flow
 from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient
 from classic_ml.columns.workspace import IN_MEMORY
 from classic_ml.faults.choice import choose_channels
 from classic_ml.faults.near_stall_checks import check_pairs, check_steady
 from classic_ml.faults.near_stall_levels import beside_the_record, unusual_machine
-from classic_ml.plane_averages import plane_flows
+from classic_ml.flow import physical_flow
+from classic_ml.planes import plane_flows
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError

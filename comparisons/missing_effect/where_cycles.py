@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.columns.peaks import prominent_peaks
-from classic_ml.surge_cycles import deep_ones
+from classic_ml.cycles import deep_ones
 from comparisons.missing_effect.where_rows import ResidualRuns
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.flow import LBM_KG
 from comparisons.harness.fit_quality import FitScore, score_fit
 from comparisons.harness.lag_value import FittedLag
 from comparisons.harness.rows import FitRows, stack_rows

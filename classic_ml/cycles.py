@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.columns import workspace as places
 from classic_ml.columns.compiled_as_written import as_written
 from classic_ml.columns.intervals import intervals_where
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.peaks import prominent_peaks
 from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.filtering import filter_channels
+from classic_ml.filters import filter_channels
+from classic_ml.flow import LBM_KG
 from classic_ml.records import Record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray

@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from classic_ml.airflow import flow_constant_kg_s, physical_flow, reversed_above
 from classic_ml.columns.order_statistics import lowest
 from classic_ml.columns.together import computed_together
 from classic_ml.columns.workspace import ColumnWriter, blocks
+from classic_ml.flow import flow_constant_kg_s, physical_flow, reversed_above
 from classic_ml.flow_kernels import pair_flow, pair_total
 from classic_ml.probe_plane import AveragedPlane, averaged_plane, present_pairs
 from classic_ml.readers.test_description import ProbePair, TestDescription

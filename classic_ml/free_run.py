@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.columns.computed import as_stored
 from classic_ml.columns.growing import GrowingColumns
 from classic_ml.columns.order_statistics import median
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
-from classic_ml.filtering import period_average
+from classic_ml.filters import period_average
+from classic_ml.flow import LBM_KG
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.segments import (
     LOWEST_CELL_HZ,
