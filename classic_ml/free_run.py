@@ -7,25 +7,14 @@ changes between the regimes. The other rows are simulated through.
 
 from __future__ import annotations
 
-from collections.abc import Container
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.columns.computed import as_stored
-from classic_ml.columns.growing import GrowingColumns
-from classic_ml.columns.order_statistics import median
-from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks, evaluated
 from classic_ml.filters import period_average
-from classic_ml.flow import LBM_KG
-from classic_ml.records import Channel, Dropped, LedgerEntry, Record
-from classic_ml.segments import (
-    LOWEST_CELL_HZ,
-    hub_tip_difference,
-    hub_tip_stall,
-    knows_hub_and_tip,
-)
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name
+from classic_ml.segments import LOWEST_CELL_HZ, hub_tip_stall, shows_stall
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.types import BoolArray, FloatArray
 
@@ -39,7 +28,7 @@ MINIMUM_PHI = 0.0075
 # its end, where two milliseconds are enough.
 BEFORE_REVERSAL_S = 0.001
 AFTER_REVERSAL_S = 0.002
-# The change between the branches takes some 3 ms, and the hub-minus-tip flow tells the entry into
+# The change between the branches takes some 3 ms, and the hub-minus-tip flow shows the entry into
 # stall later than it happens: half a cell period, and 6 ms behind the entry.
 AFTER_ENTRY_S = 0.006
 OPPOSITE_S = 0.008
@@ -51,7 +40,6 @@ SETTLING_AVERAGE_S = 0.15
 LEAST_PEAK = 20.0
 # Without cells there is nothing to average out but noise.
 PLAIN_PERIOD_S = 0.010
-LEAST_SHIFT_KG_S = 2.0 * LBM_KG
 
 
 @dataclass(frozen=True)
@@ -68,35 +56,28 @@ class FreeRunRows:
         Rows that it is scored on.
     entry : LedgerEntry
         What was left out and why.
-    workspace : Workspace
-        Where the columns lie.
     """
 
     stalled: BoolArray
     inside: slice
     scored: BoolArray
     entry: LedgerEntry
-    workspace: Workspace = IN_MEMORY
 
     @property
     def channels(self) -> list[Channel]:
         """Return ``stalled`` (0/1) and ``free_run`` (0 outside, 1 simulated, 2 scored)."""
-
-        def state(rows: slice) -> NDArray[np.int8]:
-            return np.add(_inside(self.inside, rows), self.scored[rows], dtype=np.int8)
-
-        place = self.workspace
-        free_run = evaluated(place, self.stalled.size, state, np.int8)
+        free_run = _inside(self.inside, self.stalled.size).astype(np.float64) + self.scored
         return [
-            Channel("stalled", place.widened(self.stalled), "1"),
-            Channel("free_run", place.widened(free_run), "1"),
+            Channel("stalled", self.stalled.astype(np.float64), "1"),
+            Channel.adopt("free_run", free_run, "1"),
         ]
 
 
-def _inside(part: slice, rows: slice) -> BoolArray:
-    """Tell which of the rows are in a part of the record."""
-    number = np.arange(rows.start, rows.stop)
-    return np.asarray((number >= part.start) & (number < part.stop))
+def _inside(part: slice, n_rows: int) -> BoolArray:
+    """Return True in the rows of a part of the record."""
+    inside = np.zeros(n_rows, dtype=np.bool_)
+    inside[part] = True
+    return inside
 
 
 def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
@@ -109,9 +90,7 @@ def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
     window : slice
         Rows of the surge cycles.
     """
-    frequency, density = power_spectrum(
-        record["P25_unfiltered_Pa"][window], record.sample_rate_hz, workspace=record.workspace
-    )
+    frequency, density = power_spectrum(record["P25_unfiltered_Pa"][window], record.sample_rate_hz)
     cell_hz = peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * record.sample_rate_hz)
     around = (frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)
     peak = float(density[np.argmin(np.abs(frequency - cell_hz))])
@@ -121,7 +100,7 @@ def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
 
 
 def extend_while_settled(
-    record: Record, window: slice, in_use: Container[str] | None = None
+    record: Record, window: slice, in_use: Iterable[str] | None = None
 ) -> slice:
     """Return the window, extended to both sides over the rows of the same settled machine.
 
@@ -134,7 +113,7 @@ def extend_while_settled(
         With ``Nc_frac`` and the fault channels of its readings.
     window : slice
         Rows of the cycles that repeat each other.
-    in_use : container of str, optional
+    in_use : iterable of str, optional
         Channels whose faults count; those of the record without it.
 
     Returns
@@ -142,39 +121,16 @@ def extend_while_settled(
     slice
         Rows of the free run.
     """
-    place = record.workspace
-    speed = period_average(
-        record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz, workspace=place
-    )
-    settled = median(speed, window, workspace=place)
+    speed = period_average(record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz)
+    bad = np.abs(speed / np.median(speed[window]) - 1.0) > SETTLED_SHARE
     # A channel that was dropped does not count, whatever it reads.
-    faults = [
-        as_stored(record[name])
-        for name in record.channels
-        if name.startswith("fault_")
-        and name.removeprefix("fault_") in (record if in_use is None else in_use)
-    ]
-
-    def bad(rows: slice) -> BoolArray:
-        out = np.abs(speed[rows] / settled - 1.0) > SETTLED_SHARE
-        for fault in faults:
-            out |= fault[rows] != 0
-        return np.asarray(out)
-
-    start = 0
-    for rows in reversed(list(blocks(window.start))):
-        found = np.flatnonzero(bad(rows))
-        place.release()
-        if found.size:
-            start = rows.start + int(found[-1]) + 1
-            break
-    stop = record.n_samples
-    for rows in blocks(record.n_samples, window.stop):
-        found = np.flatnonzero(bad(rows))
-        place.release()
-        if found.size:
-            stop = rows.start + int(found[0])
-            break
+    for name in record.channels if in_use is None else in_use:
+        if fault_name(name) in record:
+            bad |= record[fault_name(name)] != 0
+    before = np.flatnonzero(bad[: window.start])
+    behind = np.flatnonzero(bad[window.stop :])
+    start = int(before[-1]) + 1 if before.size else 0
+    stop = window.stop + int(behind[0]) if behind.size else record.n_samples
     return slice(start, stop)
 
 
@@ -187,40 +143,6 @@ def near(rows: BoolArray, before: int, behind: int) -> BoolArray:
     counts[last:] = counts[last - 1]
     reach = before + behind + 1
     return np.asarray(counts[reach : reach + rows.size] > counts[: rows.size])
-
-
-@dataclass(frozen=True)
-class _Reach:
-    """What decides over the rows, and how far, in rows."""
-
-    average: FloatArray
-    stalled: BoolArray
-    inside: slice
-    backward: tuple[int, int]
-    entry: tuple[int, int]
-    recovery: tuple[int, int]
-    ends: int
-
-    @property
-    def widest(self) -> int:
-        """Rows that one row may reach."""
-        return 1 + max(*self.backward, *self.entry, *self.recovery)
-
-    def masks(self, rows: slice) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """Return the rows with reversed flow near, those near a switch, and those scored."""
-        around = slice(
-            max(0, rows.start - self.widest), min(self.stalled.size, rows.stop + self.widest)
-        )
-        own = slice(rows.start - around.start, rows.stop - around.start)
-        stalled = self.stalled[around]
-        entries, recoveries = np.zeros(stalled.size, np.bool_), np.zeros(stalled.size, np.bool_)
-        entries[1:] = stalled[1:] & ~stalled[:-1]
-        recoveries[1:] = stalled[:-1] & ~stalled[1:]
-        backward = near(self.average[around] <= MINIMUM_PHI, *self.backward)[own]
-        switching = (near(entries, *self.entry) | near(recoveries, *self.recovery))[own]
-        middle = slice(self.inside.start + self.ends, self.inside.stop - self.ends)
-        scored = _inside(middle, rows) & stalled[own] & ~backward & ~switching
-        return backward, switching, scored
 
 
 def free_run_rows(
@@ -250,132 +172,87 @@ def free_run_rows(
     FreeRunRows
         With its ledger entry.
     """
-    rate, place = record.sample_rate_hz, record.workspace
+    rate, n_rows = record.sample_rate_hz, record.n_samples
     period_s, has_cells = cell_period_s(record, window)
     stalled, rule, flags = _state(record, window, in_stall, period_s)
 
     def rows_of(seconds: float) -> int:
         return round(seconds * rate)
 
-    half_s = 0.5 * period_s
-    reach = _Reach(
-        period_average(phi, period_s, rate, workspace=place, stored=False),
-        stalled,
-        inside,
-        (rows_of(half_s + BEFORE_REVERSAL_S), rows_of(AFTER_REVERSAL_S)),
-        (rows_of(OPPOSITE_S), rows_of(half_s + AFTER_ENTRY_S)),
-        (rows_of(half_s), rows_of(OPPOSITE_S)),
-        rows_of(END_S),
+    half_s, ends = 0.5 * period_s, rows_of(END_S)
+    running = _inside(inside, n_rows) & stalled
+    reversal = period_average(phi, period_s, rate) <= MINIMUM_PHI
+    backward = running & near(
+        reversal, rows_of(half_s + BEFORE_REVERSAL_S), rows_of(AFTER_REVERSAL_S)
     )
-    scored, counts = _scored(reach, phi, place)
+    entries, recoveries = np.zeros(n_rows, np.bool_), np.zeros(n_rows, np.bool_)
+    entries[1:] = stalled[1:] & ~stalled[:-1]
+    recoveries[1:] = stalled[:-1] & ~stalled[1:]
+    switching = near(entries, rows_of(OPPOSITE_S), rows_of(half_s + AFTER_ENTRY_S))
+    switching |= near(recoveries, rows_of(half_s), rows_of(OPPOSITE_S))
+    switching &= running & ~backward
+    forward = running & ~backward & ~switching
+    scored = forward & _inside(slice(inside.start + ends, inside.stop - ends), n_rows)
     if not has_cells:
         flags += (
             "no line of rotating stall stands out of the spectrum of P25: averages are taken over "
             f"{1e3 * PLAIN_PERIOD_S:g} ms",
         )
-    entry = _entry(record, inside, counts, period_s, rule, flags)
-    return FreeRunRows(stalled, inside, scored, entry, place)
+    pinned_phi = float(np.median(phi[backward])) if backward.any() else float("nan")
+    count = np.count_nonzero
+    left_out = (
+        (
+            int(count(backward)),
+            "reversed flow: the plenum blows down while φ stays near "
+            f"{pinned_phi:.3f}, and the loss acts without the lag"
+            if pinned_phi < 0.0
+            else "flow near zero, inside the dead band of the probes",
+        ),
+        (int(count(switching)), "the average smears them across stall entry or recovery"),
+        (inside.stop - inside.start - int(count(running)), "unstalled"),
+        (int(count(forward & ~scored)), "at the ends of the run"),
+    )
+    entry = _entry(record, inside, left_out, int(count(scored)), period_s)
+    entry = replace(entry, parameters={**entry.parameters, "stall_rule": rule}, flags=flags)
+    return FreeRunRows(stalled, inside, scored, entry)
 
 
 def _state(
     record: Record, window: slice, in_stall: FloatArray, period_s: float
 ) -> tuple[BoolArray, str, tuple[str, ...]]:
-    """Tell the state by the hub-minus-tip flow where there is a shift, else by the threshold."""
-    place = record.workspace
-    if knows_hub_and_tip(record):
-        shift = hub_tip_difference(record)
-        if median(shift, window, workspace=place) > LEAST_SHIFT_KG_S:
-            return hub_tip_stall(record, window, 1.0 / period_s), "hub-tip", ()
-    return (
-        evaluated(place, record.n_samples, lambda rows: in_stall[rows] > 0.5, np.bool_),
-        "threshold",
-        (
-            "hub and tip do not show the stall state: it is told by the threshold of the flow, "
-            "which costs accuracy of the time constant",
-        ),
+    """Return the state by the hub-minus-tip flow where there is a shift, else by the threshold."""
+    if shows_stall(record, window):
+        return hub_tip_stall(record, window, 1.0 / period_s), "hub-tip", ()
+    flag = (
+        "hub and tip do not show the stall state: it is estimated by the threshold of the flow, "
+        "which costs accuracy of the time constant"
     )
-
-
-@dataclass
-class _Counts:
-    """Rows inside the run by the first reason for which they are left out, and the others."""
-
-    backward: int = 0
-    switching: int = 0
-    unstalled: int = 0
-    ends: int = 0
-    scored: int = 0
-    # Median φ of the rows with reversed flow.
-    pinned_phi: float = float("nan")
-
-
-def _scored(reach: _Reach, phi: FloatArray, place: Workspace) -> tuple[BoolArray, _Counts]:
-    """Mark the rows that are scored, and count those that are not."""
-    counts, reversed_phi = _Counts(), GrowingColumns(place, 1)
-
-    def scored(rows: slice) -> BoolArray:
-        inside = _inside(reach.inside, rows)
-        if not inside.any():
-            return inside
-        stalled = reach.stalled[rows] & inside
-        backward, switching, chosen = reach.masks(rows)
-        backward &= stalled
-        switching &= stalled & ~backward
-        counts.backward += int(np.count_nonzero(backward))
-        counts.switching += int(np.count_nonzero(switching))
-        counts.unstalled += int(np.count_nonzero(inside) - np.count_nonzero(stalled))
-        counts.ends += int(np.count_nonzero(stalled & ~backward & ~switching & ~chosen))
-        counts.scored += int(np.count_nonzero(chosen))
-        reversed_phi.append(phi[rows][backward][:, None])
-        return chosen
-
-    column = evaluated(place, phi.size, scored, np.bool_)
-    if counts.backward:
-        counts.pinned_phi = median(reversed_phi.finished()[0], workspace=place)
-    return column, counts
+    return np.asarray(in_stall > 0.5), "threshold", (flag,)
 
 
 def _entry(
     record: Record,
     inside: slice,
-    counts: _Counts,
+    left_out: tuple[tuple[int, str], ...],
+    scored: int,
     period_s: float,
-    rule: str,
-    flags: tuple[str, ...],
 ) -> LedgerEntry:
     """Name each row left out once, by the first reason that holds."""
-    reasons = (
-        (
-            counts.backward,
-            "reversed flow: the plenum blows down while φ stays near "
-            f"{counts.pinned_phi:.3f}, and the loss acts without the lag"
-            if counts.pinned_phi < 0.0
-            else "flow near zero, inside the dead band of the probes",
-        ),
-        (counts.switching, "the average smears them across stall entry or recovery"),
-        (counts.unstalled, "unstalled"),
-        (counts.ends, "at the ends of the run"),
-    )
     dropped = tuple(
-        Dropped("rows", count, why + "; simulated, not scored") for count, why in reasons if count
+        Dropped("rows", rows, why + "; simulated, not scored") for rows, why in left_out if rows
     )
-    n_inside = inside.stop - inside.start
+    n_inside, unstalled = inside.stop - inside.start, left_out[2][0]
     from_s, to_s = record.time_at_s(inside.start), record.time_at_s(inside.stop - 1)
     parameters: dict[str, str | int | float | bool] = {
         "average_s": round(period_s, 7),
-        "stall_rule": rule,
         "from_s": round(from_s, 6),
         "to_s": round(to_s, 6),
         "rows": n_inside,
-        "scored": counts.scored,
-        "in_stall": n_inside - counts.unstalled,
+        "scored": scored,
+        "in_stall": n_inside - unstalled,
     }
-    return LedgerEntry(
-        "free run",
-        f"one run from {from_s:.3f} to {to_s:.3f} s, scored on "
-        f"{counts.scored} of {n_inside} rows; unfiltered φ and ψ' are "
-        f"averaged over {1e3 * period_s:.2f} ms in the fit",
-        parameters,
-        dropped,
-        flags,
+    did = (
+        f"one run from {from_s:.3f} to {to_s:.3f} s, scored on {scored} of {n_inside} rows; "
+        f"unfiltered φ and ψ' are averaged over {1e3 * period_s:.2f} ms in the fit"
     )
+    return LedgerEntry("free run", did, parameters, dropped)

@@ -135,7 +135,7 @@ class SurgeDetector:
         rate_hz = test.sample_rate_hz
         self._rate_hz = rate_hz
         threshold = test.threshold_lbm_s
-        self._threshold_kg_s = None if threshold is None else threshold * LBM_KG
+        self._threshold_kg_s = threshold * LBM_KG if isinstance(threshold, float) else None
         self._band_kg_s = test.hysteresis_lbm_s * LBM_KG
         self._late_s = low_pass_delay_s(rate_hz)
         self._least_reversed = max(1, round(REVERSED_S * rate_hz))

@@ -17,7 +17,8 @@ import numpy as np
 from blocks import bounds_of, table
 from numpy.typing import NDArray
 
-from classic_ml.series import CoefficientSeries, write_series
+from classic_ml.readers.series_files import write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, Diagnosis, Effect, diagnose, find_effect
 from comparisons.missing_effect.catalogue import FLOW_NOISE
 from comparisons.missing_effect.ranked import CandidateRow, candidate_rows
