@@ -63,7 +63,7 @@ class LineStyle:
     dashes: str | tuple[float, tuple[float, ...]]
 
 
-# Okabe and Ito's palette, which people with any colour vision can tell apart; without its yellow,
+# Okabe and Ito's palette, which people with any colour vision can separate; without its yellow,
 # which white paper swallows.
 KNOWN_STYLES = {
     "classic_ml": LineStyle("#0072B2", "-"),
