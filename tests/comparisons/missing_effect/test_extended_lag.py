@@ -323,7 +323,7 @@ def test_a_file_that_is_no_such_model_is_refused_in_one_sentence(
     BAD_FILES[fault](document)
     file.write_text(json.dumps(document), "utf-8")
     whole = fault in ("another schema", "no model", "models in a list")
-    remedy = "; save the model anew with `sindy-surge diagnose --save`"
+    remedy = "; save the model again with `sindy-surge diagnose --save`"
     begins = (
         r"expected a file of a lag model with effects" if whole else r"models\.m\.\w+.*: expected"
     )
