@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from classic_ml.series import CoefficientSeries, ledger_path, read_series, write_series
+from classic_ml.readers.series_files import ledger_path, read_series, write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.cli.progress import shown_over, shown_steps
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target, write_whole
@@ -60,7 +61,6 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_reduce(arguments: argparse.Namespace) -> None:
     """Reduce a raw record to a series file."""
-    from classic_ml.readers.series_files import hand_over_series
     from comparisons.cli.reduce import excerpt, reduce_file
     from comparisons.cli.reduction_options import options_named, reduction_settings
 
@@ -74,13 +74,8 @@ def run_reduce(arguments: argparse.Namespace) -> None:
             arguments.raw,
             arguments.test,
             reduction_settings(arguments),
-            chunk_rows=arguments.chunk,
-            out=arguments.out,
-            for_report=bool(arguments.report),
         )
-    # Without a report this is the last that is seen of the columns.
-    write = write_series if arguments.report else hand_over_series
-    write(reduction.series, arguments.out)
+    write_series(reduction.series, arguments.out)
     if arguments.report:
         from comparisons.show.report import ReportSection, write_report
 

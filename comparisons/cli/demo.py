@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.series import write_series
+from classic_ml.readers.series_files import write_series
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:

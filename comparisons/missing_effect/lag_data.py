@@ -184,7 +184,7 @@ class LagData:
         """Return fine columns as the average that the measured coefficient passed leaves them."""
         if self.average_s == 0.0:
             return columns
-        from classic_ml.filtering import period_average
+        from classic_ml.filters import period_average
 
         out = columns
         for period_s in (self.average_s, self.also_average_s):

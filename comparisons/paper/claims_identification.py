@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.characteristics import polynomial_basis
-from classic_ml.columns.intervals import label_intervals
+from classic_ml.intervals import label_intervals
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.paper.claims_base import (
     LBM_KG,

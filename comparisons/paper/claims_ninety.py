@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.flow import LBM_KG
 from comparisons.harness.fit_quality import score_fit
 from comparisons.harness.rows import stack_rows
 from comparisons.paper.claims_analysis import cell_power_ratio

@@ -1,4 +1,4 @@
-"""What is shown of comparisons, models, diagnoses and studies in a notebook."""
+"""What is shown of the methods of a study in a notebook."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from surge_core.rounding import round_to_error
 if TYPE_CHECKING:
     from comparisons.study.comparison import GroupComparison, PairwiseDifferences
 
-__all__ = [
-    "methods_sheet",
-    "pairwise_sheet",
-]
+__all__ = ["methods_sheet", "pairwise_sheet"]
 
 
 def methods_sheet(group: GroupComparison) -> Sheet:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.series import CoefficientSeries, write_series
+from classic_ml.readers.series_files import write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
 from comparisons.cli.saved_models import load_any_models
 from comparisons.harness.compare import compare_records

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import find_peaks
 
-from classic_ml.airflow import LBM_KG
-from classic_ml.columns import workspace as places
-from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.columns.intervals import intervals_where
-from classic_ml.columns.order_statistics import median
-from classic_ml.columns.peaks import prominent_peaks
-from classic_ml.columns.workspace import Workspace, blocks
-from classic_ml.filtering import filter_channels
+from classic_ml.filters import filter_channels
+from classic_ml.flow import LBM_KG
+from classic_ml.intervals import intervals_where
 from classic_ml.records import Record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
@@ -115,7 +110,7 @@ def find_cycles(record: Record) -> SurgeCycles:
     """
     slow = _slow(record, "Wc25_kg_s", "P31_Pa")
     start, pressure = _first_negative(slow), slow["P31_Pa"]
-    peaks, rises = _deep_peaks(pressure, start, record.workspace)
+    peaks, rises = _deep_peaks(pressure, start)
     if peaks.size == 0:
         raise InputError(
             f"{record.source}: P31",
@@ -130,7 +125,7 @@ def find_cycles(record: Record) -> SurgeCycles:
     peaks, rises, swings = peaks[pumping], rises[pumping], swings[pumping]
     if peaks.size < MINIMUM_CYCLES:
         raise _too_few(record, peaks.size, mild)
-    edges = _troughs(pressure, peaks, start, record.workspace)
+    edges = _troughs(pressure, peaks, start)
     good = _repeats(record, peaks, rises, edges)
     first, last = _longest_run(good)
     if last - first < MINIMUM_CYCLES:
@@ -147,7 +142,7 @@ def find_cycles(record: Record) -> SurgeCycles:
 
 
 def cycles_within(record: Record, window_s: tuple[float, float]) -> tuple[str, ...]:
-    """Return a flag for a window that somebody named and that few surge cycles fit into.
+    """Return a flag for a stated window that few surge cycles fit into.
 
     Parameters
     ----------
@@ -199,33 +194,28 @@ def first_reversal(record: Record) -> int:
 
 
 def _first_negative(record: Record) -> int:
-    flow, least = record["Wc25_kg_s"], np.inf
-    for rows in blocks(flow.size):
-        reversed_rows = np.flatnonzero(flow[rows] < 0.0)
-        if reversed_rows.size:
-            return int(rows.start + reversed_rows[0])
-        least = min(least, float(flow[rows].min()))
-        record.workspace.release()
+    flow = record["Wc25_kg_s"]
+    row = int(np.argmax(flow < 0.0))
+    if flow[row] < 0.0:
+        return row
     raise InputError(
         f"{record.source}: plane 25",
         expected="reversed flow, with which every deep surge begins",
-        found=f"no surge in the record, the corrected flow stays above {least / LBM_KG:.1f} lbm/s",
+        found="no surge in the record, the corrected flow stays above "
+        f"{flow.min() / LBM_KG:.1f} lbm/s",
     )
 
 
-def _deep_peaks(
-    pressure: FloatArray, start: int, workspace: Workspace
-) -> tuple[IntArray, FloatArray]:
-    level = median(pressure, slice(start, None), workspace=workspace)
-    peaks, rises = prominent_peaks(pressure, LEAST_SWING * level, start, workspace=workspace)
-    if peaks.size == 0:
-        return peaks, rises
-    deep = deep_ones(rises)
-    return peaks[deep], rises[deep]
+def _deep_peaks(pressure: FloatArray, start: int) -> tuple[IntArray, FloatArray]:
+    after = pressure[start:]
+    peaks, found = find_peaks(after, prominence=LEAST_SWING * float(np.median(after)))
+    rises = found["prominences"]
+    deep = deep_ones(rises) if peaks.size else np.zeros(0, dtype=np.bool_)
+    return peaks[deep] + start, rises[deep]
 
 
 def deep_ones(rises: FloatArray) -> BoolArray:
-    """Tell the rises of cycles from those of the mild oscillations between them.
+    """Separate the rises of cycles from those of the mild oscillations between them.
 
     Parameters
     ----------
@@ -244,78 +234,33 @@ def deep_ones(rises: FloatArray) -> BoolArray:
 
 def _swings(slow: Record, peaks: IntArray, start: int) -> FloatArray:
     """Return by how much of its level before the surge the flow swings about each peak of P31."""
-    flow, place = slow["Wc25_kg_s"], slow.workspace
     if start == 0:
         # Nothing was before.
         return np.full(peaks.size, np.inf)
-    edges = _troughs(slow["P31_Pa"], peaks, start, place)
-    swings = np.empty(peaks.size)
-    for cycles in _some_cycles(edges, place):
-        _ranges(flow, edges[cycles.start : cycles.stop + 1], swings[cycles])
-    return swings / median(flow, slice(0, start), workspace=place)
+    flow = slow["Wc25_kg_s"]
+    edges = _troughs(slow["P31_Pa"], peaks, start)
+    inside = flow[: edges[-1]]
+    largest = np.maximum.reduceat(inside, edges[:-1])
+    least = np.minimum.reduceat(inside, edges[:-1])
+    return np.asarray((largest - least) / np.median(flow[:start]))
 
 
-def _troughs(pressure: FloatArray, peaks: IntArray, start: int, workspace: Workspace) -> IntArray:
+def _troughs(pressure: FloatArray, peaks: IntArray, start: int) -> IntArray:
     """Rows of least P31 before, between and after the peaks: one more than there are peaks."""
     period = int(np.median(np.diff(peaks))) if peaks.size > 1 else pressure.size
     first = max(start, int(peaks[0]) - period)
     last = min(pressure.size, int(peaks[-1]) + period)
     bounds = np.array([first, *peaks.tolist(), last])
-    rows = np.empty(bounds.size - 1, dtype=np.int64)
-    for cycles in _some_cycles(bounds, workspace):
-        _lowest(pressure, bounds[cycles.start : cycles.stop + 1], rows[cycles])
-    return rows
-
-
-def _some_cycles(bounds: IntArray, workspace: Workspace) -> Iterator[slice]:
-    """Yield as many cycles at a time as make a block of rows."""
-    first = 0
-    while first < bounds.size - 1:
-        within = int(np.searchsorted(bounds, bounds[first] + places.BLOCK_ROWS, side="right")) - 1
-        last = max(first + 1, min(within, bounds.size - 1))
-        yield slice(first, last)
-        workspace.release()
-        first = last
-
-
-@as_written
-def _lowest(values: FloatArray, bounds: IntArray, rows: IntArray) -> None:
-    """Find the row of the least value between each two bounds."""
-    for cycle in range(rows.size):
-        row = bounds[cycle]
-        for k in range(bounds[cycle], bounds[cycle + 1]):
-            if values[k] < values[row]:
-                row = k
-        rows[cycle] = row
-
-
-@as_written
-def _ranges(values: FloatArray, bounds: IntArray, ranges: FloatArray) -> None:
-    """Find the largest less the least value between each two bounds."""
-    for cycle in range(ranges.size):
-        low = high = values[bounds[cycle]]
-        for k in range(bounds[cycle], bounds[cycle + 1]):
-            low, high = min(low, values[k]), max(high, values[k])
-        ranges[cycle] = high - low
-
-
-@as_written
-def _means(values: FloatArray, bounds: IntArray, means: FloatArray) -> None:
-    """Average between each two bounds."""
-    for cycle in range(means.size):
-        total = 0.0
-        for k in range(bounds[cycle], bounds[cycle + 1]):
-            total += values[k]
-        means[cycle] = total / (bounds[cycle + 1] - bounds[cycle])
+    lows = [
+        low + int(np.argmin(pressure[low:high]))
+        for low, high in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
+    ]
+    return np.array(lows)
 
 
 def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray) -> BoolArray:
     lengths = np.diff(edges).astype(np.float64)
-    speeds = np.empty(peaks.size)
-    for cycles in _some_cycles(edges, record.workspace):
-        bounds = edges[cycles.start : cycles.stop + 1]
-        # Compiled loops take arrays: of a column that is computed, its rows.
-        _means(record["Nc_frac"][bounds[0] : bounds[-1]], bounds - bounds[0], speeds[cycles])
+    speeds = np.add.reduceat(record["Nc_frac"][: edges[-1]], edges[:-1]) / lengths
     later = speeds[speeds.size // 2 :]
     good = np.abs(rises / np.median(rises) - 1.0) <= RISE_SPREAD
     good &= np.abs(lengths / np.median(np.diff(peaks)) - 1.0) <= PERIOD_SPREAD
@@ -325,7 +270,7 @@ def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray
 
 def _longest_run(good: BoolArray) -> tuple[int, int]:
     """First and one past the last of the longest run of True."""
-    runs = intervals_where(slice(0, good.size), lambda rows: good[rows])
+    runs = intervals_where(good)
     if runs.size == 0:
         return 0, 0
     first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
