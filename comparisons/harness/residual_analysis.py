@@ -121,12 +121,12 @@ def segment_spectrum(
         From the first frequency a piece can tell to half the sample rate. A segment shorter than
         a piece counts where no segment reaches it, and not otherwise.
     """
-    from scipy.signal import periodogram
+    from scipy.signal import detrend, periodogram
     from scipy.stats import chi2
 
     rows = _piece_rows(runs) if piece_rows is None else piece_rows
     pieces = np.stack([values[piece] for piece in _pieces(runs, rows)])
-    frequency, density = periodogram(pieces, 1.0 / sample_period_s, "hann", detrend="linear")
+    frequency, density = periodogram(pieces, 1.0 / sample_period_s, "hann", detrend=detrend)
     n = len(pieces)
     freedom = 2.0 * n / (1.0 + 2.0 * (1.0 - 1.0 / n) * OVERLAP_CORRELATION)
     tail = 0.5 * (1.0 - CONFIDENCE)
