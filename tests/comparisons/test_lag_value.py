@@ -132,8 +132,8 @@ def spoiled(tmp_path: Path, key: str, value: object) -> Path:
         ("terms/0/coefficient", math.inf, "a coefficient, a finite number"),
         ("dead_time_s", -math.inf, "a dead time in s"),
         ("valid_phi", [0.5, 0.1], "two numbers, the smaller first"),
-        ("n_blocks", 2.5, "a number of blocks, a whole number from 0 on"),
-        ("characteristic/3", [0.1], "rows of φ, value and standard error"),
+        ("n_blocks", 2.5, "a whole number of blocks from 0 on"),
+        ("characteristic/3", [0.1], "φ, value and standard error"),
     ],
 )
 def test_a_key_that_cannot_be_is_named_with_its_remedy(
@@ -142,7 +142,8 @@ def test_a_key_that_cannot_be_is_named_with_its_remedy(
     file = spoiled(tmp_path, key, value)
     with pytest.raises(InputError) as refused:
         load_models(file)
-    name = re.sub(r"/(\d+)", r"[\1]", key).replace("/", ".")
+    # Entries of a list are counted from 1, as people do.
+    name = re.sub(r"/(\d+)", lambda m: f"[{int(m[1]) + 1}]", key).replace("/", ".")
     sentence = str(refused.value)
     assert sentence.startswith(f"{file}: models.m.{name}: expected {expected}")
     assert sentence.endswith("; save the model again with `sindy-surge compare --save`")
