@@ -7,6 +7,8 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from comparisons.results import Comparison, EstimatorResult
 
 __all__ = ["COMPARE_SCHEMA", "comparison_document", "to_strict_json"]
@@ -61,7 +63,8 @@ def _body(comparison: Comparison) -> dict[str, Any]:
 
 def _estimator(result: EstimatorResult) -> dict[str, Any]:
     model = result.model
-    table = list(zip(*model.table, strict=True))
+    phi, psi_p, stderr = np.asarray(model.table).T
+    known = 1.0 if result.states_curve else math.nan
     return {
         "label": result.label,
         "time_constant_s": {
@@ -71,15 +74,15 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         },
         "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": [
-            {"name": name, "coefficient": coefficient, "stderr": stderr}
-            for name, coefficient, stderr in zip(
+            {"name": name, "coefficient": known * coefficient, "stderr": error}
+            for name, coefficient, error in zip(
                 model.terms, model.coefficients, model.stderr, strict=True
             )
         ],
         "characteristic": {
-            "phi": list(table[0]),
-            "psi_p" if model.target == "psi_p" else "psi": list(table[1]),
-            "stderr": list(table[2]),
+            "phi": phi.tolist(),
+            model.target: (known * psi_p).tolist(),
+            "stderr": stderr.tolist(),
         },
         "valid_phi": list(model.valid_phi),
         "hold": model.hold,

@@ -104,19 +104,19 @@ MODELS = (
     _refused_model(
         "tau-endless",
         "τ is 1e999, more than any number",
-        ("time_constant_s", "above 0 s", "infinity", "save the model anew"),
+        ("time_constant_s", "above 0 s", "inf", "save the model again"),
         replaced('"time_constant_s": 0.018', '"time_constant_s": 1e999', "model.json"),
     ),
     _refused_model(
         "tau-nan",
         "τ is NaN",
-        ("time_constant_s", "above 0 s", "NaN", "save the model anew"),
+        ("time_constant_s", "above 0 s", "nan", "save the model again"),
         replaced('"time_constant_s": 0.018', '"time_constant_s": NaN', "model.json"),
     ),
     _refused_model(
         "target",
         "the model is of another coefficient",
-        ("target", "psi_p", "'phi'", "save the model anew"),
+        ("target", "psi_p", "'phi'", "save the model again"),
         _model(lambda m: {**m, "target": "phi"}),
     ),
     _refused_model(
@@ -137,7 +137,7 @@ MODELS = (
     _refused_model(
         "coefficient-text",
         "a coefficient is a word",
-        ("terms[0].coefficient", "a finite number", "'big'"),
+        ("terms[1].coefficient", "a finite number", "'big'"),
         _model(lambda m: {**m, "terms": [{**m["terms"][0], "coefficient": "big"}]}),
     ),
     Mistake(
@@ -165,7 +165,7 @@ MODELS = (
     _refused_model(
         "nested",
         "the model file is nested a hundred thousand deep",
-        ("nested too deeply",),
+        ("no JSON",),
         written("model.json", '{"a":' * 100_000 + "1" + "}" * 100_000),
     ),
 )
