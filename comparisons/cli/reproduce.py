@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.progress import shown_over
 from surge_core.files import check_apart, check_target, write_whole
+from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from comparisons.paper.claims_base import Claim

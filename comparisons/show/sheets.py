@@ -46,7 +46,7 @@ def comparison_sheet(comparison: Comparison) -> Sheet:
         Estimators side by side.
     """
     from comparisons.harness.cautions import grouped_cautions
-    from comparisons.show.table import FIELDS, comparison_cells
+    from comparisons.show.table import FIELDS, comparison_cells, recommended
 
     rows = comparison.rows
     low, high = comparison.valid_phi
@@ -61,11 +61,11 @@ def comparison_sheet(comparison: Comparison) -> Sheet:
         *((Field("cautions", cautions, "advice"),) if cautions else ()),
     )
     grid = Grid(
-        f"Estimators of {SYMBOLS[rows.target]}, best first",
+        f"Estimators of {SYMBOLS[rows.target]}",
         tuple(field.heading for field in FIELDS),
         tuple(map(tuple, comparison_cells(comparison))),
         frozenset(i for i, field in enumerate(FIELDS) if not field.numeric),
-        marked=0,
+        marked=None if recommended(comparison) is None else 0,
     )
     return Sheet(f"Comparison of {len(comparison.results)} estimators", fields, (grid,))
 

@@ -1,4 +1,4 @@
-"""Tables of results: one list of fields each, for the terminal and for the report."""
+"""Tables of comparisons and reconstructions: one list of fields each, for every renderer."""
 
 from __future__ import annotations
 
@@ -18,17 +18,22 @@ from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significa
 
 __all__ = [
     "FIELDS",
+    "LEAST",
     "RECONSTRUCTION_FIELDS",
     "TableField",
     "comparison_cells",
     "comparison_table",
+    "recommended",
     "reconstruction_cells",
     "reconstruction_table",
+    "rows_to_show",
 ]
 
 WIDTH = 110
 GAP = "  "
 ONE_SIDED_95 = 1.645
+# What stands in place of a difference to itself.
+LEAST = "least"
 SYMBOLS = {"psi_p": "ψ'", "psi": "ψ"}
 
 
@@ -54,14 +59,6 @@ class TableField:
     numeric: bool = True
 
 
-def _rank(row: ComparisonRow, _: EstimatorResult) -> str:
-    return str(row.rank)
-
-
-def _label(row: ComparisonRow, _: EstimatorResult) -> str:
-    return row.label
-
-
 def _held_out(row: ComparisonRow, result: EstimatorResult) -> str:
     if not math.isfinite(row.held_out_rms):
         return NOT_KNOWN
@@ -75,7 +72,7 @@ def _held_out(row: ComparisonRow, result: EstimatorResult) -> str:
 def _difference(row: ComparisonRow, _: EstimatorResult) -> str:
     if not math.isfinite(row.held_out_rms):
         return NOT_KNOWN
-    return "best" if row.rank == 1 else round_to_error(row.difference, row.paired_error)
+    return LEAST if row.rank == 1 else round_to_error(row.difference, row.paired_error)
 
 
 def _tau(row: ComparisonRow, _: EstimatorResult) -> str:
@@ -96,41 +93,45 @@ def _interval(row: ComparisonRow, result: EstimatorResult) -> str:
     return f"{round_like(1e3 * low, error)} … {round_like(1e3 * high, error)}"
 
 
-def _trust(row: ComparisonRow, _: EstimatorResult) -> str:
-    return row.trust
-
-
 FIELDS: tuple[TableField, ...] = (
-    TableField("#", "rank by the held-out error", _rank),
-    TableField("estimator", "how τ and the characteristic were estimated", _label, False),
+    TableField(
+        "estimator",
+        "how τ and the characteristic were estimated",
+        lambda row, _: row.label,
+        numeric=False,
+    ),
+    TableField("τ [ms]", "time constant ± standard error", _tau),
+    TableField(
+        "95 % [ms]",
+        "95 % interval of τ: on log τ where τ is well above zero, symmetric and cut at zero where "
+        "it is less so, an upper bound where it is not distinguished from zero",
+        _interval,
+    ),
     TableField(
         "held-out rms",
         "root mean square of measurement minus free run on the rows held out",
         _held_out,
     ),
     TableField(
-        "Δ to best", "difference of that rms to the best ± paired jackknife error", _difference
+        "Δ to least", "difference of that rms to the least ± paired jackknife error", _difference
     ),
-    TableField("τ [ms]", "time constant ± standard error", _tau),
     TableField(
-        "95 % [ms]",
-        "95 % interval of τ: on log τ where τ is well told from zero, symmetric and cut at zero "
-        "where it is told less well, an upper bound where it is not told from zero",
-        _interval,
+        "trust",
+        "what in this line should not be relied on",
+        lambda row, _: row.trust,
+        numeric=False,
     ),
-    TableField("trust", "what in this line should not be relied on", _trust, False),
 )
 
-
 RECONSTRUCTION_FIELDS: tuple[TableField, ...] = (
-    TableField("record", "what the model was run on", lambda run: run.record.source, False),
+    TableField("record", "what the model was run on", lambda run: run.record.source, numeric=False),
     TableField(
         "model",
         "the estimator that found it",
         lambda run: estimator_label(run.model.estimator),
-        False,
+        numeric=False,
     ),
-    TableField("of", "the coefficient", lambda run: SYMBOLS[run.model.target], False),
+    TableField("of", "the coefficient", lambda run: SYMBOLS[run.model.target], numeric=False),
     TableField("rms", "of measured minus reconstructed", lambda run: significant(run.score.rms, 3)),
     TableField(
         "fit [%]",
@@ -146,8 +147,31 @@ RECONSTRUCTION_FIELDS: tuple[TableField, ...] = (
 )
 
 
+def recommended(comparison: Comparison) -> str | None:
+    """Return the estimator whose τ is to be quoted, None where there is none.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Estimators side by side.
+    """
+    return next(iter(comparison.quotable), None)
+
+
+def rows_to_show(comparison: Comparison) -> list[ComparisonRow]:
+    """Return the rows of a comparison, the recommended one first, then by held-out error.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Estimators side by side.
+    """
+    first = recommended(comparison)
+    return sorted(comparison.table, key=lambda row: row.estimator != first)
+
+
 def comparison_cells(comparison: Comparison) -> list[list[str]]:
-    """Return the text of every cell, one list a row, best estimator first.
+    """Return the text of every cell, one list a row, the recommended estimator first.
 
     Parameters
     ----------
@@ -156,7 +180,7 @@ def comparison_cells(comparison: Comparison) -> list[list[str]]:
     """
     return [
         [field.text(row, comparison.result(row.estimator)) for field in FIELDS]
-        for row in comparison.table
+        for row in rows_to_show(comparison)
     ]
 
 
@@ -185,28 +209,28 @@ def comparison_table(comparison: Comparison) -> str:
         The table and below it the cautions that hold for all its lines.
     """
     cells = comparison_cells(comparison)
-    lines = _aligned(FIELDS[:-1], [row[:-1] for row in cells])
+    head, rule, *starts = _aligned(FIELDS[:-1], [row[:-1] for row in cells])
+    lines = [head, rule]
     # What to trust is prose of any length: it goes below the row it belongs to, behind the name
     # that the command line knows the estimator by.
-    body = [
-        line
-        for start, row, words in zip(lines[2:], comparison.table, cells, strict=True)
-        for line in (start, *_wrapped(f"{row.estimator}: {words[-1]}", "   "))
-    ]
-    target = comparison.rows.target
+    for start, row in zip(starts, rows_to_show(comparison), strict=True):
+        quoted = " (recommended: its τ is the one to quote)"
+        chosen = quoted if row.estimator == recommended(comparison) else ""
+        lines += [start, *_wrapped(f"{row.estimator}{chosen}: {row.trust}", "   ")]
     general = (
         ranking_caution(comparison),
         tau_caution(
             (record.history for record in comparison.records),
-            target=target,
+            target=comparison.rows.target,
             from_whole_runs=comparison.quotable,
         ),
     )
-    known = (*filter(None, general), *grouped_cautions(comparison.cautions))
-    cautions = [
-        line for caution in known for line in _wrapped(f"caution: {caution}", "", "         ")
-    ]
-    return "\n".join([*lines[:2], *body, *([""] if cautions else []), *cautions])
+    cautions = [*filter(None, general), *grouped_cautions(comparison.cautions)]
+    if cautions:
+        lines.append("")
+    for caution in cautions:
+        lines += _wrapped(f"caution: {caution}", "", "         ")
+    return "\n".join(lines)
 
 
 def reconstruction_table(runs: Sequence[Reconstruction]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,18 +14,16 @@ from comparisons.harness.cautions import (
     tau_caution,
     unknown_work,
 )
-from comparisons.harness.compare import Comparison
+from comparisons.harness.compare import Comparison, ComparisonRow
 from comparisons.harness.truth import Truth
 from comparisons.page.blocks import Bullets, Words
-from comparisons.show.report.agreement import dwelling, dwelling_words
+from comparisons.show.agreement import dwelling_words
+from comparisons.show.plots_fit import NAMES
+from comparisons.show.table import SYMBOLS, recommended, rows_to_show
 from surge_core.rounding import round_to_error, significant
-
-if TYPE_CHECKING:
-    from comparisons.show.report.report import ReportSection
 
 __all__ = [
     "cautions_list",
-    "coefficient_name",
     "ranking_words",
     "summary_list",
     "tau_words",
@@ -33,56 +31,53 @@ __all__ = [
     "unknown_work_list",
 ]
 
-
-def coefficient_name(fit: Comparison) -> str:
-    """Return what people call the coefficient of a comparison."""
-    if fit.rows.target == "psi_p":
-        return "pressure coefficient ψ'"
-    return "work coefficient ψ"
+_Histories = Sequence[Sequence[LedgerEntry]]
 
 
-def tau_words(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Words, ...]:
+def tau_words(fits: Sequence[Comparison], histories: _Histories) -> tuple[Words, ...]:
     """Say what τ can be trusted for, where the ledger shows a low-pass before the flow equation.
 
     Parameters
     ----------
-    section : ReportSection
-        The section.
-    fits : tuple of Comparison
-        Its comparisons.
+    fits : sequence of Comparison
+        What was fitted.
+    histories : sequence of ledgers
+        Of the records.
     """
     fitted = any(fit.rows.target == "psi_p" for fit in fits)
-    target = "psi_p" if fitted else "psi"
     whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
-    caution = tau_caution(_histories(section, fits), target=target, from_whole_runs=whole)
+    target = "psi_p" if fitted else "psi"
+    caution = tau_caution(map(tuple, histories), target=target, from_whole_runs=whole)
     return () if caution is None else (Words(caution[0].upper() + caution[1:], "caution"),)
 
 
-def cautions_list(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Bullets, ...]:
+def cautions_list(
+    fits: Sequence[Comparison], reduced: Mapping[str, Sequence[LedgerEntry]]
+) -> tuple[Bullets, ...]:
     """List the cautions of the comparisons, or those of the ledger where nothing was fitted.
 
     Parameters
     ----------
-    section : ReportSection
-        The section.
-    fits : tuple of Comparison
-        Its comparisons.
+    fits : sequence of Comparison
+        What was fitted.
+    reduced : mapping of str to sequence of LedgerEntry
+        Ledger of a record that was reduced here.
     """
     found: list[str] = []
     for fit in fits:
         # The ledger's hold for both coefficients and are said once; a fit's own say which it is.
         sources = tuple(f"{record.source}: " for record in fit.records)
-        symbol = coefficient_name(fit).rsplit(" ", 1)[-1]
         for caution in grouped_cautions(fit.cautions):
-            said = caution if caution.startswith(sources) else f"{symbol}: {caution}"
-            found += [] if said in found else [said]
-    if not fits and section.reduction is not None:
-        source = section.reduction.series.source
-        flags = [f"{source}: {f}" for e in section.reduction.record.history for f in e.flags]
+            own = "" if caution.startswith(sources) else f"{SYMBOLS[fit.rows.target]}: "
+            found.append(f"{own}{caution}")
+    if not fits:
+        flags = [
+            f"{s}: {flag}" for s, history in reduced.items() for e in history for flag in e.flags
+        ]
         found += grouped_cautions(flags)
     if not found:
         return ()
-    return (Bullets(tuple(found), "caution", "Cautions"),)
+    return (Bullets(tuple(dict.fromkeys(found)), "caution", "Cautions"),)
 
 
 def summary_list(fit: Comparison) -> Bullets:
@@ -95,18 +90,21 @@ def summary_list(fit: Comparison) -> Bullets:
     """
     rows = fit.rows
     held_out = int(np.count_nonzero(~rows.train))
-    items = [
+    low, high = fit.valid_phi
+    items = (
+        _tau_sentence(fit),
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
         f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
-        _best_words(fit),
+        _least_sentence(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
         f"rewarded on held-out cycles too: {ranking_meaning(rows.target)}.",
-        _tau_range_words(fit),
-        f"The record's {dwelling(fit)}. {dwelling_words(fit)}",
-        _checks_words(fit),
-    ]
-    return Bullets(tuple(items), "plain", coefficient_name(fit).capitalize())
+        f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
+        f"{dwelling_words(fit)}",
+        _checks_sentence(fit),
+    )
+    name = NAMES[rows.target]
+    return Bullets(items, "plain", name[0].upper() + name[1:])
 
 
 def truth_list(fit: Comparison, truth: Truth) -> Bullets:
@@ -121,13 +119,12 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     """
     items = []
     low, high = max(fit.valid_phi[0], truth.phi[0]), min(fit.valid_phi[1], truth.phi[-1])
-    for row in fit.table:
-        model = fit.result(row.estimator).model
-        phi, value, _ = np.asarray(model.table).T
+    for row in rows_to_show(fit):
+        phi, value, _ = np.asarray(fit.result(row.estimator).model.table).T
         known = (phi >= low) & (phi <= high)
         off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
-        curve = f"curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
-        items.append(f"{row.label}: {_tau_off(row.time_constant_s, model, truth)}; {curve}.")
+        curve = f"; curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
+        items.append(f"{row.label}: {_tau_off(row, truth)}{curve}.")
     return Bullets(
         tuple(items),
         "plain",
@@ -137,53 +134,66 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
 
 
 def ranking_words(fit: Comparison) -> Words:
-    """Say below the table what its order means.
+    """Say below the table what a low held-out error means.
 
     Parameters
     ----------
     fit : Comparison
         Estimators side by side.
     """
-    said = ranking_meaning(fit.rows.target)
-    return Words(f"{said[0].upper()}{said[1:]}.", "quiet")
+    meaning = ranking_meaning(fit.rows.target)
+    return Words(f"{meaning[0].upper()}{meaning[1:]}.", "quiet")
 
 
-def unknown_work_list(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Bullets, ...]:
+def unknown_work_list(histories: _Histories) -> tuple[Bullets, ...]:
     """Say why ψ is not known, where the ledger shows that it could not be found.
 
     Parameters
     ----------
-    section : ReportSection
-        The section.
-    fits : tuple of Comparison
-        Its comparisons.
+    histories : sequence of ledgers
+        Of the records.
     """
-    if section.work is not None:
-        return ()
-    reasons = dict.fromkeys(
-        reason for history in _histories(section, fits) if (reason := unknown_work(history))
-    )
+    reasons = dict.fromkeys(filter(None, (unknown_work(tuple(each)) for each in histories)))
     return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
 
 
-def _tau_off(tau_s: float, model: object, truth: Truth) -> str:
-    stderr_s = float(getattr(model, "time_constant_stderr_s", math.nan))
-    off_ms = 1e3 * (tau_s - truth.time_constant_s)
+def _tau_off(row: ComparisonRow, truth: Truth) -> str:
+    off_ms = 1e3 * (row.time_constant_s - truth.time_constant_s)
+    stderr_ms = 1e3 * row.time_constant_stderr_s
     if not math.isfinite(off_ms):
         return "no τ"
     words = f"τ off by {off_ms:+.1f} ms"
-    if math.isfinite(stderr_s) and stderr_s > 0.0:
-        words += f" ({abs(off_ms) / (1e3 * stderr_s):.1f} of its standard errors)"
+    if math.isfinite(stderr_ms) and stderr_ms > 0.0:
+        words += f" ({abs(off_ms) / stderr_ms:.1f} of its standard errors)"
     return words
 
 
-def _best_words(fit: Comparison) -> str:
-    best = fit.table[0]
-    score = fit.result(best.estimator).held_out
+def _tau_sentence(fit: Comparison) -> str:
+    """Say the τ that is to be quoted, or that there is none, and the range of all."""
+    chosen = recommended(fit)
+    all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
+    words = "No estimator's τ is recommended; the table says why."
+    if chosen is not None:
+        row = next(row for row in fit.table if row.estimator == chosen)
+        tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
+        words = (
+            f"Recommended: {row.label}, from one free run through the unfiltered signals: τ = "
+            f"{tau} ms (standard error)."
+        )
+    if len(all_ms) > 1:
+        words += (
+            f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
+        )
+    return words
+
+
+def _least_sentence(fit: Comparison) -> str:
+    least = fit.table[0]
+    score = fit.result(least.estimator).held_out
     if score is None:
         return "There were too few rows to hold any out: the order below means nothing."
     words = (
-        f"Least held-out error: {best.label}, rms {significant(score.rms, 3)}, "
+        f"Least held-out error: {least.label}, rms {significant(score.rms, 3)}, "
         f"{score.fit_percent:.0f} % of the signal's spread explained (fit)."
     )
     level = [
@@ -198,26 +208,7 @@ def _best_words(fit: Comparison) -> str:
     return words
 
 
-def _tau_range_words(fit: Comparison) -> str:
-    best = next((row for row in fit.table if row.estimator in fit.quotable), fit.table[0])
-    tau = round_to_error(1e3 * best.time_constant_s, 1e3 * best.time_constant_stderr_s)
-    all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
-    words = f"Its time constant: τ = {tau} ms (standard error)."
-    if best.estimator in fit.quotable:
-        words = (
-            f"The time constant by {best.label}, from one free run through the unfiltered signals: "
-            f"τ = {tau} ms (standard error)."
-        )
-    if not best.time_constant_stderr_s < best.time_constant_s:
-        words += " It is not told from zero."
-    if len(all_ms) > 1:
-        words += (
-            f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
-        )
-    return words
-
-
-def _checks_words(fit: Comparison) -> str:
+def _checks_sentence(fit: Comparison) -> str:
     failed: dict[str, list[str]] = {}
     for result in fit.results:
         for check in result.checks:
@@ -234,12 +225,3 @@ def _checks_words(fit: Comparison) -> str:
 
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
-def _histories(
-    section: ReportSection, fits: tuple[Comparison, ...]
-) -> list[tuple[LedgerEntry, ...]]:
-    histories = [record.history for fit in fits for record in fit.records]
-    if section.reduction is not None:
-        histories.append(section.reduction.record.history)
-    return histories
