@@ -112,7 +112,7 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
 
 def _conclude(spec: Any, table: Any, files: Any) -> None:
     """Print the comparison and write the page."""
-    from comparisons.cli.commands import command_line
+    from comparisons.cli.shared import command_line
     from comparisons.study.comparison import methods_in
     from comparisons.study.report import write_study_report
     from comparisons.study.run import resolved

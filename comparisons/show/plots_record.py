@@ -34,6 +34,7 @@ from surge_core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axes._secondary_axes import SecondaryAxis
 
     from classic_ml.reduction import Reduction
 
@@ -418,7 +419,7 @@ def _pounds_above(ax: Axes) -> None:
     _in_pounds(ax.secondary_xaxis("top", functions=(_to_pounds, _to_kilograms)), "top")
 
 
-def _in_pounds(axis: Axes, side: str) -> None:
+def _in_pounds(axis: SecondaryAxis, side: str) -> None:
     (axis.set_xlabel if side == "top" else axis.set_ylabel)("[lbm/s]", fontsize=9, color=QUIET)
     axis.tick_params(labelsize=8.5, colors=QUIET)
     axis.spines[side].set_color("#888888")
