@@ -24,8 +24,8 @@ from comparisons.cli.shared import (
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
-    from comparisons.harness.compare import Comparison
     from comparisons.harness.estimators import EstimatorSpec
+    from comparisons.results import Comparison
 
 __all__ = ["add_parser", "models_to_save", "print_comparison", "run"]
 
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from comparisons.harness.lag_value import save_models
+    from comparisons.harness.saved_models import save_models
     from comparisons.show.json_output import comparison_document
     from comparisons.show.report import ReportSection, render_report
     from surge_core.files import to_strict_json

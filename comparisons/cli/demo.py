@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
     from classic_ml.series import CoefficientSeries
     from classic_ml.work.coefficient import WorkCharacteristic
-    from comparisons.harness.compare import Comparison
-    from comparisons.harness.truth import Truth
     from comparisons.page.blocks import Part
+    from comparisons.results import Comparison, Truth
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
 
@@ -145,7 +144,7 @@ def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, floa
     """Compare the estimators on one test; return its series and the true τ, in seconds."""
     from comparisons.cli.compare import models_to_save
     from comparisons.harness.compare import compare_records
-    from comparisons.harness.lag_value import save_models
+    from comparisons.harness.saved_models import save_models
     from comparisons.show.report import ReportSection
 
     demo.begin(f"{title}: simulating the test and reducing its counts")
@@ -217,8 +216,8 @@ def _missing(demo: _Demo, untouched: CoefficientSeries, true_tau_s: float) -> No
 def _test(demo: _Demo, case: str, seed: int, hide: str | None = None) -> tuple[RigRun, Reduction]:
     """Simulate one test and reduce it from its files, as a real record is."""
     from classic_ml.readers import read_raw
+    from classic_ml.readers.series_files import write_series
     from classic_ml.reduction import reduce_record
-    from classic_ml.series import write_series
     from comparisons.rig import simulate, write_run
 
     rig = simulate(case, seed=seed, hide=hide)
@@ -237,7 +236,7 @@ def _truth(rig: RigRun, target: str) -> Truth:
     """Return the rig's own in-stall characteristic over forward flow."""
     import numpy as np
 
-    from comparisons.harness.truth import Truth
+    from comparisons.results import Truth
 
     phi = np.linspace(0.0, TRUTH_TO_PHI, 101)
     known = rig.truth_parameters

@@ -18,7 +18,7 @@ from comparisons.cli.shared import (
 )
 
 if TYPE_CHECKING:
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Reconstruction
 
 __all__ = ["add_parser", "run"]
 
@@ -66,9 +66,9 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.series import read_series
+    from classic_ml.readers.series_files import read_series
+    from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import (
-        load_any_models,
         reconstruct_record,
         reconstruction_csv,
         reconstruction_document,

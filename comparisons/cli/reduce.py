@@ -21,12 +21,14 @@ from comparisons.cli.shared import (
     write_all,
 )
 from surge_core.files import check_target
-from surge_core.progress import shown_steps
+from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
+    from classic_ml.readers import TestDescription
+    from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["add_parser", "print_reduction", "reduce_file", "run"]
+__all__ = ["add_parser", "print_reduction", "read_file", "reduce_file", "run"]
 
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
@@ -69,7 +71,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.series import write_series
+    from classic_ml.readers.series_files import write_series
 
     check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
     check_target(arguments.out, SERIES_SUFFIXES)
@@ -97,14 +99,30 @@ def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction
     InputError
         When the record cannot be used.
     """
-    from classic_ml.readers import read_raw
-    from classic_ml.reduction import reduce_record
+    from classic_ml.reduction import STEPS, reduce_record
 
-    with shown_steps(2) as begin:
-        begin("reading")
-        record, description = read_raw(raw, test)
-        begin("reducing")
-        return reduce_record(record, description, settings)
+    record, description = read_file(raw, test)
+    with shown_count("reducing", unit="step", total=STEPS) as done:
+        return reduce_record(record, description, settings, keep_probes=False, progress=done)
+
+
+def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
+    """Read a raw record, and show how far that is on a terminal.
+
+    Parameters
+    ----------
+    raw, test : path
+        As :func:`reduce_file` takes them.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    from classic_ml.readers import read_raw
+
+    with shown_count("reading", unit="row") as read:
+        return read_raw(raw, test, progress=read)
 
 
 def print_reduction(reduction: Reduction) -> None:
@@ -138,16 +156,13 @@ def _page(reduction: Reduction) -> str:
 
 def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
     """Return what of a long record is drawn, the beginning of its window, and which part it is."""
-    from classic_ml.records import Channel
-
     record, series = reduction.record, reduction.series
     if record.n_samples <= REPORT_ROWS:
         return reduction, ""
     window = record.rows_between(*reduction.window_s)
     start = min(max(0, window.start - REPORT_ROWS // 4), record.n_samples - REPORT_ROWS)
     rows = slice(start, start + REPORT_ROWS)
-    channels = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
-    part = replace(record, channels=channels, start_s=record.time_at_s(start))
+    part = record.part(rows)
     columns = {name: values[rows] for name, values in series.columns().items()}
     shown = replace(reduction, record=part, series=replace(series, **columns))  # type: ignore[arg-type]
     return shown, f", {part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from classic_ml.calibration import MINIMUM_NEAR_STALL_ROWS
-from classic_ml.readers import read_raw
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.reduction import near_stall_shifts
 from comparisons.cli.one_sentence import printable
+from comparisons.cli.reduce import read_file
 from comparisons.live.spool import Piece
 from surge_core.errors import InputError
 
@@ -61,7 +61,7 @@ def _has_reading(piece: Piece, test: TestDescription) -> bool:
 def _shifts(piece: Piece, test_path: Path) -> dict[str, float]:
     """Return the shifts of a piece; none where its reading would be refused."""
     try:
-        return near_stall_shifts(*read_raw(piece.path, test_path))
+        return near_stall_shifts(*read_file(piece.path, test_path))
     except InputError:
         return {}
 

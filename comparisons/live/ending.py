@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from classic_ml.readers import read_raw, read_test_description
+from classic_ml.readers import read_test_description
+from classic_ml.readers.series_files import write_series
 from classic_ml.records import Dropped, LedgerEntry
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from classic_ml.series import write_series
+from classic_ml.reduction import Reduction, ReductionSettings
+from comparisons.cli.reduce import reduce_file
 from comparisons.live.carried_match import carry_matches
 from comparisons.live.columns import FEED
 from comparisons.live.session import Session
@@ -103,7 +104,7 @@ def _reduced(
 ) -> Result:
     try:
         _check_clock(piece, test_path)
-        reduction = reduce_record(*read_raw(piece.path, piece.test or test_path), settings)
+        reduction = reduce_file(piece.path, piece.test or test_path, settings)
     except InputError as error:
         return Result(piece, error=error)
     reduction = _with_entry(reduction, _with_piece(entry, piece))

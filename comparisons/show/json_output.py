@@ -6,9 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.cautions import tau_caution
-from comparisons.harness.compare import Comparison, EstimatorResult
-from comparisons.show.table import recommended, rows_to_show
+from comparisons.results import Comparison, EstimatorResult
 from surge_core.files import to_strict_json
 
 __all__ = ["COMPARE_SCHEMA", "comparison_document", "record_document", "to_strict_json"]
@@ -51,10 +49,6 @@ def record_document(record: CoefficientSeries) -> dict[str, Any]:
 
 
 def _body(comparison: Comparison) -> dict[str, Any]:
-    caution = None
-    if comparison.rows.target == "psi_p":
-        histories = (record.history for record in comparison.records)
-        caution = tau_caution(histories, from_whole_runs=comparison.quotable)
     return {
         "records": [
             {
@@ -66,10 +60,10 @@ def _body(comparison: Comparison) -> dict[str, Any]:
         "target": comparison.rows.target,
         "rows_fitted": int(comparison.rows.phi.size),
         "segments_fitted": comparison.rows.n_segments,
-        "recommended": recommended(comparison),
+        "recommended": comparison.recommended,
         "estimators": {result.name: _estimator(result) for result in comparison.results},
-        "comparison": [asdict(row) for row in rows_to_show(comparison)],
-        "cautions": [*([caution] if caution else []), *comparison.cautions],
+        "comparison": [asdict(row) for row in comparison.table],
+        "cautions": [caution.text for caution in comparison.cautions],
     }
 
 

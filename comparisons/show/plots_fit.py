@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.harness.compare import Comparison, EstimatorResult
-from comparisons.harness.labels import estimator_label
 from comparisons.harness.residual_analysis import dwelt_on, phi_density
-from comparisons.harness.truth import Truth
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     MEASURED,
@@ -25,8 +22,8 @@ from comparisons.page.style import (
     printable,
     robust_limits,
 )
+from comparisons.results import SYMBOLS, Comparison, EstimatorResult, Truth, estimator_label
 from comparisons.show.agreement import dwelling_words
-from comparisons.show.table import SYMBOLS, rows_to_show
 from surge_core.rounding import round_to_error, significant
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
@@ -34,7 +31,7 @@ from surge_core.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Reconstruction
 
 __all__ = ["NAMES", "characteristics", "largest", "reconstruction", "shade", "validation"]
 
@@ -125,7 +122,7 @@ def reconstruction(comparison: Comparison, record: int = 0) -> Picture:
     """
     rows, source = comparison.rows, comparison.records[record].source
     own = rows.record == record
-    first = comparison.result(rows_to_show(comparison)[0].estimator)
+    first = comparison.result(comparison.table[0].estimator)
     symbol = coefficient_symbol(rows.target)
     figure = new_figure(height_in=6.6)
     upper, lower = figure.subplots(2, 1)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.harness.compare import Comparison, EstimatorResult
 from comparisons.harness.residual_analysis import (
     Correlation,
     autocorrelation,
@@ -29,8 +28,8 @@ from comparisons.page.style import (
     printable,
     robust_limits,
 )
+from comparisons.results import SYMBOLS, Comparison, EstimatorResult
 from comparisons.show.plots_fit import NAMES, largest, shade
-from comparisons.show.table import SYMBOLS
 from surge_core.rounding import significant
 from surge_core.types import FloatArray
 

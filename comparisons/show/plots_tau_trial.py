@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.harness.tau_trial import TauTrial
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     INK,
@@ -22,7 +21,7 @@ from comparisons.page.style import (
     plain_numbers,
     printable,
 )
-from comparisons.show.table import SYMBOLS
+from comparisons.results import SYMBOLS, TauTrial
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:

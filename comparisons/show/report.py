@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.compare import Comparison
-from comparisons.harness.reconstruction import Reconstruction
-from comparisons.harness.truth import Truth
 from comparisons.page.blocks import (
     Block,
     Bullets,
@@ -24,6 +21,7 @@ from comparisons.page.blocks import (
     Words,
 )
 from comparisons.page.html import render_page
+from comparisons.results import Comparison, Reconstruction, Truth
 from comparisons.show import plots_fit, plots_record, plots_residuals
 from comparisons.show.plots_tau_trial import tau_trial
 from comparisons.show.report_tables import (

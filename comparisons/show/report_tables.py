@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from classic_ml.records import Dropped, LedgerEntry
-from comparisons.harness.compare import Comparison, EstimatorResult
-from comparisons.harness.labels import estimator_label
-from comparisons.harness.reconstruction import Reconstruction
 from comparisons.page.blocks import Cell, Head, Table
-from comparisons.show.plots_fit import NAMES
-from comparisons.show.table import (
+from comparisons.results import (
     FIELDS,
-    LEAST,
     RECONSTRUCTION_FIELDS,
+    Comparison,
+    EstimatorResult,
+    Reconstruction,
     comparison_cells,
-    recommended,
+    estimator_label,
     reconstruction_cells,
-    rows_to_show,
 )
+from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import round_to_error, significant
 
 __all__ = [
@@ -38,16 +36,16 @@ def summary_table(fit: Comparison) -> Table:
     fit : Comparison
         Estimators side by side.
     """
-    first = recommended(fit)
+    first = fit.recommended
     heads = tuple(
-        Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1], LEAST if f.numeric else "")
+        Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1], "least" if f.numeric else "")
         for f in FIELDS
     )
     rows = tuple(
         _with_name(cells, row.label, row.estimator)
-        for cells, row in zip(comparison_cells(fit), rows_to_show(fit), strict=True)
+        for cells, row in zip(comparison_cells(fit), fit.table, strict=True)
     )
-    order = "recommended first" if first else "by held-out error; none is recommended"
+    order = "the recommended first" if first else "none is recommended"
     marks = ("best",) if first else ()
     return Table(f"Estimators of the {NAMES[fit.rows.target]}, {order}", heads, rows, marks)
 

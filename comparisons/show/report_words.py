@@ -8,18 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from classic_ml.records import LedgerEntry
-from comparisons.harness.cautions import (
-    grouped_cautions,
-    ranking_meaning,
-    tau_caution,
-    unknown_work,
-)
-from comparisons.harness.compare import Comparison, ComparisonRow
-from comparisons.harness.truth import Truth
+from comparisons.harness.cautions import tau_caution, unknown_work
 from comparisons.page.blocks import Bullets, Words
+from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Truth, texts_of
 from comparisons.show.agreement import dwelling_words
 from comparisons.show.plots_fit import NAMES
-from comparisons.show.table import SYMBOLS, recommended, rows_to_show
 from surge_core.rounding import round_to_error, significant
 
 __all__ = [
@@ -30,6 +23,9 @@ __all__ = [
     "truth_list",
     "unknown_work_list",
 ]
+
+# Which τ to quote stands above all, what the ranking is worth below the table.
+SAID_ELSEWHERE = ("quote_tau", "tau_biased", "held_out_is_prediction")
 
 _Histories = Sequence[Sequence[LedgerEntry]]
 
@@ -47,8 +43,10 @@ def tau_words(fits: Sequence[Comparison], histories: _Histories) -> tuple[Words,
     fitted = any(fit.rows.target == "psi_p" for fit in fits)
     whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
     target = "psi_p" if fitted else "psi"
-    caution = tau_caution(map(tuple, histories), target=target, from_whole_runs=whole)
-    return () if caution is None else (Words(caution[0].upper() + caution[1:], "caution"),)
+    caution = tau_caution(histories, target=target, quotable=whole)
+    if caution is None:
+        return ()
+    return (Words(caution.text[0].upper() + caution.text[1:], "caution"),)
 
 
 def cautions_list(
@@ -67,14 +65,16 @@ def cautions_list(
     for fit in fits:
         # The ledger's hold for both coefficients and are said once; a fit's own say which it is.
         sources = tuple(f"{record.source}: " for record in fit.records)
-        for caution in grouped_cautions(fit.cautions):
+        for caution in texts_of(each for each in fit.cautions if each.code not in SAID_ELSEWHERE):
             own = "" if caution.startswith(sources) else f"{SYMBOLS[fit.rows.target]}: "
             found.append(f"{own}{caution}")
     if not fits:
-        flags = [
-            f"{s}: {flag}" for s, history in reduced.items() for e in history for flag in e.flags
-        ]
-        found += grouped_cautions(flags)
+        found += texts_of(
+            Caution("ledger", source, entry.step, {"finding": flag})
+            for source, history in reduced.items()
+            for entry in history
+            for flag in entry.flags
+        )
     if not found:
         return ()
     return (Bullets(tuple(dict.fromkeys(found)), "caution", "Cautions"),)
@@ -98,7 +98,7 @@ def summary_list(fit: Comparison) -> Bullets:
         f"the last {held_out} rows were held out for the score.",
         _least_sentence(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
-        f"rewarded on held-out cycles too: {ranking_meaning(rows.target)}.",
+        f"rewarded on held-out cycles too: {_ranking(fit)}.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
         f"{dwelling_words(fit)}",
         _checks_sentence(fit),
@@ -119,7 +119,7 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     """
     items = []
     low, high = max(fit.valid_phi[0], truth.phi[0]), min(fit.valid_phi[1], truth.phi[-1])
-    for row in rows_to_show(fit):
+    for row in fit.table:
         phi, value, _ = np.asarray(fit.result(row.estimator).model.table).T
         known = (phi >= low) & (phi <= high)
         off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
@@ -141,7 +141,7 @@ def ranking_words(fit: Comparison) -> Words:
     fit : Comparison
         Estimators side by side.
     """
-    meaning = ranking_meaning(fit.rows.target)
+    meaning = _ranking(fit)
     return Words(f"{meaning[0].upper()}{meaning[1:]}.", "quiet")
 
 
@@ -153,8 +153,13 @@ def unknown_work_list(histories: _Histories) -> tuple[Bullets, ...]:
     histories : sequence of ledgers
         Of the records.
     """
-    reasons = dict.fromkeys(filter(None, (unknown_work(tuple(each)) for each in histories)))
+    found = filter(None, map(unknown_work, histories))
+    reasons = dict.fromkeys(f"{reason.text}." for reason in found)
     return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
+
+
+def _ranking(fit: Comparison) -> str:
+    return Caution.of("held_out_is_prediction", symbol=SYMBOLS[fit.rows.target]).text
 
 
 def _tau_off(row: ComparisonRow, truth: Truth) -> str:
@@ -170,7 +175,7 @@ def _tau_off(row: ComparisonRow, truth: Truth) -> str:
 
 def _tau_sentence(fit: Comparison) -> str:
     """Say the τ that is to be quoted, or that there is none, and the range of all."""
-    chosen = recommended(fit)
+    chosen = fit.recommended
     all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
     words = "No estimator's τ is recommended; the table says why."
     if chosen is not None:
@@ -188,18 +193,20 @@ def _tau_sentence(fit: Comparison) -> str:
 
 
 def _least_sentence(fit: Comparison) -> str:
-    least = fit.table[0]
+    scored = [row for row in fit.table if math.isfinite(row.held_out_rms)]
+    if not scored:
+        return "There were too few rows to hold any out: none is scored."
+    least = min(scored, key=lambda row: row.held_out_rms)
     score = fit.result(least.estimator).held_out
-    if score is None:
-        return "There were too few rows to hold any out: the order below means nothing."
+    percent = math.nan if score is None else score.fit_percent
     words = (
-        f"Least held-out error: {least.label}, rms {significant(score.rms, 3)}, "
-        f"{score.fit_percent:.0f} % of the signal's spread explained (fit)."
+        f"Least held-out error: {least.label}, rms {significant(least.held_out_rms, 3)}, "
+        f"{percent:.0f} % of the signal's spread explained (fit)."
     )
     level = [
         row.label
-        for row in fit.table[1:]
-        if math.isfinite(row.difference) and abs(row.difference) < 2.0 * row.paired_error
+        for row in scored
+        if row is not least and abs(row.difference) < 2.0 * row.paired_error
     ]
     if level:
         words += f" Within twice the paired error of it: {', '.join(level)}."
