@@ -30,6 +30,7 @@ from comparisons.missing_effect.systems.shown import (
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import number_words, system_words
 from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.page.html import render_page
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
@@ -86,10 +87,8 @@ def system_report(
     str
         HTML with its style and its pictures in it; all text is escaped.
     """
-    from comparisons.show.report import ReportSection, render_report
-
-    return render_report(
-        [ReportSection(title=name, extra=system_parts(d)) for name, d in diagnoses.items()],
+    return render_page(
+        [(name, system_parts(d)) for name, d in diagnoses.items()],
         title=f"What is missing in {', '.join(diagnoses)}",
         command=command,
         version=version,
@@ -150,7 +149,7 @@ def _where(d: SystemDiagnosis) -> tuple[Block, ...]:
             "(down): a bend is a missing characteristic, two branches are a lag, a friction or a "
             "hysteresis. An output is laid over its own simulated value, since its residual is "
             "part of the measured one.",
-            told_above=True,
+            said_above=True,
         ),
     )
 

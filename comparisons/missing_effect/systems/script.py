@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from comparisons.cli.progress import shown_steps
 from surge_core.errors import InputError
+from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.experiments import Experiment
@@ -89,7 +89,7 @@ def contents_of(
     """
     out = []
     if json:
-        from comparisons.show.json_output import to_strict_json
+        from surge_core.files import to_strict_json
 
         out.append(("numbers", json, to_strict_json(_document(diagnoses))))
     if report:
