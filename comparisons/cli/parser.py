@@ -304,7 +304,7 @@ def _add_reproduce(commands: _Commands) -> None:
         "--report",
         type=Path,
         metavar="FILE.html",
-        help="write the report, with counterparts of the paper's figures",
+        help="write the report, with eight counterparts of the paper's figures",
     )
     parser.add_argument("--seed", type=_seed, default=0, help="seed of the sensors (default: 0)")
     parser.set_defaults(run=_run_reproduce)
