@@ -254,10 +254,10 @@ def _contents(arguments: argparse.Namespace, told: _Told) -> list[tuple[str, Pat
 def _saved(d: Diagnosis, path: Path) -> str:
     """Save the model after; a verdict of which none can be made is no error of the user's."""
     from comparisons.missing_effect.extended_file import save_extended
-    from comparisons.missing_effect.extended_lag import ExtendedLag
+    from comparisons.missing_effect.extended_refit import value_of
 
     try:
-        model = ExtendedLag.from_fit(d)
+        model = value_of(d)
     except InputError as error:
         return f"not saved: {error}"
     save_extended({model.estimator: model}, path)

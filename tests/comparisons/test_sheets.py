@@ -12,7 +12,7 @@ from made_pages import EVIL
 from made_systems import machine
 from made_systems import made_diagnosis as made_system
 
-from comparisons.missing_effect.extended_lag import ExtendedLag
+from comparisons.missing_effect.extended_refit import value_of
 from comparisons.missing_effect.quantities import tau_ms
 from comparisons.show.table import FIELDS, comparison_cells
 from comparisons.study.comparison import compare_methods, pairwise
@@ -60,7 +60,7 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
 
 
 def test_a_lag_model_with_effects_shows_their_numbers_with_units() -> None:
-    model = ExtendedLag.from_fit(made_diagnosis("alias_set"))
+    model = value_of(made_diagnosis("alias_set"))
     text, _ = shown(model)
     assert "transport_delay" in text
     (added,) = model.effects
