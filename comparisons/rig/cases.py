@@ -213,32 +213,13 @@ class RigCase:
 
 
 _POSITIVE = (
-    "corrected_speed_frac",
-    "supply_temperature_k",
-    "face_pressure_pa",
-    "tau_s",
-    "blend_s",
-    "cell_rise_s",
-    "unstalled_efficiency",
-    "near_stall_phi_ratio",
-    "inertia_per_m",
-    "discharge_volume_m3",
-    "exhaust_volume_m3",
-    "inlet_volume_m3",
-    "face_volume_m3",
-    "exhaust_pressure_frac",
-    "coil_lag_s",
-    "open_ratio",
-    "open_lag_s",
-    "throttle_sweep_s",
-    "mean_radius_m",
-    "inlet_area_m2",
-    "exit_area_m2",
-    "design_speed_rpm",
-    "cell_frequency_hz",
-    "zoc_inlet_pa",
-    "zoc_exit_pa",
-)
+    "corrected_speed_frac", "supply_temperature_k", "face_pressure_pa", "tau_s", "blend_s",
+    "cell_rise_s", "unstalled_efficiency", "near_stall_phi_ratio", "inertia_per_m",
+    "discharge_volume_m3", "exhaust_volume_m3", "inlet_volume_m3", "face_volume_m3",
+    "exhaust_pressure_frac", "coil_lag_s", "open_ratio", "open_lag_s", "throttle_sweep_s",
+    "mean_radius_m", "inlet_area_m2", "exit_area_m2", "design_speed_rpm",
+    "cell_frequency_hz", "zoc_inlet_pa", "zoc_exit_pa",
+)  # fmt: skip
 
 _BASE = RigCase()
 

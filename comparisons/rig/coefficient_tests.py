@@ -2,7 +2,7 @@
 
 The truth is τ dψ'/dt + ψ' = ψ'_QS(φ) with none, one or two physical effects at their ports. φ is a
 formula in time, so that ψ' is simulated on its own fine grid and only then sampled: what is left of
-a perfect model is noise alone, and the error of whoever simulates at the sample rate is his own.
+a perfect model is noise alone, and an error of a simulation at the sample rate is its own.
 """
 
 from __future__ import annotations
