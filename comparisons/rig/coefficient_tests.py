@@ -90,7 +90,7 @@ class CoefficientTest:
     records : tuple of CoefficientRecord
         The records, in the order of the facility clock.
     tau_s : float
-        True time constant, in seconds, as the design reports it for each effect.
+        True time constant, in seconds, as it is to be reported for each effect.
     beta : tuple of float
         Coefficients of ψ'_QS in plain powers of φ, from the constant on.
     effects : mapping of str to mapping of str to float

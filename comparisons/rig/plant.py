@@ -1,7 +1,7 @@
 """The plant: compressor with lag and branches, its plenums, and the facility around it.
 
 Greitzer's lumped model with what the surge of a high-pressure-ratio compressor in a refrigerated
-test cell adds to it (``paper/equations-claims-rig.md`` section 5):
+test cell adds to it:
 
     dW/dt = (P25 PR − P31) / I,    PR = (1 + ψ'_i U² / (2 c_p T25))^3.5
     ψ'_i = ψ' + k_rev φ² [φ < 0]                       the reverse loss is not lagged
