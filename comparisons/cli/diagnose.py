@@ -266,7 +266,7 @@ def _saved(d: Diagnosis, path: Path) -> str:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, options that contradict and targets that cannot be."""
-    from classic_ml.series import ledger_path
+    from classic_ml.readers.series_files import ledger_path
     from surge_core.files import check_apart, check_target
 
     if arguments.base == "sindy" and arguments.degree is not None:

@@ -10,9 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.harness.lag_value import MOST_BLOCKS
-from comparisons.harness.model_fields import Fields, ModelFormat, read_models, write_models
-from comparisons.harness.terms import is_known_term
+from comparisons.harness.saved_models import (
+    MOST_BLOCKS,
+    Fields,
+    ModelFormat,
+    read_models,
+    write_models,
+)
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.effect import Effect, Parameter
@@ -25,6 +29,7 @@ from comparisons.missing_effect.extended_parts import (
     FrozenReferences,
     n_powers,
 )
+from comparisons.results import is_known_term
 
 __all__ = [
     "EXTENDED_SCHEMA",

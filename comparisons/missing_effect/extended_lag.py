@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.rows import FitRows
-from comparisons.harness.terms import evaluate_terms
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
@@ -32,6 +30,7 @@ from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
 from comparisons.missing_effect.structure import Structure
+from comparisons.results import FitRows, evaluate_terms
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold

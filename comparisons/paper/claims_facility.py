@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.airflow import (
+from classic_ml.calibration import volts
+from classic_ml.cycles import find_cycles
+from classic_ml.filters import low_pass
+from classic_ml.flow import (
     calculated_mach,
     corrected_flow,
     mach_from_corrected_flow,
     physical_flow,
     true_mach,
 )
-from classic_ml.calibration import volts
-from classic_ml.filtering import low_pass
-from classic_ml.plane_averages import local_flows, plane_averages
+from classic_ml.planes import local_flows, plane_averages
 from classic_ml.spectra import detrend, peak_frequency_hz, power_spectrum
-from classic_ml.surge_cycles import find_cycles
 from comparisons.paper.claim import Check, Finding, reading
 from comparisons.paper.instabilities import INSTABILITIES, Instabilities
 from comparisons.paper.truth import LBM_KG, PSI_PA

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.fit_quality import FitScore, score_fit, trusted_range
-from comparisons.harness.lag_value import FittedLag
-from comparisons.harness.rows import FitRows, stack_rows
+from comparisons.harness.fit_quality import score_fit, trusted_range
+from comparisons.harness.rows import stack_rows
 from comparisons.paper.claim import Check, Finding
 from comparisons.paper.claims_surge import cell_power_ratio
 from comparisons.paper.instabilities import (
@@ -30,6 +29,7 @@ from comparisons.paper.truth import (
     in_stall_psi_p,
     reverse_flow_psi_p,
 )
+from comparisons.results import FitRows, FitScore, FittedLag
 from comparisons.rig import CASES, RigCase, SensorSettings
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant
 from surge_core.segments import runs_of

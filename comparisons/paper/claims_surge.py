@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.calibration import calibrate
-from classic_ml.filtering import low_pass
-from classic_ml.surge_cycles import find_cycles
+from classic_ml.cycles import find_cycles
+from classic_ml.filters import low_pass
 from comparisons.paper.claim import Check, Finding
 from comparisons.paper.instabilities import Instabilities, InstabilityRun
 from comparisons.paper.truth import LBM_KG, PSI_PA, RANKINE_PER_K, THRESHOLD_LBM_S

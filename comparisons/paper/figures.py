@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from classic_ml.calibration import calibrate
-from classic_ml.filtering import low_pass
+from classic_ml.filters import low_pass
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
-from comparisons.harness.lag_value import FittedLag
-from comparisons.harness.reconstruction import Reconstruction, reconstruct_record
+from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -46,6 +45,7 @@ from comparisons.paper.truth import (
     temperature_K,
     unstalled_psi_p,
 )
+from comparisons.results import FittedLag, Reconstruction
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 

@@ -16,8 +16,8 @@ from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import psi_breakpoints
 from comparisons.harness.fit_quality import trusted_range
-from comparisons.harness.lag_value import FittedLag
 from comparisons.harness.rows import stack_rows
+from comparisons.results import FittedLag
 from comparisons.rig import RigCase, RigRun, SensorSettings, simulate, write_run
 from surge_core.types import BoolArray
 

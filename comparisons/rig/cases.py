@@ -269,10 +269,11 @@ _BLOWDOWN = replace(
     reverse_heat_frac=0.95814,
 )
 
-# Low-speed rotating stall (paper, Fig 20 and 23). All here was chosen. The throttle sits close behind the machine, without whose discharge volume there is no
-# surge, and is moved to and fro slowly; the inlet stands open to the atmosphere. Its in-stall curve
-# lies above that of the 98.5 % set and is less steep near zero flow, as Moore and Greitzer predict
-# of rotating stall against surge; the two meet at φ = 0.18, beyond the paper's reliable range.
+# Low-speed rotating stall (paper, Fig 20 and 23). All here was chosen. The throttle sits close
+# behind the machine, without whose discharge volume there is no surge, and is moved to and fro
+# slowly; the inlet stands open to the atmosphere. Its in-stall curve lies above that of the 98.5
+# % set and is less steep near zero flow, as Moore and Greitzer predict of rotating stall against
+# surge; the two meet at φ = 0.18, beyond the paper's reliable range.
 _STEADY_STALL = replace(
     _BASE,
     name="75-stall",

@@ -1,7 +1,7 @@
 """Physical effects that a test at the level of coefficients can hide, each at its port.
 
-The fifteen of the catalogue (`EFFECTS`) have the equations of the catalogue of `comparisons.missing_effect`; those of
-`OUTSIDE` are as sensible and stand in no catalogue, so that no name is the right answer to them.
+The fifteen of `EFFECTS` have the equations of the catalogue in `comparisons.missing_effect`; those
+of `OUTSIDE` are as sensible and stand in no catalogue, so that no name is the right answer to them.
 """
 
 from __future__ import annotations

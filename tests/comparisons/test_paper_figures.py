@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from numpy.testing import assert_allclose
 from paper_runs import paper_runs
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.flow import LBM_KG
 from comparisons.paper.figures import PaperFigure, draw_figures
 from comparisons.paper.instabilities import Instabilities
 from comparisons.paper.truth import (

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.series import CoefficientSeries, write_series
+from classic_ml.readers.series_files import write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
+from comparisons.cli.saved_models import load_any_models
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
-from comparisons.harness.reconstruction import load_any_models, reconstruct_record
+from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
