@@ -12,13 +12,13 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sindy_surge.checks import check_parameters, is_constant, refuse_not_finite
-from sindy_surge.display import FittedDisplay
-from sindy_surge.equations import EquationParts, pysindy_equations, write_equation
-from sindy_surge.export import RateFunction, SelectedTerms, python_source
+from sindy_surge.export import RateFunction, python_source
 from sindy_surge.free_run import Hold, Segments
 from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.simulation import FreeModel
 from sindy_surge.summary import ModelSummary
+from sindy_surge.text import EquationParts, pysindy_equations, write_equation
+from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
@@ -461,7 +461,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if style not in ("text", "latex", "python"):
             raise InputError("style", expected='"text", "latex" or "python"', found=repr(style))
         if style == "python":
-            return python_source(self._parts(), self._term_values(), self.feature_range_)
+            values = self._physical_model().values
+            return python_source(self._parts(), values, self.feature_range_)
         return write_equation(self._parts(), style)
 
     def equations(self, precision: int = 3) -> list[str]:
@@ -499,7 +500,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For a static fit.
         """
         check_is_fitted(self)
-        return RateFunction(self._parts(), self._term_values())
+        parts = self._parts()
+        parts.rate_or_refuse()
+        return RateFunction(parts, self._physical_model().values)
 
     def _parts(self) -> EquationParts:
         return EquationParts(
@@ -514,11 +517,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             output_name=self.output_name,
         )
 
-    def _term_values(self) -> SelectedTerms:
-        model = self._physical_model()
-        return SelectedTerms(model.terms, tuple(model.selected.tolist()))
-
-    def _summary(self) -> ModelSummary | None:
+    def _sheet(self) -> Sheet | None:
         if not hasattr(self, "fit_state_"):
             return None
         searched = bool(self.path_) and self.fit_state_ is not FitState.MODEL_ERROR_DOMINATES
@@ -535,7 +534,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             path=self.path_,
             input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
-        )
+        ).sheet()
 
     def __sklearn_tags__(self) -> Any:
         """State that a free run over rows without time order fits them poorly."""

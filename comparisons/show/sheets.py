@@ -309,9 +309,7 @@ def structure_html(found: FoundStructure) -> str:
     if found.refused:
         code, advice = found.state
         return Sheet("No structure", (Field("state", f"{code}: {advice}", "advice"),)).html()
-    from sindy_surge.display import html_summary
-
-    return html_summary(found.summary)
+    return found.summary.sheet().html()
 
 
 def _terms(terms: tuple[str, ...], values: tuple[float, ...], errors: tuple[float, ...]) -> Grid:

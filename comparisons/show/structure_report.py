@@ -94,7 +94,7 @@ def plot_inclusion(found: FoundStructure) -> Figure:
         One whose records were resampled.
     """
     from comparisons.page.style import ACCENT, FAINT, dress, new_figure, printable
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     shown, n_left_out = _bars(found)
     figure = new_figure(height_in=1.3 + 0.32 * max(len(shown), 3))
@@ -247,16 +247,15 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
 def _summary(found: FoundStructure) -> tuple[Block, ...]:
     """Return the fields and tables that a terminal and a notebook show of the fit."""
     from comparisons.page.blocks import Head, Table
-    from sindy_surge.summary import summary_fields, summary_tables
 
-    summary = found.summary
+    sheet = found.summary.sheet()
     fields = Table(
-        summary.name,
+        sheet.title,
         (Head("quantity"), Head("value", prose=True)),
         # A ledger has a line for each of its entries.
         tuple(
             (field.label if number == 0 else "", line)
-            for field in summary_fields(summary)
+            for field in sheet.fields
             for number, line in enumerate(field.lines)
         ),
     )
@@ -270,14 +269,14 @@ def _summary(found: FoundStructure) -> tuple[Block, ...]:
             table.rows,
             tuple("best" if row == table.marked else "" for row in range(len(table.rows))),
         )
-        for table in summary_tables(summary)
+        for table in sheet.grids
     )
     return (fields, *tables)
 
 
 def _curve_picture(found: FoundStructure) -> Picture:
     from comparisons.page.blocks import Picture
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     phi, value, stderr = found.curve()
     symbol = pretty_term(found.target)
@@ -297,7 +296,7 @@ def _curve_picture(found: FoundStructure) -> Picture:
 
 def _inclusion_picture(found: FoundStructure) -> Picture:
     from comparisons.page.blocks import Picture
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     shown, _ = _bars(found)
     return Picture.of(
@@ -314,7 +313,7 @@ def _inclusion_picture(found: FoundStructure) -> Picture:
 
 def _path_picture(found: FoundStructure) -> Picture:
     from comparisons.page.blocks import Picture
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     least: dict[int, float] = {}
     for row in found.fit.path_:
