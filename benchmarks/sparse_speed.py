@@ -104,7 +104,7 @@ def run_pysindy(record: Record) -> None:
 
 def run_weak_rows(record: Record) -> None:
     """Set up the weak equations of one test function."""
-    from sindy_surge.free_run import Segments
+    from sindy_surge.segments import Segments
     from sindy_surge.weak_form import weak_rows
 
     runs = Segments.from_labels(None, record.phi.size)
@@ -113,7 +113,7 @@ def run_weak_rows(record: Record) -> None:
 
 def run_weak_lag(record: Record) -> None:
     """Estimate τ by weak regression in both directions."""
-    from sindy_surge.free_run import Segments
+    from sindy_surge.segments import Segments
     from sindy_surge.weak_form import weak_lag
 
     runs = Segments.from_labels(None, record.phi.size)

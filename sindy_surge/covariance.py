@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
-from sindy_surge.free_run import Segments
 from sindy_surge.lag_fit import StructureFit
 from sindy_surge.lag_problem import LagProblem
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["block_slices", "jackknife_covariance", "leave_out_moves", "sandwich"]
+__all__ = ["jackknife_covariance", "leave_out_moves", "sandwich"]
 
 
 # Scores further apart than two time constants are taken for independent.
 _LAG_IN_TAU = 2.0
 _MOST_LAGS_SHARE = 0.05
-# A long record is cut into twenty: enough to estimate a variance to a sixth.
-_BLOCKS = 20
-_FEWEST_BLOCKS = 4
 
 
 def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = None) -> FloatArray:
@@ -86,31 +81,6 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
     bend = len(fit.support) if problem.hold == "first" else norms.size
     wanted = [i for i in range(norms.size) if i != bend]
     return full[np.ix_(wanted, wanted)]
-
-
-def block_slices(segments: Segments, shortest: int) -> list[slice]:
-    """Cut rows into blocks for leaving out: short segments whole, long ones in parts.
-
-    Parameters
-    ----------
-    segments : Segments
-        The runs of rows.
-    shortest : int
-        No part of a segment is shorter, unless fewer than four blocks were left.
-
-    Returns
-    -------
-    list of slice
-        The blocks in order, none across two segments.
-    """
-    total = segments.n_rows
-    least = max(min(max(total / _BLOCKS, shortest), total / _FEWEST_BLOCKS), 1.0)
-    blocks = []
-    for rows in segments.slices():
-        parts = max(1, int((rows.stop - rows.start) // least))
-        edges = np.linspace(rows.start, rows.stop, parts + 1).astype(int)
-        blocks += [slice(low, high) for low, high in pairwise(edges.tolist()) if high > low]
-    return blocks
 
 
 def leave_out_moves(

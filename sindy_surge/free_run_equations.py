@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from sindy_surge.covariance import block_slices
-from sindy_surge.free_run import Hold, HoldCoefficients, Segments, hold_coefficients, simulate
+from sindy_surge.free_run import simulate
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.segments import Segments, block_slices
 from sindy_surge.sparse_paths import Support
+from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["FreeRunEquations", "FreeRunFit"]
@@ -225,8 +226,8 @@ class FreeRunEquations:
     def _values(self, support: Support) -> FloatArray:
         return np.column_stack((self.columns[:, list(support)], self.nuisance))
 
-    def _hold(self, tau: float) -> HoldCoefficients:
-        return hold_coefficients(tau, self.sample_period_s, self.hold)
+    def _hold(self, tau: float) -> FirstOrderLag:
+        return FirstOrderLag(tau, self.sample_period_s, self.hold)
 
     def _sums(self, values: FloatArray) -> FloatArray:
         """Sum scored rows over each run; 0 for runs without any."""
@@ -235,20 +236,20 @@ class FreeRunEquations:
         sums[self.run[firsts]] = np.add.reduceat(values, firsts, axis=0)
         return sums
 
-    def _decay(self, lag: HoldCoefficients) -> tuple[FloatArray, FloatArray]:
+    def _decay(self, lag: FirstOrderLag) -> tuple[FloatArray, FloatArray]:
         """Return what a start of unit norm leaves at the scored rows, and the norm of each run."""
         offsets = self.runs.offsets()[self.scored].astype(float)
-        decay = lag.pole**offsets * np.sqrt(self.weight[self.scored])
+        decay = lag.a**offsets * np.sqrt(self.weight[self.scored])
         power = self._sums(decay**2)
         norms = np.sqrt(np.where(power > 0, power, 1.0))
         return decay / norms[self.run], norms
 
-    def _stacked(self, lag: HoldCoefficients, values: FloatArray) -> FloatArray:
+    def _stacked(self, lag: FirstOrderLag, values: FloatArray) -> FloatArray:
         """Return the columns behind the lag, and last ψ', at the scored rows without starts."""
         every = np.column_stack((simulate(values, self.runs, lag), self.output))
         return self._without_starts(every[self.scored], lag)
 
-    def _without_starts(self, rows: FloatArray, lag: HoldCoefficients) -> FloatArray:
+    def _without_starts(self, rows: FloatArray, lag: FirstOrderLag) -> FloatArray:
         decay, _ = self._decay(lag)
         weighted = rows * np.sqrt(self.weight[self.scored])[:, None]
         return weighted - decay[:, None] * self._sums(decay[:, None] * weighted)[self.run]

@@ -226,7 +226,7 @@ def _finished(
     values = problem.late(problem.terms(problem.inputs, wanted=wanted))
     forcing = values @ parameters[:-1]
     rest = problem.output - simulate(forcing, problem.segments, lag)
-    decay = lag.pole ** problem.segments.offsets().astype(float)
+    decay = lag.a ** problem.segments.offsets().astype(float)
     starts = problem.segments.starts
     initial = np.add.reduceat(decay * rest, starts) / np.add.reduceat(decay**2, starts)
     return HeldOutFit(support, tau, parameters[:-1], covariance, initial, trials.tried())

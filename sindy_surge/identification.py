@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
 from sindy_surge.covariance import sandwich
-from sindy_surge.cycles import cycle_blocks
-from sindy_surge.free_run import Segments
+from sindy_surge.free_model import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
 from sindy_surge.held_out_run import held_out_rms
 from sindy_surge.inclusion import inclusion_probabilities
@@ -26,16 +25,16 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
+from sindy_surge.segments import cycle_blocks
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
-from sindy_surge.simulation import FreeModel
 from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
 from sindy_surge.weak_form import WeakLag
-from sindy_surge.whitening import NoiseLevels, autoregression
+from sindy_surge.whitening import autoregression
 from surge_core.fit_state import FitState
-from surge_core.types import FloatArray, IndexArray
+from surge_core.types import FloatArray
 
-__all__ = ["Choices", "Identified", "identify", "silent_problem"]
+__all__ = ["Choices", "Identified", "identify"]
 
 
 # Blocks of cycles are left out and drawn whole; none is shorter than this many rows.
@@ -84,12 +83,10 @@ class Identified:
     ----------
     problem : LagProblem
         The data with noise levels and dead time, and the library searched.
-    selected : ndarray of int of shape (n_terms,)
-        Positions of the terms in the library.
-    coefficients : ndarray of shape (n_terms,)
-        β, those of terms with ψ' in the library's own units.
-    time_constant_s, dead_time_s, dead_time_stderr_s : float
-        τ and the dead time in seconds, with its standard error (0 if it was not fitted).
+    model : FreeModel
+        Terms, β (those of terms with ψ' in the library's own units), τ and dead time.
+    dead_time_stderr_s : float
+        Standard error of the dead time in seconds; 0 if it was not fitted.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
         Of β and, last, τ.
     initial : ndarray of shape (n_segments,)
@@ -109,10 +106,7 @@ class Identified:
     """
 
     problem: LagProblem
-    selected: IndexArray
-    coefficients: FloatArray
-    time_constant_s: float
-    dead_time_s: float
+    model: FreeModel
     dead_time_stderr_s: float
     covariance: FloatArray
     initial: FloatArray
@@ -122,52 +116,6 @@ class Identified:
     inclusion: dict[str, float]
     weak: WeakLag | None
     knots: tuple[MovedKnot, ...]
-
-
-def silent_problem(
-    X: FloatArray,
-    y: FloatArray,
-    segments: Segments,
-    sample_period_s: float,
-    hold: Any,
-    terms: CandidateTerms,
-    columns: IndexArray,
-) -> LagProblem:
-    """Return the problem before anything is known of its noise.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        Inputs.
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the terms run between two samples.
-    terms : CandidateTerms
-        The library.
-    columns : ndarray of int
-        Its terms without ψ' that the data can tell apart.
-
-    Returns
-    -------
-    LagProblem
-        With all terms that hold ψ' behind them.
-    """
-    with_state = np.arange(terms.n_without_state, len(terms.names))
-    return LagProblem(
-        X,
-        y,
-        segments,
-        sample_period_s,
-        hold,
-        terms,
-        np.concatenate((columns, with_state)).astype(np.intp),
-        NoiseLevels(1.0, np.zeros(X.shape[1]), np.empty(0)),
-    )
 
 
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
@@ -296,9 +244,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     power = choose_power(*_colour_again(prepared.problem, found.fit))
     problem, fit = power.problem, power.fit
     rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
-    blocks = cycle_blocks(
-        problem.inputs[:, 0], problem.segments, problem.sample_period_s, _SHORTEST_BLOCK
-    )
+    blocks = cycle_blocks(problem.inputs[:, 0], problem.segments, _SHORTEST_BLOCK)
     runs = {
         tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks).rms
         for support, one in found.fits.items()
@@ -339,10 +285,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         state = FitState.OK
     return Identified(
         problem,
-        problem.columns[list(fit.support)],
-        fit.coefficients,
-        fit.time_constant_s,
-        fit.dead_time_s,
+        problem.model(fit.support, fit.coefficients, fit.time_constant_s, fit.dead_time_s),
         dead_time_stderr,
         covariance,
         _of_segments(problem, fit.initial),
@@ -387,19 +330,10 @@ def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) 
     """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
     if weak is None or not problem.holds_state(fit.support):
         return False
-    model = FreeModel(
-        problem.terms,
-        problem.columns[list(fit.support)],
-        fit.coefficients,
-        fit.time_constant_s,
-        fit.dead_time_s,
-        problem.sample_period_s,
-        problem.hold,
-        (float(problem.output.min()), float(problem.output.max())),
+    model = problem.model(
+        fit.support, fit.coefficients, fit.time_constant_s, problem.dead_time.seconds
     )
-    middle = problem.inputs.mean(axis=0, keepdims=True)
-    gain = float(model.gain(middle, np.array([problem.output.mean()]))[0])
-    local = fit.time_constant_s / (1.0 - gain)
+    local = fit.time_constant_s / (1.0 - problem.mean_gain(model))
     low, high = sorted((weak.reverse_s, weak.forward_s))
     return not low / _FAR_FROM_WEAK < local < high * _FAR_FROM_WEAK
 
@@ -454,10 +388,9 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
         return None
     return Identified(
         problem,
-        problem.columns[list(fit.support)],
-        fit.coefficients,
-        fit.time_constant_s,
-        problem.dead_time.seconds,
+        problem.model(
+            fit.support, fit.coefficients, fit.time_constant_s, problem.dead_time.seconds
+        ),
         0.0,
         fit.covariance,
         fit.initial,

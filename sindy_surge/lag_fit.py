@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.features import features
-from sindy_surge.free_run import Segments, run_lag
+from sindy_surge.free_run import run_lag
 from sindy_surge.lag_equations import (
     Equations,
     Point,
@@ -18,6 +18,7 @@ from sindy_surge.lag_equations import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
 
 __all__ = [

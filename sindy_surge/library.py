@@ -11,7 +11,7 @@ from pysindy.feature_library import ConcatLibrary, PolynomialLibrary
 from pysindy.feature_library.base import BaseFeatureLibrary, x_sequence_or_item
 from pysindy.utils import AxesArray
 
-from sindy_surge.free_run import Segments
+from sindy_surge.segments import Segments
 from sindy_surge.whitening import difference_noise
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

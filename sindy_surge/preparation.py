@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from sindy_surge.covariance import sandwich
-from sindy_surge.cycles import surge_period_s
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -21,6 +20,7 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import Support, beam_search
 from sindy_surge.weak_form import WeakLag, compensated_lag, weak_lag
 from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
@@ -143,7 +143,7 @@ def _weak(problem: LagProblem) -> WeakLag | None:
 
 
 def _surge_period_s(problem: LagProblem) -> float | None:
-    return surge_period_s(problem.inputs, problem.segments, problem.sample_period_s)
+    return surge_period_s(problem.inputs[:, 0], problem.segments, problem.sample_period_s)
 
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.covariance import jackknife_covariance, leave_out_moves
-from sindy_surge.free_run import Hold, Segments
 from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import HeldOutFit, with_held_out
 from sindy_surge.linear_problem import least_squares
+from sindy_surge.segments import Segments
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import Support, proposals
 from sindy_surge.trials import (
@@ -33,6 +33,7 @@ from sindy_surge.trials import (
 )
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
+from surge_core.lag import Hold
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["SparseRun", "select_on_free_run"]

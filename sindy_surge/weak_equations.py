@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sindy_surge.covariance import block_slices
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.segments import block_slices
 from sindy_surge.sparse_paths import Support
 from sindy_surge.weak_form import weak_centres, weak_lag, weak_rows
 from surge_core.types import FloatArray, IndexArray

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sindy_surge.free_run import Segments
+from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
 
 __all__ = [

@@ -29,7 +29,7 @@ from sindy_surge.closed_loop.structure import (
 )
 from sindy_surge.closed_loop.terms import StateTerms, surge_library
 from sindy_surge.closed_loop.windows import Supports, Windows
-from sindy_surge.free_run import Segments
+from sindy_surge.segments import Segments
 from sindy_surge.whitening import difference_noise
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

@@ -16,8 +16,8 @@ from sindy_surge.closed_loop.fit import (
 )
 from sindy_surge.closed_loop.terms import STATES, StateTerms
 from sindy_surge.closed_loop.windows import Supports, Windows
-from sindy_surge.free_run import Segments
 from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.segments import Segments
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import Support, proposals, support_chi2
 from sindy_surge.weak_form import weak_rows

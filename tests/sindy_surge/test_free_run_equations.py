@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from sindy_surge.covariance import leave_out_moves
-from sindy_surge.free_run import Segments
+from sindy_surge.segments import Segments
 from sindy_surge.free_run_equations import FreeRunEquations
 from sindy_surge.sparse_paths import support_chi2
 

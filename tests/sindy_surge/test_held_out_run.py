@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 
 from sindy_surge import InputError
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.cycles import cycle_blocks
-from sindy_surge.free_run import Segments
+from sindy_surge.segments import cycle_blocks
+from sindy_surge.segments import Segments
 from sindy_surge.held_out_run import HeldOutRun, held_out_rms, paired_difference
 from sindy_surge.lag_fit import fit_structure
 from sindy_surge.lag_problem import LagProblem
@@ -55,7 +55,7 @@ def _run(problem: LagProblem, support: tuple[int, ...] = QUADRATIC, folds: int =
 
 
 def _blocks(problem: LagProblem) -> list[slice]:
-    return cycle_blocks(problem.inputs, problem.segments, PERIOD_S, SHORTEST)
+    return cycle_blocks(problem.inputs[:, 0], problem.segments, SHORTEST)
 
 
 def _inside(problem: LagProblem, support: tuple[int, ...] = QUADRATIC) -> HeldOutRun:
