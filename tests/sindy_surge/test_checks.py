@@ -32,7 +32,7 @@ def test_what_is_not_finite_is_named_with_its_row(value: float, word: str, where
         ({"n_bootstrap": -1}, "n_bootstrap"),
         ({"n_bootstrap": 1.5}, "n_bootstrap"),
         ({"max_terms": True}, "max_terms"),
-        ({"sample_period_s": True}, "sample_period_s"),
+        ({"sample_period_s": 0.0}, "sample_period_s"),
         ({"constraints": {"psi": "required"}}, "constraints"),
     ],
 )

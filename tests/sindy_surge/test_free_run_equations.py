@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from sindy_surge.covariance import leave_out_moves
-from sindy_surge.segments import Segments
 from sindy_surge.free_run_equations import FreeRunEquations
+from sindy_surge.segments import Segments
 from sindy_surge.sparse_paths import support_chi2
 
 from .conftest import PERIOD_S, TAU_S, lag

@@ -11,11 +11,10 @@ from scipy.signal import lfilter
 
 from sindy_surge import InputError
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.segments import cycle_blocks
-from sindy_surge.segments import Segments
 from sindy_surge.held_out_run import HeldOutRun, held_out_rms, paired_difference
 from sindy_surge.lag_fit import fit_structure
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.segments import Segments, cycle_blocks
 from sindy_surge.whitening import NoiseLevels
 
 from .conftest import CURVES, PERIOD_S, TAU_S, lag

@@ -11,11 +11,10 @@ from scipy.stats import norm
 
 from sindy_surge import InputError
 from sindy_surge.candidate_terms import CandidateTerms, independent_columns
-from sindy_surge.segments import cycle_blocks
-from sindy_surge.segments import Segments
 from sindy_surge.inclusion import Inclusion, inclusion_probabilities
 from sindy_surge.lag_fit import WhiteEquations, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.segments import Segments, cycle_blocks
 from sindy_surge.selection import information_penalty
 from sindy_surge.whitening import NoiseLevels
 
@@ -102,7 +101,7 @@ def test_true_terms_are_in_and_absent_ones_are_not(surge: Callable[..., Any], cu
         truth = tuple(sorted(names.index(name) for name in TERMS[curve]))
         equations = white_equations(problem, fit_structure(problem, truth, TAU_S))
         penalty = information_penalty(equations.target.size, usable.size)
-        blocks = cycle_blocks(inputs, whole, 36)
+        blocks = cycle_blocks(inputs[:, 0], whole, 36)
         found = _resampled(equations, blocks, penalty_per_term=penalty)
         assert found.terms.shape == usable.shape
         assert found.terms[list(truth)].min() >= 0.9
