@@ -105,7 +105,7 @@ def run_pysindy(record: Record) -> None:
 def run_weak_rows(record: Record) -> None:
     """Set up the weak equations of one test function."""
     from sindy_surge.segments import Segments
-    from sindy_surge.weak_form import weak_rows
+    from sindy_surge.weak import weak_rows
 
     runs = Segments.from_labels(None, record.phi.size)
     weak_rows(record.psi_p, terms_of(record), runs, HALF_WIDTH, PERIOD_S)
@@ -114,7 +114,7 @@ def run_weak_rows(record: Record) -> None:
 def run_weak_lag(record: Record) -> None:
     """Estimate τ by weak regression in both directions."""
     from sindy_surge.segments import Segments
-    from sindy_surge.weak_form import weak_lag
+    from sindy_surge.weak import weak_lag
 
     runs = Segments.from_labels(None, record.phi.size)
     weak_lag(record.psi_p, terms_of(record), runs, PERIOD_S)

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from sindy_surge.constraints import Constraints
-from sindy_surge.covariance import jackknife_covariance, leave_out_moves
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import jackknife_covariance, leave_out_moves, unit_norms
 from sindy_surge.preparation import Prepared
+from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import Support, proposals
 from sindy_surge.trials import (
@@ -24,8 +25,7 @@ from sindy_surge.trials import (
     polynomial_ladder,
     special_structures,
 )
-from sindy_surge.weak_equations import WeakEquations, blocks_for
-from sindy_surge.weak_form import MIN_HALF_WIDTH
+from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
 from surge_core.types import FloatArray
 
 __all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out", "with_held_out"]
@@ -166,14 +166,15 @@ def select_by_held_out(
 
 
 def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
+    """Return the blocks to leave out, each scored on the equations centred in it."""
     centres, reach = weak.centres, weak.half_width
-    return [
-        Block(
-            np.flatnonzero((centres > rows.start - reach) & (centres < rows.stop - 1 + reach)),
-            inside,
-        )
-        for rows, inside in blocks_for(problem, weak)
-    ]
+    blocks = []
+    for rows in block_slices(problem.segments, 2 * reach + 1):
+        own = np.flatnonzero((centres >= rows.start) & (centres < rows.stop))
+        touched = (centres > rows.start - reach) & (centres < rows.stop - 1 + reach)
+        if own.size:
+            blocks.append(Block(np.flatnonzero(touched), own))
+    return blocks
 
 
 def with_held_out(
@@ -238,8 +239,7 @@ def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
     Cycles that repeat an error agree about it, and their scatter says nothing of its size. The
     information is that of one cycle, however many there are.
     """
-    norms = np.linalg.norm(design, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(design)
     scaled = design / norms
     bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
     total = float(residual @ residual) / _EQUATIONS_IN_CYCLE

@@ -10,10 +10,8 @@ import numpy as np
 
 from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
-from sindy_surge.covariance import sandwich
 from sindy_surge.free_model import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
-from sindy_surge.held_out_run import held_out_rms
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
@@ -29,7 +27,8 @@ from sindy_surge.segments import cycle_blocks
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
-from sindy_surge.weak_form import WeakLag
+from sindy_surge.uncertainty import held_out_rms, sandwich
+from sindy_surge.weak import WeakLag
 from sindy_surge.whitening import autoregression
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
@@ -246,7 +245,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
     blocks = cycle_blocks(problem.inputs[:, 0], problem.segments, _SHORTEST_BLOCK)
     runs = {
-        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks).rms
+        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks)
         for support, one in found.fits.items()
         if one.converged
     }
@@ -265,7 +264,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
             rng=np.random.default_rng(choices.seed),
             required=search.constraints.required,
         )
-        inclusion = dict(zip(names, shares.terms.tolist(), strict=True))
+        inclusion = dict(zip(names, shares.tolist(), strict=True))
     covariance = _covariance(problem, fit, search.knots)
     dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.dead_time.fitted else 0.0
     wanted = [*range(len(fit.support)), -1]

@@ -47,7 +47,10 @@ class LinearProblem:
 
 
 def without_nuisances(
-    nuisances: FloatArray, columns: FloatArray, target: FloatArray
+    nuisances: FloatArray,
+    columns: FloatArray,
+    target: FloatArray,
+    n_equations: int | None = None,
 ) -> LinearProblem:
     """Project out what is estimated beside the terms, and compress by QR.
 
@@ -59,6 +62,8 @@ def without_nuisances(
         Every usable term.
     target : ndarray of shape (n_rows,)
         What the terms have to explain.
+    n_equations : int or None
+        Number of equations that the rows stand for; None takes one each.
 
     Returns
     -------
@@ -76,7 +81,8 @@ def without_nuisances(
     left = np.linalg.norm(terms, axis=0)
     left[left < 1e-12] = 1.0
     outside = float(goal[rank:] @ goal[rank:])
-    return LinearProblem(terms[:rank] / left, goal[:rank], norms[n:-1] * left, outside, target.size)
+    count = target.size if n_equations is None else n_equations
+    return LinearProblem(terms[:rank] / left, goal[:rank], norms[n:-1] * left, outside, count)
 
 
 def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from sindy_surge.covariance import sandwich
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -22,7 +21,8 @@ from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import Support, beam_search
-from sindy_surge.weak_form import WeakLag, compensated_lag, weak_lag
+from sindy_surge.uncertainty import sandwich
+from sindy_surge.weak import WeakLag, compensated_lag, weak_lag
 from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

@@ -11,7 +11,7 @@ import numpy as np
 
 from sindy_surge.selection import PathRow
 from sindy_surge.text import FUNCTIONS, EquationParts, write_equation
-from sindy_surge.weak_form import WeakLag
+from sindy_surge.weak import WeakLag
 from surge_core.display import Field, Grid, Sheet
 from surge_core.fit_state import FitState
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sindy_surge.covariance import leave_out_moves
+from sindy_surge.leave_out import leave_out_moves
 from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.sparse_paths import Support, support_chi2
 from surge_core.types import FloatArray, IndexArray

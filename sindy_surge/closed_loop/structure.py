@@ -20,7 +20,7 @@ from sindy_surge.linear_problem import LinearProblem
 from sindy_surge.segments import Segments
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import Support, proposals, support_chi2
-from sindy_surge.weak_form import weak_rows
+from sindy_surge.weak import weak_rows
 from surge_core.types import FloatArray
 
 __all__ = ["StructureRow", "WeakStructure", "settle_structure", "weak_structure"]

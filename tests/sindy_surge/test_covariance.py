@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from sindy_surge.covariance import jackknife_covariance, leave_out_moves
+from sindy_surge.leave_out import jackknife_covariance, leave_out_moves
 from sindy_surge.segments import Segments, block_slices
 
 TRUE = np.array([1.0, -2.0, 0.5])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from sindy_surge.covariance import leave_out_moves
 from sindy_surge.free_run_equations import FreeRunEquations
+from sindy_surge.leave_out import leave_out_moves
 from sindy_surge.segments import Segments
 from sindy_surge.sparse_paths import support_chi2
 

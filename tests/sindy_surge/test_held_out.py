@@ -14,7 +14,7 @@ from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.segments import Segments
 from sindy_surge.sparse_paths import support_chi2
-from sindy_surge.weak_equations import WeakEquations
+from sindy_surge.weak import WeakEquations
 from sindy_surge.whitening import NoiseLevels
 
 from .conftest import PERIOD_S, TAU_S, lag, relaxation_wave
