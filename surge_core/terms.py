@@ -26,4 +26,5 @@ def pretty_term(term: str) -> str:
     term = " ".join(term.split())
     for name, symbol in _GREEK.items():
         term = re.sub(rf"\b{name}\b", symbol, term)
+    term = re.sub(r"sqrt\(([φψΨ])\)", r"√\1", term)
     return re.sub(r"\^(-?\d+)(?![\d.])", lambda m: m.group(1).translate(_SUPERSCRIPTS), term)

@@ -10,13 +10,12 @@ import numpy as np
 
 from sindy_surge.closed_loop.fit import (
     JointFit,
-    compressed,
     fit_jointly,
     library_equations,
 )
 from sindy_surge.closed_loop.terms import STATES, StateTerms
 from sindy_surge.closed_loop.windows import Supports, Windows
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, without_nuisances
 from sindy_surge.segments import Segments
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import Support, proposals, support_chi2
@@ -119,7 +118,7 @@ def weak_structure(
     change, _, columns = weak_rows(
         record[:, equation], terms.values(record), whole, half_width, sample_period_s
     )
-    linear = compressed(columns, change)
+    linear = without_nuisances(columns[:, :0], columns, change)
     n_independent = len(record) / half_width
     penalty = information_penalty(round(n_independent), len(terms))
     floor = _QUADRATURE**2 * float(change @ change)
