@@ -23,11 +23,6 @@ _WIDE_GAP = 0.3
 def check_parameters(estimator: Any) -> None:
     """Refuse parameters of `SparseLagRegressor` that cannot be used.
 
-    Parameters
-    ----------
-    estimator : SparseLagRegressor
-        Its parameters are read.
-
     Raises
     ------
     InputError
@@ -55,11 +50,6 @@ def check_parameters(estimator: Any) -> None:
 
 def refuse_not_finite(X: Any, y: Any) -> None:
     """Name the first row that holds NaN or an infinite value.
-
-    Parameters
-    ----------
-    X, y : array-like
-        Inputs and ψ'; what is no array of floats is left to scikit-learn.
 
     Raises
     ------
@@ -102,20 +92,7 @@ def is_constant(values: FloatArray) -> bool:
 
 
 def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
-    """Say what a user should know before the numbers are used.
-
-    Parameters
-    ----------
-    found : Identified
-        The result of a search.
-    state : FitState
-        What became of the fit.
-
-    Returns
-    -------
-    tuple of str
-        Sentences.
-    """
+    """Say what a user should know before the numbers are used."""
     problem, dead_time_s = found.problem, found.model.lag.dead_time_s
     sentences = [] if state is FitState.OK else [state.advice]
     lost = problem.segments.starts.size - int(np.count_nonzero(problem.usable.segments.lengths > 1))

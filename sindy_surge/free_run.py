@@ -73,15 +73,8 @@ def run_lag(
         Drive of each row; that of a segment's first row is not used.
     segments : Segments
         The runs of rows.
-    pole : float
-        exp(-h/τ).
     initial : ndarray of shape (n_segments,) or None
         State at the first row of each segment; None starts every run at zero.
-
-    Returns
-    -------
-    ndarray
-        The states, in the shape of `drive`.
     """
     from scipy.signal import lfilter
 
@@ -105,15 +98,8 @@ def simulate(
         ψ'_QS at the samples, or the basis functions, each run alone.
     segments : Segments
         The runs of rows.
-    lag : FirstOrderLag
-        The lag, without dead time.
     initial : ndarray of shape (n_segments,) or None
         State at the first row of each segment; None starts every run at zero.
-
-    Returns
-    -------
-    ndarray
-        The states, in the shape of `forcing`.
     """
     drive = lag.gain_now * forcing
     drive[1:] += lag.gain_before * forcing[:-1]

@@ -115,11 +115,6 @@ class FreeRunEquations:
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Fit some terms and τ.
 
-        Parameters
-        ----------
-        support : tuple of int
-            Positions of the terms.
-
         Returns
         -------
         parameters : ndarray of shape (n_support + 1,)
@@ -133,18 +128,7 @@ class FreeRunEquations:
         return found.parameters, found.design, found.residual
 
     def solve(self, support: Support) -> FreeRunFit:
-        """Fit some terms and τ, and keep all that goes with it.
-
-        Parameters
-        ----------
-        support : tuple of int
-            Positions of the terms.
-
-        Returns
-        -------
-        FreeRunFit
-            The fit.
-        """
+        """Fit some terms and τ, and keep all that goes with it."""
         values = self._values(support)
         tau = self._end(values, self._scanned(support))
         solution, joint, residual, initial = self._at(values, tau)
@@ -180,18 +164,7 @@ class FreeRunEquations:
         return np.where(own, left, 0.0)
 
     def linear(self, about: Support) -> LinearProblem:
-        """Return the regression on all terms about one fit, nuisances and τ projected out.
-
-        Parameters
-        ----------
-        about : tuple of int
-            The structure about whose fit to linearise.
-
-        Returns
-        -------
-        LinearProblem
-            For the optimizers.
-        """
+        """Return the regression on all terms about one fit, nuisances and τ projected out."""
         fit = self.solve(about)
         n = self.nuisance.shape[1]
         stacked = self._stacked(self._hold(fit.parameters[-1]), self._all_values)
@@ -208,11 +181,6 @@ class FreeRunEquations:
             Number of the cycle of each row.
         time_constant_s : float
             τ in seconds: no cycle is cut into parts of fewer than two of it.
-
-        Returns
-        -------
-        list of ndarray of int
-            A short cycle whole, a long stretch in parts.
         """
         numbers = self.run * (int(np.ptp(cycles)) + 1) + (cycles - cycles.min())[self.scored]
         within = Segments.from_labels(numbers, self.scored.size)

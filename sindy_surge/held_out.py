@@ -51,8 +51,6 @@ def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
 
     Parameters
     ----------
-    prepared : Prepared
-        With the excess of the fit of all terms, and the colour of its rest.
     consistent : bool
         Whether a structure stands against all others.
 
@@ -119,12 +117,6 @@ def select_by_held_out(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
-        What proposes the other structures, on the weak equations.
-    max_terms : int
-        Largest structure considered.
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
     constraints : Constraints or None
@@ -180,22 +172,7 @@ def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
 def with_held_out(
     path: Sequence[PathRow], fit: HeldOutFit, names: Sequence[str]
 ) -> tuple[PathRow, ...]:
-    """Add the structures tried on rows left out to the table of structures.
-
-    Parameters
-    ----------
-    path : sequence of PathRow
-        The table so far; nothing in it stays chosen.
-    fit : HeldOutFit
-        The structures tried, and the one chosen.
-    names : sequence of str
-        Names of the usable terms.
-
-    Returns
-    -------
-    tuple of PathRow
-        By size, and within a size by held-out error.
-    """
+    """Add the structures tried on rows left out to the table of structures."""
     rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
     for support, (rms, tau) in fit.tried.items():
         terms = tuple(names[i] for i in support)

@@ -118,22 +118,7 @@ class Identified:
 
 
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
-    """Search the structure of a record and estimate its parameters.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    choices : Choices
-        What the user decides.
-    input_names : sequence of str
-        Names of the inputs.
-
-    Returns
-    -------
-    Identified
-        The structure.
-    """
+    """Search the structure of a record and estimate its parameters."""
     search = _searched(problem, choices, input_names)
     if choices.dead_time == "auto" and search.prepared.problem.dead_time.fitted:
         search = _simpler(search, _searched(problem, _on_time(choices, search), input_names))

@@ -45,21 +45,9 @@ def inclusion_probabilities(
 
     Parameters
     ----------
-    equations : WhiteEquations
-        The whitened equations about one fit.
     blocks : sequence of slice
         Rows of the record, from `segments.cycle_blocks`. Their order does not matter; equations of
         rows in none of them are not used.
-    max_terms : int
-        Largest structure.
-    penalty_per_term : float
-        From `select.information_penalty`.
-    n_resamples : int
-        Number of resamples.
-    rng : numpy.random.Generator
-        Source of the draws.
-    required : sequence of int
-        Terms that every structure holds.
 
     Returns
     -------

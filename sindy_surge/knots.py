@@ -61,15 +61,6 @@ def moved_knots(
     pays for each twice, for the term and for its knot. The best one is fitted by itself while
     its knots move.
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The best structure on the grid.
-    required : tuple of int
-        Terms that every structure holds.
-
     Returns
     -------
     tuple of MovedKnot
@@ -166,22 +157,7 @@ def _fine_grid(problem: LagProblem) -> list[Hinge]:
 
 
 def with_hinges(problem: LagProblem, hinges: Sequence[Hinge]) -> tuple[LagProblem, dict[int, int]]:
-    """Widen the library of a problem by hinges.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    hinges : sequence of (int, float)
-        Input and knot of each.
-
-    Returns
-    -------
-    wide : LagProblem
-        With the hinges behind its terms of the inputs; they take the place of such added before.
-    place : dict of int to int
-        New position of every usable term.
-    """
+    """Widen the library of a problem by hinges."""
     terms = problem.terms.with_hinges(hinges)
     edge, n_new = problem.terms.n_without_state, len(hinges)
     grown = terms.n_without_state - edge
@@ -267,15 +243,6 @@ def _round_within(value: float, stderr: float) -> float:
 
 def knot_columns(problem: LagProblem, fit: StructureFit, knots: Sequence[MovedKnot]) -> FloatArray:
     """Return the whitened derivatives of a fit with respect to its moved knots.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data; the hinges are the last of its terms of the inputs.
-    fit : StructureFit
-        The fit.
-    knots : sequence of MovedKnot
-        All hinges that were added to the library.
 
     Returns
     -------

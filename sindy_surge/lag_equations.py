@@ -67,17 +67,10 @@ def start_point(problem: LagProblem, tau_s: float, coefficients: FloatArray) -> 
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
     tau_s : float
         τ in seconds.
     coefficients : ndarray of shape (n_support,)
         β.
-
-    Returns
-    -------
-    Point
-        Without a simulated ψ' yet.
     """
     first = problem.usable.rows[problem.usable.segments.starts]
     return Point(
@@ -139,22 +132,6 @@ def equations_about(
 
     With e the error of the free run and D n the noise of φ in ψ'_QS, A e = A v - B D n. A is
     the recursion of the lag, linearised about the simulated ψ' where terms hold ψ'.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    support : tuple of int
-        Positions of the terms in the model.
-    point : Point
-        Where.
-    whole : bool
-        Evaluate the whole library, terms with ψ' too, even where the model has none.
-
-    Returns
-    -------
-    Equations
-        Not yet whitened.
     """
     usable = problem.usable
     later, at = usable.later, usable.rows[usable.later]
@@ -198,15 +175,6 @@ def equations_about(
 
 def free_run(problem: LagProblem, support: tuple[int, ...], point: Point) -> FloatArray:
     """Return the simulated ψ' of a structure at one point.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    support : tuple of int
-        Positions of the terms in the model.
-    point : Point
-        Its parameters; of the inputs its estimated noise is taken off.
 
     Returns
     -------
@@ -407,15 +375,6 @@ def noise_in_inputs(problem: LagProblem, eq: Equations, point: Point) -> FloatAr
 
     Five standard deviations at most: a structure that is far off blames more on its inputs than
     any noise can do, and the terms would be evaluated outside their range.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    eq : Equations
-        The equations about `point`.
-    point : Point
-        Supplies τ and the dead time.
 
     Returns
     -------

@@ -125,23 +125,12 @@ def fit_structure(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
-    support : tuple of int
-        Positions of the terms within the usable columns.
     tau_s : float
         Start value of τ in seconds.
     beta : ndarray of shape (n_support,) or None
         Start values of the coefficients; None solves for them first (terms without ψ' only).
-    max_steps : int
-        Most Gauss-Newton steps.
     near : StructureFit or None
         A fit of the same problem to start from: its dead time and its simulated ψ'.
-
-    Returns
-    -------
-    StructureFit
-        The fit; `converged` says whether it ended by itself.
     """
     tau = _bounded(problem, tau_s)
     if beta is None:
@@ -214,17 +203,8 @@ def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
 
     Parameters
     ----------
-    problem : LagProblem
-        Supplies the bounds.
-    point : Point
-        Where the step begins.
     change : ndarray of shape (n_parameters,)
         The step, in the order of `StructureFit.sensitivity`.
-
-    Returns
-    -------
-    Point
-        With the same estimated noise of the inputs.
     """
     size = point.coefficients.size
     move = dict(zip(_nuisances(problem), change[size:].tolist(), strict=True))
@@ -257,13 +237,6 @@ def information(problem: LagProblem, fit: StructureFit) -> FloatArray:
     The whitened derivatives alone hold the estimated noise of φ still. It moves with the
     parameters, so that less is known of them: at 5 % noise the errors of a reverse-flow branch
     came out a quarter too small.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The fit.
 
     Returns
     -------
@@ -340,20 +313,7 @@ class WhiteEquations:
 
 
 def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
-    """Set up the whitened equations of the whole library about one fit.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The fit about which to linearise: its τ, its slopes and its estimate of the input noise.
-
-    Returns
-    -------
-    WhiteEquations
-        One column for each usable term.
-    """
+    """Set up the whitened equations of the whole library about one fit."""
     eq = equations_about(problem, fit.support, fit.point, whole=True)
     target = eq.residual + eq.raw_columns[:, list(fit.support)] @ fit.coefficients
     nuisances = [getattr(eq, name) for name in reversed(_nuisances(problem))]
@@ -370,20 +330,7 @@ def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
 
 
 def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
-    """Set up the regression on the whole library about one fit, whitened and compressed.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        See `white_equations`.
-
-    Returns
-    -------
-    LinearProblem
-        Whitened and compressed.
-    """
+    """Set up the regression on the whole library about one fit, whitened and compressed."""
     return white_equations(problem, fit).compressed()
 
 
@@ -394,8 +341,6 @@ def output_error(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
     values : ndarray of shape (n_rows, n_terms)
         Terms at the measured inputs.
     tau : float
@@ -405,8 +350,6 @@ def output_error(
 
     Returns
     -------
-    cost : float
-        Residual sum of squares.
     beta : ndarray of shape (n_terms,)
         Coefficients.
     """
@@ -431,8 +374,6 @@ def scan_lag(problem: LagProblem, extra_s: tuple[float, ...] = ()) -> float:
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
     extra_s : tuple of float
         Further values to try, in seconds (the weak form's).
 

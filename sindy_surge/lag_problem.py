@@ -172,11 +172,6 @@ class LagProblem:
         ----------
         values : ndarray of shape (n_rows,) or (n_rows, n_columns)
             Signals of the record.
-
-        Returns
-        -------
-        ndarray
-            The same shape; beyond a segment's ends its first or last value.
         """
         samples = self.dead_time.seconds / self.sample_period_s
         if samples == 0.0:

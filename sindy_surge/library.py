@@ -91,8 +91,6 @@ class Powers(PolynomialLibrary):
         ----------
         x : ndarray of shape (n_rows, n_inputs)
             The inputs.
-        wanted : sequence of int
-            Positions of the terms.
 
         Returns
         -------
@@ -222,20 +220,7 @@ class StallLibrary(ConcatLibrary):
 
 
 def hinge_name(name: str, knot: float) -> str:
-    """Return the name of max(φ - k, 0), e.g. ``relu(phi-0.05)``.
-
-    Parameters
-    ----------
-    name : str
-        Name of the input.
-    knot : float
-        k.
-
-    Returns
-    -------
-    str
-        The name.
-    """
+    """Return the name of max(φ - k, 0), e.g. ``relu(phi-0.05)``."""
     if knot == 0:
         return f"relu({name})"
     return f"relu({name}{'-' if knot > 0 else '+'}{abs(knot):.12g})"

@@ -76,17 +76,8 @@ def prepare(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data; its noise levels and dead time are replaced.
     dead_time : float, "fit" or "auto"
         The dead time in seconds, or whether to fit it: always, or where it shows.
-    required : tuple of int
-        Terms that must not be dropped, however many there are.
-
-    Returns
-    -------
-    Prepared
-        With noise levels, and their colour if the whitened residual has any.
     """
     given = 0.0 if isinstance(dead_time, str) else float(dead_time)
     problem = problem.with_dead_time(given, False)
@@ -148,13 +139,6 @@ def _surge_period_s(problem: LagProblem) -> float | None:
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     """Estimate τ of a structure in the weak form: forward, reverse, and with the noise taken off.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data, with noise levels and dead time.
-    support : tuple of int
-        Positions of the terms; those with ψ' are left out, for the weak form has no simulated ψ'.
 
     Returns
     -------

@@ -104,20 +104,7 @@ class Selection:
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:
-    """Return what one more term must gain in χ²: ln N + 2 γ ln p.
-
-    Parameters
-    ----------
-    n_equations : int
-        Number of equations N.
-    n_terms : int
-        Number of candidates p.
-
-    Returns
-    -------
-    float
-        The penalty of one term.
-    """
+    """Return what one more term must gain in χ²: ln N + 2 γ ln p."""
     return float(np.log(max(n_equations, 2)) + 2 * _GAMMA * np.log(max(n_terms, 2)))
 
 
@@ -233,23 +220,8 @@ def select_structure(
 
     Parameters
     ----------
-    prepared : Prepared
-        From `prepare`.
-    optimizer : str or pysindy optimizer
-        See `sindy_surge.sparse_paths.proposed_supports`.
-    max_terms : int
-        Largest structure considered.
-    names : sequence of str
-        Names of the usable terms, for the table.
     degrees : sequence of int or None
         Their degrees; None for those that are no polynomials of the inputs. For the tie rule.
-    constraints : Constraints
-        What is known of the terms beforehand.
-
-    Returns
-    -------
-    Selection
-        The choice and the table.
     """
     problem, rich = prepared.problem, prepared.rich
     about = linearise(problem, rich)

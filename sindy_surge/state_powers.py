@@ -43,18 +43,6 @@ def choose_power(problem: LagProblem, fit: StructureFit) -> PowerChoice:
     About its centre c, ψ'³ is 3c ψ'² - 3c² ψ' + c³ and a small cubic rest: the search in
     z = (ψ' - c)/s finds z² for either. The two models part only in the rest, and in τ, for
     each leaves another share of ψ' to the lag.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The structure found.
-
-    Returns
-    -------
-    PowerChoice
-        Unchanged unless the structure holds exactly one of the two, centred.
     """
     states = problem.terms.states
     same = PowerChoice(problem, fit, None)

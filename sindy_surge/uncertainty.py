@@ -33,10 +33,6 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
 
     Parameters
     ----------
-    problem : LagProblem
-        Supplies the sample period.
-    fit : StructureFit
-        The fit.
     known : ndarray of shape (n_sensitivities, n_sensitivities) or None
         Information H in the order of the columns of `fit.sensitivity`, from
         `lag_fit.information`; None takes that of the whitened equations.
@@ -87,10 +83,6 @@ def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The structure, fitted to all of it.
     blocks : sequence of slice
         Rows of the record, none across two segments, from `segments.cycle_blocks`.
 

@@ -125,8 +125,6 @@ def weak_rows(
         The candidate terms.
     segments : Segments
         The runs of rows.
-    half_width : int
-        Half width m in samples.
     sample_period_s : float
         Sample period in seconds.
 
@@ -168,8 +166,6 @@ def weak_centres(segments: Segments, half_width: int) -> IndexArray:
     ----------
     segments : Segments
         The runs of rows.
-    half_width : int
-        Half width m in samples.
 
     Returns
     -------
@@ -259,12 +255,8 @@ def compensated_lag(
         Their derivatives with respect to each input.
     segments : Segments
         The runs of rows.
-    half_width : int
-        Half width m in samples.
     sample_period_s : float
         Sample period in seconds.
-    output_noise : float
-        Standard deviation of the white noise of ψ'.
     input_noise : ndarray of shape (n_inputs,)
         Those of the inputs.
 
@@ -331,8 +323,6 @@ class WeakEquations:
 
         Parameters
         ----------
-        problem : LagProblem
-            The data.
         half_width : int or None
             Half width in samples; None takes two time constants.
 
@@ -359,11 +349,6 @@ class WeakEquations:
 
         dψ'/dt stands on the right, so that what is left is an error of ψ'. Put the other way
         round, τ came out 5 to 20 ms too high on records of the simulated rig.
-
-        Parameters
-        ----------
-        support : tuple of int
-            Positions of the terms.
 
         Returns
         -------

@@ -200,23 +200,12 @@ def refine_noise(
     ----------
     residual : ndarray of shape (n_equations,)
         A e of a fit with all terms.
-    taps : DelayedLag
-        Of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
-    guess : NoiseLevels
-        From fourth differences.
     segments : Segments
         The runs of usable rows.
     rows : ndarray of int of shape (n_usable,)
         Their rows in the record.
-    output_scale : float
-        Standard deviation of ψ', for the floor.
-
-    Returns
-    -------
-    NoiseLevels
-        White levels (no colour).
     """
     from scipy.optimize import minimize_scalar
 
@@ -259,19 +248,8 @@ def floored(
 
     Parameters
     ----------
-    noise : NoiseLevels
-        The noise.
-    pole : float
-        exp(-h/τ) of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
-    output_scale : float
-        Standard deviation of ψ'.
-
-    Returns
-    -------
-    NoiseLevels
-        With `output` raised if need be.
     """
     carried = float((noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0).mean())
     # A first-order lag passes white noise with the variance (1 - a)/(1 + a).
@@ -289,8 +267,6 @@ def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> Flo
         Whitened residual.
     groups : Segments
         The runs of its rows; sums run over all, none reaches across.
-    largest : int
-        Highest order tried; also at most a tenth of the median run.
 
     Returns
     -------

@@ -149,21 +149,10 @@ def fit_jointly(
 
     Parameters
     ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    supports : tuple of three tuples of int
-        The terms of each equation.
     coefficients : ndarray of shape (n_coefficients,)
         First values.
     starts : ndarray of shape (n_windows, 3)
         First values of the windows' first states.
-
-    Returns
-    -------
-    JointFit
-        The fit; `converged` says whether it ended by itself.
     """
 
     def trial(coefficients: FloatArray, starts: FloatArray) -> JointFit:
@@ -205,17 +194,6 @@ def library_equations(
     Its target is what the fit leaves plus what its own terms explain, so that the fit's own
     support returns the fit's coefficients.
 
-    Parameters
-    ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    allowed : tuple of three tuples of int
-        The terms that each equation may have.
-    fit : JointFit
-        The fit.
-
     Returns
     -------
     LinearProblem or None
@@ -241,15 +219,6 @@ def coefficient_covariance(windows: Windows, library: StateTerms, fit: JointFit)
 
     H⁻¹ M H⁻¹ with M the Newey-West sum of the scores within each window: the inverse
     information alone is too small where the residual is not white.
-
-    Parameters
-    ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    fit : JointFit
-        The fit.
 
     Returns
     -------

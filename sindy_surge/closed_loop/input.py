@@ -43,8 +43,6 @@ def read_record(
     -------
     record : ndarray of shape (n_rows, 2 or 3)
         The channels.
-    sample_period_s : float
-        The sample period.
 
     Raises
     ------
@@ -98,11 +96,6 @@ def record_cycles(record: FloatArray, sample_period_s: float) -> Cycles:
     sample_period_s : float
         Sample period in seconds.
 
-    Returns
-    -------
-    Cycles
-        The measures.
-
     Raises
     ------
     InputError
@@ -145,13 +138,6 @@ def half_width_samples(phi: FloatArray, period_samples: float) -> int:
     ----------
     phi : ndarray of shape (n_rows,)
         Flow coefficient.
-    period_samples : float
-        Period of the cycles in samples.
-
-    Returns
-    -------
-    int
-        Half width in samples, at least 4.
     """
     most = max(round(period_samples / _MOST_SHARE), _LEAST_HALF_WIDTH)
     half = np.ptp(phi) / 2
@@ -176,15 +162,11 @@ def hidden_plenum(
         φ and ψ'.
     sample_period_s : float
         Sample period in seconds.
-    half_width : int
-        Half width of the test functions in samples.
 
     Returns
     -------
     plenum : ndarray of shape (n_rows,)
         Ψ in the unit of ψ', smoothed.
-    gain_per_s : float
-        a.
 
     Raises
     ------

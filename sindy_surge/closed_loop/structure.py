@@ -95,23 +95,8 @@ def weak_structure(
     ----------
     record : ndarray of shape (n_rows, 3)
         φ, ψ' and Ψ.
-    library : StateTerms
-        The candidate terms.
-    allowed : tuple of int
-        Positions of the terms that this equation may have.
-    equation : int
-        0 for dφ/dt, 1 for dψ'/dt, 2 for dΨ/dt.
-    half_width : int
-        Half width of the test function in samples.
     sample_period_s : float
         Sample period in seconds.
-    max_terms : int
-        Largest number of terms.
-
-    Returns
-    -------
-    WeakStructure
-        The choice.
     """
     terms = library.subset(allowed)
     whole = Segments.from_labels(None, len(record))
@@ -149,23 +134,8 @@ def settle_structure(
     differ by up to two terms dropped and one added are scored there. The best is fitted, and
     taken if its extended BIC is less indeed.
 
-    Parameters
-    ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    allowed : tuple of three tuples of int
-        Positions of the terms that each equation may have.
-    fit : JointFit
-        The first structure, fitted.
-    max_terms : int
-        Largest number of terms of one equation.
-
     Returns
     -------
-    fit : JointFit
-        The structure that stands.
     rows : tuple of StructureRow
         What was fitted on the way.
     settled : bool
