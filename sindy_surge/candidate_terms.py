@@ -1,4 +1,4 @@
-"""The candidate terms of a fit, and which of them its data can tell apart."""
+"""The candidate terms of a fit, and which of them its data can separate."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def refuse_not_finite(X: Any, y: Any) -> None:
                 name,
                 expected="finite values",
                 found=f"{first} in row {row} ({int(bad.sum())} such values in all)",
-                remedy="leave those rows out and number the `segments` anew behind each",
+                remedy="leave those rows out and number the `segments` again behind each",
             )
 
 

@@ -75,7 +75,7 @@ def constraints_of(
             if name not in position:
                 raise InputError(
                     "constraints",
-                    expected=f"{name!r} to be told apart from the other terms by the data",
+                    expected=f"{name!r} to be separable from the other terms by the data",
                     found="a term that is zero or a sum of others over this record",
                     remedy="forbid one of those, or leave the requirement out",
                 )

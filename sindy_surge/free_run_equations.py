@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from sindy_surge.free_run import simulate
-from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
 from sindy_surge.segments import Segments, block_slices
-from sindy_surge.sparse_paths import Support
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
@@ -18,7 +17,7 @@ __all__ = ["FreeRunEquations", "FreeRunFit"]
 
 
 _SHORTEST_SAMPLES = 0.1
-# A lag three times the longest run cannot be told from an integrator.
+# A lag three times the longest run looks like an integrator.
 _LONGEST_RUNS = 3.0
 _SCAN_POINTS = 32
 _MOST_STEPS = 10

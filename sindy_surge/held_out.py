@@ -12,10 +12,11 @@ from sindy_surge.constraints import Constraints
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.leave_out import jackknife_covariance, leave_out_moves, unit_norms
+from sindy_surge.linear_problem import Support
 from sindy_surge.preparation import Prepared
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import Support, proposals
+from sindy_surge.sparse_paths import proposals
 from sindy_surge.trials import (
     FEWEST_BLOCKS,
     Block,

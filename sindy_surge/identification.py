@@ -22,10 +22,10 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.linear_problem import Support
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.segments import cycle_blocks
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
-from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
 from sindy_surge.uncertainty import held_out_rms, sandwich
 from sindy_surge.weak import WeakLag
@@ -285,7 +285,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
 def _explains(equations: WhiteEquations, support: Support) -> bool:
     """Return whether a structure is worth its terms against none at all."""
     linear = equations.compressed()
-    gain = support_chi2(linear, ()) - support_chi2(linear, support)
+    gain = linear.chi2(()) - linear.chi2(support)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
     return gain / linear.variance > penalty * len(support)
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sindy_surge.lag_fit import WhiteEquations
-from sindy_surge.linear_problem import LinearProblem, without_nuisances
-from sindy_surge.sparse_paths import Support, beam_search, support_chi2
+from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
+from sindy_surge.sparse_paths import beam_search
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -93,7 +93,7 @@ def _best(
     for support in sorted(seeds, key=len):
         # Even with nothing left to explain a structure pays for its terms.
         if floor + penalty * len(support) < best[0]:
-            score = support_chi2(linear, support) / linear.variance + penalty * len(support)
+            score = linear.score(support, penalty)
             best = min(best, (score, support))
     if np.isfinite(best[0]):
         largest = min(largest, max(int((best[0] - floor) / penalty), len(required), 1))

@@ -11,9 +11,9 @@ import numpy as np
 from sindy_surge.lag_equations import Point
 from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.selection import information_penalty
-from sindy_surge.sparse_paths import Support, beam_search, support_chi2
+from sindy_surge.sparse_paths import beam_search
 from surge_core.types import FloatArray
 
 __all__ = ["MovedKnot", "knot_columns", "moved_knots", "with_hinges"]
@@ -81,8 +81,7 @@ def moved_knots(
     best = _best(linear, own, new, penalty, tuple(place[i] for i in required))
     if best is None:
         return ()
-    weights = np.abs(np.linalg.lstsq(linear.columns[:, list(best)], linear.target)[0])
-    weights = weights / linear.norms[list(best)]
+    weights = np.abs(linear.coefficients(best))
     back = {position: i for i, position in place.items()}
     terms = [
         _Term(None if i in new else back[i], fine[i - first] if i in new else None, float(weight))
@@ -181,7 +180,7 @@ def _best(
 ) -> Support | None:
     """Return the best structure with at most two free knots, if it beats `own`."""
     variance = linear.variance
-    limit = support_chi2(linear, own) / variance + penalty * len(own)
+    limit = linear.chi2(own) / variance + penalty * len(own)
     best: Support | None = None
     for size, ranked in beam_search(linear, _LARGEST, _WIDTH, required).items():
         for chi2, support in ranked[:_LOOKED_AT]:

@@ -224,7 +224,7 @@ def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
 
 
 def _with_renewed_noise(problem: LagProblem, point: Point, eq: Equations, share: float) -> Point:
-    """Estimate the noise of φ anew, and take that share of the new estimate."""
+    """Estimate the noise of φ again, and take that share of the new estimate."""
     noise_part = share * noise_in_inputs(problem, eq, point)
     noise_part += (1 - share) * point.input_noise
     variance = problem.noise.inputs**2 - np.mean(noise_part**2, axis=0)

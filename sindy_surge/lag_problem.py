@@ -82,7 +82,7 @@ class LagProblem:
     terms : CandidateTerms
         The library.
     columns : ndarray of int of shape (n_columns,)
-        The terms of the library that this data can tell apart, those with ψ' last.
+        The terms of the library that this data can separate, those with ψ' last.
     noise : NoiseLevels
         The measurement noise.
     dead_time : DeadTime
@@ -101,7 +101,7 @@ class LagProblem:
 
     @property
     def longest_lag_s(self) -> float:
-        """A lag three times the longest segment cannot be told from an integrator."""
+        """A lag three times the longest segment looks like an integrator."""
         return 3.0 * float(self.segments.lengths.max()) * self.sample_period_s
 
     @property

@@ -18,9 +18,9 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
 from sindy_surge.segments import surge_period_s
-from sindy_surge.sparse_paths import Support, beam_search
+from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
 from sindy_surge.weak import WeakLag, compensated_lag, weak_lag
 from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -19,11 +19,8 @@ __all__ = [
     "beam_search",
     "proposals",
     "proposed_supports",
-    "support_chi2",
     "without_required",
 ]
-
-Support = tuple[int, ...]
 
 OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
 
@@ -33,15 +30,6 @@ _MOST_TERMS_FOR_RESIDUAL_CRITERION = 30
 _STLSQ_THRESHOLDS = 40
 _ENSEMBLE_THRESHOLDS = 8
 _ENSEMBLE_MODELS = 20
-
-
-def support_chi2(linear: LinearProblem, support: Support) -> float:
-    """Return χ² of the regression on some terms."""
-    total = float(linear.target @ linear.target)
-    if support:
-        basis, _ = np.linalg.qr(linear.columns[:, list(support)])
-        total -= float(np.sum((basis.T @ linear.target) ** 2))
-    return max(total, 0.0) + linear.outside
 
 
 def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
@@ -204,7 +192,7 @@ def beam_search(
     """
     if required:
         rest, free = without_required(linear, required)
-        result = {len(required): [(support_chi2(rest, ()), required)]}
+        result = {len(required): [(rest.chi2(()), required)]}
         for size, ranked in beam_search(rest, max_terms - len(required), width).items():
             result[size + len(required)] = [
                 (chi2, tuple(sorted((*required, *(free[i] for i in support)))))

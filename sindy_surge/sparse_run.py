@@ -17,9 +17,9 @@ from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import HeldOutFit, with_held_out
 from sindy_surge.leave_out import jackknife_covariance, leave_out_moves
-from sindy_surge.linear_problem import least_squares
+from sindy_surge.linear_problem import Support, least_squares
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import Support, proposals
+from sindy_surge.sparse_paths import proposals
 from sindy_surge.trials import (
     Block,
     Trials,
@@ -38,7 +38,7 @@ __all__ = ["SparseRun", "select_on_free_run"]
 # On 169 records of the simulated rig, whose truth is a parabola, the best of some 18 structures off
 # the ladder left 0.77 to 0.99 of the ladder's held-out error: by luck, and by learning what comes
 # again in every cycle. With a kink in the true curve 7 of 22 left less than 0.7; the others could
-# not be told from a polynomial.
+# not be separated from a polynomial.
 _SHARE_LEFT = 0.7
 # A cycle that alone reaches part of the range of φ cannot be foretold by the others: its error
 # would decide the mean of twenty.
@@ -68,7 +68,7 @@ class SparseRun:
         β in physical units.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
         Of β and, last, τ: a jackknife over cycles, what all cycles share and, off the ladder,
-        what structures differ by that cannot be told from the chosen one.
+        what structures differ by that the data cannot separate from the chosen one.
     initial : ndarray of shape (n_runs,)
         State at the first row of each run.
     residual_rms : float
@@ -143,7 +143,7 @@ def select_on_free_run(
     needed = _ROWS_A_PARAMETER * (most + equations.nuisance.shape[1] + starts.size + 1)
     if equations.scored.size < needed:
         return _nothing(starts.size)
-    # τ of the simplest terms tells what can be told apart, and how long errors hang together.
+    # τ of the simplest terms says what can be separated, and how long errors hang together.
     pilot_s = float(equations.fit(tuple(range(min(_SIMPLEST, most))))[0][-1])
     usable = independent_columns(equations.simulated(pilot_s))
     if not usable.size:
@@ -194,7 +194,7 @@ def _chosen(
     optimizer: Any,
     max_terms: int,
 ) -> tuple[Support, list[Support]]:
-    """Return the structure, and those off the ladder that cannot be told from it."""
+    """Return the structure, and those off the ladder that the data cannot separate from it."""
     ladder, start = polynomial_ladder(degrees, max_terms), _START
     if not ladder:
         about = tuple(range(min(_SIMPLEST, len(degrees))))
@@ -211,7 +211,7 @@ def _chosen(
 
 
 def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
-    """Return the jackknife over cycles, in which the nuisances are estimated anew as well."""
+    """Return the jackknife over cycles, in which the nuisances are estimated again as well."""
     moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = fit.parameters.size - 1
     return jackknife_covariance(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
@@ -220,7 +220,7 @@ def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
 def _spread(
     equations: FreeRunEquations, fit: FreeRunFit, chosen: Support, rivals: Sequence[Support]
 ) -> FloatArray:
-    """Return what the choice among structures adds that the data cannot tell apart.
+    """Return what the choice among structures adds that the data cannot separate.
 
     The mean square of what the curve and τ of each differ by; the curves as far as the terms
     that were chosen can follow.

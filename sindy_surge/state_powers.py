@@ -8,8 +8,7 @@ import numpy as np
 
 from sindy_surge.lag_fit import StructureFit, fit_structure, linearise
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import least_squares
-from sindy_surge.sparse_paths import Support
+from sindy_surge.linear_problem import Support, least_squares
 from sindy_surge.state_terms import ProductStateTerms
 
 __all__ = ["PowerChoice", "choose_power"]

@@ -9,8 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from sindy_surge.leave_out import leave_out_moves
-from sindy_surge.linear_problem import LinearProblem
-from sindy_surge.sparse_paths import Support, support_chi2
+from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
@@ -151,7 +150,7 @@ def polynomial_ladder(degrees: Sequence[int | None], max_terms: int) -> list[Sup
 def best_of_each_size(linear: LinearProblem, proposed: list[Support]) -> list[Support]:
     """Return the structure of least χ² of every size, smallest first."""
     best: dict[int, Support] = {}
-    for support in sorted(proposed, key=lambda s: support_chi2(linear, s)):
+    for support in sorted(proposed, key=linear.chi2):
         best.setdefault(len(support), support)
     return [best[size] for size in sorted(best)]
 
@@ -189,7 +188,7 @@ def special_structures(
     """Return the structures off the ladder, and no larger, that leave little of the error."""
     largest = max(len(rung) for rung in ladder)
     others = [s for s in proposed if s not in ladder and len(s) <= largest]
-    others = sorted(others, key=lambda s: support_chi2(linear, s))[:_MOST_SPECIAL]
+    others = sorted(others, key=linear.chi2)[:_MOST_SPECIAL]
     shares = {s: _share(trials, s, chosen) for s in others}
     return {s: share for s, share in shares.items() if share < share_left}
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.leave_out import unit_norms
-from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
 from sindy_surge.segments import Segments
-from sindy_surge.sparse_paths import Support
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = [

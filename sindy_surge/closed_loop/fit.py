@@ -145,7 +145,7 @@ def fit_jointly(
     """Fit all coefficients and the start of every window by damped Gauss-Newton.
 
     A simulation of a whole record is too sensitive to its start and its coefficients to be
-    fitted; one that starts anew in every cycle is not (Bock 1981).
+    fitted; one that restarts in every cycle is not (Bock 1981).
 
     Parameters
     ----------
