@@ -23,13 +23,13 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import Support
+from sindy_surge.noise import autoregression
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
 from sindy_surge.segments import cycle_blocks
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.state_powers import choose_power
 from sindy_surge.uncertainty import held_out_rms, sandwich
 from sindy_surge.weak import WeakLag
-from sindy_surge.whitening import autoregression
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
@@ -115,6 +115,25 @@ class Identified:
     inclusion: dict[str, float]
     weak: WeakLag | None
     knots: tuple[MovedKnot, ...]
+
+    def fit_state(self) -> FitState:
+        """Return what became of the fit, by the τ that it gave and its error.
+
+        About the middle of ψ': with terms in ψ' the τ of the equation as written may be anything.
+        """
+        tau, period_s = self.model.lag.tau_s, self.problem.sample_period_s
+        error = float(np.sqrt(self.covariance[-1, -1]))
+        # A held input shows the lag only through the pole e^(-h/τ), which is soon next to nothing.
+        pole = float(np.exp(-period_s / tau))
+        hidden = self.problem.hold == "zero" and pole < 3 * pole * period_s / tau**2 * error
+        if tau < period_s / 20 or (hidden and tau < period_s):
+            return FitState.LAG_BELOW_RESOLUTION
+        # The error of τ then includes that of the model, and longer segments are no remedy.
+        if self.state is FitState.MODEL_ERROR_DOMINATES:
+            return self.state
+        if not error < tau or tau > 0.99 * self.problem.longest_lag_s:
+            return FitState.LAG_UNDETERMINED
+        return self.state
 
 
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:

@@ -9,8 +9,8 @@ import numpy as np
 from sindy_surge.features import features
 from sindy_surge.free_run import DelayedLag, run_lag
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.noise import Whitener
 from sindy_surge.segments import Segments
-from sindy_surge.whitening import Whitener
 from surge_core.types import FloatArray
 
 __all__ = [

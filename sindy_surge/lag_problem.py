@@ -11,8 +11,8 @@ import numpy as np
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.free_model import FreeModel
 from sindy_surge.free_run import DelayedLag
+from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
-from sindy_surge.whitening import NoiseLevels
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
-from sindy_surge.whitening import difference_noise
 from surge_core.types import FloatArray
 
 __all__ = [

@@ -19,11 +19,11 @@ from sindy_surge.lag_fit import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
 from sindy_surge.weak import WeakLag, compensated_lag, weak_lag
-from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 

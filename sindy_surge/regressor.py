@@ -16,19 +16,21 @@ from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_
 from sindy_surge.checks import cautions_of, check_parameters, is_constant, refuse_not_finite
 from sindy_surge.export import RateFunction, python_source
 from sindy_surge.free_model import FreeModel
-from sindy_surge.identification import Choices, Identified, identify
+from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import unit_norms
+from sindy_surge.noise import NoiseLevels
 from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.segments import Segments
 from sindy_surge.state_terms import physical_form
 from sindy_surge.summary import ModelSummary
 from sindy_surge.text import EquationParts, pysindy_equations, write_equation
-from sindy_surge.whitening import NoiseLevels
 from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
+from surge_core.validation import one_of
 
 __all__ = ["SparseLagRegressor"]
 
@@ -128,11 +130,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Least and greatest value of each input: where the characteristic is more than a guess.
     n_features_in_ : int
         Number of inputs.
-
-    See Also
-    --------
-    sindy_surge.selection.select_structure : How the terms are chosen.
-    sindy_surge.held_out.select_by_held_out : How, where model error dominates.
     """
 
     def __init__(
@@ -200,7 +197,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         )
         y_checked = y_checked.astype(np.float64)
         runs = Segments.from_labels(segments, X_checked.shape[0])
-        self._input_names = self._names_of_inputs()
+        alone = ["phi"] if self.n_features_in_ == 1 else None
+        plain = alone or [f"x{j}" for j in range(self.n_features_in_)]
+        self._input_names = [str(name) for name in getattr(self, "feature_names_in_", plain)]
         self._candidates = CandidateTerms(
             self.library,
             X_checked,
@@ -224,13 +223,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         else:
             self._fit_lag(X_checked, y_checked, runs, columns)
         return self
-
-    def _names_of_inputs(self) -> list[str]:
-        if hasattr(self, "feature_names_in_"):
-            return [str(name) for name in self.feature_names_in_]
-        if self.n_features_in_ == 1:
-            return ["phi"]
-        return [f"x{j}" for j in range(self.n_features_in_)]
 
     def _fit_lag(
         self, X: FloatArray, y: FloatArray, runs: Segments, columns: NDArray[np.intp]
@@ -271,24 +263,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.joint_covariance_ = form.covariance
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
-        # About the middle of ψ': with terms in ψ' the τ of the equation as written may be anything.
-        stderr = float(np.sqrt(found.covariance[-1, -1]))
-        self.fit_state_ = self._state(found, stderr)
+        self.fit_state_ = found.fit_state()
         self.cautions_ = cautions_of(found, self.fit_state_)
-
-    def _state(self, found: Identified, error: float) -> FitState:
-        tau, otherwise = found.model.lag.tau_s, found.state
-        # A held input shows the lag only through the pole e^(-h/τ), which is soon next to nothing.
-        pole_error = np.exp(-self.sample_period_s / tau) * self.sample_period_s / tau**2 * error
-        hidden = self.hold == "zero" and np.exp(-self.sample_period_s / tau) < 3 * pole_error
-        if tau < self.sample_period_s / 20 or (hidden and tau < self.sample_period_s):
-            return FitState.LAG_BELOW_RESOLUTION
-        # The error of τ then includes that of the model, and longer segments are no remedy.
-        if otherwise is FitState.MODEL_ERROR_DOMINATES:
-            return otherwise
-        if not error < tau or tau > 0.99 * found.problem.longest_lag_s:
-            return FitState.LAG_UNDETERMINED
-        return otherwise
 
     def _fit_static(
         self,
@@ -299,16 +275,14 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         columns: NDArray[np.intp] | None = None,
     ) -> None:
         """Fit ψ' = ψ'_QS(φ) with coefficients of least norm, each on its unit-size term."""
-        norms = np.linalg.norm(values, axis=0)
-        norms[norms == 0] = 1.0
+        norms = unit_norms(values)
         solution = np.linalg.lstsq(values / norms, y, rcond=1e-10)[0]
         kept = np.flatnonzero(np.abs(solution) > 1e-10 * max(np.abs(solution).max(), 1e-300))
         selected = kept if columns is None else columns[kept]
         self.terms_ = tuple(self.candidate_terms_[i] for i in selected)
         self.coef_ = (solution / norms)[kept]
-        size = kept.size
-        self.joint_covariance_ = np.full((size + 1, size + 1), np.nan)
-        self.covariance_ = np.full((size, size), np.nan)
+        self.joint_covariance_ = np.full((kept.size + 1, kept.size + 1), np.nan)
+        self.covariance_ = self.joint_covariance_[:-1, :-1]
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
         self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
@@ -442,8 +416,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             The equation.
         """
         check_is_fitted(self)
-        if style not in ("text", "latex", "python"):
-            raise InputError("style", expected='"text", "latex" or "python"', found=repr(style))
+        one_of("style", style, ("text", "latex", "python"))
         if style == "python":
             values = self._physical_model().values
             return python_source(self._parts(), values, self.feature_range_)

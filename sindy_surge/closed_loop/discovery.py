@@ -29,8 +29,8 @@ from sindy_surge.closed_loop.structure import (
 )
 from sindy_surge.closed_loop.terms import StateTerms, surge_library
 from sindy_surge.closed_loop.windows import Supports, Windows
+from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
-from sindy_surge.whitening import difference_noise
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 

@@ -61,7 +61,7 @@ def test_positions_follow_the_usable_terms() -> None:
         ({"phi": ""}, "phi"),
         ({"phi": 3}, "3"),
         ([("phi", "required")], "mapping"),
-        ({"phi^2": "required"}, "told apart"),
+        ({"phi^2": "required"}, "separable"),
     ],
 )
 def test_wishes_that_cannot_be_met_are_named(wishes: Any, where: str) -> None:

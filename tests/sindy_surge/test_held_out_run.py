@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.lag_fit import fit_structure
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments, cycle_blocks
 from sindy_surge.uncertainty import held_out_rms
-from sindy_surge.whitening import NoiseLevels
 
 from .conftest import CURVES, PERIOD_S, TAU_S
 

@@ -13,9 +13,9 @@ from sindy_surge.candidate_terms import CandidateTerms, independent_columns
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.lag_fit import WhiteEquations, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments, cycle_blocks
 from sindy_surge.selection import information_penalty
-from sindy_surge.whitening import NoiseLevels
 
 from .conftest import PERIOD_S, TAU_S, TERMS
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sindy_surge.free_run import DelayedLag
+from sindy_surge.noise import NoiseLevels, Whitener, autoregression, difference_noise
 from sindy_surge.segments import Segments
-from sindy_surge.whitening import NoiseLevels, Whitener, autoregression, difference_noise
 from surge_core.lag import FirstOrderLag
 
 
