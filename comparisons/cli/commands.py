@@ -8,17 +8,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from classic_ml.series import CoefficientSeries, ledger_path, read_series, write_series
+from classic_ml.readers.series_files import ledger_path, read_series, write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.cli.progress import shown_over, shown_steps
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target, write_whole
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
-    from comparisons.harness.compare import Comparison
     from comparisons.harness.estimators import EstimatorSpec
-    from comparisons.harness.lag_value import FittedLag
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Comparison, FittedLag, Reconstruction
 
 __all__ = [
     "command_line",
@@ -62,7 +61,6 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_reduce(arguments: argparse.Namespace) -> None:
     """Reduce a raw record to a series file."""
-    from classic_ml.readers.series_files import hand_over_series
     from comparisons.cli.reduce import excerpt, reduce_file
     from comparisons.cli.reduction_options import options_named, reduction_settings
 
@@ -76,13 +74,8 @@ def run_reduce(arguments: argparse.Namespace) -> None:
             arguments.raw,
             arguments.test,
             reduction_settings(arguments),
-            chunk_rows=arguments.chunk,
-            out=arguments.out,
-            for_report=bool(arguments.report),
         )
-    # Without a report this is the last that is seen of the columns.
-    write = write_series if arguments.report else hand_over_series
-    write(reduction.series, arguments.out)
+    write_series(reduction.series, arguments.out)
     if arguments.report:
         from comparisons.show.report import ReportSection, write_report
 
@@ -104,8 +97,8 @@ def run_reduce(arguments: argparse.Namespace) -> None:
 
 def run_compare(arguments: argparse.Namespace) -> None:
     """Fit the estimators to series files and set them side by side."""
-    from comparisons.harness.lag_value import save_models
     from comparisons.harness.rows import check_once
+    from comparisons.harness.saved_models import save_models
 
     inputs = [*arguments.series, *([arguments.model] if arguments.model else [])]
     _check_targets(inputs, (arguments.json, ()), (arguments.report, HTML), (arguments.save, ()))
@@ -142,8 +135,8 @@ def run_compare(arguments: argparse.Namespace) -> None:
 
 def run_reconstruct(arguments: argparse.Namespace) -> None:
     """Run saved models over other records."""
+    from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import (
-        load_any_models,
         reconstruct_record,
         reconstruction_csv,
         reconstruction_document,

@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.series import write_series
+from classic_ml.readers.series_files import write_series
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
     from classic_ml.work.coefficient import WorkCharacteristic
-    from comparisons.harness.compare import Comparison
-    from comparisons.harness.reconstruction import Reconstruction
-    from comparisons.harness.truth import Truth
     from comparisons.page.blocks import Part
+    from comparisons.results import Comparison, Reconstruction, Truth
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
 
@@ -81,7 +79,7 @@ def run(
         When the folder cannot be made.
     """
     from comparisons.cli.demo_missing import missing_ending
-    from comparisons.harness.lag_value import save_models
+    from comparisons.harness.saved_models import save_models
     from comparisons.show.report import ReportSection, write_report
 
     _make(folder)
@@ -229,7 +227,7 @@ def _power_part(power: WorkCharacteristic, truth: Truth) -> Part:
 
 def _truth(rig: RigRun, target: str) -> Truth:
     """Return the rig's own in-stall characteristic over forward flow."""
-    from comparisons.harness.truth import Truth
+    from comparisons.results import Truth
 
     phi = np.linspace(0.0, TRUTH_TO_PHI, 101)
     known = rig.truth_parameters

@@ -254,10 +254,10 @@ def _contents(arguments: argparse.Namespace, told: _Told) -> list[tuple[str, Pat
 def _saved(d: Diagnosis, path: Path) -> str:
     """Save the model after; a verdict of which none can be made is no error of the user's."""
     from comparisons.missing_effect.extended_file import save_extended
-    from comparisons.missing_effect.extended_lag import ExtendedLag
+    from comparisons.missing_effect.extended_refit import value_of
 
     try:
-        model = ExtendedLag.from_fit(d)
+        model = value_of(d)
     except InputError as error:
         return f"not saved: {error}"
     save_extended({model.estimator: model}, path)
@@ -266,7 +266,7 @@ def _saved(d: Diagnosis, path: Path) -> str:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, options that contradict and targets that cannot be."""
-    from classic_ml.series import ledger_path
+    from classic_ml.readers.series_files import ledger_path
     from surge_core.files import check_apart, check_target
 
     if arguments.base == "sindy" and arguments.degree is not None:

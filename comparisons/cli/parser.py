@@ -204,14 +204,6 @@ def _add_reduce(commands: _Commands) -> None:
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
     )
-    parser.add_argument(
-        "--chunk",
-        type=_chunk,
-        default=None,
-        metavar="ROWS",
-        help="read so many rows at once and keep the columns on disk, beside SERIES or in TMPDIR, "
-        "as is done with long records anyway; no number depends on it",
-    )
     add_reduction_options(parser)
     parser.add_argument(
         "--report",
@@ -388,12 +380,6 @@ class _command:
 
 def _seed(text: str) -> int:
     return _whole(text, 0, 2**32 - 1)
-
-
-def _chunk(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of rows, at least 1: '{text}'")
-    return int(text)
 
 
 def _degree(text: str) -> int:

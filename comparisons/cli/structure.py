@@ -200,7 +200,7 @@ def _contents(arguments: argparse.Namespace, found: FoundStructure) -> list[tupl
 
 def _check_targets(arguments: argparse.Namespace) -> None:
     """Refuse, before any work is done, a target that cannot or must not be written."""
-    from classic_ml.series import ledger_path
+    from classic_ml.readers.series_files import ledger_path
     from surge_core.files import check_apart, check_target
 
     outputs = [path for path in (arguments.json, arguments.report, arguments.python) if path]

@@ -67,7 +67,7 @@ def fit_work(
         raise InputError(
             f"{record.source}: ψ",
             expected="T31 inside the range of its acquisition in the surge cycles",
-            found=(unknown_work(reduction.record.history) or "none").rstrip("."),
+            found=str(unknown_work(reduction.record.history) or "none"),
         )
     # All rows of the settled machine: cycles that do not repeat each other serve as well.
     window = reduction.record["free_run"] > 0.5

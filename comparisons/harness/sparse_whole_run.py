@@ -25,7 +25,7 @@ from classic_ml.whole_run_rows import (
     stacked_rows,
     whole_run_rows,
 )
-from comparisons.harness.terms import evaluate_terms
+from comparisons.results import evaluate_terms
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold
 from surge_core.types import FloatArray

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, FitRows, stack_rows
+from comparisons.harness.cautions import tau_caution
+from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, stack_rows
+from comparisons.results import FitRows
+from surge_core.display import Field, Sheet
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,15 +88,10 @@ class FoundStructure:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What to know before the numbers are used, but for the advice of the state."""
-        from comparisons.harness.cautions import tau_caution
-
         own = [c for c in getattr(self.fit, "cautions_", ()) if c != self.state[1]]
-        filtered = (
-            tau_caution([record.history for record in self.records], target=self.target)
-            if self.fitted_to == "rows"
-            else None
-        )
-        return (*own, *([filtered] if filtered else []))
+        histories = [record.history for record in self.records]
+        filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
+        return (*own, *([filtered.text] if filtered else []))
 
     @property
     def parts(self) -> EquationParts:
@@ -165,9 +163,10 @@ class FoundStructure:
         return python_source(self.parts, lambda phi, _: library(phi)[:, columns], ends)
 
     def _repr_html_(self) -> str:
-        from comparisons.show.sheets import structure_html
-
-        return structure_html(self)
+        if self.refused:
+            code, advice = self.state
+            return Sheet("No structure", (Field("state", f"{code}: {advice}", "advice"),)).html()
+        return self.summary.sheet().html()
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""

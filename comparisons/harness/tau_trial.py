@@ -5,26 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import polynomial_basis
 from classic_ml.decimation import emptied_above_hz
-from comparisons.harness.fit_quality import block_errors, paired_difference
-from comparisons.harness.rows import FitRows
+from comparisons.harness.fit_quality import block_errors, paired_difference, rms
+from comparisons.results import Comparison, FitRows, TauEstimate, TauTrial
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from comparisons.harness.compare import Comparison
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = [
-    "TauEstimate",
-    "TauTrial",
     "estimates_of",
     "parse_tau",
     "reconstruction_error_over_tau",
@@ -39,73 +33,6 @@ LONGEST_TAU_S = 10.0
 RUN_AWAY_S = 1.0
 _TAU = re.compile(r"([0-9.eE+-]+)\s*(s|ms|us|µs)?")
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
-
-
-@dataclass(frozen=True)
-class TauEstimate:
-    """τ as an estimator found it.
-
-    Parameters
-    ----------
-    name, label : str
-        Key and what people call it.
-    tau_s, stderr_s : float
-        τ and its standard error, in seconds.
-    rms : float
-        Error of that estimator's own reconstruction, its curve and starts as in the comparison.
-    """
-
-    name: str
-    label: str
-    tau_s: float
-    stderr_s: float
-    rms: float
-
-
-@dataclass(frozen=True)
-class TauTrial:
-    """Reconstruction error over τ.
-
-    Parameters
-    ----------
-    tau_s : ndarray of shape (n,)
-        Values at which τ was held, in seconds.
-    refitted_rms : ndarray of shape (n,)
-        Error of the free run with the curve refitted to each τ.
-    held_rms : ndarray of shape (n,)
-        The same with the curve of the best τ.
-    best_tau_s : float
-        τ of least error with a curve of its own, between the values by a parabola.
-    interval_s : tuple of float
-        Values of τ whose error exceeds the least by no more than two paired standard errors; an
-        end that the values do not reach is that of the values.
-    least_rms : float
-        Error at the best τ: below it no lag with such a curve gets.
-    noise_rms : float
-        Standard deviation of the white noise on the measurement: below it no model gets. nan
-        where a low-pass has taken the noise out of the band from which it is read.
-    n_rows : int
-        Rows that were scored.
-    target : {"psi_p", "psi"}
-        Which coefficient it is.
-    estimates : tuple of TauEstimate
-        What estimators found on the same rows.
-    """
-
-    tau_s: FloatArray
-    refitted_rms: FloatArray
-    held_rms: FloatArray
-    best_tau_s: float
-    interval_s: tuple[float, float]
-    least_rms: float
-    noise_rms: float
-    n_rows: int
-    target: str
-    estimates: tuple[TauEstimate, ...] = ()
-
-    def at(self, tau_s: float) -> float:
-        """Return the error with a refitted curve at one τ, between the values by straight lines."""
-        return float(np.interp(math.log(tau_s), np.log(self.tau_s), self.refitted_rms))
 
 
 def parse_tau(text: str) -> float:
@@ -168,7 +95,7 @@ def reconstruction_error_over_tau(
     *,
     degree: int = 2,
     hold: Hold = "first",
-    scored: NDArray[np.bool_] | None = None,
+    scored: BoolArray | None = None,
     terms: FloatArray | None = None,
     estimates: Sequence[TauEstimate] = (),
 ) -> TauTrial:
@@ -219,12 +146,12 @@ def reconstruction_error_over_tau(
         )
     lags = [FirstOrderLag(float(tau), rows.sample_period_s, hold) for tau in taus]
     fits = [_refit(rows, terms, keep, lag) for lag in lags]
-    refitted = np.array([_rms(error) for _, error in fits])
+    refitted = np.array([rms(error) for _, error in fits])
     best = int(np.argmin(refitted))
     curve = terms @ fits[best][0]
-    held = np.array([_rms(_with_curve(rows, curve, keep, lag)) for lag in lags])
+    held = np.array([rms(_with_curve(rows, curve, keep, lag)) for lag in lags])
     best_tau = _vertex(taus, refitted, best)
-    least = _rms(_refit(rows, terms, keep, FirstOrderLag(best_tau, rows.sample_period_s, hold))[1])
+    least = rms(_refit(rows, terms, keep, FirstOrderLag(best_tau, rows.sample_period_s, hold))[1])
     return TauTrial(
         taus,
         refitted,
@@ -260,13 +187,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
         if whole is None or not math.isfinite(result.model.time_constant_s):
             continue
         inputs, scored = whole.stacked()
-        estimate = TauEstimate(
-            result.name,
-            result.label,
-            result.model.time_constant_s,
-            result.model.time_constant_stderr_s,
-            whole.model_.residual_std_,
-        )
+        estimate = replace(result.estimate, rms=whole.model_.residual_std_)
         rows = FitRows(
             inputs.phi,
             inputs.psi_p,
@@ -292,13 +213,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
 def estimates_of(comparison: Comparison) -> tuple[TauEstimate, ...]:
     """Return the τ of each estimator of a comparison that found one."""
     return tuple(
-        TauEstimate(
-            result.name,
-            result.label,
-            result.model.time_constant_s,
-            result.model.time_constant_stderr_s,
-            result.free_run.rms,
-        )
+        result.estimate
         for result in comparison.results
         if math.isfinite(result.model.time_constant_s)
     )
@@ -319,7 +234,7 @@ def _increasing(taus_s: ArrayLike) -> FloatArray:
 
 
 def _refit(
-    rows: FitRows, terms: FloatArray, keep: NDArray[np.bool_], lag: FirstOrderLag
+    rows: FitRows, terms: FloatArray, keep: BoolArray, lag: FirstOrderLag
 ) -> tuple[FloatArray, FloatArray]:
     """Return the curve's coefficients by least squares and the errors of the scored rows."""
     blocks = []
@@ -332,7 +247,7 @@ def _refit(
 
 
 def _with_curve(
-    rows: FitRows, curve: FloatArray, keep: NDArray[np.bool_], lag: FirstOrderLag
+    rows: FitRows, curve: FloatArray, keep: BoolArray, lag: FirstOrderLag
 ) -> FloatArray:
     """Return the errors of the scored rows with a curve held, the starts still free."""
     errors = []
@@ -342,15 +257,11 @@ def _with_curve(
     return np.concatenate(errors)
 
 
-def _without_start(columns: FloatArray, lag: FirstOrderLag, keep: NDArray[np.bool_]) -> FloatArray:
+def _without_start(columns: FloatArray, lag: FirstOrderLag, keep: BoolArray) -> FloatArray:
     decay = lag.decay(columns.shape[0])[keep]
     rows = columns[keep]
     power = float(decay @ decay)
     return rows - np.outer(decay, decay @ rows / power) if power > 0.0 else rows
-
-
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def _vertex(taus: FloatArray, rms: FloatArray, best: int) -> float:
@@ -369,7 +280,7 @@ def _interval(
     errors: list[FloatArray],
     best: int,
     rows: FitRows,
-    keep: NDArray[np.bool_],
+    keep: BoolArray,
 ) -> tuple[float, float]:
     """Return the values whose error is within two paired standard errors of the least."""
     whole = np.zeros(rows.phi.size)

@@ -13,7 +13,7 @@ from comparisons.missing_effect.ports import Ports
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Effect", "Parameter", "PortName"]
+__all__ = ["Effect", "FittedParameter", "Parameter", "PortName"]
 
 PortName = Literal["input", "characteristic", "lag", "output", "noise"]
 PORT_ORDER: tuple[PortName, ...] = ("input", "characteristic", "lag", "output", "noise")
@@ -47,6 +47,26 @@ class Parameter:
 Acts = Callable[[Ports, LagData, FloatArray], Ports]
 Grid = Callable[[LagData], FloatArray]
 Adapts = Callable[[LagData, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """A number of an effect.
+
+    Parameters
+    ----------
+    name : str
+        Symbol.
+    value, stderr : float
+        From all rows.
+    unit : str
+        SI; ``"1"`` without one.
+    """
+
+    name: str
+    value: float
+    stderr: float
+    unit: str
 
 
 @dataclass(frozen=True)

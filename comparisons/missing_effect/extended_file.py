@@ -10,25 +10,30 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.harness.lag_value import MOST_BLOCKS
-from comparisons.harness.model_fields import Fields, ModelFormat, read_models, write_models
-from comparisons.harness.terms import is_known_term
+from comparisons.harness.saved_models import (
+    MOST_BLOCKS,
+    Fields,
+    ModelFormat,
+    read_models,
+    write_models,
+)
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.effect import Effect, Parameter
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import (
     MOST_EFFECTS,
+    REFERENCES,
     SHAPE,
     AddedEffect,
     FrozenReferences,
     n_powers,
 )
+from comparisons.results import is_known_term
 
 __all__ = [
     "EXTENDED_SCHEMA",
     "extended_from_json",
-    "extended_to_json",
     "is_extended_file",
     "load_extended",
     "save_extended",
@@ -40,7 +45,6 @@ EXTENDED_FORMAT = ModelFormat(
 )
 # More than any record can tell, and few enough to be evaluated.
 MOST_TERMS, MOST_INTERVALS = 40, 64
-_REFERENCES = ("mean_amplitude", "mean_amplitude_as_is", "mean_speed", "clock_zero_s")
 _NAMES = tuple(effect.name for effect in CATALOGUE if effect.port != "noise")
 
 
@@ -88,43 +92,13 @@ def is_extended_file(path: str | Path) -> bool:
         return False
 
 
-def extended_to_json(model: ExtendedLag) -> dict[str, Any]:
-    """Return a model as plain JSON types."""
-    rows = zip(model.terms, model.coefficients, model.stderr, strict=True)
-    return {
-        "estimator": model.estimator,
-        "target": model.target,
-        "equation": model.equation(),
-        "time_constant_s": model.time_constant_s,
-        "time_constant_stderr_s": _finite(model.time_constant_stderr_s),
-        "hold": model.hold,
-        "terms": [
-            {"name": name, "coefficient": value, "stderr": _finite(stderr)}
-            for name, value, stderr in rows
-        ],
-        "effects": [_effect_to_json(added) for added in model.effects],
-        "references": {
-            **{name: getattr(model.references, name) for name in _REFERENCES},
-            "phi_range": list(model.references.phi_range),
-        },
-        "noise": {
-            "sigma": model.noise_sigma,
-            "innovation": model.noise_innovation,
-            "ar": list(model.noise_ar),
-        },
-        "valid_phi": list(model.valid_phi),
-        "n_blocks": model.n_blocks,
-        "characteristic": [[_finite(v) for v in row] for row in model.table],
-    }
-
-
 def extended_from_json(data: Mapping[str, Any], where: str = "model") -> ExtendedLag:
     """Build a model from plain JSON types.
 
     Parameters
     ----------
     data : mapping
-        What :func:`extended_to_json` gave.
+        What :meth:`ExtendedLag.to_json` gave.
     where : str
         File and key of the model, for errors.
 
@@ -164,23 +138,10 @@ def _from_fields(fields: Fields) -> ExtendedLag:
 
 def _references(fields: Fields) -> FrozenReferences:
     amplitude, as_is, speed = (
-        fields.number(name, "a number above 0", above=0.0) for name in _REFERENCES[:3]
+        fields.number(name, "a number above 0", above=0.0) for name in REFERENCES[:3]
     )
     clock_zero_s = fields.number("clock_zero_s", "a time in s")
     return FrozenReferences(amplitude, as_is, speed, fields.range("phi_range"), clock_zero_s)
-
-
-def _effect_to_json(added: AddedEffect) -> dict[str, Any]:
-    rows = zip(added.effect.parameters, added.values, added.stderr, strict=True)
-    return {
-        "effect": added.name,
-        "equation": added.effect.equation,
-        "parameters": [
-            {"name": p.name, "value": _finite(value), "stderr": _finite(stderr), "unit": p.unit}
-            for p, value, stderr in rows
-        ],
-        "coefficients": list(added.coefficients),
-    }
 
 
 def _effects(fields: Fields, terms: tuple[str, ...]) -> tuple[AddedEffect, ...]:
@@ -270,7 +231,3 @@ def _check_terms(fields: Fields, terms: tuple[str, ...]) -> None:
             f"1 to {MOST_TERMS} terms, each once",
             f"{len(terms)}, {len(set(terms))} of them different",
         )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -6,14 +6,14 @@ from itertools import product
 
 import numpy as np
 
-from classic_ml.airflow import (
+from classic_ml.calibration import volts
+from classic_ml.flow import (
     calculated_mach,
     corrected_flow,
     mach_from_corrected_flow,
     physical_flow,
     true_mach,
 )
-from classic_ml.calibration import volts
 from comparisons.paper.claims_base import PSI_PA, Claim, ClaimCheck, near_stall_mean, sensors_of
 from comparisons.paper.instabilities import INSTABILITIES, Instabilities
 from comparisons.rig.gas import probe_pressures_pa

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.calibration import calibrate
-from classic_ml.filtering import low_pass
-from classic_ml.surge_cycles import find_cycles
+from classic_ml.cycles import find_cycles
+from classic_ml.filters import low_pass
 from comparisons.paper.claims_base import (
     LBM_KG,
     PSI_PA,

@@ -9,9 +9,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import LBM_KG
-from comparisons.harness.lag_value import FittedLag
+from classic_ml.flow import LBM_KG
 from comparisons.paper.instabilities import Instabilities, InstabilityRun
+from comparisons.results import FittedLag
 from comparisons.rig import SensorSettings
 from surge_core.types import FloatArray
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.claims_base import CURVE_PHI, Claim, ClaimCheck, curve_change
 from comparisons.paper.figures_truth import in_stall_psi_p
 from comparisons.paper.instabilities import Instabilities, simulate_and_reduce
 from comparisons.paper.paper_fit import fit_paper
+from comparisons.results import FittedLag
 from comparisons.rig import CASES, RigCase, SensorSettings
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant
 from surge_core.types import FloatArray

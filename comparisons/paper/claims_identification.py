@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.characteristics import polynomial_basis
-from classic_ml.columns.intervals import label_intervals
+from classic_ml.intervals import label_intervals
 from comparisons.harness.fit_quality import trusted_range
-from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.claims_base import (
     LBM_KG,
     Claim,
@@ -28,6 +27,7 @@ from comparisons.paper.instabilities import (
     simulate_and_reduce,
 )
 from comparisons.paper.paper_fit import fit_paper
+from comparisons.results import FittedLag
 from surge_core.types import FloatArray
 
 __all__ = ["CLAIMS"]

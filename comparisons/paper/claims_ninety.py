@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
-from comparisons.harness.fit_quality import FitScore, score_fit
-from comparisons.harness.lag_value import FittedLag
-from comparisons.harness.rows import FitRows, stack_rows
+from classic_ml.flow import LBM_KG
+from comparisons.harness.fit_quality import score_fit
+from comparisons.harness.rows import stack_rows
 from comparisons.paper.claims_analysis import cell_power_ratio
 from comparisons.paper.claims_base import Claim, ClaimCheck, curve_change, window_mask
 from comparisons.paper.figures_truth import in_stall_psi, in_stall_psi_p, reverse_flow_psi_p
@@ -20,6 +19,7 @@ from comparisons.paper.instabilities import (
     reduce_run,
 )
 from comparisons.paper.paper_fit import fit_paper
+from comparisons.results import FitRows, FitScore, FittedLag
 from surge_core.types import FloatArray
 
 __all__ = ["CLAIMS"]

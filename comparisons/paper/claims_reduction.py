@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.filtering import low_pass
-from classic_ml.plane_averages import local_flows, plane_averages
+from classic_ml.cycles import find_cycles
+from classic_ml.filters import low_pass
+from classic_ml.planes import local_flows, plane_averages
 from classic_ml.spectra import detrend, peak_frequency_hz, power_spectrum
-from classic_ml.surge_cycles import find_cycles
 from comparisons.paper.claims_base import (
     LBM_KG,
     PSI_PA,

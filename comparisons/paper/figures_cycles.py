@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.flow import LBM_KG
 from comparisons.page.style import ACCENT, INK, MARK, QUIET, legend_above
 from comparisons.paper.figures_common import (
     CYCLES_S,

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.faults.search import inspect_readings
-from classic_ml.filtering import butterworth_gain, filter_channels
-from classic_ml.plane_averages import local_flows
+from classic_ml.filters import butterworth_gain, filter_channels
+from classic_ml.flow import LBM_KG
+from classic_ml.planes import local_flows
 from classic_ml.records import Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.page.style import ACCENT, INK, MARK, MEASURED, legend_above

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classic_ml.coefficients import PSI_MINIMUM_PHI
-from comparisons.harness.lag_value import FittedLag
-from comparisons.harness.reconstruction import Reconstruction, reconstruct_record
+from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.style import (
     ACCENT,
     INK,
@@ -37,6 +36,7 @@ from comparisons.paper.instabilities import (
     WRONG_TIME_CONSTANT_S,
     InstabilityRun,
 )
+from comparisons.results import FittedLag, Reconstruction
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.airflow import LBM_KG, T_STANDARD_K
+from classic_ml.flow import LBM_KG, T_STANDARD_K
 from comparisons.harness.residual_analysis import stall_inception
 from comparisons.page.style import (
     ACCENT,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import flow_coefficient
+from classic_ml.flow import LBM_KG
 from comparisons.paper.figures_common import case_table
 from comparisons.paper.instabilities import InstabilityRun
 from surge_core.types import FloatArray

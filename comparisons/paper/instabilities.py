@@ -10,8 +10,8 @@ from typing import Any
 
 from classic_ml.readers import read_raw
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from comparisons.harness.lag_value import FittedLag
 from comparisons.paper.paper_fit import fit_held, fit_paper, fit_steady
+from comparisons.results import FittedLag
 from comparisons.rig import RigCase, RigRun, SensorSettings, simulate, write_run
 
 __all__ = [

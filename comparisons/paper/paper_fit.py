@@ -11,8 +11,8 @@ from classic_ml import LagRegressor, PiecewiseLinear
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import psi_breakpoints
 from comparisons.harness.fit_quality import trusted_range
-from comparisons.harness.lag_value import FittedLag
-from comparisons.harness.rows import FitRows, stack_rows
+from comparisons.harness.rows import stack_rows
+from comparisons.results import FitRows, FittedLag
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 

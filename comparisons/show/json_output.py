@@ -7,8 +7,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from comparisons.harness.cautions import tau_caution
-from comparisons.harness.compare import Comparison, EstimatorResult
+from comparisons.results import Comparison, EstimatorResult
 
 __all__ = ["COMPARE_SCHEMA", "comparison_document", "to_strict_json"]
 
@@ -37,15 +36,6 @@ def to_strict_json(document: dict[str, Any]) -> str:
 
 
 def _body(comparison: Comparison) -> dict[str, Any]:
-    pressure = comparison.rows.target == "psi_p"
-    tau = (
-        tau_caution(
-            (record.history for record in comparison.records),
-            from_whole_runs=comparison.quotable,
-        )
-        if pressure
-        else None
-    )
     return {
         "records": [
             {
@@ -63,8 +53,9 @@ def _body(comparison: Comparison) -> dict[str, Any]:
         "rows_fitted": int(comparison.rows.phi.size),
         "segments_fitted": comparison.rows.n_segments,
         "estimators": {result.name: _estimator(result) for result in comparison.results},
+        "recommended": comparison.recommended,
         "comparison": [asdict(row) for row in comparison.table],
-        "cautions": [*([tau] if tau else []), *comparison.cautions],
+        "cautions": [caution.text for caution in comparison.cautions],
     }
 
 
@@ -93,7 +84,7 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         "valid_phi": list(model.valid_phi),
         "hold": model.hold,
         "equation": result.equation,
-        "state": {"code": result.state, "advice": result.advice},
+        "fit_state": {"code": result.state, "advice": result.advice},
         "fit": {
             "free_run": result.free_run.to_json(),
             "held_out": result.held_out.to_json() if result.held_out else None,

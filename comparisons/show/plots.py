@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from comparisons.harness.truth import Truth
 from comparisons.page.style import LineStyle, estimator_styles, figure_to_data_uri, new_figure
+from comparisons.results import Truth
 from comparisons.show.plots_fit import (
     plot_characteristics,
     plot_reconstruction,

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.harness.compare import Comparison, EstimatorResult
-from comparisons.harness.labels import estimator_label
 from comparisons.harness.residual_analysis import (
     Correlation,
     autocorrelation,
@@ -17,7 +15,6 @@ from comparisons.harness.residual_analysis import (
     phi_density,
     segment_spectrum,
 )
-from comparisons.harness.truth import Truth
 from comparisons.page.style import (
     FAINT,
     INK,
@@ -35,6 +32,7 @@ from comparisons.page.style import (
     printable,
     robust_limits,
 )
+from comparisons.results import Comparison, EstimatorResult, Truth, estimator_label
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Reconstruction
 
 __all__ = [
     "correlations_of",

@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.harness.compare import Comparison
-from comparisons.harness.labels import estimator_label
 from comparisons.harness.residual_analysis import segment_spectrum
-from comparisons.harness.tau_trial import TauTrial
-from comparisons.harness.truth import Truth
+from comparisons.results import Comparison, TauTrial, Truth, estimator_label
 from comparisons.show.plots_fit import correlations_of
 from surge_core.rounding import round_to_error, significant
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Reconstruction
 
 __all__ = [
     "characteristics_words",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import psi_is_known
+from classic_ml.flow import LBM_KG
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.residual_analysis import stall_inception
 from comparisons.page.style import (

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.harness.tau_trial import TauTrial
 from comparisons.page.style import (
     INK,
     MEASURED,
@@ -20,6 +19,7 @@ from comparisons.page.style import (
     new_figure,
     printable,
 )
+from comparisons.results import TauTrial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

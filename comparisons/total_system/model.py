@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from classic_ml.airflow import T_STANDARD_K
+from classic_ml.flow import T_STANDARD_K
 from classic_ml.readers.test_description import TestDescription
 from comparisons.total_system.facility import Facility
 from surge_core.errors import InputError

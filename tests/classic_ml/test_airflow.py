@@ -6,9 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from classic_ml.columns.elementary import powers
+from classic_ml.flow_kernels import pair_flow, pair_total
 from raw_data import GAMMA, GAS, corrected, make_test
 
-from classic_ml.airflow import (
+from classic_ml.calibration import calibrate
+from classic_ml.flow import (
     LBM_KG,
     P_STANDARD_PA,
     T_STANDARD_K,
@@ -20,10 +23,7 @@ from classic_ml.airflow import (
     reversed_above,
     true_mach,
 )
-from classic_ml.calibration import calibrate
-from classic_ml.columns.elementary import powers
-from classic_ml.flow_kernels import pair_flow, pair_total
-from classic_ml.plane_averages import local_flows, plane_averages
+from classic_ml.planes import local_flows, plane_averages
 from classic_ml.readers.test_description import Compressor
 from classic_ml.records import Record
 from surge_core.errors import InputError

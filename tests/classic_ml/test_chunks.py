@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from classic_ml.columns.computed import ComputedColumn
+from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import RawTest, make_test
 
 from classic_ml import filtering
 from classic_ml.columns import workspace as places
-from classic_ml.columns.computed import ComputedColumn
-from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.faults import probe_agreement
 from classic_ml.readers import read_raw
+from classic_ml.readers.series_files import ledger_path
 from classic_ml.reduction import STEPS, ReductionSettings, reduce_record
-from classic_ml.series import ledger_path
 from comparisons.cli import reduce as reduce_command
 from comparisons.cli.parser import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE, main
 from comparisons.cli.reduce import excerpt

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from raw_data import make_test
-
-from classic_ml import read_series
-from classic_ml.airflow import calculated_mach, reversed_above, true_mach
-from classic_ml.calibration import calibrate
-from classic_ml.columns import workspace
 from classic_ml.columns.computed import ComputedColumn, as_stored, computed, is_computed, widened
 from classic_ml.columns.together import computed_together
 from classic_ml.columns.workspace import IN_MEMORY, OnDisk
-from classic_ml.plane_averages import local_flows, plane_flows
+from raw_data import make_test
+
+from classic_ml import read_series
+from classic_ml.calibration import calibrate
+from classic_ml.columns import workspace
+from classic_ml.flow import calculated_mach, reversed_above, true_mach
+from classic_ml.planes import local_flows, plane_flows
 from classic_ml.readers import read_raw
 from classic_ml.readers.series_files import hand_over_series, write_series
 from classic_ml.records import Channel

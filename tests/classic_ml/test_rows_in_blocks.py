@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from raw_data import make_test
 
 from classic_ml import filtering
@@ -21,11 +22,10 @@ from classic_ml.calibration import (
 )
 from classic_ml.coefficients import coefficients
 from classic_ml.columns import workspace
-from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
 from classic_ml.faults.choice import choose_channels
 from classic_ml.faults.search import inspect_readings
-from classic_ml.filtering import filter_channels, low_pass, period_average
-from classic_ml.plane_averages import local_flows, plane_averages, plane_flows
+from classic_ml.filters import filter_channels, low_pass, period_average
+from classic_ml.planes import local_flows, plane_averages, plane_flows
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
 from classic_ml.work.forms import WORK_FORMS

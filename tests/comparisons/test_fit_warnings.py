@@ -11,17 +11,9 @@ from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from classic_ml import LagRegressor
 from classic_ml.records import LedgerEntry
-from comparisons.harness.fit_warnings import (
-    Drift,
-    drift_of,
-    drift_warnings,
-    filter_warnings,
-    ledger_filters,
-    misalignment,
-    noise_model_warnings,
-)
-from comparisons.harness.rows import FitRows
-from comparisons.harness.tau_trial import TauEstimate
+from comparisons.harness.cautions import drift_cautions, filter_cautions, noise_model_cautions
+from comparisons.harness.drift import Drift, drift_of, misalignment
+from comparisons.results import Caution, FitRows, TauEstimate
 
 N = 3000
 
@@ -55,6 +47,10 @@ def low_pass(values: np.ndarray, phase: str) -> np.ndarray:
     return sosfilt(sections, values, zi=sosfilt_zi(sections) * values[0])[0]
 
 
+def of_filters(rows: FitRows) -> tuple[Caution, ...]:
+    return filter_cautions(rows, (), misalignment(rows))
+
+
 def estimates(rows: FitRows) -> list[TauEstimate]:
     found = []
     for noise in ("arx", "armax", "output-error"):
@@ -73,9 +69,9 @@ def test_clean_records_raise_no_more_alarms_than_stated() -> None:
         # White equation errors: all three noise models are consistent.
         rows = rows_of(phi, lagged(phi, "first") + coloured(N, 0.0, 0.002, rng))
         found = estimates(rows)
-        models += bool(noise_model_warnings(found))
-        drifts += bool(drift_warnings(found, drift_of(rows)))
-        filters += bool(filter_warnings(rows))
+        models += bool(noise_model_cautions(found))
+        drifts += bool(drift_cautions(found, drift_of(rows)))
+        filters += bool(of_filters(rows))
     # Three standard deviations of a binomial count above its mean: 1.2 of twelve where 1 % is
     # stated, 1.7 for the two tests of the filters together.
     assert models <= 1
@@ -86,27 +82,25 @@ def test_clean_records_raise_no_more_alarms_than_stated() -> None:
 def test_output_noise_parts_arx_from_the_others() -> None:
     for seed in range(4):
         phi, _, psi_p = record(seed)
-        words = noise_model_warnings(estimates(rows_of(phi, psi_p)))
-        assert len(words) == 1
-        assert "arx" in words[0]
-        assert "armax" in words[0]
-        assert "armax 1" not in words[0].split(";")[-1]  # armax and output error agree
+        (caution,) = noise_model_cautions(estimates(rows_of(phi, psi_p)))
+        assert caution.numbers["pairs"] == 2  # armax and output error agree
+        assert "arx" in (caution.numbers["one"], caution.numbers["two"])
 
 
 def test_estimates_without_a_tau_or_an_error_part_from_nothing() -> None:
     known = TauEstimate("a", "a", 0.018, 0.001, 0.0)
     lost = TauEstimate("b", "b", math.nan, math.nan, 0.0)
-    assert noise_model_warnings([known, lost]) == ()
-    assert noise_model_warnings([known]) == ()
+    assert noise_model_cautions([known, lost]) == ()
+    assert noise_model_cautions([known]) == ()
     near = TauEstimate("c", "c", 0.020, 0.001, 0.0)
     far = TauEstimate("d", "d", 0.030, 0.001, 0.0)
-    assert noise_model_warnings([known, near]) == ()
-    assert "18 ms against d 30 ms" in noise_model_warnings([known, near, far])[0]
+    assert noise_model_cautions([known, near]) == ()
+    assert "18 ms against d 30 ms" in noise_model_cautions([known, near, far])[0].text
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0])
-def test_a_drift_that_is_read_as_lag_is_told(size: float) -> None:
-    told = 0
+def test_a_drift_that_is_read_as_lag_is_reported(size: float) -> None:
+    warned = 0
     for seed in range(6):
         rng = np.random.default_rng(seed)
         time_s = PERIOD_S * np.arange(6000)
@@ -116,11 +110,11 @@ def test_a_drift_that_is_read_as_lag_is_told(size: float) -> None:
         found = drift_of(rows)
         assert found.dominates
         assert abs(found.tau_s - 0.018) < 5 * found.stderr_s
-        words = drift_warnings(estimates(rows), found)
-        told += words[0].startswith("arx") and words[1].startswith("armax")
-        near = any("nears" in w for w in words)
+        cautions = drift_cautions(estimates(rows), found)
+        warned += {"arx", "armax"} <= {caution.where for caution in cautions}
+        near = any(caution.code == "tau_near_drift" for caution in cautions)
         assert near or size < 1.0
-    assert told >= 5
+    assert warned >= 5
 
 
 def test_the_time_scale_of_a_known_drift() -> None:
@@ -136,38 +130,37 @@ def test_the_time_scale_of_a_known_drift() -> None:
     assert found.rms == pytest.approx(np.std(drift), rel=0.1)
 
 
-def test_knots_near_tau_are_told_and_a_missing_drift_says_nothing() -> None:
+def test_knots_near_tau_are_reported_and_a_missing_drift_says_nothing() -> None:
     drift = Drift(0.001, 0.01, 1.0, 0.018, 0.0005, 0.05)
-    words = drift_warnings([], drift)
-    assert len(words) == 1
-    assert "0.05 s between the knots" in words[0]
-    assert drift_warnings([], None) == ()
+    (caution,) = drift_cautions([], drift)
+    assert caution.code == "knots_too_close"
+    assert "0.05 s between the knots" in caution.text
+    assert drift_cautions([], None) == ()
 
 
 @pytest.mark.parametrize(
     ("where", "phase", "seen"),
     [
-        ("psi_p", "causal", ("emptied", "later than")),
-        ("psi_p", "zero", ("emptied",)),
-        ("phi", "causal", ("later than",)),
+        ("psi_p", "causal", {"psi_low_passed", "misaligned"}),
+        ("psi_p", "zero", {"psi_low_passed"}),
+        ("phi", "causal", {"misaligned"}),
     ],
 )
-def test_filtering_one_signal_alone_is_seen(where: str, phase: str, seen: tuple[str, ...]) -> None:
+def test_filtering_one_signal_alone_is_seen(where: str, phase: str, seen: set[str]) -> None:
     for seed in range(4):
         _, phi, psi_p = record(seed)
         if where == "phi":
             phi = low_pass(phi, phase)
         else:
             psi_p = low_pass(psi_p, phase)
-        said = " ".join(filter_warnings(rows_of(phi, psi_p)))
-        assert all(word in said for word in seen)
+        assert seen <= {caution.code for caution in of_filters(rows_of(phi, psi_p))}
 
 
 def test_filtering_both_alike_is_not_held_against_them() -> None:
     alarms = 0
     for seed in range(8):
         _, phi, psi_p = record(seed)
-        alarms += bool(filter_warnings(rows_of(low_pass(phi, "causal"), low_pass(psi_p, "causal"))))
+        alarms += bool(of_filters(rows_of(low_pass(phi, "causal"), low_pass(psi_p, "causal"))))
     # As above: 1.3 of eight where two tests state 1 % each.
     assert alarms <= 1
 
@@ -188,12 +181,12 @@ def test_segments_too_short_for_a_dead_time_are_not_asked() -> None:
     assert misalignment(rows_of(phi, psi_p, n_segments=40)) is None
 
 
-def test_a_ledger_with_two_low_passes_is_told() -> None:
+def test_a_ledger_with_two_low_passes_is_reported() -> None:
     first = LedgerEntry("filter", "", {"phase": "zero", "order": 3, "cutoff_hz": 48.0})
     second = LedgerEntry("filter", "", {"phase": "causal", "order": 5, "cutoff_hz": 48.0})
     none = LedgerEntry("filter", "", {"phase": "none"})
-    assert ledger_filters([first, none, first]) == ("zero order 3 at 48 Hz",)
     phi, _, psi_p = record(3)
     rows = rows_of(phi, psi_p)
-    assert "2 different low-passes" in filter_warnings(rows, [[first, second]])[0]
-    assert filter_warnings(rows, [[first], []]) == ()
+    (caution,) = filter_cautions(rows, [[first, none, second]], None)
+    assert (caution.code, caution.numbers["count"]) == ("several_low_passes", 2)
+    assert filter_cautions(rows, [[first, none, first], []], None) == ()

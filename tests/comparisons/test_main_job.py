@@ -12,8 +12,9 @@ from classic_ml import LagRegressor
 from classic_ml.readers import read_raw
 from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.compare import Comparison, compare_records
+from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import EstimatorSpec, default_estimators
+from comparisons.results import Comparison
 from comparisons.rig import simulate, write_run
 from comparisons.show.json_output import comparison_document
 
@@ -141,7 +142,7 @@ def test_with_half_of_the_probes_no_tau_is_recommended(probes: str, folder: Path
     comparison = compare_records([series], estimators=only("classic_ml"))
     assert abs(comparison.result("classic_ml").model.time_constant_s - TAU_S) > 0.004
     assert comparison.quotable == ()
-    assert any(f"that of the {probes} alone" in caution for caution in comparison.cautions)
+    assert any(f"that of the {probes} alone" in caution.text for caution in comparison.cautions)
 
 
 def test_two_speeds_or_zero_hold_recommend_no_tau(folder: Path) -> None:

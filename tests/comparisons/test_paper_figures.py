@@ -17,8 +17,8 @@ from matplotlib.transforms import BboxBase
 from numpy.testing import assert_allclose
 from paper_runs import paper_runs
 
-from classic_ml.airflow import LBM_KG
-from classic_ml.filtering import butterworth_gain
+from classic_ml.filters import butterworth_gain
+from classic_ml.flow import LBM_KG
 from classic_ml.spectra import peak_frequency_hz
 from comparisons.paper.figures import PaperFigure, draw_figures
 from comparisons.paper.figures_instrument import draw_instrument_figures

@@ -18,8 +18,8 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from comparisons.harness.reconstruction import reconstruct_record
-from comparisons.harness.truth import Truth
 from comparisons.page.style import broken, estimator_styles, printable, robust_limits
+from comparisons.results import Truth
 from comparisons.show import plots
 from surge_core.errors import InputError
 from surge_core.segments import runs_of

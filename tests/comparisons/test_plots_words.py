@@ -14,8 +14,8 @@ from raw_data import make_test
 from classic_ml.reduction import Reduction, reduce_record
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.reconstruction import reconstruct_record
-from comparisons.harness.truth import Truth
 from comparisons.missing_effect.shown import contributions, steady_curves, where_of
+from comparisons.results import Truth
 from comparisons.show.plots_fit_words import (
     characteristics_words,
     reconstruction_words,

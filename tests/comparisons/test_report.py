@@ -18,9 +18,8 @@ from report_page import without_own_script
 
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, reduce_record
-from comparisons.harness.compare import Comparison
 from comparisons.harness.reconstruction import reconstruct_record
-from comparisons.harness.truth import Truth
+from comparisons.results import Caution, Comparison, Truth
 from comparisons.show.report import Part, ReportSection, Words, render_report, write_report
 from comparisons.show.report.agreement import dwelling_words, widest_gap
 from surge_core.errors import InputError
@@ -81,7 +80,11 @@ def reduction() -> Reduction:
 
 @pytest.fixture(scope="module")
 def html(reduction: Reduction) -> str:
-    comparison = made_comparison(cautions=("record.csv: P25_A: 40 rows clipped",))
+    comparison = made_comparison(
+        cautions=(
+            Caution("ledger", "record.csv", "inspect", {"finding": "P25_A: 40 rows clipped"}),
+        )
+    )
     phi = np.linspace(0.0, 1.0, 50)
     truth = Truth(0.018, phi, 0.3 + 1.2 * phi - 1.5 * phi**2, "truth of the rig")
     section = ReportSection(
@@ -257,7 +260,10 @@ def test_the_ledger_says_what_was_dropped_even_when_nothing_was(
 
 def test_what_files_and_ledgers_say_is_text() -> None:
     entry = LedgerEntry(EVIL, EVIL, {EVIL: EVIL}, (Dropped(EVIL, 1, EVIL),), (EVIL,))
-    comparison = made_comparison(made_series(source=EVIL, history=(entry,)), cautions=(EVIL,) * 2)
+    comparison = made_comparison(
+        made_series(source=EVIL, history=(entry,)),
+        cautions=(Caution.of("estimator", remark=EVIL),) * 2,
+    )
     run = reconstruct_record(comparison.results[0].model, made_series(5, EVIL))
     phi = np.linspace(0.0, 1.0, 50)
     html = render_report(

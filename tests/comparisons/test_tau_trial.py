@@ -11,14 +11,14 @@ from comparison_data import made_comparison, made_series
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 from PIL import Image
 
-from comparisons.harness.rows import FitRows, stack_rows
+from comparisons.harness.rows import stack_rows
 from comparisons.harness.tau_trial import (
-    TauEstimate,
     estimates_of,
     parse_tau,
     reconstruction_error_over_tau,
     trial_taus,
 )
+from comparisons.results import FitRows, TauEstimate
 from comparisons.show.plots_tau_trial import plot_tau_trial
 from surge_core.errors import InputError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from classic_ml import LagRegressor, PiecewiseLinear
-from comparisons.harness.terms import evaluate_terms, is_known_term
+from comparisons.results import evaluate_terms, is_known_term
 from surge_core.errors import InputError
 
 PHI = np.array([-0.1, 0.0, 0.05, 0.3])

@@ -13,7 +13,7 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.structure_fit import FoundStructure
-from comparisons.harness.truth import Truth
+from comparisons.results import Caution, Truth
 from comparisons.show.report import Part, ReportSection, Words, render_report
 
 __all__ = ["EVIL", "PAGES", "made_page"]
@@ -42,7 +42,8 @@ def _compare(name: str) -> str:
     from comparisons.harness.reconstruction import reconstruct_record
 
     comparison = made_comparison(
-        made_series(source=name), cautions=(f"{name}: P25_A: 40 rows clipped",)
+        made_series(source=name),
+        cautions=(Caution("ledger", name, "inspect", {"finding": "P25_A: 40 rows clipped"}),),
     )
     phi = np.linspace(0.0, 1.0, 50)
     section = ReportSection(

@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from comparisons.harness.compare import Comparison
 from comparisons.harness.residual_analysis import dwelt_on
+from comparisons.results import Comparison
 from surge_core.rounding import significant
 
 __all__ = ["CurveGap", "dwelling", "dwelling_words", "widest_gap"]

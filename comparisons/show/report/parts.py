@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from comparisons.harness.compare import Comparison
 from comparisons.page.blocks import Block, Part
+from comparisons.results import Comparison
 from comparisons.show.report.pictures import (
     characteristic_picture,
     migration_pictures,

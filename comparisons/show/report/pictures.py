@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.compare import Comparison
-from comparisons.harness.truth import Truth
 from comparisons.page.blocks import Block, Picture, Words
+from comparisons.results import Comparison, Truth
 from comparisons.show.report.agreement import dwelling_words
 from comparisons.show.report.tables import validation_table
 from comparisons.show.report.words import coefficient_name
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Reconstruction
     from comparisons.show.report.report import ReportSection
 
 __all__ = [

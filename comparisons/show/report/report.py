@@ -10,10 +10,8 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.harness.compare import Comparison
-from comparisons.harness.reconstruction import Reconstruction
-from comparisons.harness.truth import Truth
 from comparisons.page.blocks import Head, Part, Table
+from comparisons.results import Comparison, Reconstruction, Truth
 from surge_core.files import check_target, write_whole
 
 if TYPE_CHECKING:

@@ -7,20 +7,21 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from classic_ml.records import Dropped, LedgerEntry
-from comparisons.harness.compare import Comparison, EstimatorResult
-from comparisons.harness.labels import estimator_label
 from comparisons.page.blocks import Cell, Head, Table, Words
-from comparisons.show.report.words import coefficient_name
-from comparisons.show.table import (
+from comparisons.results import (
     FIELDS,
     RECONSTRUCTION_FIELDS,
+    Comparison,
+    EstimatorResult,
     comparison_cells,
+    estimator_label,
     reconstruction_cells,
 )
+from comparisons.show.report.words import coefficient_name
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
-    from comparisons.harness.reconstruction import Reconstruction
+    from comparisons.results import Reconstruction
     from comparisons.show.report.report import ReportSection
 
 __all__ = [
@@ -50,7 +51,8 @@ def summary_table(fit: Comparison) -> Table:
         _with_name(cells, row.label, row.estimator)
         for cells, row in zip(comparison_cells(fit), fit.table, strict=True)
     )
-    return Table(f"Estimators of the {coefficient_name(fit)}, best first", heads, rows, ("best",))
+    marks = () if fit.recommended is None else ("best",)
+    return Table(f"Estimators of the {coefficient_name(fit)}", heads, rows, marks)
 
 
 def checks_table(fit: Comparison) -> Table:

@@ -8,15 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from classic_ml.records import LedgerEntry
-from comparisons.harness.cautions import (
-    grouped_cautions,
-    ranking_meaning,
-    tau_caution,
-    unknown_work,
-)
-from comparisons.harness.compare import Comparison
-from comparisons.harness.truth import Truth
+from comparisons.harness.cautions import tau_caution, unknown_work
 from comparisons.page.blocks import Bullets, Words
+from comparisons.results import SYMBOLS, Caution, Comparison, Truth, texts_of
 from comparisons.show.report.agreement import dwelling, dwelling_words
 from surge_core.rounding import round_to_error, significant
 
@@ -54,8 +48,10 @@ def tau_words(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Wor
     fitted = any(fit.rows.target == "psi_p" for fit in fits)
     target = "psi_p" if fitted else "psi"
     whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
-    caution = tau_caution(_histories(section, fits), target=target, from_whole_runs=whole)
-    return () if caution is None else (Words(caution[0].upper() + caution[1:], "caution"),)
+    caution = tau_caution(_histories(section, fits), target=target, quotable=whole)
+    if caution is None:
+        return ()
+    return (Words(caution.text[0].upper() + caution.text[1:], "caution"),)
 
 
 def cautions_list(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple[Bullets, ...]:
@@ -73,13 +69,18 @@ def cautions_list(section: ReportSection, fits: tuple[Comparison, ...]) -> tuple
         # The ledger's hold for both coefficients and are said once; a fit's own say which it is.
         sources = tuple(f"{record.source}: " for record in fit.records)
         symbol = coefficient_name(fit).rsplit(" ", 1)[-1]
-        for caution in grouped_cautions(fit.cautions):
+        # Which τ to quote stands above all, what the ranking is worth below the table.
+        elsewhere = ("quote_tau", "tau_biased", "held_out_is_prediction")
+        for caution in texts_of(c for c in fit.cautions if c.code not in elsewhere):
             said = caution if caution.startswith(sources) else f"{symbol}: {caution}"
             found += [] if said in found else [said]
     if not fits and section.reduction is not None:
         source = section.reduction.series.source
-        flags = [f"{source}: {f}" for e in section.reduction.record.history for f in e.flags]
-        found += grouped_cautions(flags)
+        found += texts_of(
+            Caution("ledger", source, entry.step, {"finding": flag})
+            for entry in section.reduction.record.history
+            for flag in entry.flags
+        )
     if not found:
         return ()
     return (Bullets(tuple(found), "caution", "Cautions"),)
@@ -101,7 +102,7 @@ def summary_list(fit: Comparison) -> Bullets:
         f"the last {held_out} rows were held out for the score.",
         _best_words(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
-        f"rewarded on held-out cycles too: {ranking_meaning(rows.target)}.",
+        f"rewarded on held-out cycles too: {_ranking_meaning(fit)}.",
         _tau_range_words(fit),
         f"The record's {dwelling(fit)}. {dwelling_words(fit)}",
         _checks_words(fit),
@@ -144,7 +145,7 @@ def ranking_words(fit: Comparison) -> Words:
     fit : Comparison
         Estimators side by side.
     """
-    said = ranking_meaning(fit.rows.target)
+    said = _ranking_meaning(fit)
     return Words(f"{said[0].upper()}{said[1:]}.", "quiet")
 
 
@@ -161,9 +162,15 @@ def unknown_work_list(section: ReportSection, fits: tuple[Comparison, ...]) -> t
     if section.work is not None:
         return ()
     reasons = dict.fromkeys(
-        reason for history in _histories(section, fits) if (reason := unknown_work(history))
+        f"{reason.text}."
+        for history in _histories(section, fits)
+        if (reason := unknown_work(history))
     )
     return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
+
+
+def _ranking_meaning(fit: Comparison) -> str:
+    return Caution("held_out_is_prediction", numbers={"symbol": SYMBOLS[fit.rows.target]}).text
 
 
 def _tau_off(tau_s: float, model: object, truth: Truth) -> str:
@@ -178,18 +185,21 @@ def _tau_off(tau_s: float, model: object, truth: Truth) -> str:
 
 
 def _best_words(fit: Comparison) -> str:
-    best = fit.table[0]
+    known = [row for row in fit.table if math.isfinite(row.held_out_rms)]
+    best = min(known, key=lambda row: row.held_out_rms, default=fit.table[0])
     score = fit.result(best.estimator).held_out
     if score is None:
-        return "There were too few rows to hold any out: the order below means nothing."
+        return "There were too few rows to hold any out: none is scored."
     words = (
         f"Least held-out error: {best.label}, rms {significant(score.rms, 3)}, "
         f"{score.fit_percent:.0f} % of the signal's spread explained (fit)."
     )
     level = [
         row.label
-        for row in fit.table[1:]
-        if math.isfinite(row.difference) and abs(row.difference) < 2.0 * row.paired_error
+        for row in fit.table
+        if row is not best
+        and math.isfinite(row.difference)
+        and abs(row.difference) < 2.0 * row.paired_error
     ]
     if level:
         words += f" Within twice the paired error of it: {', '.join(level)}."
@@ -209,7 +219,7 @@ def _tau_range_words(fit: Comparison) -> str:
             f"τ = {tau} ms (standard error)."
         )
     if not best.time_constant_stderr_s < best.time_constant_s:
-        words += " It is not told from zero."
+        words += " It is not separated from zero."
     if len(all_ms) > 1:
         words += (
             f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."

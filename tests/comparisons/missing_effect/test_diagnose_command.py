@@ -22,7 +22,8 @@ import pytest
 from made_diagnosis import Told
 from PIL import Image
 
-from classic_ml.series import CoefficientSeries, read_series, write_series
+from classic_ml.readers.series_files import read_series, write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
 from comparisons.missing_effect.base_terms import discovered_terms
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from classic_ml.filtering import period_average
+from classic_ml.filters import period_average
 from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
