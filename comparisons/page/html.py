@@ -5,11 +5,10 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
+from importlib.metadata import version as version_of
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from comparisons.page.blocks import Part, Table
+from comparisons.page.blocks import Part, Table
 
 __all__ = ["render_page"]
 
@@ -19,8 +18,8 @@ def render_page(
     *,
     title: str,
     command: str,
-    version: str,
-    versions: Table,
+    version: str | None = None,
+    versions: Table | None = None,
 ) -> str:
     """Return a page that holds its style, its script and its pictures.
 
@@ -28,9 +27,11 @@ def render_page(
     ----------
     sections : sequence of (str, sequence of Part)
         Headings and what stands below them.
-    title, command, version : str
-        Title of the page, the command line that made it and the version of this package.
-    versions : Table
+    title, command : str
+        Title of the page and the command line that made it.
+    version : str, optional
+        Version of this package; that of the installed one without it.
+    versions : Table, optional
         What else it was made with.
 
     Returns
@@ -53,8 +54,8 @@ def render_page(
     page = environment.get_template("report.html.jinja").render(
         title=title,
         command=command,
-        version=version,
-        versions=versions,
+        version=version or version_of("sindy-surge"),
+        versions=versions or Table("Versions", (), ()),
         sections=sections,
         policy=_content_policy(style, script),
         style=Markup(style),

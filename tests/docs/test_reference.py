@@ -52,6 +52,7 @@ PUBLIC = (
     "comparisons.rig.coefficient_tests",
     "comparisons.harness.structure_fit",
     "comparisons.study.comparison",
+    "comparisons.study.method_table",
     "comparisons.study.report",
     "comparisons.study.run",
     "comparisons.study.spec",
