@@ -12,7 +12,6 @@ from classic_ml.units import COUNT
 from surge_core.errors import InputError
 
 __all__ = [
-    "DEFAULT_THRESHOLD_LBM_S",
     "PLAUSIBLE_BIAS",
     "PLAUSIBLE_BIAS_K",
     "Compressor",
@@ -30,8 +29,6 @@ __all__ = [
 PLAUSIBLE_BIAS = 0.2
 # No thermocouple is off by an eighth; 698 K written in °F is off by a seventh.
 PLAUSIBLE_BIAS_K = 0.12
-# The paper's corrected inlet flow between in-stall and unstalled (98.5 % case).
-DEFAULT_THRESHOLD_LBM_S = 50.0
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from classic_ml.description import FileLayout
-from classic_ml.faults.held import held_in_chunks
-from classic_ml.faults.plateaus import cut_off_ends
+from classic_ml.faults.held import held_rows
+from classic_ml.faults.plateaus import range_ends
 from classic_ml.inspect.clock import ClockFacts, ClockTally, clock_column
 from classic_ml.inspect.surge import SurgeSearch
 from classic_ml.io.formats import open_stored
@@ -320,20 +320,16 @@ def _part_of(values: FloatArray, first_row: int) -> _Part:
     heads = values[starts]
     still = np.where(np.isfinite(heads), lengths, 0)
     longest = int(np.argmax(still))
-    with np.errstate(invalid="ignore", over="ignore"):
-        steps = np.abs(np.diff(values))
+    with np.errstate(over="ignore"):
         total = float(np.sum(finite))
-    least_step = float(np.min(steps, where=steps > 0.0, initial=np.inf))
-    readings = np.where(good, values, np.nan)
     cut_off: frozenset[float] = frozenset()
     held = 1.0
     if low < high:
         # The rules are those of a reduction.
-        ends = cut_off_ends(readings, float(low), float(high), least_step)
-        cut_off = frozenset(end.reading for end in ends)
+        cut_off = frozenset(end.reading for end in range_ends(finite))
         # At least half of the values of a channel that is held stand for several rows.
         if 2 * np.count_nonzero(lengths > 1) >= lengths.size:
-            held = held_in_chunks([readings[:, np.newaxis]], {0: least_step})[0]
+            held = held_rows(finite)
     return _Part(
         values.size,
         values.size - finite.size,

@@ -206,7 +206,7 @@ def preview(
     window = inspection.surges_s if too_long and test.window_s is None else None
     try:
         record, test = read_raw(raw_path, test, window=window)
-        reduction = reduce_record(record, test, keep="series")
+        reduction = reduce_record(record, test, keep_probes=False)
     except InputError as error:
         return ReductionPreview(str(error))
     history = reduction.record.history

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
 from classic_ml.description import PressureChannel, TestDescription
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
@@ -22,7 +23,6 @@ from classic_ml.io.mapping import (
 from classic_ml.io.table import MINIMUM_ROWS, TIME_COLUMN, RawFile
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.units import COUNT, Conversion, kind_of_unit, states_a_unit, time_conversion
-from surge_core.clock import CLOCK_TOLERANCE, uniform_period_s
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -258,8 +258,7 @@ def _record(
         if not (low <= values.min() and values.max() <= high and np.isfinite(values.max())):
             _finite(stored, column, values, read.rows_before)
             _check_possible(stored, test, column, values, (low, high), read.rows_before)
-        values.setflags(write=False)
-        channels[column.name] = Channel(column.name, values, column.record_unit)
+        channels[column.name] = Channel.adopt(column.name, values, column.record_unit)
     made = f"from the sample rate, {rate_hz:g} Hz" if not clock.column else stored.clock
     entry = LedgerEntry(
         "read",

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.filtering import period_average
+from classic_ml.filters import period_average
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 

@@ -1,48 +1,109 @@
-"""What `sindy-surge reduce` does beside the reduction: progress, and what of it is drawn."""
+"""The command `sindy-surge reduce`: raw counts to φ, ψ' and ψ."""
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from comparisons.cli.reduction_options import (
+    add_read_window,
+    add_reduction_options,
+    options_named,
+    read_window,
+    reduction_settings,
+)
+from comparisons.cli.shared import (
+    Commands,
+    add_raw,
+    check_files,
+    command_line,
+    drawing,
+    write_all,
+)
+from surge_core.files import check_target
+from surge_core.progress import shown_count
+
 if TYPE_CHECKING:
-    from classic_ml.description import TestDescription
+    from classic_ml.io import TestDescription
     from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["excerpt", "read_file", "reduce_file"]
+__all__ = ["add_parser", "print_reduction", "read_file", "reduce_file", "run"]
 
+SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
 REPORT_ROWS = 100_000
 
 
-def reduce_file(
-    raw: Path,
-    test_path: Path,
-    settings: ReductionSettings,
-    window: tuple[float, float] | None = None,
-    *,
-    for_report: bool,
-) -> Reduction:
-    """Reduce a raw record, and show how far it is on a terminal.
+def add_parser(commands: Commands) -> None:
+    """Add the command.
 
     Parameters
     ----------
-    raw, test_path : path
+    commands : argparse sub-parsers
+        Those of `sindy-surge`.
+    """
+    parser = commands.add_parser(
+        "reduce",
+        help="raw counts to φ, ψ' and ψ",
+        description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ "
+        "and the intervals to be fitted.",
+    )
+    add_raw(parser)
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
+    )
+    add_read_window(parser)
+    add_reduction_options(parser)
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help=f"report of the reduction; its pictures show at most {REPORT_ROWS} rows",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Reduce a raw record to a series file.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    """
+    from classic_ml.io.series import write_series
+
+    check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
+    check_target(arguments.out, SERIES_SUFFIXES)
+    with options_named():
+        settings, window = reduction_settings(arguments), read_window(arguments)
+        reduction = reduce_file(arguments.raw, arguments.test, settings, window)
+    write_series(reduction.series, arguments.out)
+    written = write_all([("report", arguments.report, lambda: _page(reduction))])
+    print_reduction(reduction)
+    for line in (f"series: {arguments.out}", *written):
+        print(line)
+
+
+def reduce_file(
+    raw: Path,
+    test: Path,
+    settings: ReductionSettings,
+    window: tuple[float, float] | None = None,
+) -> Reduction:
+    """Read and reduce a raw record, and show how far that is on a terminal.
+
+    Parameters
+    ----------
+    raw, test : path
         The record and its test.toml.
     settings : ReductionSettings
         The switches.
     window : tuple of float, optional
         Part of the file that is read, in s on its clock.
-    for_report : bool
-        Whether more than the series will be looked at.
-
-    Returns
-    -------
-    Reduction
-        Without the readings of the single probes; its record has the averages for a report, else
-        the channels of the series alone.
 
     Raises
     ------
@@ -50,35 +111,21 @@ def reduce_file(
         When the record cannot be used.
     """
     from classic_ml.reduction import STEPS, reduce_record
-    from comparisons.cli.progress import shown_count
 
-    record, test = read_file(raw, test_path, window)
+    record, description = read_file(raw, test, window)
     with shown_count("reducing", unit="step", total=STEPS) as done:
-        return reduce_record(
-            record,
-            test,
-            settings,
-            keep="averages" if for_report else "series",
-            progress=done,
-        )
+        return reduce_record(record, description, settings, keep_probes=False, progress=done)
 
 
 def read_file(
-    raw: Path, test_path: Path, window: tuple[float, float] | None = None
+    raw: Path, test: Path, window: tuple[float, float] | None = None
 ) -> tuple[Record, TestDescription]:
-    """Read a raw record, and show how far it is on a terminal.
+    """Read a raw record, and show how far that is on a terminal.
 
     Parameters
     ----------
-    raw, test_path, window
+    raw, test, window
         As :func:`reduce_file` takes them.
-
-    Returns
-    -------
-    Record
-        As read.
-    TestDescription
-        Its test.
 
     Raises
     ------
@@ -86,41 +133,49 @@ def read_file(
         When it cannot be read.
     """
     from classic_ml.io import read_raw
-    from comparisons.cli.progress import shown_count
 
     with shown_count("reading", unit="row") as read:
-        return read_raw(raw, test_path, window=window, progress=read)
+        return read_raw(raw, test, window=window, progress=read)
 
 
-def excerpt(reduction: Reduction) -> tuple[Reduction, str]:
-    """Return what of a long record is drawn: the beginning of its window, and before.
+def print_reduction(reduction: Reduction) -> None:
+    """Print the ledger of a reduction.
 
     Parameters
     ----------
     reduction : Reduction
         A reduced record.
-
-    Returns
-    -------
-    Reduction
-        The same of at most ``REPORT_ROWS`` rows; its ledger and its window are those of the whole.
-    str
-        Which part of the record it is, empty for the whole.
     """
-    from classic_ml.records import Channel
+    for entry in reduction.record.history:
+        print(f"{entry.step}: {entry.did}")
+        for dropped in entry.dropped:
+            print(f"  left out {dropped.what} ({dropped.count}): {dropped.why}")
+        for flag in entry.flags:
+            print(f"  note: {flag}")
 
+
+def _page(reduction: Reduction) -> str:
+    from comparisons.show.report import ReportSection, render_report
+
+    drawn, part = _excerpt(reduction)
+    name = reduction.test.name
+    return render_report(
+        [ReportSection(title=f"{name}{part}", reduction=drawn)],
+        title=f"Reduction of {name}",
+        command=command_line(),
+        progress=drawing,
+    )
+
+
+def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
+    """Return what of a long record is drawn, the beginning of its window, and which part it is."""
     record, series = reduction.record, reduction.series
     if record.n_samples <= REPORT_ROWS:
         return reduction, ""
     window = record.rows_between(*reduction.window_s)
     start = min(max(0, window.start - REPORT_ROWS // 4), record.n_samples - REPORT_ROWS)
     rows = slice(start, start + REPORT_ROWS)
-    channels = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
-    part = replace(record, channels=channels, start_s=record.time_at_s(start))
+    part = record.part(rows)
     columns = {name: values[rows] for name, values in series.columns().items()}
-    words = f"{part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"
-    return replace(
-        reduction,
-        record=part,
-        series=replace(series, **columns),  # type: ignore[arg-type]
-    ), words
+    shown = replace(reduction, record=part, series=replace(series, **columns))  # type: ignore[arg-type]
+    return shown, f", {part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"

@@ -104,12 +104,7 @@ def _reduced(
 ) -> Result:
     try:
         _check_clock(piece, test_path)
-        reduction = reduce_file(
-            piece.path,
-            piece.test or test_path,
-            settings,
-            for_report=False,
-        )
+        reduction = reduce_file(piece.path, piece.test or test_path, settings)
     except InputError as error:
         return Result(piece, error=error)
     reduction = _with_entry(reduction, _with_piece(entry, piece))

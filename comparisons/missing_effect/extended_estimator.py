@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import EstimatorSpec
-from comparisons.harness.rows import FitRows
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import REVERSE, SHAPE
 from comparisons.missing_effect.extended_refit import refitted
 from comparisons.missing_effect.extended_rows import rows_in
+from comparisons.results import FitRows
 from surge_core.types import FloatArray
 
 __all__ = ["ExtendedLagFit", "extended_specs"]

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.rows import FitRows
-from comparisons.harness.terms import evaluate_terms
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
@@ -32,6 +30,7 @@ from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
 from comparisons.missing_effect.structure import Structure
+from comparisons.results import FitRows, evaluate_terms
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold
@@ -165,14 +164,14 @@ class ExtendedLag(Displayed):
         """Reconstruct ψ' of a record from its φ; nothing is refitted.
 
         Each segment of at least 15 rows is one free run. A ripple is left out: its phase differs
-        from one stall episode to the next, and in another record nobody knows it.
+        from one stall episode to the next, and in another record it is unknown.
 
         Parameters
         ----------
         record : CoefficientSeries
             Of any length; its segments, temperature, speed and clock need not be those of the fit.
         labels : array-like of int, shape (n,), optional
-            Starts anew from the measured ψ' wherever these change within a segment.
+            Starts again from the measured ψ' wherever these change within a segment.
         start : {"measured", "rest"}
             Whether a run starts from the first measured ψ' of its segment, or from the quasi-steady
             value ten rows before it. A lag of second order reads its two numbers from the first

@@ -14,7 +14,7 @@ from made_systems import made_diagnosis as made_system
 
 from comparisons.missing_effect.extended_refit import value_of
 from comparisons.missing_effect.quantities import tau_ms
-from comparisons.show.table import FIELDS, comparison_cells
+from comparisons.results import FIELDS, Caution, comparison_cells
 from comparisons.study.comparison import compare_methods, pairwise
 
 
@@ -31,7 +31,9 @@ def shown(value: Any) -> tuple[str, str]:
 
 
 def test_a_comparison_shows_the_table_of_the_terminal() -> None:
-    comparison = made_comparison(made_series(source=EVIL), cautions=(EVIL,))
+    comparison = made_comparison(
+        made_series(source=EVIL), cautions=(Caution.of("estimator", remark=EVIL),)
+    )
     text, html = shown(comparison)
     for field in FIELDS:
         assert field.heading in text

@@ -200,15 +200,6 @@ CLOCKS = (
         "clock-ms", "raw.csv|time_s|1000 samples a second|ms", channel("time_s", lambda v: 1e3 * v)
     ),
     refused("rate-half", "raw.csv|time_s|500|1000|sample_rate_hz", table(lambda read: read[::2])),
-    flagged(
-        "clock-block-renumbered",
-        "100 rows repeat earlier ones",
-        table(
-            lambda read: pd.concat([read[:1100], read[1000:]]).assign(
-                time_s=np.arange(len(read) + 100) / 1e3
-            )
-        ),
-    ),
 )
 READINGS = (
     refused("counts-16-bit", "raw.csv|12-bit|4095", every("P", lambda v: v * 16.0)),
@@ -227,11 +218,6 @@ READINGS = (
         exchanged(("P25_A_tip_forward", "P25_B_tip_forward")),
     ),
     refused("disconnected", "raw.csv|P25_B_hub_aft", channel("P25_B_hub_aft", noise)),
-    flagged(
-        "channel-copied",
-        "P25_A_tip_aft|P25_B_tip_aft",
-        table(lambda read: read.assign(P25_A_tip_aft=read["P25_B_tip_aft"])),
-    ),
     flagged(
         "clipped-outside",
         f"{PROBE}|outside the window",
@@ -429,7 +415,7 @@ MODELS = (
     ),
     refused(
         "facility-breaks",
-        "facility.toml|work_break_1|smaller first",
+        "facility.toml|work_break_1|work_break_2",
         toml(("compressor/work_break_1", 9.0), file="facility.toml"),
         SYSTEM,
     ),
