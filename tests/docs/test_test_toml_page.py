@@ -9,7 +9,7 @@ from typing import get_args
 
 import pytest
 
-from classic_ml.io import description_file as models
+from classic_ml.io import description_schema as models
 from classic_ml.io import read_test_description
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -24,11 +24,11 @@ def example() -> str:
 def known_keys() -> dict[str, set[str]]:
     """Return the keys that each table may hold, by the heading of the table on the page."""
     tables = {
-        "planes.*": [models._Plane],
-        "Pressures": [models._InCounts, models._InPressure],
-        "Temperatures": [models._Temperature],
+        "planes.*": [models.Plane],
+        "Pressures": [models.InCounts, models.InPressure],
+        "Temperatures": [models.Temperature],
     }
-    for name, field in models._Document.model_fields.items():
+    for name, field in models.Document.model_fields.items():
         kinds = [field.annotation, *get_args(field.annotation)]
         tables[name] = [k for k in kinds if isinstance(k, type) and issubclass(k, models.Table)]
     keys = {
@@ -53,7 +53,7 @@ def keys_on_page() -> dict[str, set[str]]:
 
 def test_the_page_has_every_key_and_no_other() -> None:
     assert keys_on_page() == known_keys()
-    for table in (*models._Document.model_fields, "defaults"):
+    for table in (*models.Document.model_fields, "defaults"):
         assert re.search(rf"^#+ `\[{table}[\].]", PAGE, re.MULTILINE), table
 
 
