@@ -431,3 +431,18 @@ def test_groups_that_are_left_out_are_named_with_what_to_do(
         "T31_A",
         "T31_B",
     }
+
+
+def test_a_channel_cut_off_in_psia_is_found_as_in_counts(tmp_path: Path) -> None:
+    """Forty readings or more are bit-equal at the top, as codes and as the pressures of these."""
+    rng = np.random.default_rng(8)
+    time_s = np.arange(3000) / 1000.0
+    swing = 2300.0 + 1500.0 * np.sin(2.0 * np.pi * 8.0 * time_s) + 12.0 * rng.standard_normal(3000)
+    codes = np.clip(np.round(swing), 0.0, 3780.0)
+    assert np.count_nonzero(codes == codes.max()) >= 40
+    whole = np.round(swing)
+    for unit, of in (("count", lambda v: v), ("psia", lambda v: np.round(7.0 + v / 271.3, 4))):
+        columns = {"time_s": time_s, f"cut [{unit}]": of(codes), f"whole [{unit}]": of(whole)}
+        facts = {c.name: c for c in inspected(tmp_path, columns).channels}
+        assert facts[f"cut [{unit}]"].plateaus == ("maximum",), unit
+        assert facts[f"whole [{unit}]"].plateaus == (), unit
