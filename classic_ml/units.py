@@ -108,10 +108,10 @@ _WORDED = re.compile(r"^(?P<unit>.+?)[\s_]*[\s_(\[](?P<word>[a-z]+)[)\]]?$", re.
 _LETTERED = re.compile(r"^(?P<unit>psi|psf|m?bar|[kMh]?Pa)(?P<word>[agd])$", re.IGNORECASE)
 _BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
 _LONGEST = 60
-# A number in a unit is the one digit of an exponent, and no exponent has one of its own.
-_NUMBER = re.compile(r"(?<![A-Za-z_0-9])\d[\d.eE_]*")
-_EXPONENT = re.compile(r"[A-Za-z_)\]]\s*(?:\*\*|\^)\s*-?\d$")
-_TOWER = re.compile(r"(?:\*\*|\^)[^*/]*(?:\*\*|\^)")
+# pint would work 10**999999999 out: a number in a unit is the one digit of an exponent.
+_NO_UNIT = re.compile(
+    r"(?<![A-Za-z_0-9*^ -])\d|(?<![A-Za-z_0-9])\d[\d.eE_]|(?:\*\*|\^)[^*/]*(?:\*\*|\^)"
+)
 
 
 @dataclass(frozen=True)
@@ -388,10 +388,7 @@ def _absolute(plain: str) -> str:
 
 
 def _is_harmless(name: str) -> bool:
-    """Tell whether pint may parse a label: it would work 10**999999999 out."""
-    if not name or len(name) > _LONGEST or _TOWER.search(name):
-        return False
-    return all(_EXPONENT.search(name[: number.end()]) for number in _NUMBER.finditer(name))
+    return bool(name) and len(name) <= _LONGEST and not _NO_UNIT.search(name)
 
 
 @cache
@@ -406,29 +403,21 @@ def _parsed(plain: str, kind: str, where: str, shown: str) -> tuple[float, float
     """Return factor and offset of a unit of one kind, or refuse it."""
     known = _factor_and_offset(plain, kind)
     if known is None:
-        near = _near(plain, kind)
+        folded = {name.lower(): name for name in _COMMON[kind]}
+        near = get_close_matches(plain.lower(), folded, 1)
         raise InputError(
             where,
             expected=f"a unit of {kind}, such as " + ", ".join(_COMMON[kind]),
             found=f'"{shown[:_LONGEST]}"',
-            remedy=f"is '{near}' meant?" if near else "",
+            remedy=f"is '{folded[near[0]]}' meant?" if near else "",
         )
     return known
 
 
-def _near(plain: str, kind: str) -> str:
-    folded = {name.lower(): name for name in _COMMON[kind]}
-    close = get_close_matches(plain.lower(), folded, 1)
-    return folded[close[0]] if close else ""
-
-
-def _factor_and_offset(plain: str, kind: str) -> tuple[float, float] | None:
-    return _looked_up(plain, kind) if len(plain) <= _LONGEST else None
-
-
 # A file may label any number of columns, each in another way.
 @lru_cache(maxsize=1024)
-def _looked_up(plain: str, kind: str) -> tuple[float, float] | None:
+def _factor_and_offset(plain: str, kind: str) -> tuple[float, float] | None:
+    """Return what turns readings into SI, as pint's definitions have it; None for another unit."""
     name = _SPELLINGS[kind].get(plain.lower(), plain)
     if (kind, name) in _EXACT:
         return float(_EXACT[kind, name]), 0.0
@@ -437,13 +426,11 @@ def _looked_up(plain: str, kind: str) -> tuple[float, float] | None:
     registry = _registry()
     try:
         unit = registry.parse_units(name)
-        zero, one = (registry.Quantity(Fraction(n), unit) for n in (0, 1))
         # pint converts a difference of temperatures as if it were a temperature.
         if any(part.startswith("delta_") for part in unit._units):
             return None
-        offset = zero.to(_SI[kind]).magnitude
-        factor = one.to(_SI[kind]).magnitude - offset
-        return float(factor), float(offset)
+        offset, one = (registry.Quantity(Fraction(n), unit).to(_SI[kind]).magnitude for n in (0, 1))
+        return float(one - offset), float(offset)
     except Exception:
         # pint raises whatever its parser stumbles over, and cannot even print some of it.
         return None

@@ -360,7 +360,7 @@ def test_a_label_of_any_length_is_looked_at_in_a_bounded_way(
 def test_labels_without_end_are_not_all_remembered() -> None:
     for number in range(3000):
         kind_of_unit(f"rubbish{number}")
-    assert units._looked_up.cache_info().currsize < 3000
+    assert units._factor_and_offset.cache_info().currsize < 3000
 
 
 def test_what_is_too_large_in_si_is_infinite_and_nothing_is_said(recwarn: Any) -> None:
