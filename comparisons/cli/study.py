@@ -60,7 +60,7 @@ def _jobs(text: str) -> int:
 
 def run_study_command(arguments: argparse.Namespace) -> None:
     """Run the study that the arguments name."""
-    from comparisons.cli.commands import command_line
+    from comparisons.cli.shared import command_line
     from comparisons.study.comparison import methods_in, study_text
     from comparisons.study.design import cells_of
     from comparisons.study.report import write_study_report
@@ -91,8 +91,8 @@ def run_study_command(arguments: argparse.Namespace) -> None:
 def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> Any:
     from joblib import cpu_count
 
-    from comparisons.cli.progress import shown_count
     from comparisons.study.run import run_study
+    from surge_core.progress import shown_count
 
     with shown_count(unit="cell", total=cells) as progress:
         return run_study(

@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.cycles import DEEP_SHARE, LEAST_SWING
+from classic_ml.flow import LBM_KG
 from classic_ml.readers import TestDescription
 from classic_ml.segments import SHORTEST_S
-from classic_ml.surge_cycles import DEEP_SHARE, LEAST_SWING
 from comparisons.live.operating_point import OperatingPoints, low_pass_delay_s
 
 __all__ = ["CycleCounter", "Sighting", "SurgeDetector"]

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
+from classic_ml import write_series
 from classic_ml.readers import TestDescription, read_raw, read_test_description
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, near_stall_shifts, reduce_record
-from classic_ml.series import write_series
 from surge_core.errors import InputError
 
 __all__ = ["FEED", "Piece", "Pieces", "Result", "read_rows", "reduce_pieces"]
