@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from typing import TextIO
 
 from comparisons.live.state import Event, LiveState, status_line
@@ -41,8 +42,10 @@ class Terminal:
             self._write("")
 
     def _write(self, text: str) -> None:
-        self._stream.write((CLEAR_LINE if self._moving else "") + text)
-        self._stream.flush()
+        # A terminal or pipe that is gone ends its display, not the run.
+        with suppress(OSError, ValueError):
+            self._stream.write((CLEAR_LINE if self._moving else "") + text)
+            self._stream.flush()
 
 
 def _plain(text: str) -> str:
