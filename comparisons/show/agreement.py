@@ -11,7 +11,7 @@ from comparisons.harness.residual_analysis import dwelt_on
 from comparisons.results import Comparison
 from surge_core.rounding import significant
 
-__all__ = ["CurveGap", "dwelling", "dwelling_words", "widest_gap"]
+__all__ = ["CurveGap", "dwelling_words", "widest_gap"]
 
 BAND = 2.0
 GRID_POINTS = 241
@@ -42,18 +42,6 @@ class CurveGap:
     parted: bool
 
 
-def dwelling(fit: Comparison) -> str:
-    """Return the words for the range of φ that holds nine rows in ten.
-
-    Parameters
-    ----------
-    fit : Comparison
-        Estimators side by side.
-    """
-    low, high = fit.valid_phi
-    return f"φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile)"
-
-
 def widest_gap(fit: Comparison) -> CurveGap | None:
     """Return where two curves lie furthest apart where φ dwells, parted bands first.
 
@@ -76,25 +64,16 @@ def widest_gap(fit: Comparison) -> CurveGap | None:
     curves = {}
     for result in fit.results:
         phi, value, stderr = np.asarray(result.model.table).T
-        curves[result.label] = (
-            np.interp(grid, phi, value),
-            BAND * np.interp(grid, phi, stderr),
-        )
+        band = BAND * np.interp(grid, phi, stderr)
+        curves[result.label] = (np.interp(grid, phi, value), band)
     gaps = []
-    for first, second in combinations(curves, 2):
-        (a, band_a), (b, band_b) = curves[first], curves[second]
+    for labels in combinations(curves, 2):
+        (a, band_a), (b, band_b) = (curves[label] for label in labels)
         apart = np.where(np.isfinite(a - b), np.abs(a - b), 0.0)
         parted = apart > np.nan_to_num(band_a) + np.nan_to_num(band_b)
         at = int(np.argmax(np.where(parted, apart, 0.0) if parted.any() else apart))
-        gaps.append(
-            CurveGap(
-                float(grid[at]),
-                (first, second),
-                float(apart[at]),
-                (float(band_a[at]), float(band_b[at])),
-                bool(parted[at]),
-            )
-        )
+        bands = float(band_a[at]), float(band_b[at])
+        gaps.append(CurveGap(float(grid[at]), labels, float(apart[at]), bands, bool(parted[at])))
     return max(gaps, key=lambda gap: (gap.parted, gap.apart), default=None)
 
 
@@ -107,25 +86,27 @@ def dwelling_words(fit: Comparison) -> str:
         Estimators side by side.
     """
     gap = widest_gap(fit)
-    passed = all(check.passed for result in fit.results for check in result.checks)
     general = (
         "Outside it the curves are extrapolated; inside it a curve is as good as its checks and "
         "as the agreement of the estimators."
     )
     if gap is None:
         return f"{general} There is but one curve, so that nothing is known of any agreement."
+    apart = significant(gap.apart, 2)
     if gap.parted:
         bands = " and ".join(f"± {significant(band, 2)}" for band in gap.bands)
         return (
-            f"{general} Inside it the curves of the estimators differ by up to "
-            f"{significant(gap.apart, 2)} ({gap.labels[0]} against {gap.labels[1]} at φ = "
-            f"{gap.phi:.3f}, where their bands of two standard errors are {bands}): not all of "
-            "them can be right."
+            f"{general} Inside it the curves of the estimators differ by up to {apart} "
+            f"({gap.labels[0]} against {gap.labels[1]} at φ = {gap.phi:.3f}, where their bands of "
+            f"two standard errors are {bands}): not all of them can be right."
         )
-    agree = (
+    passed = all(check.passed for result in fit.results for check in result.checks)
+    return (
         f"{general} Inside it the curves agree within their bands of two standard errors; the "
-        f"largest difference is {significant(gap.apart, 2)}"
+        f"largest difference is {apart}. "
+        + (
+            "As all residual checks passed too, they can be trusted there."
+            if passed
+            else "Residual checks failed, so that all of them may still be off alike."
+        )
     )
-    if passed:
-        return f"{agree}. As all residual checks passed too, they can be trusted there."
-    return f"{agree}. Residual checks failed, so that all of them may still be off alike."
