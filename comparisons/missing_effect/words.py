@@ -103,7 +103,7 @@ def opening_words(d: Diagnosis) -> str:
     d : Diagnosis
         The diagnosis.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     counts = [
         (int(np.count_nonzero(d.data.scored(part))), words)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sindy_surge.free_run import Segments
-from surge_core.types import FloatArray
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import unit_norms
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.segments import Segments
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
     "MIN_HALF_WIDTH",
+    "WeakEquations",
     "WeakLag",
     "compensated_lag",
     "half_width_samples",
@@ -110,7 +113,8 @@ def weak_rows(
 
     By parts, ∫ w (dψ'/dt) dt = -∫ (dw/dt) ψ' dt, so nothing is differentiated. The terms are
     built from the raw φ and integrated with the very same w; smoothing φ first would not
-    commute with its powers. A test function starts every quarter of a half width.
+    commute with its powers. A test function starts every quarter of a half width; segments
+    shorter than one give no equation.
 
     Parameters
     ----------
@@ -119,9 +123,7 @@ def weak_rows(
     terms : ndarray of shape (n_rows, n_terms)
         The candidate terms.
     segments : Segments
-        The runs of rows; segments shorter than one test function give no equation.
-    half_width : int
-        Half width m in samples.
+        The runs of rows.
     sample_period_s : float
         Sample period in seconds.
 
@@ -133,40 +135,15 @@ def weak_rows(
         Weak terms.
     """
     weight, slope = _test_function(half_width, sample_period_s)
-    stride = _stride(half_width)
-    columns = [y, *terms.T]
-    parts: list[FloatArray] = []
+    stride, width = _stride(half_width), 2 * half_width + 1
+    stacked = np.column_stack((y, terms))
+    parts = []
     for rows in segments.slices():
-        if rows.stop - rows.start < weight.size:
-            continue
-        smooth = [_slid(column[rows], weight, stride) for column in columns]
-        # A convolution would flip its kernel; dw/dt is odd, which is the minus sign.
-        parts.append(np.column_stack((_slid(y[rows], -slope, stride), *smooth)))
-    if not parts:
-        return np.empty(0), np.empty(0), np.empty((0, terms.shape[1]))
-    stacked = np.concatenate(parts)
-    return stacked[:, 0], stacked[:, 1], stacked[:, 2:]
-
-
-def _slid(signal: FloatArray, kernel: FloatArray, stride: int) -> FloatArray:
-    """Return the sums of kernel times signal at every stride-th place where it fits.
-
-    The signal is cut into rows of one stride, and one product with the kernel cut alike gives
-    all that the sums need: nothing is computed that the stride passes over.
-    """
-    n_places = (signal.size - kernel.size) // stride + 1
-    pieces = -(-kernel.size // stride)
-    padded = np.zeros(pieces * stride)
-    padded[: kernel.size] = kernel
-    wanted = (n_places + pieces - 1) * stride
-    if wanted > signal.size:
-        signal = np.concatenate((signal, np.zeros(wanted - signal.size)))
-    blocks = np.ascontiguousarray(signal[:wanted]).reshape(-1, stride)
-    products = blocks @ padded.reshape(pieces, stride).T
-    result: FloatArray = products[:n_places, 0].copy()
-    for number in range(1, pieces):
-        result += products[number : number + n_places, number]
-    return result
+        if rows.stop - rows.start >= width:
+            seen = np.lib.stride_tricks.sliding_window_view(stacked[rows], width, axis=0)[::stride]
+            parts.append(np.column_stack((-(seen[:, 0] @ slope), seen @ weight)))
+    every = np.concatenate(parts) if parts else np.empty((0, stacked.shape[1] + 1))
+    return every[:, 0], every[:, 1], every[:, 2:]
 
 
 def _test_function(half_width: int, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
@@ -181,15 +158,13 @@ def _stride(half_width: int) -> int:
     return max(1, half_width // 4)
 
 
-def weak_centres(segments: Segments, half_width: int) -> NDArray[np.intp]:
+def weak_centres(segments: Segments, half_width: int) -> IndexArray:
     """Return the row at the middle of each test function of `weak_rows`.
 
     Parameters
     ----------
     segments : Segments
         The runs of rows.
-    half_width : int
-        Half width m in samples.
 
     Returns
     -------
@@ -279,12 +254,8 @@ def compensated_lag(
         Their derivatives with respect to each input.
     segments : Segments
         The runs of rows.
-    half_width : int
-        Half width m in samples.
     sample_period_s : float
         Sample period in seconds.
-    output_noise : float
-        Standard deviation of the white noise of ψ'.
     input_noise : ndarray of shape (n_inputs,)
         Those of the inputs.
 
@@ -318,7 +289,88 @@ def compensated_lag(
 
 
 def _solve(columns: FloatArray, target: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(columns)
     solution: FloatArray = np.linalg.lstsq(columns / norms, target, rcond=1e-10)[0] / norms
     return solution
+
+
+@dataclass(frozen=True)
+class WeakEquations:
+    """Weak equations ψ' = -τ dψ'/dt + Σ β_i s_i of one width of the test function.
+
+    Parameters
+    ----------
+    derivative, signal : ndarray of shape (n_weak,)
+        Weak dψ'/dt (1/s) and ψ'.
+    columns : ndarray of shape (n_weak, n_columns)
+        Weak usable terms.
+    centres : ndarray of int of shape (n_weak,)
+        Row at the middle of each test function.
+    half_width : int
+        Half width in samples.
+    """
+
+    derivative: FloatArray
+    signal: FloatArray
+    columns: FloatArray
+    centres: IndexArray
+    half_width: int
+
+    @classmethod
+    def of(cls, problem: LagProblem, half_width: int | None = None) -> WeakEquations | None:
+        """Set up the equations.
+
+        Parameters
+        ----------
+        half_width : int or None
+            Half width in samples; None takes two time constants.
+
+        Returns
+        -------
+        WeakEquations or None
+            None if the segments are too short for a test function, or no lag shows.
+        """
+        # Terms with ψ' need a simulated ψ', of which the weak form has none.
+        without = problem.columns[: problem.n_without_state].tolist()
+        values = problem.late(problem.terms(problem.inputs, wanted=without))
+        segments, period = problem.segments, problem.sample_period_s
+        if half_width is None:
+            # The first terms of a library are its simplest; with all of them τ drifts up.
+            found = weak_lag(problem.output, values[:, :3], segments, period)
+            if found is None:
+                return None
+            half_width = round(found.half_width_s / period)
+        change, signal, columns = weak_rows(problem.output, values, segments, half_width, period)
+        return cls(change, signal, columns, weak_centres(segments, half_width), half_width)
+
+    def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Regress ψ' on dψ'/dt and some terms.
+
+        dψ'/dt stands on the right, so that what is left is an error of ψ'. Put the other way
+        round, τ came out 5 to 20 ms too high on records of the simulated rig.
+
+        Returns
+        -------
+        parameters : ndarray of shape (n_support + 1,)
+            β, and last τ in seconds.
+        design : ndarray of shape (n_weak, n_support + 1)
+            Derivatives of the fitted values.
+        residual : ndarray of shape (n_weak,)
+            What is left.
+        """
+        design = np.column_stack((self.columns[:, list(support)], -self.derivative))
+        parameters = least_squares(design, self.signal)
+        return parameters, design, self.signal - design @ parameters
+
+    def fit_forward(self, support: Support) -> FloatArray | None:
+        """Return (β, τ) from regressing dψ'/dt; None if τ is not positive."""
+        design = np.column_stack((self.columns[:, list(support)], -self.signal))
+        solution = least_squares(design, self.derivative)
+        if not solution[-1] > 0:
+            return None
+        parameters: FloatArray = np.append(solution[:-1], 1.0) / solution[-1]
+        return parameters
+
+    def linear(self) -> LinearProblem:
+        """Return the regression on all terms, τ projected out, for the optimizers."""
+        return without_nuisances(self.derivative[:, None], self.columns, self.signal)

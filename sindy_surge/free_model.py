@@ -1,4 +1,4 @@
-"""Free run of an identified model over new inputs, and its state at rest."""
+"""An identified model that runs by itself: over new inputs, and at rest."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.free_run import Hold, Segments, hold_coefficients, lag_taps, run_lag
+from sindy_surge.free_run import DelayedLag, run_lag
+from sindy_surge.segments import Segments
+from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["FreeModel"]
@@ -29,12 +31,8 @@ class FreeModel:
         The terms of the model.
     coefficients : ndarray of shape (n_terms,)
         β.
-    time_constant_s, dead_time_s : float
-        τ and d in seconds.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the terms run between two samples.
+    lag : FirstOrderLag
+        τ, the dead time, the sample period and the hold.
     seen : tuple of float
         Least and greatest ψ' of the record. A model with terms in ψ' may run away far from its
         record; it is stopped ten ranges outside.
@@ -43,10 +41,7 @@ class FreeModel:
     terms: CandidateTerms
     selected: IndexArray
     coefficients: FloatArray
-    time_constant_s: float
-    dead_time_s: float
-    sample_period_s: float
-    hold: Hold
+    lag: FirstOrderLag
     seen: tuple[float, float]
 
     @property
@@ -55,20 +50,7 @@ class FreeModel:
         return bool(np.any(self.selected >= self.terms.n_without_state))
 
     def values(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
-        """Evaluate the terms of the model.
-
-        Parameters
-        ----------
-        inputs : ndarray of shape (n, n_inputs)
-            The inputs when they act.
-        psi_p : ndarray of shape (n,)
-            ψ' then.
-
-        Returns
-        -------
-        ndarray of shape (n, n_terms)
-            The terms.
-        """
+        """Evaluate the terms: from (n, n_inputs) when they act and ψ' then to (n, n_terms)."""
         order = np.argsort(self.selected, kind="stable")
         rising = self.terms(inputs, psi_p, self.selected[order].tolist())
         values = np.empty_like(rising)
@@ -137,35 +119,30 @@ class FreeModel:
         ndarray of shape (n_rows,)
             ψ'.
         """
-        taps = lag_taps(self.time_constant_s, self.sample_period_s, self.hold, self.dead_time_s)
-        low = np.repeat(segments.starts, segments.lengths)
-        high = np.repeat(segments.stops, segments.lengths) - 1
+        delayed, lag = DelayedLag.of(self.lag), self.lag
         rows = np.arange(segments.n_rows)
-        sources = [
-            np.clip(rows - taps.shift - number, low, high) for number in range(taps.taps.size)
-        ]
+        weights = delayed.weights[0]
+        sources = [segments.within(rows - delayed.shift - i) for i in range(weights.size)]
 
         def driven(forcing: FloatArray) -> FloatArray:
-            pairs = zip(taps.taps, sources, strict=True)
-            return np.asarray(sum(tap * forcing[source] for tap, source in pairs))
+            pairs = zip(weights, sources, strict=True)
+            return np.asarray(sum(weight * forcing[source] for weight, source in pairs))
 
         state = np.repeat(initial, segments.lengths)
-        whole = self.dead_time_s / self.sample_period_s
-        ahead = int(np.floor(whole))
-        part = whole - ahead
         if not self.holds_state:
-            return run_lag(driven(self.forcing(inputs, state)), segments, taps.pole, initial)
-        _, now, before = hold_coefficients(self.time_constant_s, self.sample_period_s, self.hold)
+            return run_lag(driven(self.forcing(inputs, state)), segments, lag.a, initial)
+        samples = lag.dead_time_s / lag.sample_period_s
+        ahead = int(np.floor(samples))
+        near, far = segments.within(rows + ahead), segments.within(rows + ahead + 1)
         for _ in range(_MOST_STEPS):
             # ψ' at the times when the inputs of each row act.
-            near = state[np.clip(rows + ahead, low, high)]
-            far = state[np.clip(rows + ahead + 1, low, high)]
-            acting = (1 - part) * near + part * far
+            acting = (1 - samples + ahead) * state[near] + (samples - ahead) * state[far]
             gain = np.clip(self.gain(inputs, acting), -np.inf, 1.0)
             target = driven(self.forcing(inputs, acting)) - state
-            target[1:] += taps.pole * state[:-1]
+            target[1:] += lag.a * state[:-1]
             target[segments.starts] = initial - state[segments.starts]
-            change = _bidiagonal(1.0 - now * gain, taps.pole + before * gain, target, segments)
+            now, before = 1.0 - lag.gain_now * gain, lag.a + lag.gain_before * gain
+            change = _bidiagonal(now, before, target, segments)
             state = self._bounded(state + change)
             if float(np.max(np.abs(change))) < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
                 break

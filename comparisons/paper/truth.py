@@ -1,4 +1,4 @@
-"""The rig's own characteristics, written out for the pictures that show the truth."""
+"""The rig's own characteristics, written out for the claims and pictures that show the truth."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from numpy.typing import ArrayLike
 
 from classic_ml.coefficients import flow_coefficient
 from classic_ml.flow import LBM_KG
-from comparisons.paper.figures_common import case_table
 from comparisons.paper.instabilities import InstabilityRun
 from surge_core.types import FloatArray
 
 __all__ = [
+    "LBM_KG",
+    "PSI_PA",
+    "RANKINE_PER_K",
+    "THRESHOLD_LBM_S",
     "in_stall_psi",
     "in_stall_psi_p",
     "phi_of_flow",
@@ -23,6 +26,11 @@ __all__ = [
     "temperature_K",
     "unstalled_psi_p",
 ]
+
+PSI_PA = 6_894.757_293
+RANKINE_PER_K = 1.8
+# Paper, "Model Identification for 98.5% Corrected Speed": between in-stall and unstalled flow.
+THRESHOLD_LBM_S = 50.0
 
 
 def in_stall_psi_p(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
@@ -56,7 +64,7 @@ def in_stall_psi(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
 
 def stall_point(run: InstabilityRun, speed_frac: float) -> tuple[float, float]:
     """Return φ and ψ' of the rig's stall point at a corrected speed."""
-    case = case_table(run)
+    case = run.rig.truth_parameters["case"]
     low, high = case["stall_speeds"]
     along = (speed_frac - low) / (high - low)
     phi, psi_p = (
@@ -70,12 +78,12 @@ def unstalled_psi_p(run: InstabilityRun, phi: ArrayLike, speed_frac: float) -> F
     """Return the rig's unstalled ψ' at a corrected speed: flat up to the stall point, then down."""
     phi_s, psi_s = stall_point(run, speed_frac)
     beyond = np.maximum(np.asarray(phi, dtype=np.float64) - phi_s, 0.0)
-    return np.asarray(psi_s - case_table(run)["unstalled_droop"] * beyond**2)
+    return np.asarray(psi_s - run.rig.truth_parameters["case"]["unstalled_droop"] * beyond**2)
 
 
 def temperature_K(run: InstabilityRun, speed_frac: float) -> float:
     """Return the inlet temperature at which the machine turns at a corrected speed."""
-    case = case_table(run)
+    case = run.rig.truth_parameters["case"]
     ratio = case["corrected_speed_frac"] / speed_frac
     return float(case["supply_temperature_k"]) * float(ratio) ** 2
 

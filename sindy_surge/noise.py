@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sindy_surge.free_run import LagTaps, Segments
+from sindy_surge.free_run import DelayedLag
+from sindy_surge.segments import Segments
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["NoiseLevels", "Whitener", "autoregression", "difference_noise", "refine_noise"]
@@ -73,7 +74,7 @@ class Whitener:
 
     Parameters
     ----------
-    taps : LagTaps
+    taps : DelayedLag
         Of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
@@ -91,7 +92,7 @@ class Whitener:
 
     def __init__(
         self,
-        taps: LagTaps,
+        taps: DelayedLag,
         slopes: FloatArray,
         noise: NoiseLevels,
         segments: Segments,
@@ -110,15 +111,16 @@ class Whitener:
         # Keeps the factor exact to eight digits even about a wild intermediate characteristic.
         carried = np.minimum(carried, 1e8 * noise.output**2)
         joined = np.diff(later) == 1
-        band = np.zeros((taps.taps.size, later.size))
-        for distance in range(taps.taps.size):
+        weights = taps.weights[0]
+        band = np.zeros((weights.size, later.size))
+        for distance in range(weights.size):
             both = np.ones(later.size, dtype=bool)
             for step in range(distance):
                 both[: later.size - 1 - step] &= joined[step:]
                 both[later.size - 1 - step :] = False
             shared = np.zeros(later.size)
-            for i in range(taps.taps.size - distance):
-                shared += taps.taps[i] * taps.taps[i + distance] * carried[at - i]
+            for i in range(weights.size - distance):
+                shared += weights[i] * weights[i + distance] * carried[at - i]
             band[distance] = np.where(both, shared, 0.0)
         band[0] += noise.output**2 * (p**2 + q**2)
         if doubt is not None:
@@ -181,7 +183,7 @@ class Whitener:
 
 def refine_noise(
     residual: FloatArray,
-    taps: LagTaps,
+    taps: DelayedLag,
     slopes: FloatArray,
     guess: NoiseLevels,
     segments: Segments,
@@ -198,23 +200,12 @@ def refine_noise(
     ----------
     residual : ndarray of shape (n_equations,)
         A e of a fit with all terms.
-    taps : LagTaps
-        Of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
-    guess : NoiseLevels
-        From fourth differences.
     segments : Segments
         The runs of usable rows.
     rows : ndarray of int of shape (n_usable,)
         Their rows in the record.
-    output_scale : float
-        Standard deviation of ψ', for the floor.
-
-    Returns
-    -------
-    NoiseLevels
-        White levels (no colour).
     """
     from scipy.optimize import minimize_scalar
 
@@ -257,19 +248,8 @@ def floored(
 
     Parameters
     ----------
-    noise : NoiseLevels
-        The noise.
-    pole : float
-        exp(-h/τ) of the lag.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
-    output_scale : float
-        Standard deviation of ψ'.
-
-    Returns
-    -------
-    NoiseLevels
-        With `output` raised if need be.
     """
     carried = float((noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0).mean())
     # A first-order lag passes white noise with the variance (1 - a)/(1 + a).
@@ -287,8 +267,6 @@ def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> Flo
         Whitened residual.
     groups : Segments
         The runs of its rows; sums run over all, none reaches across.
-    largest : int
-        Highest order tried; also at most a tenth of the median run.
 
     Returns
     -------

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sindy_surge.free_run import Segments, lag_taps
-from sindy_surge.whitening import NoiseLevels, Whitener, autoregression, difference_noise
+from sindy_surge.free_run import DelayedLag
+from sindy_surge.noise import NoiseLevels, Whitener, autoregression, difference_noise
+from sindy_surge.segments import Segments
+from surge_core.lag import FirstOrderLag
 
 
 @pytest.mark.parametrize("hold", ["first", "zero"])
@@ -18,7 +20,7 @@ def test_whitening_matches_the_dense_covariance(
 ) -> None:
     rng = np.random.default_rng(0)
     n, edge = 46, 3
-    lag = lag_taps(0.006, 1e-3, hold, dead_samples * 1e-3)
+    lag = DelayedLag.of(FirstOrderLag(0.006, 1e-3, hold, dead_samples * 1e-3))  # type: ignore[arg-type]
     slopes = rng.standard_normal((1, n))
     noise = NoiseLevels(0.3, np.array([0.2]), np.empty(0))
     # Three runs of usable rows, away from the ends by more than the dead time reaches.
@@ -32,7 +34,7 @@ def test_whitening_matches_the_dense_covariance(
     b_matrix = np.zeros((later.size, n))
     for number, k in enumerate(later):
         a_matrix[number, rows[k]], a_matrix[number, rows[k] - 1] = ahead[number], -behind[number]
-        for i, tap in enumerate(lag.taps):
+        for i, tap in enumerate(lag.weights[0]):
             source = rows[k] - lag.shift - i
             b_matrix[number, source] += tap * slopes[0, source]
     covariance = 0.3**2 * a_matrix @ a_matrix.T + 0.2**2 * b_matrix @ b_matrix.T
@@ -80,7 +82,7 @@ def test_autoregression_finds_order_and_coefficients() -> None:
 
 def test_coloured_rows_do_not_reach_across_segments() -> None:
     runs = Segments.from_labels(np.repeat([0, 1], [20, 30]), 50)
-    lag = lag_taps(0.006, 1e-3, "first")
+    lag = DelayedLag.of(FirstOrderLag(0.006, 1e-3, "first"))
     noise = NoiseLevels(1.0, np.zeros(1), np.array([0.5, 0.2]))
     whitener = Whitener(lag, np.ones((1, 50)), noise, runs)
     column = np.zeros(48)
