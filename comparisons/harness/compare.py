@@ -311,9 +311,7 @@ def _table(
                 paired_error,
                 result.model.time_constant_s,
                 result.model.time_constant_stderr_s,
-                _trust(
-                    result, median_tau, difference, paired_error, quoted=result.name in quotable[:1]
-                ),
+                _trust(result, median_tau, difference, paired_error),
             )
         )
     return tuple(rows)
@@ -327,15 +325,10 @@ def _median_tau(results: tuple[EstimatorResult, ...]) -> float:
 
 
 def _trust(
-    result: EstimatorResult,
-    median_tau: float,
-    difference: float,
-    paired_error: float,
-    *,
-    quoted: bool,
+    result: EstimatorResult, median_tau: float, difference: float, paired_error: float
 ) -> str:
     """Say in words what in this line should not be relied on."""
-    words = ["recommended: the τ to quote"] if quoted else []
+    words = []
     if not result.converged:
         words.append(result.advice.rstrip("."))
     if result.held_out is None:
