@@ -8,7 +8,9 @@ what is expected there in words. `validated` turns everything that pydantic find
 from __future__ import annotations
 
 import difflib
+import tomllib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -16,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from surge_core.errors import InputError
 
-__all__ = ["Table", "validated"]
+__all__ = ["Table", "read_toml", "validated"]
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -49,6 +51,34 @@ class _Mistake(NamedTuple):
     def known(self) -> str:
         """Return what was found, with its remedy."""
         return self.found + (f" ({self.remedy})" if self.remedy else "")
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : path
+        The file; a byte-order mark, as Windows programs write it, does not count.
+    what : str
+        What it should be, in words.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it is no TOML; in one sentence with the line.
+    """
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise InputError(str(path), expected=what, found=found)
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(
+            str(path), expected="a TOML file", found="bytes that are no text in UTF-8"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(str(path), expected="a TOML file", found=str(error)) from error
 
 
 def validated(model: type[M], data: Mapping[str, Any], where: str) -> M:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.progress import shown_over
+from comparisons.cli.shared import Commands, add_targets, whole
 from surge_core.files import check_apart, check_target, write_whole
+from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from comparisons.paper.claim import Claim
@@ -129,3 +131,44 @@ def show_progress(items: Iterable[Any]) -> Iterable[Any]:
 def command_line() -> str:
     """Return the command as it was called."""
     return " ".join(["sindy-surge", *sys.argv[1:]])
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command.
+
+    Parameters
+    ----------
+    commands : argparse sub-parsers
+        Those of `sindy-surge`.
+    """
+    parser = commands.add_parser(
+        "reproduce",
+        help="check the paper claim by claim on four simulated instabilities",
+        description="Simulate the paper's four instabilities and its steady rotating stall, reduce "
+        "the raw counts and fit them the paper's way, and print each claim of the paper with the "
+        "number it states, the number found and whether it holds.",
+    )
+    add_targets(parser, "json", "report")
+    parser.add_argument(
+        "--seed", type=whole(0, 2**32 - 1), default=0, help="seed of the sensors (default: 0)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Check the claims and print them.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    """
+    print(
+        reproduce(
+            seed=arguments.seed,
+            json_path=arguments.json,
+            report=arguments.report,
+            progress=show_progress,
+            command=command_line(),
+        )
+    )

@@ -98,8 +98,6 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         When an input cannot be used; the sentence names it.
     """
     from classic_ml.readers import read_raw
-    from comparisons.cli.progress import shown_count, shown_steps
-    from comparisons.show.json_output import to_strict_json
     from comparisons.total_system import (
         TotalSystemSettings,
         facility_toml,
@@ -107,7 +105,8 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         measured_signals,
     )
     from surge_core.errors import InputError
-    from surge_core.files import check_apart, check_target, write_whole
+    from surge_core.files import check_apart, check_target, to_strict_json, write_whole
+    from surge_core.progress import shown_count, shown_steps
 
     outputs = [path for path in (arguments.json, arguments.save_facility) if path is not None]
     for path in outputs:
