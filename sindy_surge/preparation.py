@@ -23,7 +23,7 @@ from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, ref
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
-from sindy_surge.weak import WeakLag, compensated_lag, weak_lag
+from sindy_surge.weak import WeakEquations, WeakLag, weak_lag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -158,16 +158,12 @@ def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     if weak is None or problem.noise.colour.size or problem.holds_state(support):
         # What would be taken off is the noise of white signals, of a model without ψ' in its terms.
         return weak
-    compensated = compensated_lag(
-        problem.output,
-        values,
-        np.stack([problem.late(slope) for slope in found.slopes]),
-        problem.segments,
-        round(weak.half_width_s / problem.sample_period_s),
-        problem.sample_period_s,
-        problem.noise.output,
-        problem.noise.inputs,
+    width = round(weak.half_width_s / problem.sample_period_s)
+    equations = WeakEquations.integrate(
+        problem.output, values, problem.segments, width, problem.sample_period_s
     )
+    slopes = np.stack([problem.late(slope) for slope in found.slopes])
+    compensated = equations.compensated_lag(slopes, problem.noise.output, problem.noise.inputs)
     return replace(weak, compensated_s=compensated)
 
 
