@@ -18,6 +18,7 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.segments import surge_period_s
@@ -262,8 +263,7 @@ def _screened(problem: LagProblem, tau: float, required: tuple[int, ...]) -> Lag
         return problem
     values = problem.terms(problem.inputs)[:, problem.columns[:n_inputs_terms]]
     columns = simulate(problem.late(values), problem.segments, problem.hold_at(tau))
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(columns)
     plain = LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
     always = tuple(i for i in required if i < n_inputs_terms)
     ranked = beam_search(plain, max(most, len(always)), width=1, required=always)

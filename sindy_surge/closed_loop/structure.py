@@ -134,6 +134,8 @@ def settle_structure(
 
     Returns
     -------
+    fit : JointFit
+        The structure that stands.
     rows : tuple of StructureRow
         What was fitted on the way.
     settled : bool
