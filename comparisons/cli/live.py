@@ -277,7 +277,7 @@ def _stopped_by_signals(session: Session) -> Iterator[None]:
 
 
 def _print_results(results: list[Result], quiet: bool) -> None:
-    from comparisons.cli.commands import print_reduction
+    from comparisons.cli.reduce import print_reduction
 
     for result in results:
         piece = result.piece

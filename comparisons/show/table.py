@@ -37,19 +37,19 @@ def comparison_table(comparison: Comparison) -> str:
         The table and below it the cautions that hold for all its lines.
     """
     cells = comparison_cells(comparison)
-    lines = _aligned(FIELDS[:-1], [row[:-1] for row in cells])
+    head, rule, *starts = _aligned(FIELDS[:-1], [row[:-1] for row in cells])
+    lines = [head, rule]
     # What to trust is prose of any length: it goes below the row it belongs to, behind the name
     # that the command line knows the estimator by.
-    body = [
-        line
-        for start, row, words in zip(lines[2:], comparison.table, cells, strict=True)
-        for line in (start, *_wrapped(f"{row.estimator}: {words[-1]}", "   "))
-    ]
-    known = texts_of(comparison.cautions)
-    cautions = [
-        line for caution in known for line in _wrapped(f"caution: {caution}", "", "         ")
-    ]
-    return "\n".join([*lines[:2], *body, *([""] if cautions else []), *cautions])
+    for start, row in zip(starts, comparison.table, strict=True):
+        chosen = " (recommended)" if row.estimator == comparison.recommended else ""
+        lines += [start, *_wrapped(f"{row.estimator}{chosen}: {row.trust}", "   ")]
+    cautions = texts_of(comparison.cautions)
+    if cautions:
+        lines.append("")
+    for caution in cautions:
+        lines += _wrapped(f"caution: {caution}", "", "         ")
+    return "\n".join(lines)
 
 
 def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
