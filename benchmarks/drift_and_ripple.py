@@ -76,9 +76,7 @@ def main(n_seeds: int) -> None:
     """Print the table."""
     cases: dict[str, tuple[bool, dict[str, object]]] = {
         "drift='spline', as it comes": (True, {"drift": "spline"}),
-        "and ripple_hz=82": (True, {"drift": "spline", "ripple_hz": 82.0}),
         "not filtered": (False, {"drift": "spline"}),
-        "not filtered, ripple_hz=82": (False, {"drift": "spline", "ripple_hz": 82.0}),
         "knots 0.5 s": (True, {"drift": "spline", "knot_spacing_s": 0.5}),
         "knots 0.25 s": (True, {"drift": "spline", "knot_spacing_s": 0.25}),
         "knots 2 s": (True, {"drift": "spline", "knot_spacing_s": 2.0}),

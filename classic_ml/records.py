@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from classic_ml.columns.computed import ComputedColumn
 from classic_ml.columns.workspace import IN_MEMORY, Workspace
-from surge_core.display import Displayed, Sheet
+from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -228,9 +228,18 @@ class Record(Displayed):
         return slice(first, max(first, stop))
 
     def _sheet(self) -> Sheet:
-        from classic_ml.sheets import record_sheet
-
-        return record_sheet(self)
+        n = self.n_samples
+        end_s = self.start_s + (n - 1) / self.sample_rate_hz
+        fields = (
+            Field("source", self.source or "none"),
+            Field("rows", f"{n} at {self.sample_rate_hz:g} Hz"),
+            Field("facility clock", f"{self.start_s:.3f} to {end_s:.3f} s"),
+            Field("ledger", ledger_words(self.history)),
+        )
+        rows = tuple((name, channel.unit) for name, channel in self.channels.items())
+        title = f"{len(rows)} channels"
+        channels = Grid(title, ("channel", "unit"), rows, frozenset({0, 1}), folded=len(rows) > 12)
+        return Sheet("Record", fields, (channels, *ledger_grid(self.history)))
 
     def after(
         self,
@@ -264,3 +273,52 @@ class Record(Displayed):
 def _first_row(holds: Callable[[int], bool], n_rows: int) -> int:
     """Return the first row for which a condition on the clock holds, by bisection."""
     return bisect_left(range(n_rows), True, key=holds)
+
+
+def ledger_words(history: tuple[LedgerEntry, ...]) -> str:
+    """Return a ledger in a line.
+
+    Parameters
+    ----------
+    history : tuple of LedgerEntry
+        The ledger.
+    """
+    dropped = sum(len(entry.dropped) for entry in history)
+    flags = sum(len(entry.flags) for entry in history)
+    left_out, flagged = _count(dropped, "thing"), _count(flags, "flag")
+    return f"{_count(len(history), 'step')}; {left_out} left out, {flagged}"
+
+
+def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
+    """Return a ledger as a folded table, or none where it is empty.
+
+    Parameters
+    ----------
+    history : tuple of LedgerEntry
+        The ledger.
+    """
+    rows = tuple(
+        (
+            entry.step,
+            entry.did,
+            _parameters(entry.parameters),
+            "; ".join(f"{d.what} ({d.count}): {d.why}" for d in entry.dropped) or "nothing",
+            "; ".join(entry.flags) or "none",
+        )
+        for entry in history
+    )
+    header = ("step", "did", "parameters", "left out", "flags")
+    words = frozenset(range(len(header)))
+    return (Grid("Ledger", header, rows, words, folded=True),) if rows else ()
+
+
+def _parameters(parameters: Mapping[str, str | int | float | bool]) -> str:
+    listed = (
+        f"{name} = {f'{value:.6g}' if isinstance(value, float) else value}"
+        for name, value in parameters.items()
+    )
+    return "; ".join(listed) or "none"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")

@@ -20,7 +20,7 @@ from classic_ml.free_run_rows import extend_while_settled, free_run_rows
 from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
 from classic_ml.plane_averages import plane_flows
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Channel, LedgerEntry, Record
+from classic_ml.records import Channel, LedgerEntry, Record, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
     HUB_LESS_TIP,
@@ -30,9 +30,9 @@ from classic_ml.segments import (
     segment,
     window_rows,
 )
-from classic_ml.series import COLUMNS, CoefficientSeries
+from classic_ml.series import COLUMNS, CoefficientSeries, series_fields
 from classic_ml.surge_cycles import FEW_CYCLES, cycles_within, find_cycles
-from surge_core.display import Displayed, Sheet
+from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -86,9 +86,22 @@ class Reduction(Displayed):
     window_s: tuple[float, float]
 
     def _sheet(self) -> Sheet:
-        from classic_ml.sheets import reduction_sheet
-
-        return reduction_sheet(self)
+        settings, (from_s, to_s) = self.settings, self.window_s
+        low_pass = (
+            "none"
+            if settings.phase == "none"
+            else f"order {settings.filter_order} at {settings.cutoff_hz:g} Hz, "
+            f"phase “{settings.phase}”"
+        )
+        flags = tuple(flag for entry in self.record.history for flag in entry.flags)
+        fields = (
+            Field("test", self.test.name),
+            Field("quasi-steady cycles", f"{from_s:.3f} to {to_s:.3f} s"),
+            Field("low-pass", low_pass),
+            *series_fields(self.series),
+            *((Field("flags", flags, "advice"),) if flags else ()),
+        )
+        return Sheet("Reduction", fields, ledger_grid(self.record.history))
 
 
 def reduce_record(

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from classic_ml.columns.clock import uniform_period_s
 from classic_ml.columns.computed import as_stored, is_computed
 from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
-from classic_ml.records import LedgerEntry
-from surge_core.display import Displayed, Sheet
+from classic_ml.records import LedgerEntry, ledger_grid, ledger_words
+from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
+from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
@@ -164,9 +165,8 @@ class CoefficientSeries(Displayed):
         return (_rebuild, ({name: getattr(self, name) for name in names},))
 
     def _sheet(self) -> Sheet:
-        from classic_ml.sheets import series_sheet
-
-        return series_sheet(self)
+        fields = (Field("source", self.source), *series_fields(self))
+        return Sheet("CoefficientSeries", fields, ledger_grid(self.history))
 
     @property
     def n_samples(self) -> int:
@@ -346,3 +346,45 @@ def __getattr__(name: str) -> object:
     if name not in ("ledger_path", "read_series", "write_series"):
         raise AttributeError(f"module 'classic_ml.series' has no attribute {name!r}")
     return getattr(import_module("classic_ml.readers.series_files"), name)
+
+
+_SIGNALS = {
+    "phi": ("φ", 1.0, ""),
+    "psi_p": ("ψ'", 1.0, ""),
+    "psi": ("ψ", 1.0, ""),
+    "T25_K": ("T25", 1.0, " K"),
+    "Nc_frac": ("corrected speed", 100.0, " % of design"),
+}
+
+
+def series_fields(series: CoefficientSeries) -> tuple[Field, ...]:
+    """Return what is shown of a series.
+
+    Parameters
+    ----------
+    series : CoefficientSeries
+        The series.
+    """
+    fitted = int(np.count_nonzero(series.segment))
+    segments = f"{series.n_segments} segment{'' if series.n_segments == 1 else 's'}"
+    fields = [
+        Field("rows", f"{series.n_samples} at {series.sample_rate_hz:g} Hz"),
+        Field("facility clock", f"{series.time_s[0]:.3f} to {series.time_s[-1]:.3f} s"),
+        Field("to be fitted", f"{fitted} rows in {segments}"),
+    ]
+    for name, (label, factor, unit) in _SIGNALS.items():
+        values = getattr(series, name)
+        if values is not None:
+            fields.append(Field(label, f"{_range(values, factor)}{unit}"))
+    if series.in_stall is not None:
+        fields.append(Field("in stall", f"{100.0 * float(np.mean(series.in_stall)):.0f} % of rows"))
+    if series.free_run is not None:
+        scored = int(np.count_nonzero(series.free_run == 2))
+        fields.append(Field("whole run", f"unfiltered columns are there; {scored} rows scored"))
+    fields.append(Field("ledger", ledger_words(series.history)))
+    return tuple(fields)
+
+
+def _range(values: NDArray[np.float64], factor: float) -> str:
+    low, high = factor * float(np.min(values)), factor * float(np.max(values))
+    return f"{significant(low, 3)} to {significant(high, 3)}"

@@ -13,7 +13,7 @@ __all__ = ["as_written"]
 def as_written(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile with every operation in the order in which it is written.
 
-    Under :func:`classic_ml.lag.compiled.compiled` sums are regrouped and products fused as suits
+    Under ``fastmath`` sums are regrouped and products fused as suits
     the vector registers, which the last rows of a block do not fill: there a row's last bit
     would tell where its block ended.
     """

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from classic_ml.order_selection import OrderTable
+    from classic_ml.orders import OrderTable
 
 __all__ = ["ORDERS_SCHEMA", "add_orders_parser", "orders_document", "orders_text"]
 
@@ -48,7 +48,7 @@ def orders_text(table: OrderTable) -> str:
     Parameters
     ----------
     table : OrderTable
-        From :func:`classic_ml.order_selection.select_order`.
+        From :func:`classic_ml.orders.select_order`.
     """
     from surge_core.rounding import round_to_error
 
@@ -89,7 +89,7 @@ def orders_document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.order_selection import select_order
+    from classic_ml.orders import select_order
     from classic_ml.readers.series_files import read_series
     from comparisons.harness.rows import check_once, stack_rows
     from comparisons.show.json_output import to_strict_json

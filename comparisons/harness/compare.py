@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
+from classic_ml.checks import CheckRow, coverage, input_correlation, residual_checks
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
 from comparisons.harness.estimators import EstimatorSpec, default_estimators, psi_breakpoints
@@ -378,7 +379,7 @@ def _checks(
 ) -> tuple[CheckRow, ...]:
     if isinstance(estimator, WholeRunFit):
         return estimator.checks(valid_phi)
-    if hasattr(estimator, "one_step"):
+    if isinstance(estimator, LagRegressor):
         return residual_checks(estimator, rows.X, rows.measured, rows.labels, stated_phi=valid_phi)
     # The plain lag's prediction from a noisy row before it is never white: no noise model, no test
     # of one.

@@ -9,9 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from classic_ml.decimation import emptied_above_hz
-from classic_ml.lag_model import LagRegressor
-from classic_ml.leverage import linearised_fit
+from classic_ml.emptied_band import emptied_above_hz
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.records import LedgerEntry
 from comparisons.harness.rows import FitRows
 from comparisons.harness.tau_trial import TauEstimate
@@ -138,7 +137,7 @@ def drift_of(
     ).fit(rows.X, rows.measured, rows.labels)
     if model.fit_state_ is not FitState.CONVERGED:
         return None
-    fit = linearised_fit(model, rows.X, rows.measured, rows.labels)
+    fit = model.linearised(rows.X, rows.measured, rows.labels)
     slopes = [np.diff(fit.aside[p]) / rows.sample_period_s for p in fit.pieces]
     steepness = _rms(np.concatenate(slopes))
     size = _rms(fit.aside - np.mean(fit.aside))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.characteristics import polynomial_basis
-from classic_ml.decimation import emptied_above_hz
+from classic_ml.emptied_band import emptied_above_hz
 from comparisons.harness.fit_quality import block_errors, paired_difference
 from comparisons.harness.rows import FitRows
 from surge_core.errors import InputError

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from lag_data import BETA, PERIOD_S, flow, lagged
 
+from classic_ml.checks import CheckRow
 from classic_ml.records import Dropped, LedgerEntry
-from classic_ml.residual_checks import CheckRow
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import Comparison, ComparisonRow, EstimatorResult
 from comparisons.harness.fit_quality import FitScore, block_errors, score_fit, trusted_range
