@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
-from math import ceil
-
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.columns.order_statistics import median, percentile
-from classic_ml.columns.workspace import Workspace, blocks, evaluated
-from classic_ml.faults.bridging import bridged_rows
-from classic_ml.rates import rate_in
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["PSI_MINIMUM_PHI", "WORK_FORMS", "psi_is_known", "with_work", "work_coefficient"]
 
@@ -76,7 +67,7 @@ def work_coefficient(
     return np.asarray(2.0 * heat / rotor_velocity_m_s**2 * (delivered_K - inlet_K))
 
 
-def psi_is_known(phi: FloatArray) -> NDArray[np.bool_]:
+def psi_is_known(phi: FloatArray) -> BoolArray:
     """Return the rows where ψ was computed rather than interpolated: φ ≥ ``PSI_MINIMUM_PHI``."""
     return np.asarray(phi >= PSI_MINIMUM_PHI)
 
@@ -108,12 +99,9 @@ def with_work(
     Record
         With ``psi``, interpolated across φ < ``PSI_MINIMUM_PHI``, where φ is above it at all.
     """
-    place, n = record.workspace, record.n_samples
-
-    def known(rows: slice) -> NDArray[np.bool_]:
-        return psi_is_known(record["phi"][rows])
-
-    gaps = n - _count(known, n, place)
+    n = record.n_samples
+    known = psi_is_known(record["phi"])
+    gaps = n - int(np.count_nonzero(known))
     parameters: dict[str, str | int | float | bool] = {
         "minimum_phi": PSI_MINIMUM_PHI,
         "interpolated_rows": gaps,
@@ -125,21 +113,11 @@ def with_work(
                 "work coefficient", "ψ is not known", parameters, (Dropped("ψ", gaps, why),)
             )
         )
-    by_flow = evaluated(place, n, partial(_energy_form, record, test, inertia_per_m))
-
-    def rise(rows: slice) -> FloatArray:
-        return _temperature_rise(record, test, rows)
-
-    def gap() -> Iterator[FloatArray]:
-        return ((by_flow[rows] - rise(rows))[known(rows)] for rows in blocks(n))
-
-    def level() -> Iterator[FloatArray]:
-        return (rise(rows)[known(rows)] for rows in blocks(n))
-
+    psi, rise = _energy_form(record, test, inertia_per_m), _temperature_rise(record, test)
     # Half of what lies between the 16th and 84th percentile is a standard deviation that single
     # rows near zero flow do not decide.
-    low, high = percentile(gap, [16.0, 84.0], workspace=place)
-    mismatch = 0.5 * float(high - low) / median(level, workspace=place)
+    low, high = np.percentile((psi - rise)[known], [16.0, 84.0])
+    mismatch = 0.5 * float(high - low) / float(np.median(rise[known]))
     parameters["flow_mismatch"] = round(mismatch, 4)
     too_far = mismatch > FLOW_MISMATCH_LIMIT
     if form == "auto":
@@ -154,10 +132,12 @@ def with_work(
             f"the measured W31 and W25 disagree by an equivalent of {100.0 * mismatch:.0f} % in ψ: "
             + _INSTEAD[form],
         )
-    if form == "mass-balance":
-        by_flow = _mass_balance(record, test, inertia_per_m, cell_period_s)
-    chosen = rise if form == "temperature-rise" else by_flow.__getitem__
-    psi = Channel("psi", evaluated(place, n, bridged_rows(place, n, chosen, known)), "1")
+    if form == "temperature-rise":
+        psi = rise
+    elif form == "mass-balance":
+        psi = _mass_balance(record, test, inertia_per_m, cell_period_s)
+    rows = np.arange(n)
+    bridged = np.interp(rows, rows[known], psi[known])
     entry = LedgerEntry(
         "work coefficient",
         f"ψ by {_FORM_WORDS[form]}, interpolated over {gaps} of {n} rows",
@@ -173,21 +153,13 @@ def with_work(
         else (),
         flags,
     )
-    return record.after(entry, add=[psi])
+    return record.after(entry, add=[Channel("psi", bridged, "1")])
 
 
-def _count(holds: Callable[[slice], NDArray[np.bool_]], n_rows: int, place: Workspace) -> int:
-    count = 0
-    for rows in blocks(n_rows):
-        count += int(np.count_nonzero(holds(rows)))
-        place.release()
-    return count
-
-
-def _temperature_rise(record: Record, test: TestDescription, rows: slice) -> FloatArray:
+def _temperature_rise(record: Record, test: TestDescription) -> FloatArray:
     """ψ with T2 = T31 (nothing stored between the planes)."""
-    rise_K = record["T31_K"][rows] - record["T25_K"][rows]
     heat = test.compressor.specific_heat_J_kg_K
+    rise_K = record["T31_K"] - record["T25_K"]
     return np.asarray(2.0 * heat / test.rotor_velocity_m_s**2 * rise_K)
 
 
@@ -197,7 +169,7 @@ def _lag_undone(record: Record) -> bool:
 
 
 def _mass_balance(
-    record: Record, test: TestDescription, inertia: float, cell_period_s: float | None
+    record: Record, test: TestDescription, inertia_per_m: float, cell_period_s: float | None
 ) -> FloatArray:
     """ψ by Eq 13 with the mean of both planes' flows and W31 from the mass balance."""
 
@@ -206,72 +178,28 @@ def _mass_balance(
             return values
         return flat_average(values, cell_period_s, record.sample_rate_hz)
 
-    width = 0.0 if cell_period_s is None else cell_period_s * record.sample_rate_hz
-    # What a row of ψ depends on: eight averages over one period, half of it to each side, and
-    # four derivatives, each in the other.
-    reach = 8 * (1 + ceil(0.5 * width))
-    place, n = record.workspace, record.n_samples
-
-    def flow_in(part: Record) -> FloatArray:
-        return np.asarray(0.5 * (part["W25_kg_s"] + exit_flow_at_inlet(part, test)))
-
-    # The span of the flow sets the least divisor: that of the whole record, not of a block.
-    low, high = np.inf, -np.inf
-    for rows in blocks(n):
-        flow = _inner(flow_in(_around(record, rows, reach)), rows, reach)
-        low, high = min(low, flow.min()), max(high, flow.max())
-        place.release()
-
-    def ratio(rows: slice) -> FloatArray:
-        part = _around(record, rows, reach)
-        flow, phi = flow_in(part), smooth(part["phi"])
-        power = delivered_power(
-            part, test, flow, phi, inertia_per_m=inertia, smooth=smooth, flow_span_kg_s=high - low
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return _inner(np.asarray(smooth(power) / smooth(flow)), rows, reach)
-
-    def known(rows: slice) -> NDArray[np.bool_]:
-        return psi_is_known(_inner(smooth(_around(record, rows, reach)["phi"]), rows, reach))
-
+    flow = np.asarray(0.5 * (record["W25_kg_s"] + exit_flow_at_inlet(record, test)))
+    phi = smooth(record["phi"])
+    power = delivered_power(record, test, flow, phi, inertia_per_m=inertia_per_m, smooth=smooth)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        psi = smooth(power) / smooth(flow)
     # The averaged flow may be at zero where that of the row is not.
-    return evaluated(place, n, bridged_rows(place, n, ratio, known))
+    known, rows = psi_is_known(phi), np.arange(flow.size)
+    return np.asarray(np.interp(rows, rows[known], psi[known]) if known.any() else psi)
 
 
-def _around(record: Record, rows: slice, reach: int) -> Record:
-    """Return what the mass balance needs of a record, so many rows more to each side."""
-    part = slice(max(0, rows.start - reach), min(record.n_samples, rows.stop + reach))
-    names = ("phi", "W25_kg_s", "W31_kg_s", "T25_K", "T31_K", "P25_Pa", "P31_Pa")
-    channels = {n: Channel(n, record[n][part], record.channel(n).unit) for n in names}
-    return Record(channels, record.sample_rate_hz)
-
-
-def _inner(values: FloatArray, rows: slice, reach: int) -> FloatArray:
-    """Return the rows of a slice without those around them."""
-    first = rows.start - max(0, rows.start - reach)
-    return values[first : first + rows.stop - rows.start]
-
-
-def _energy_form(record: Record, test: TestDescription, inertia: float, rows: slice) -> FloatArray:
+def _energy_form(record: Record, test: TestDescription, inertia_per_m: float) -> FloatArray:
     """ψ by Eq 13, W31 as measured."""
-    machine = test.compressor
-    # One row more to each side, for the derivative.
-    around = slice(max(0, rows.start - 1), min(record.n_samples, rows.stop + 1))
-    blading_Pa = record["P31_Pa"][around] + inertia * record["dW25_dt_kg_s2"][around]
-    inlet_Pa = record["P25_Pa"][around]
+    machine, inlet_Pa = test.compressor, record["P25_Pa"]
+    blading_Pa = record["P31_Pa"] + inertia_per_m * record["dW25_dt_kg_s2"]
     mean_Pa = inlet_Pa + EXIT_WEIGHT * (blading_Pa - inlet_Pa)
-    inside = slice(rows.start - around.start, rows.stop - around.start)
-    storage_W = (
-        machine.internal_volume_m3
-        / (machine.gamma - 1.0)
-        * rate_in(mean_Pa, inside, record.sample_period_s)
-    )
+    stored = machine.internal_volume_m3 / (machine.gamma - 1.0)
     return work_coefficient(
-        record["W25_kg_s"][rows],
-        record["W31_kg_s"][rows],
-        record["T25_K"][rows],
-        record["T31_K"][rows],
-        storage_W,
+        record["W25_kg_s"],
+        record["W31_kg_s"],
+        record["T25_K"],
+        record["T31_K"],
+        stored * np.gradient(mean_Pa, record.sample_period_s),
         test.rotor_velocity_m_s,
         machine,
     )

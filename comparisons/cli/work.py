@@ -148,8 +148,11 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     from surge_core.rounding import bracketed, round_to_error
 
     low, high = fit.valid_phi
-    if not math.isfinite(high):
-        return f"ψ_QS is not stated: {fit.n_cycles} cycles. {fit.fit_state.advice}\n{fit.entry.did}"
+    if not math.isfinite(fit.time_constant_s):
+        return (
+            f"ψ_QS and τ are not stated: {fit.n_cycles} cycles, {fit.n_scored} rows. "
+            f"{fit.fit_state.advice}\n{fit.entry.did}"
+        )
     lines = [
         f"work characteristic ψ_QS from {fit.n_scored} rows in {fit.n_cycles} cycles, φ "
         f"{low:.3f} to {high:.3f}, pieces meeting at φ "
