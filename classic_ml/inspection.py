@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from classic_ml.columns.workspace import BLOCK_ROWS
-from classic_ml.faults.held import held_in_chunks
-from classic_ml.faults.plateaus import LEAST_TIMES, REACH, EndSearch
+from classic_ml.faults.held import held_rows
+from classic_ml.faults.plateaus import LEAST_ROWS, range_ends
 from classic_ml.inspection_clock import ClockFacts, ClockTally, clock_tally
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
@@ -21,6 +20,8 @@ from surge_core.types import FloatArray
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file", "is_still"]
 
+# Rows that are read at once.
+BLOCK_ROWS = 65_536
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.
 STILL_S = 0.05
@@ -213,41 +214,20 @@ def _plateaus_and_held(
     The rows are read once more, for both at once, where a column stands still at one of its ends
     or half of its values stand for several rows; the rules are those of a reduction.
     """
-    searches = {
-        number: EndSearch(n_rows, tally.minimum, tally.maximum, tally.least_step)
-        for number, tally in enumerate(tallies)
-        if tally.may_be_cut_off
-    }
-    steps = {number: tally.least_step for number, tally in enumerate(tallies) if tally.may_be_held}
+    candidates = [k for k, tally in enumerate(tallies) if tally.may_be_cut_off or tally.may_be_held]
+    plateaus: dict[int, tuple[str, ...]] = {}
     held: dict[int, float] = {}
-    if searches or steps:
-        held = held_in_chunks(_searched(_up_to(stored, n_rows), searches, n_rows), steps)
-    plateaus = {
-        number: tuple("maximum" if end.upper else "minimum" for end in search.ends)
-        for number, search in searches.items()
-    }
+    blocks = [block[:, candidates] for block in _up_to(stored, n_rows)] if candidates else []
+    for number, values in zip(candidates, np.concatenate(blocks).T if blocks else [], strict=True):
+        readings = values[np.isfinite(values)]
+        ends = range_ends(readings) if tallies[number].may_be_cut_off else ()
+        plateaus[number] = tuple("maximum" if end.upper else "minimum" for end in ends)
+        held[number] = held_rows(readings)
     for number, tally in enumerate(tallies):
-        ends = plateaus.get(number, ())
-        if tally.at_top_code and "maximum" not in ends:
-            plateaus[number] = (*ends, "maximum")
+        named = plateaus.get(number, ())
+        if tally.at_top_code and "maximum" not in named:
+            plateaus[number] = (*named, "maximum")
     return plateaus, held
-
-
-def _searched(
-    blocks: Iterator[FloatArray], searches: dict[int, EndSearch], n_rows: int
-) -> Iterator[FloatArray]:
-    """Hand on the blocks of a file, each searched for plateaus as it goes by."""
-    kept, first = None, 0
-    for block in blocks:
-        kept = block if kept is None else np.concatenate((kept, block))
-        last = first + len(kept)
-        stop = last if last == n_rows else last - REACH
-        if stop > first:
-            for number, search in searches.items():
-                search.follow(np.ascontiguousarray(kept[:, number]), first, stop)
-            reach_back = max(0, stop - REACH)
-            kept, first = kept[reach_back - first :], reach_back
-        yield block
 
 
 def _up_to(stored: RawFile, n_rows: int) -> Iterator[FloatArray]:
@@ -302,7 +282,7 @@ class _Tally:
             (self.at_minimum, self.run_at_minimum),
             (self.at_maximum, self.run_at_maximum),
         )
-        least = 2 * LEAST_TIMES
+        least = LEAST_ROWS
         return self.minimum < self.maximum and any(at >= least and run > 1 for at, run in ends)
 
     @property

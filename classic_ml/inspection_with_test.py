@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.calibration import probe_pressure_Pa
-from classic_ml.columns.workspace import BLOCK_ROWS, IN_MEMORY, OnDisk, Workspace
-from classic_ml.inspection import Inspection
+from classic_ml.inspection import BLOCK_ROWS, Inspection
 from classic_ml.readers.raw_files import FeedColumn, feeds, nearest_names, open_raw
 from classic_ml.readers.raw_formats import open_stored
 from classic_ml.readers.raw_table import RawFile
@@ -20,9 +19,6 @@ from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["ChannelMatch", "PairOrder", "ReductionPreview", "TestMatch", "match_test", "preview"]
-
-# A reduction has some 75 columns at its widest: 1.2 GB of so many rows.
-MOST_ROWS_IN_MEMORY = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -201,13 +197,8 @@ def preview(
     from classic_ml.readers import read_raw
     from classic_ml.reduction import reduce_record
 
-    place: Workspace = OnDisk() if rows > MOST_ROWS_IN_MEMORY else IN_MEMORY
     try:
-        record, test = read_raw(raw_path, test_path, workspace=place)
-        # Nobody but the reduction holds the record, so that it can let go of it.
-        records = [record]
-        del record
-        reduction = reduce_record(records.pop(), test, keep="series")
+        reduction = reduce_record(*read_raw(raw_path, test_path), keep_probes=False)
     except InputError as error:
         return ReductionPreview(str(error))
     history = reduction.record.history

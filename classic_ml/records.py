@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.columns.computed import ComputedColumn
-from classic_ml.columns.workspace import IN_MEMORY, Workspace
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Channel", "Dropped", "LedgerEntry", "Record"]
+__all__ = [
+    "Channel",
+    "Dropped",
+    "LedgerEntry",
+    "Record",
+    "counted",
+    "fault_name",
+    "ledger_grid",
+    "ledger_words",
+]
 
 
 @dataclass(frozen=True)
@@ -72,8 +80,8 @@ class Channel:
     name : str
         Channel name, unique in its record.
     values : ndarray of shape (n_samples,)
-        The samples, read-only; a copy unless they were read-only float64 before. In a record that
-        is larger than memory they may be computed where they are asked for, slice by slice.
+        The samples, read-only float64 (marks of faults may be uint8); a copy unless they were
+        read-only before.
     unit : str
         SI unit (``"Pa"``, ``"K"``, ``"kg/s"``, ``"1"``), or ``"count"`` before calibration.
     """
@@ -83,10 +91,9 @@ class Channel:
     unit: str
 
     def __post_init__(self) -> None:
-        given: object = self.values
-        if isinstance(given, ComputedColumn):
-            return
-        values = np.asarray(given, dtype=np.float64)
+        values = np.asarray(self.values)
+        if values.dtype != np.uint8:
+            values = np.asarray(values, dtype=np.float64)
         if values.flags.writeable:
             values = values.copy()
         if values.ndim != 1:
@@ -95,6 +102,12 @@ class Channel:
             )
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
+
+    @classmethod
+    def adopt(cls, name: str, values: FloatArray | NDArray[np.uint8], unit: str) -> Channel:
+        """Build a channel of an array that has just been computed and has no other owner."""
+        values.setflags(write=False)
+        return cls(name, cast(FloatArray, values), unit)
 
 
 @dataclass(frozen=True)
@@ -113,8 +126,6 @@ class Record(Displayed):
         File or generator that the record came from.
     history : tuple of LedgerEntry
         One entry for each step applied so far.
-    workspace : Workspace
-        Where the steps put their results: in memory, or on disk for a record larger than that.
 
     Raises
     ------
@@ -127,7 +138,6 @@ class Record(Displayed):
     start_s: float = 0.0
     source: str = ""
     history: tuple[LedgerEntry, ...] = ()
-    workspace: Workspace = field(default=IN_MEMORY, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
@@ -223,16 +233,27 @@ class Record(Displayed):
             Rows of the record, an empty slice where there are none.
         """
         half = 0.5 * self.sample_period_s
-        first = _first_row(lambda row: self.time_at_s(row) >= from_s - half, self.n_samples)
-        stop = _first_row(lambda row: self.time_at_s(row) > to_s + half, self.n_samples)
+        rows = range(self.n_samples)
+        first = bisect_left(rows, from_s - half, key=self.time_at_s)
+        stop = bisect_right(rows, to_s + half, key=self.time_at_s)
         return slice(first, max(first, stop))
 
+    def part(self, rows: slice) -> Record:
+        """Return some rows of the record, with the clock that they have."""
+        channels = {n: replace(c, values=c.values[rows]) for n, c in self.channels.items()}
+        return replace(self, channels=channels, start_s=self.time_at_s(rows.start))
+
+    def without(self, names: Iterable[str]) -> Record:
+        """Return the record without some channels."""
+        gone = set(names)
+        kept = {name: c for name, c in self.channels.items() if name not in gone}
+        return replace(self, channels=kept)
+
     def _sheet(self) -> Sheet:
-        n = self.n_samples
-        end_s = self.start_s + (n - 1) / self.sample_rate_hz
+        end_s = self.time_at_s(self.n_samples - 1)
         fields = (
             Field("source", self.source or "none"),
-            Field("rows", f"{n} at {self.sample_rate_hz:g} Hz"),
+            Field("rows", f"{self.n_samples} at {self.sample_rate_hz:g} Hz"),
             Field("facility clock", f"{self.start_s:.3f} to {end_s:.3f} s"),
             Field("ledger", ledger_words(self.history)),
         )
@@ -270,33 +291,26 @@ class Record(Displayed):
         return replace(self, channels=kept, history=(*self.history, entry))
 
 
-def _first_row(holds: Callable[[int], bool], n_rows: int) -> int:
-    """Return the first row for which a condition on the clock holds, by bisection."""
-    return bisect_left(range(n_rows), True, key=holds)
+def fault_name(channel: str) -> str:
+    """Return the name of the channel that marks the readings of another that do not count."""
+    return f"fault_{channel}"
 
 
 def ledger_words(history: tuple[LedgerEntry, ...]) -> str:
-    """Return a ledger in a line.
-
-    Parameters
-    ----------
-    history : tuple of LedgerEntry
-        The ledger.
-    """
+    """Return in one line how long a history is."""
     dropped = sum(len(entry.dropped) for entry in history)
     flags = sum(len(entry.flags) for entry in history)
-    left_out, flagged = _count(dropped, "thing"), _count(flags, "flag")
-    return f"{_count(len(history), 'step')}; {left_out} left out, {flagged}"
+    left_out, flagged = counted(dropped, "thing"), counted(flags, "flag")
+    return f"{counted(len(history), 'step')}; {left_out} left out, {flagged}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number and its noun, in the plural where it is not one."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
-    """Return a ledger as a folded table, or none where it is empty.
-
-    Parameters
-    ----------
-    history : tuple of LedgerEntry
-        The ledger.
-    """
+    """Return a history as a table, or nothing where there is none."""
     rows = tuple(
         (
             entry.step,
@@ -313,12 +327,8 @@ def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
 
 
 def _parameters(parameters: Mapping[str, str | int | float | bool]) -> str:
-    listed = (
+    stated = (
         f"{name} = {f'{value:.6g}' if isinstance(value, float) else value}"
         for name, value in parameters.items()
     )
-    return "; ".join(listed) or "none"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")
+    return "; ".join(stated) or "none"

@@ -2,63 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.calibration import calibrate_and_match, invert_thermocouples, near_stall_match
+from classic_ml.calibration import (
+    calibrate,
+    check_facing,
+    invert_thermocouples,
+    near_stall_match,
+    near_stall_rows,
+)
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
-from classic_ml.columns.computed import as_stored
-from classic_ml.columns.workspace import blocks
+from classic_ml.cycles import FEW_CYCLES, cycles_within, find_cycles
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
-from classic_ml.faults.near_stall_flows import check_flows
+from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
-from classic_ml.free_run_rows import extend_while_settled, free_run_rows
-from classic_ml.look_ahead import LookAhead, look_ahead, probe_averages, without
-from classic_ml.plane_averages import plane_flows
+from classic_ml.filters import filter_channels, filter_entry, low_pass
+from classic_ml.free_run import extend_while_settled, free_run_rows
+from classic_ml.planes import local_flows, plane_averages
 from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Channel, LedgerEntry, Record, ledger_grid
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
-    HUB_LESS_TIP,
     cell_frequency_hz,
-    hub_tip_difference,
-    knows_hub_and_tip,
+    estimated_threshold_lbm_s,
     segment,
     window_rows,
 )
-from classic_ml.series import COLUMNS, CoefficientSeries, series_fields
-from classic_ml.surge_cycles import FEW_CYCLES, cycles_within, find_cycles
+from classic_ml.series import CoefficientSeries
+from classic_ml.work.forms import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["STEPS", "Reduction", "ReductionSettings", "near_stall_shifts", "reduce_record"]
 
-# As often as a reduction tells that it has got further.
+# As often as a reduction reports that it has got further.
 STEPS = 6
-
 # With the right threshold 1 to 15 % of the window on 13 simulated records; with half of it, as
 # where it was meant in kg/s, 27 to 29 % at 90 to 98.5 % speed.
 REGIMES_DIFFER = 0.2
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
 LEAST_CUTOFF_HZ = 1.0
-# What is in the record of a reduction beside the series.
-Keep = Literal["probes", "averages", "series"]
-# What the free run is chosen by, and φ and ψ' are made of.
-UNFILTERED_AVERAGES = (
-    *("P25_Pa", "P31_Pa", "T25_K", "W25_kg_s"),
-    *("Wc25_kg_s", "Wc25_hub_kg_s", "Wc25_tip_kg_s"),
-)
-# The channels of the series; its clock is none.
-IN_SERIES = tuple(name for name in COLUMNS if name != "time_s")
-# What the coefficients are computed from.
-COMPUTED_FROM = ("P25_Pa", "T25_K", "W25_kg_s", "P31_Pa", "T31_K", "W31_kg_s")
-# What the segments and the rows of the free run are chosen by.
-CHOSEN_BY = ("Wc25_kg_s", "P31_Pa", "P25_unfiltered_Pa")
+# What the window is looked for with.
+AHEAD = ReductionSettings()
 
 
 @dataclass(frozen=True)
@@ -87,18 +76,14 @@ class Reduction(Displayed):
 
     def _sheet(self) -> Sheet:
         settings, (from_s, to_s) = self.settings, self.window_s
-        low_pass = (
-            "none"
-            if settings.phase == "none"
-            else f"order {settings.filter_order} at {settings.cutoff_hz:g} Hz, "
-            f"phase “{settings.phase}”"
-        )
+        filtered = f"order {settings.filter_order} at {settings.cutoff_hz:g} Hz"
+        filtered += f", phase “{settings.phase}”"
         flags = tuple(flag for entry in self.record.history for flag in entry.flags)
         fields = (
             Field("test", self.test.name),
             Field("quasi-steady cycles", f"{from_s:.3f} to {to_s:.3f} s"),
-            Field("low-pass", low_pass),
-            *series_fields(self.series),
+            Field("low-pass", "none" if settings.phase == "none" else filtered),
+            *self.series.fields(),
             *((Field("flags", flags, "advice"),) if flags else ()),
         )
         return Sheet("Reduction", fields, ledger_grid(self.record.history))
@@ -109,7 +94,7 @@ def reduce_record(
     test: TestDescription,
     settings: ReductionSettings | None = None,
     *,
-    keep: Keep = "probes",
+    keep_probes: bool = True,
     progress: Callable[[int], object] | None = None,
 ) -> Reduction:
     """Reduce a raw record to the series of coefficients.
@@ -122,13 +107,11 @@ def reduce_record(
         The test they belong to.
     settings : ReductionSettings, optional
         The switches.
-    keep : {"probes", "averages", "series"}
-        What is in the record: everything; no readings, faults and flows of single probes, so that
-        it takes a third of the room in memory (on disk some averages are computed when they are
-        read, from the readings, which stay there); or the channels of the series alone, which lets
-        the readings go as soon as those have been computed.
+    keep_probes : bool
+        Keep readings, faults and flows of the single probes in the record beside the averages;
+        without them it takes a third of the room.
     progress : callable, optional
-        Told each time that one of the ``STEPS`` steps is done.
+        Called each time that one of the ``STEPS`` steps is done.
 
     Returns
     -------
@@ -141,84 +124,46 @@ def reduce_record(
         When the record cannot be used; the sentence says why.
     """
     chosen = settings if settings is not None else ReductionSettings()
-    _check(chosen, keep)
-    kept = _kept(keep, chosen)
-    step = progress if progress is not None else _nobody
-    record = inspect_readings(record, test, whole=True)
-    step(1)
-    record = calibrate_and_match(record, test, chosen.near_stall_match)
-    record = record.after(check_flows(record, test))
-    step(1)
-    window_s, found, ahead = _window(record, test, chosen)
-    window = window_rows(record, window_s, _window_name(record, test, chosen))
-    record = choose_channels(record.after(found), test, window)
-    step(1)
-    averaged = probe_averages(record, test, chosen, keep_probes=keep == "probes", ahead=ahead)
-    was_named = ahead is None
-    # What was left out of the record goes, too.
-    del ahead
-    step(1)
-    plain, unfiltered = _unfiltered(record, test, chosen)
-    in_use = tuple(name for name in test.channel_names if name in record)
-    # From here on the readings are there for those alone who asked for them.
-    averaged = _only(averaged, kept.averages)
-    unfiltered = [channel for channel in unfiltered if kept.averages(channel.name)]
-    place, n_rows = record.workspace, record.n_samples
-    del record
-    place.tidy(but_rows=n_rows)
-    # A window that somebody named is not extended.
-    inside = window if was_named else extend_while_settled(plain, window, in_use)
-    record = _with_coefficients(averaged, unfiltered, test, chosen, window)
-    del averaged, unfiltered
-    record = _only(record, kept.coefficients)
-    step(1)
-    if was_named:
-        record = _few_cycles_told(record, window_s)
-    record = _segmented(record, test, chosen, window)
-    record = _with_free_run(record, plain, window, inside, chosen.probes)
-    record = _regimes_compared(record, window, _threshold(test, chosen))
-    record = _only(record, kept.result)
-    step(1)
-    return Reduction(_series(record), record, chosen, test, window_s)
-
-
-def _check(settings: ReductionSettings, keep: Keep) -> None:
-    if settings.phase != "none" and settings.cutoff_hz < LEAST_CUTOFF_HZ:
+    if chosen.phase != "none" and chosen.cutoff_hz < LEAST_CUTOFF_HZ:
         raise InputError(
             "ReductionSettings.cutoff_hz",
             expected=f"at least {LEAST_CUTOFF_HZ:g} Hz, so that the surge cycles pass",
-            found=f"{settings.cutoff_hz:g}",
+            found=f"{chosen.cutoff_hz:g}",
         )
-    if keep not in get_args(Keep):
-        raise InputError("keep", expected=" or ".join(get_args(Keep)), found=repr(keep))
-
-
-@dataclass(frozen=True)
-class _Kept:
-    """Which channels stay when the averages are there, the coefficients, and at the end."""
-
-    averages: Callable[[str], bool]
-    coefficients: Callable[[str], bool]
-    result: Callable[[str], bool]
-
-
-def _kept(keep: Keep, settings: ReductionSettings) -> _Kept:
-    def every(_: str) -> bool:
-        return True
-
-    if keep == "probes":
-        return _Kept(every, every, every)
-    if keep == "averages":
-        return _Kept(every, every, lambda name: not name.startswith("fault_"))
-    needed = {*IN_SERIES, *CHOSEN_BY}
-    if settings.stall_rule == "hub-tip":
-        needed |= {"Wc25_hub_kg_s", "Wc25_tip_kg_s"}
-    computed_from = needed | set(COMPUTED_FROM)
-    return _Kept(computed_from.__contains__, needed.__contains__, IN_SERIES.__contains__)
+    done = progress if progress is not None else _unreported
+    matched = _matched(inspect_readings(record, test, whole=True), test, chosen.near_stall_match)
+    done(1)
+    cache: _Filtered = {}
+    window_s, found = _window(matched, test, chosen, cache)
+    window = window_rows(matched, window_s, _window_name(matched, test, chosen))
+    matched = choose_channels(matched.after(found), test, window)
+    was_named = found.parameters["origin"] != "found"
+    done(1)
+    unfiltered = _unfiltered(matched, test, chosen)
+    done(1)
+    # A stated window is not extended.
+    in_use = [name for name in test.channel_names if name in matched]
+    inside = window if was_named else extend_while_settled(unfiltered, window, in_use)
+    averaged = _averaged(_low_passed(matched, test, chosen, cache), test, chosen)
+    del matched
+    cache.clear()
+    if not keep_probes:
+        averaged = averaged.without(_of_probes(averaged, test))
+    done(1)
+    reduced = _with_coefficients(averaged, unfiltered, test, chosen, window)
+    del averaged
+    done(1)
+    if was_named and (flags := cycles_within(reduced, window_s)):
+        reduced = reduced.after(LedgerEntry("cycles", "counted in the window", flags=flags))
+    reduced, threshold = _segmented(reduced, unfiltered, test, chosen, window)
+    reduced = _with_free_run(reduced, unfiltered, window, inside, chosen.probes)
+    reduced = _regimes_compared(reduced, window, threshold)
+    done(1)
+    return Reduction(_series(reduced), reduced, chosen, test, window_s)
 
 
 def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]:
-    """Return what the near-stall match of a record adds, for a record that goes on with its test.
+    """Return the near-stall match of a record, to be stated for one that continues it.
 
     Parameters
     ----------
@@ -239,40 +184,102 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
         When :func:`reduce_record` would refuse the reading.
     """
     inspected = inspect_readings(record, test, whole=True)
-    shifts, _ = near_stall_match(inspected, test)
-    matched = calibrate_and_match(inspected, test)
-    check_flows(matched, test)
-    sound = choose_channels(matched, test, slice(0, 0))
+    steady = calibrate(inspected.part(near_stall_rows(inspected, test)), test)
+    shifts, _ = near_stall_match(steady, test)
+    sound = choose_channels(_matched(inspected, test, "pair"), test, slice(0, 0))
     forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
     named = [*forward, *(couple.name for couple in test.temperatures)]
     return {name: shifts[name] for name in named if name in sound}
 
 
-def _nobody(_: int) -> None:
-    """Tell nobody."""
+def _unreported(_: int) -> None:
+    """Report nothing."""
 
 
-def _unfiltered(
-    record: Record, test: TestDescription, settings: ReductionSettings
-) -> tuple[Record, list[Channel]]:
+def _matched(inspected: Record, test: TestDescription, match: str) -> Record:
+    """Calibrate, check how the probes face, match near stall, and check the flow there."""
+    steady = inspected
+    if not test.near_stall_shifts:
+        steady = calibrate(inspected.part(near_stall_rows(inspected, test)), test)
+        check_facing(steady, test)
+    shifts, entry = near_stall_match(steady, test, match)
+    matched = calibrate(inspected, test, shifts).after(entry)
+    return matched.after(check_near_stall(matched, test, shifts))
+
+
+# Of each channel the readings that were filtered and the result: what the window is found in is
+# what is reduced, but for channels that are bridged in one of them.
+_Filtered = dict[str, tuple[FloatArray, FloatArray]]
+
+
+def _low_passed(
+    record: Record, test: TestDescription, settings: ReductionSettings, cache: _Filtered
+) -> Record:
+    """Filter all channels alike, those anew that are not in the cache as they are."""
+    rate, names = record.sample_rate_hz, [n for n in test.channel_names if n in record]
+    order, cutoff_hz, phase = settings.filter_order, settings.cutoff_hz, settings.phase
+    if (order, cutoff_hz, phase) != (AHEAD.filter_order, AHEAD.cutoff_hz, AHEAD.phase):
+        return filter_channels(record, names, order=order, cutoff_hz=cutoff_hz, phase=phase)
+    for name in names:
+        if name not in cache or cache[name][0] is not record[name]:
+            smooth = low_pass(record[name], rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+            cache[name] = record[name], smooth
+    added = [Channel.adopt(n, cache[n][1], record.channel(n).unit) for n in names]
+    entry = filter_entry(len(names), rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+    return record.after(entry, add=added)
+
+
+def _averaged(filtered: Record, test: TestDescription, settings: ReductionSettings) -> Record:
+    """Undo the thermocouple lag where asked for, and average over each plane."""
+    inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
+    return plane_averages(local_flows(inverted, test), test, settings.probes)
+
+
+def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
+    """Return the channels of a record that belong to single probes."""
+    pairs = [pair for plane in test.areas_m2 for pair in test.pairs(plane)]
+    for name in test.channel_names:
+        yield from (name, fault_name(name))
+    for pair in pairs:
+        yield from (f"Wc{pair.name}_kg_s", f"Pt{pair.name}_Pa")
+
+
+def _unfiltered(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
     """Reduce without any low-pass, for the free run, for spectra and for Fig 5 and 6.
 
     The thermocouples' lag is undone whatever the settings say: behind no filter it is what it is.
     """
     plain = record.after(LedgerEntry("filter", "no low-pass filter"))
     plain = invert_thermocouples(plain, test)
-    # Without W31 no ψ is computed, which nobody wants of these.
-    plain = plane_flows(plain, test, settings.probes, wanted=UNFILTERED_AVERAGES, stored=())
-    if knows_hub_and_tip(plain):
-        shift = Channel(HUB_LESS_TIP, hub_tip_difference(plain), "kg/s")
-        plain = replace(plain, channels={**plain.channels, HUB_LESS_TIP: shift})
-    plain = coefficients(
-        plain,
-        test,
-        inertia_factor=settings.inertia_factor,
-        wanted=("phi", "psi_p", "Nc_frac"),
-        stored=[name for name in ("P25_Pa", HUB_LESS_TIP) if name in plain],
+    plain = plane_averages(local_flows(plain, test), test, settings.probes)
+    faults = {fault_name(name) for name in test.channel_names}
+    plain = plain.without(set(_of_probes(plain, test)) - faults)
+    plain = coefficients(plain, test, inertia_factor=settings.inertia_factor)
+    return plain.after(
+        LedgerEntry("keep", "P25 under the name that it has beside the filtered one"),
+        add=[replace(plain.channel("P25_Pa"), name="P25_unfiltered_Pa")],
     )
+
+
+def _with_coefficients(
+    averaged: Record,
+    unfiltered: Record,
+    test: TestDescription,
+    settings: ReductionSettings,
+    window: slice,
+) -> Record:
+    """Compute the coefficients of the averages, and lay the unfiltered ones beside them."""
+    record = coefficients(averaged, test, inertia_factor=settings.inertia_factor)
+    if "W31_kg_s" in record:
+        # What the mass balance averages over where no filter takes the cells out.
+        period_s = None
+        if settings.phase == "none":
+            period_s = 1.0 / cell_frequency_hz(unfiltered, window)
+        inertia = settings.inertia_factor * test.compressor.inertia_per_m
+        record = with_work(record, test, inertia, settings.work_form, period_s)
+    else:
+        dropped = Dropped("ψ", record.n_samples, "no T31 that counts, so no W31")
+        record = record.after(LedgerEntry("work coefficient", "ψ is not known", {}, (dropped,)))
     names = {
         "P25_Pa": "P25_unfiltered_Pa",
         "P31_Pa": "P31_unfiltered_Pa",
@@ -280,40 +287,16 @@ def _unfiltered(
         "phi": "phi_unfiltered",
         "psi_p": "psi_p_unfiltered",
     }
-    kept = [Channel(new, plain[old], plain.channel(old).unit) for old, new in names.items()]
-    needed = {"phi", "Nc_frac", HUB_LESS_TIP}
-    gone = [n for n in plain.channels if n not in needed and not n.startswith("fault_")]
-    return without(plain, gone), kept
-
-
-def _with_coefficients(
-    averaged: Record,
-    unfiltered: list[Channel],
-    test: TestDescription,
-    settings: ReductionSettings,
-    window: slice,
-) -> Record:
-    """Compute the coefficients of the averages, and lay the unfiltered ones beside them."""
-    # What the mass balance averages over where no filter takes the cells out.
-    period_s = None
-    if settings.phase == "none":
-        period_s = 1.0 / cell_frequency_hz(_with_channels(averaged, unfiltered), window)
-    record = coefficients(
-        averaged,
-        test,
-        inertia_factor=settings.inertia_factor,
-        work_form=settings.work_form,
-        cell_period_s=period_s,
-    )
-    return _with_channels(record, unfiltered)
+    kept = [replace(unfiltered.channel(old), name=new) for old, new in names.items()]
+    entry = LedgerEntry("keep", "plane averages, φ and ψ' of the unfiltered pressures kept")
+    return record.after(entry, add=kept)
 
 
 def _with_free_run(
-    record: Record, plain: Record, window: slice, inside: slice, probes: str
+    record: Record, unfiltered: Record, window: slice, inside: slice, probes: str
 ) -> Record:
     """Mark the rows of the free run."""
-    unfiltered = _with_channels(plain, [record.channel("P25_unfiltered_Pa")])
-    rows = free_run_rows(unfiltered, plain["phi"], window, inside, record["in_stall"])
+    rows = free_run_rows(unfiltered, unfiltered["phi"], window, inside, record["in_stall"])
     entry = rows.entry
     if probes != "all":
         flag = (
@@ -327,15 +310,10 @@ def _with_free_run(
 
 
 def _regimes_compared(record: Record, window: slice, threshold_lbm_s: float | None) -> Record:
-    """Note where the threshold tells the regimes otherwise than hub and tip themselves do."""
+    """Flag where the threshold gives other regimes than hub and tip themselves do."""
     if threshold_lbm_s is None:
         return record
-    other = 0
-    stalled, itself = as_stored(record["in_stall"]), as_stored(record["stalled"])
-    for rows in blocks(window.stop, window.start):
-        other += int(np.count_nonzero(stalled[rows] != itself[rows]))
-        record.workspace.release()
-    share = other / (window.stop - window.start)
+    share = float(np.mean(record["in_stall"][window] != record["stalled"][window]))
     if share <= REGIMES_DIFFER:
         return record
     entry = LedgerEntry(
@@ -343,20 +321,11 @@ def _regimes_compared(record: Record, window: slice, threshold_lbm_s: float | No
         f"threshold and hub-minus-tip flow agree in {1.0 - share:.0%} of the window",
         {"share": round(share, 4)},
         flags=(
-            f"the threshold of {threshold_lbm_s:g} lbm/s tells the regime otherwise than hub and "
+            f"the threshold of {threshold_lbm_s:g} lbm/s gives another regime than hub and "
             f"tip do in {share:.0%} of the window: is it in lbm/s?",
         ),
     )
     return record.after(entry)
-
-
-def _with_channels(record: Record, channels: list[Channel]) -> Record:
-    entry = LedgerEntry("keep", "plane averages, φ and ψ' of the unfiltered pressures kept")
-    return record.after(entry, add=channels)
-
-
-def _only(record: Record, is_kept: Callable[[str], bool]) -> Record:
-    return without(record, [name for name in record.channels if not is_kept(name)])
 
 
 def _window_name(record: Record, test: TestDescription, settings: ReductionSettings) -> str:
@@ -367,9 +336,9 @@ def _window_name(record: Record, test: TestDescription, settings: ReductionSetti
 
 
 def _window(
-    record: Record, test: TestDescription, settings: ReductionSettings
-) -> tuple[tuple[float, float], LedgerEntry, LookAhead | None]:
-    """Return the quasi-steady window, where it came from, and what was computed to find it."""
+    record: Record, test: TestDescription, settings: ReductionSettings, cache: _Filtered
+) -> tuple[tuple[float, float], LedgerEntry]:
+    """Return the quasi-steady window, and where it came from."""
     for window_s, origin in ((settings.window_s, "the settings"), (test.window_s, test.source)):
         if window_s is not None:
             entry = LedgerEntry(
@@ -377,12 +346,13 @@ def _window(
                 f"{window_s[0]:g} to {window_s[1]:g} s, as {origin} says",
                 {"from_s": window_s[0], "to_s": window_s[1], "origin": origin},
             )
-            return window_s, entry, None
-    # A look ahead with every channel in it: which of them can be used depends on the window.
-    # Nor must a dropout that passes end it.
-    ahead = look_ahead(with_faults_bridged(record, test), test, settings)
-    speed = _corrected_speed(ahead.averaged, test)
-    cycles = find_cycles(_with_channels(ahead.averaged, [speed]))
+            return window_s, entry
+    # Looked for in all channels, bridged: which of them can be used depends on the window, and a
+    # dropout must not end it.
+    ahead = _low_passed(with_faults_bridged(record, test), test, AHEAD, cache)
+    ahead = _averaged(ahead, test, AHEAD)
+    speed = Channel("Nc_frac", corrected_speed_fraction(ahead["T25_K"], test), "1")
+    cycles = find_cycles(ahead.after(LedgerEntry("speed", "of the window"), add=[speed]))
     flags: tuple[str, ...] = ()
     if cycles.n_cycles < FEW_CYCLES:
         flags = (f"only {cycles.n_cycles} cycles: the time constant will be uncertain",)
@@ -405,36 +375,36 @@ def _window(
         },
         flags=flags,
     )
-    return (cycles.from_s, cycles.to_s), entry, ahead
+    return (cycles.from_s, cycles.to_s), entry
 
 
-def _few_cycles_told(record: Record, window_s: tuple[float, float]) -> Record:
-    """Note where the window that somebody named is too short."""
-    flags = cycles_within(record, window_s)
-    if not flags:
-        return record
-    return record.after(LedgerEntry("cycles", "counted in the window", flags=flags))
-
-
-def _corrected_speed(record: Record, test: TestDescription) -> Channel:
-    inlet_K = record["T25_K"]
-    speed = record.workspace.derived(
-        record.n_samples, lambda rows: corrected_speed_fraction(inlet_K[rows], test)
-    )
-    return Channel("Nc_frac", speed, "1")
-
-
-def _threshold(test: TestDescription, settings: ReductionSettings) -> float | None:
-    """Return the corrected flow between the regimes; None where all is in stall."""
-    if settings.threshold_lbm_s is None:
-        return test.threshold_lbm_s
-    return None if settings.threshold_lbm_s == "none" else float(settings.threshold_lbm_s)
+def _threshold(
+    unfiltered: Record,
+    record: Record,
+    test: TestDescription,
+    settings: ReductionSettings,
+    window: slice,
+) -> tuple[float | None, LedgerEntry | None]:
+    """Return the flow between the regimes, None where all is in stall, and how it was estimated."""
+    stated = settings.threshold_lbm_s
+    stated = test.threshold_lbm_s if stated is None else stated
+    if stated == "none":
+        return None, None
+    if stated is not None:
+        return float(stated), None
+    return estimated_threshold_lbm_s(unfiltered, record["Wc25_kg_s"], window)
 
 
 def _segmented(
-    record: Record, test: TestDescription, settings: ReductionSettings, window: slice
-) -> Record:
-    threshold = _threshold(test, settings)
+    record: Record,
+    unfiltered: Record,
+    test: TestDescription,
+    settings: ReductionSettings,
+    window: slice,
+) -> tuple[Record, float | None]:
+    threshold, entry = _threshold(unfiltered, record, test, settings, window)
+    if entry is not None:
+        record = record.after(entry)
     hysteresis = settings.hysteresis_lbm_s
     if hysteresis is not None and threshold is not None and hysteresis >= threshold:
         raise InputError(
@@ -443,7 +413,7 @@ def _segmented(
             found=f"{hysteresis:g}",
         )
     try:
-        return segment(
+        segmented = segment(
             record,
             window,
             threshold_lbm_s=threshold,
@@ -458,32 +428,24 @@ def _segmented(
         raise InputError(
             where, expected=error.expected, found=error.found, remedy=error.remedy
         ) from None
+    return segmented, threshold
 
 
 def _series(record: Record) -> CoefficientSeries:
-    work_known = "psi" in record
-    place, n_rows = record.workspace, record.n_samples
-
-    def clock(rows: slice) -> FloatArray:
-        return record.start_s + np.arange(rows.start, rows.stop) / record.sample_rate_hz
-
-    def of_type(name: str, kind: type[np.generic]) -> NDArray[Any]:
-        return place.widened(as_stored(record[name]), kind)
-
+    psi = record["psi"] if "psi" in record.channels else None
     return CoefficientSeries(
-        time_s=place.derived(n_rows, clock),
+        time_s=record.time_s,
         phi=record["phi"],
         psi_p=record["psi_p"],
-        psi=record["psi"] if work_known else None,
+        psi=psi,
         T25_K=record["T25_K"],
         Nc_frac=record["Nc_frac"],
-        in_stall=of_type("in_stall", np.bool_),
-        segment=of_type("segment", np.int64),
+        in_stall=record["in_stall"].astype(np.bool_),
+        segment=record["segment"].astype(np.int64),
         phi_unfiltered=record["phi_unfiltered"],
         psi_p_unfiltered=record["psi_p_unfiltered"],
-        stalled=of_type("stalled", np.bool_),
-        free_run=of_type("free_run", np.int64),
+        stalled=record["stalled"].astype(np.bool_),
+        free_run=record["free_run"].astype(np.int64),
         source=record.source,
         history=record.history,
-        workspace=place,
     )

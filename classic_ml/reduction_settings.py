@@ -36,11 +36,12 @@ class ReductionSettings:
     probes : {"all", "tip", "hub"}
         Immersions in the plane averages.
     threshold_lbm_s : float, "none" or None
-        Corrected flow between in-stall and unstalled; None takes what test.toml says.
+        Corrected flow between in-stall and unstalled; None takes what test.toml states, and
+        estimates it where that states none.
     hysteresis_lbm_s : float or None
         Half width of the band around it; None takes what test.toml says.
     stall_rule : {"threshold", "hub-tip"}
-        How the stall state is told.
+        How the stall state is estimated.
     inertia_factor : float
         Multiplies ∫dx/A in Eq 5; 0 drops the inertia term.
     thermocouple_inversion : bool
@@ -50,7 +51,7 @@ class ReductionSettings:
     near_stall_match : {"pair", "forward", "none"}
         What the near-stall match moves.
     work_form : {"auto", "exit-flow", "mass-balance", "temperature-rise"}
-        How ψ is had: by Eq 13 with W31 as measured, with the storage between the planes from a
+        How ψ is computed: by Eq 13 with W31 as measured, with the storage between the planes from a
         balance of mass, from the temperature rise alone, or by the first unless the flows of the
         two planes disagree by more than ψ can bear.
     window_s : tuple of float, optional

@@ -1,37 +1,36 @@
-"""The in-stall intervals inside the window of the surge cycles."""
+"""The in-stall state and its intervals inside the window of the surge cycles."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
-from classic_ml.columns.intervals import intervals_where, labelled, long_ones
-from classic_ml.columns.order_statistics import median
-from classic_ml.columns.workspace import IN_MEMORY, Workspace, evaluated
-from classic_ml.filtering import period_average
+from classic_ml.cycles import first_reversal
+from classic_ml.filters import period_average
+from classic_ml.flow import LBM_KG
+from classic_ml.intervals import intervals_where, label_intervals
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
-from classic_ml.surge_cycles import first_reversal
 from surge_core.errors import InputError
-from surge_core.types import BoolArray, FloatArray, IntArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = [
-    "HUB_LESS_TIP",
     "SHORTEST_S",
     "cell_frequency_hz",
+    "estimated_threshold_lbm_s",
     "hub_tip_difference",
     "hub_tip_stall",
     "in_stall_by_threshold",
     "knows_hub_and_tip",
     "segment",
+    "shows_stall",
     "window_rows",
 ]
 
 
-# The difference of two plane averages, where it is looked at more often than they are.
-HUB_LESS_TIP = "Wc25_hub_less_tip_kg_s"
 # Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
 LOWEST_CELL_HZ = 40.0
+# A smaller shift between hub and tip shows no state.
+LEAST_SHIFT_KG_S = 2.0 * LBM_KG
 # Shorter than 20 ms is a graze of the threshold, not a regime: τ itself is about that long.
 SHORTEST_S = 0.02
 # A record of hours may graze the threshold thousands of times.
@@ -39,6 +38,8 @@ NAMED_INTERVALS = 20
 # Share of the flow before surge that counts as recovery where no threshold says so: the paper's
 # 50 lbm/s is 0.45 of the 112 lbm/s near stall.
 RECOVERED_SHARE = 0.45
+# Share of the window beyond which unstalled rows are a regime, and no error of the state.
+LEAST_UNSTALLED = 0.02
 
 
 def window_rows(record: Record, window_s: tuple[float, float], where: str = "window") -> slice:
@@ -77,11 +78,7 @@ def window_rows(record: Record, window_s: tuple[float, float], where: str = "win
 
 
 def in_stall_by_threshold(
-    corrected_kg_s: FloatArray,
-    threshold_kg_s: float,
-    hysteresis_kg_s: float = 0.0,
-    *,
-    workspace: Workspace = IN_MEMORY,
+    corrected_kg_s: FloatArray, threshold_kg_s: float, hysteresis_kg_s: float = 0.0
 ) -> BoolArray:
     """Return the in-stall state by a threshold of the corrected inlet flow.
 
@@ -93,28 +90,19 @@ def in_stall_by_threshold(
         The paper's 50 lbm/s, in kg/s.
     hysteresis_kg_s : float
         Stall begins below threshold − hysteresis and ends above threshold + hysteresis.
-    workspace : Workspace
-        Where the flow lies and the state goes.
 
     Returns
     -------
     ndarray of bool, shape (n,)
         True in stall. Until the flow first leaves the band, the state is that of its middle.
     """
-    last = bool(corrected_kg_s.size and corrected_kg_s[0] < threshold_kg_s)
-
-    def state(rows: slice) -> BoolArray:
-        nonlocal last
-        flow = corrected_kg_s[rows]
-        stalled = flow < threshold_kg_s - hysteresis_kg_s
-        if hysteresis_kg_s > 0.0:
-            decided = stalled | (flow >= threshold_kg_s + hysteresis_kg_s)
-            since = np.maximum.accumulate(np.where(decided, np.arange(flow.size), -1))
-            stalled = np.where(since < 0, last, stalled[since])
-        last = bool(stalled[-1])
-        return stalled
-
-    return evaluated(workspace, corrected_kg_s.size, state, np.bool_)
+    stalled = corrected_kg_s < threshold_kg_s - hysteresis_kg_s
+    if hysteresis_kg_s > 0.0 and stalled.size:
+        at_first = bool(corrected_kg_s[0] < threshold_kg_s)
+        decided = stalled | (corrected_kg_s >= threshold_kg_s + hysteresis_kg_s)
+        since = np.maximum.accumulate(np.where(decided, np.arange(stalled.size), -1))
+        stalled = np.where(since < 0, at_first, stalled[since])
+    return np.asarray(stalled)
 
 
 def cell_frequency_hz(record: Record, window: slice) -> float:
@@ -132,15 +120,14 @@ def cell_frequency_hz(record: Record, window: slice) -> float:
     float
         Frequency in Hz.
     """
-    frequency, density = power_spectrum(
-        record["P25_unfiltered_Pa"][window], record.sample_rate_hz, workspace=record.workspace
-    )
-    return peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * record.sample_rate_hz)
+    rate = record.sample_rate_hz
+    frequency, density = power_spectrum(record["P25_unfiltered_Pa"][window], rate)
+    return peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * rate)
 
 
 def knows_hub_and_tip(record: Record) -> bool:
-    """Tell whether :func:`hub_tip_difference` can be told of a record."""
-    return HUB_LESS_TIP in record or ("Wc25_hub_kg_s" in record and "Wc25_tip_kg_s" in record)
+    """Return whether a record has the flows that :func:`hub_tip_difference` compares."""
+    return "Wc25_hub_kg_s" in record and "Wc25_tip_kg_s" in record
 
 
 def hub_tip_difference(record: Record) -> FloatArray:
@@ -149,12 +136,16 @@ def hub_tip_difference(record: Record) -> FloatArray:
     Parameters
     ----------
     record : Record
-        With ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``, or with ``HUB_LESS_TIP``.
+        With ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``.
     """
-    if HUB_LESS_TIP in record:
-        return record[HUB_LESS_TIP]
-    hub, tip = record["Wc25_hub_kg_s"], record["Wc25_tip_kg_s"]
-    return record.workspace.derived(record.n_samples, lambda rows: hub[rows] - tip[rows])
+    return record["Wc25_hub_kg_s"] - record["Wc25_tip_kg_s"]
+
+
+def shows_stall(record: Record, window: slice) -> bool:
+    """Return whether the flows of hub and tip differ enough in a window to show the state."""
+    if not knows_hub_and_tip(record):
+        return False
+    return float(np.median(hub_tip_difference(record)[window])) > LEAST_SHIFT_KG_S
 
 
 def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
@@ -179,13 +170,8 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     InputError
         When that median is not above zero.
     """
-    difference = period_average(
-        hub_tip_difference(record),
-        1.0 / cell_hz,
-        record.sample_rate_hz,
-        workspace=record.workspace,
-    )
-    scale = median(difference, window, workspace=record.workspace)
+    shift = period_average(hub_tip_difference(record), 1.0 / cell_hz, record.sample_rate_hz)
+    scale = float(np.median(shift[window]))
     if scale <= 0.0:
         raise InputError(
             f"{record.source}: plane 25",
@@ -193,12 +179,60 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
             found=f"a median difference of {scale / LBM_KG:.2f} lbm/s",
             remedy='use stall_rule="threshold"',
         )
-    return evaluated(
-        record.workspace,
-        record.n_samples,
-        lambda rows: difference[rows] > 0.5 * scale,
-        np.bool_,
-    )
+    return np.asarray(shift > 0.5 * scale)
+
+
+def estimated_threshold_lbm_s(
+    record: Record, corrected_kg_s: FloatArray, window: slice
+) -> tuple[float | None, LedgerEntry]:
+    """Estimate the corrected flow between the regimes from the record itself.
+
+    The machine shows its state by the shift between hub and tip; the threshold is the flow that
+    divides the rows of the window most nearly as that state does. Without such a shift it is the
+    flow that leaves the least variance on its two sides (Otsu's method), where the flow comes
+    back to a good part of that before surge at all.
+
+    Parameters
+    ----------
+    record : Record
+        Unfiltered averages, with ``P25_unfiltered_Pa``.
+    corrected_kg_s : ndarray of shape (n,)
+        Corrected flow at plane 25, filtered, which the threshold will be applied to.
+    window : slice
+        Rows of the surge cycles.
+
+    Returns
+    -------
+    float or None
+        In lbm/s; None where hardly a row of the window is unstalled.
+    LedgerEntry
+        How it was estimated.
+    """
+    flow = np.sort(corrected_kg_s[window])
+    n_below = np.arange(1, flow.size)
+    if shows_stall(record, window):
+        stalled = hub_tip_stall(record, window, cell_frequency_hz(record, window))[window]
+        stalled = stalled[np.argsort(corrected_kg_s[window])]
+        unstalled = 1.0 - float(np.mean(stalled))
+        # Rows that a threshold behind each flow in turn gives the wrong state.
+        upto = np.cumsum(stalled)[:-1]
+        cost = (n_below - upto) + (upto[-1] + int(stalled[-1]) - upto)
+        how = "the shift between hub and tip"
+    else:
+        unstalled = 1.0 if _recovers(record, window) else 0.0
+        below = np.cumsum(flow)[:-1]
+        lower, upper = below / n_below, (flow.sum() - below) / (flow.size - n_below)
+        cost = -n_below * (flow.size - n_below) * (upper - lower) ** 2
+        how = "the spread of the flow"
+    parameters: dict[str, str | int | float | bool] = {"origin": "estimated", "by": how}
+    if unstalled < LEAST_UNSTALLED:
+        did = f"estimated: none, since {how} shows no unstalled regime"
+        return None, LedgerEntry("threshold", did, parameters)
+    best = int(np.argmin(cost))
+    threshold = 0.5 * float(flow[best] + flow[best + 1]) / LBM_KG
+    parameters["threshold_lbm_s"] = round(threshold, 3)
+    did = f"estimated: {threshold:.1f} lbm/s of corrected flow, by {how}"
+    return threshold, LedgerEntry("threshold", did, parameters)
 
 
 def segment(
@@ -223,55 +257,42 @@ def segment(
     hysteresis_lbm_s : float
         Half width of the band around the threshold.
     stall_rule : {"threshold", "hub-tip"}
-        How the state is told: :func:`in_stall_by_threshold` or :func:`hub_tip_stall`.
+        How the state is estimated: :func:`in_stall_by_threshold` or :func:`hub_tip_stall`.
 
     Returns
     -------
     Record
         With ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere).
     """
-    place, n_rows = record.workspace, record.n_samples
+    n_rows = record.n_samples
     parameters: dict[str, str | int | float | bool] = {"stall_rule": stall_rule}
     state = _state(record, window, threshold_lbm_s, hysteresis_lbm_s, parameters)
-    stalled = intervals_where(window, lambda rows: state[rows], workspace=place)
-    inside = np.array([[window.start, window.stop]]) if threshold_lbm_s is None else stalled
-    segments, short = long_ones(inside, round(SHORTEST_S * record.sample_rate_hz))
-    if not segments.size:
+    inside = np.zeros(n_rows, dtype=np.bool_)
+    inside[window] = True
+    fitted = inside if threshold_lbm_s is None else inside & state
+    labels, short = label_intervals(fitted, round(SHORTEST_S * record.sample_rate_hz))
+    n_segments, n_scored = int(labels.max(initial=0)), int(np.count_nonzero(labels))
+    if n_segments == 0:
         raise InputError(
             f"{record.source}: segmentation",
             expected="in-stall intervals inside the window",
             found="none",
             remedy="check the threshold and the window",
         )
-    n_scored = int(np.sum(segments[:, 1] - segments[:, 0]))
     why = f"shorter than {SHORTEST_S * 1e3:g} ms"
     dropped = tuple(Dropped("in-stall interval", rows, why) for rows in short[:NAMED_INTERVALS])
     if short[NAMED_INTERVALS:]:
         further = short[NAMED_INTERVALS:]
         dropped += (Dropped(f"{len(further)} more such intervals", sum(further), why),)
-    dropped += (
-        Dropped(
-            "rows",
-            n_rows - n_scored,
-            "unstalled, or outside the window: simulated, not fitted",
-        ),
+    why = "unstalled, or outside the window: simulated, not fitted"
+    dropped += (Dropped("rows", n_rows - n_scored, why),)
+    flags = _regime_flags(record, window, state, threshold_lbm_s)
+    did = f"{n_segments} segments with {n_scored} rows"
+    entry = LedgerEntry("segment", did, parameters, dropped, flags)
+    columns = {"in_stall": state, "window": inside, "segment": labels}
+    return record.after(
+        entry, add=[Channel(n, v.astype(np.float64), "1") for n, v in columns.items()]
     )
-    entry = LedgerEntry(
-        "segment",
-        f"{len(segments)} segments with {n_scored} rows",
-        parameters,
-        dropped,
-        _regime_flags(record, window, stalled, threshold_lbm_s),
-    )
-    whole = np.array([[window.start, window.stop]])
-    columns = {
-        "in_stall": place.widened(state),
-        "window": place.derived(n_rows, lambda rows: labelled(whole, rows).astype(np.float64)),
-        "segment": place.widened(
-            place.derived(n_rows, lambda rows: labelled(segments, rows), np.int64)
-        ),
-    }
-    return record.after(entry, add=[Channel(n, values, "1") for n, values in columns.items()])
 
 
 def _state(
@@ -283,14 +304,8 @@ def _state(
 ) -> BoolArray:
     """Return the in-stall state by the rule that the parameters name, and complete them."""
     if threshold_lbm_s is None:
-        start = first_reversal(record)
         parameters["threshold_lbm_s"] = "none"
-        return evaluated(
-            record.workspace,
-            record.n_samples,
-            lambda rows: np.arange(rows.start, rows.stop) >= start,
-            np.bool_,
-        )
+        return np.arange(record.n_samples) >= first_reversal(record)
     if parameters["stall_rule"] == "hub-tip":
         if not knows_hub_and_tip(record):
             raise InputError(
@@ -305,30 +320,21 @@ def _state(
     parameters["threshold_lbm_s"] = threshold_lbm_s
     parameters["hysteresis_lbm_s"] = hysteresis_lbm_s
     return in_stall_by_threshold(
-        record["Wc25_kg_s"],
-        threshold_lbm_s * LBM_KG,
-        hysteresis_lbm_s * LBM_KG,
-        workspace=record.workspace,
+        record["Wc25_kg_s"], threshold_lbm_s * LBM_KG, hysteresis_lbm_s * LBM_KG
     )
 
 
 def _regime_flags(
-    record: Record, window: slice, stalled: IntArray, threshold_lbm_s: float | None
+    record: Record, window: slice, state: BoolArray, threshold_lbm_s: float | None
 ) -> tuple[str, ...]:
-    """Say where rows of an unstalled regime may have been taken for stall."""
+    """Flag where rows of an unstalled regime may have been taken for stall."""
     if threshold_lbm_s is None:
         if not _recovers(record, window):
             return ()
         return ("no unstalled regime was declared; rows after recovery, if any, are in the fit",)
-    if stalled.tolist() != [[window.start, window.stop]]:
+    if not state[window].all():
         return ()
-    flow = record["Wc25_kg_s"]
-    above = intervals_where(
-        window,
-        lambda rows: flow[rows] >= threshold_lbm_s * LBM_KG,
-        workspace=record.workspace,
-    )
-    if above.size:
+    if np.any(record["Wc25_kg_s"][window] >= threshold_lbm_s * LBM_KG):
         return ("all rows in the window are in stall: unstalled rows, if any, are fitted as such",)
     return (
         f"the corrected flow never rises above {threshold_lbm_s:g} lbm/s in the window: unstalled "
@@ -337,13 +343,11 @@ def _regime_flags(
 
 
 def _recovers(record: Record, window: slice) -> bool:
-    """Tell whether the flow comes back, for 20 ms or more, to a good part of that before surge."""
+    """Return whether the flow comes back, for 20 ms, to a good part of that before surge."""
     shortest = round(SHORTEST_S * record.sample_rate_hz)
     flow, reversal = record["Wc25_kg_s"], first_reversal(record)
     if reversal < shortest:
         return False
-    before = median(flow, slice(0, reversal), workspace=record.workspace)
-    back = intervals_where(
-        window, lambda rows: flow[rows] > RECOVERED_SHARE * before, workspace=record.workspace
-    )
-    return long_ones(back, shortest)[0].size > 0
+    before = float(np.median(flow[:reversal]))
+    back = intervals_where(flow[window] > RECOVERED_SHARE * before)
+    return bool(np.any(back[:, 1] - back[:, 0] >= shortest))

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.columns.clock import uniform_period_s
-from classic_ml.columns.computed import as_stored, is_computed
-from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
-from classic_ml.records import LedgerEntry, ledger_grid, ledger_words
+from classic_ml.clock import uniform_period_s
+from classic_ml.records import LedgerEntry, counted, ledger_grid, ledger_words
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.rounding import significant
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
-if TYPE_CHECKING:
-    from classic_ml.readers.series_files import ledger_path, read_series, write_series
-
-__all__ = ["MINIMUM_ROWS", "CoefficientSeries", "ledger_path", "read_series", "write_series"]
+__all__ = ["MINIMUM_ROWS", "CoefficientSeries"]
 
 MINIMUM_ROWS = 100
 REQUIRED_COLUMNS = ("time_s", "phi", "psi_p")
@@ -67,7 +60,6 @@ LONG_NAMES = {
 }
 TRUTH_COLUMNS = ("in_stall", "stalled")
 COUNT_COLUMNS = ("segment", "free_run")
-LARGEST = float(np.finfo(np.float64).max)
 # Beyond these no compressor works: φ = 1 is already an axial Mach number of order one at any
 # useful wheel speed, and ψ' = 100 would be a pressure ratio beyond 10^4 at 300 m/s.
 POSSIBLE = {
@@ -79,6 +71,15 @@ POSSIBLE = {
     "phi_unfiltered": (-3.0, 3.0),
     "psi_p_unfiltered": (-100.0, 100.0),
     "free_run": (0.0, 2.0),
+}
+
+# What a display shows of the signals: label, factor and unit.
+SHOWN = {
+    "phi": ("φ", 1.0, ""),
+    "psi_p": ("ψ'", 1.0, ""),
+    "psi": ("ψ", 1.0, ""),
+    "T25_K": ("T25", 1.0, " K"),
+    "Nc_frac": ("corrected speed", 100.0, " % of design"),
 }
 
 
@@ -115,58 +116,45 @@ class CoefficientSeries(Displayed):
         File or record that the series came from.
     history : tuple of LedgerEntry
         What was done to get here.
-    workspace : Workspace
-        Where the columns lie, which are not copied where they are read-only and of their type. On
-        disk some are computed where they are asked for.
 
     Raises
     ------
     InputError
-        For anything DESIGN section 5 refuses: fewer than 100 rows, non-finite or impossible
-        values, a clock that is not uniform, constant φ or ψ'.
+        For fewer than 100 rows, non-finite or impossible values, a clock that is not uniform,
+        constant φ or ψ'.
     """
 
     time_s: FloatArray
     phi: FloatArray
     psi_p: FloatArray
-    segment: NDArray[np.int64]
+    segment: IntArray
     psi: FloatArray | None = None
     T25_K: FloatArray | None = None
     Nc_frac: FloatArray | None = None
-    in_stall: NDArray[np.bool_] | None = None
+    in_stall: BoolArray | None = None
     phi_unfiltered: FloatArray | None = None
     psi_p_unfiltered: FloatArray | None = None
-    stalled: NDArray[np.bool_] | None = None
-    free_run: NDArray[np.int64] | None = None
+    stalled: BoolArray | None = None
+    free_run: IntArray | None = None
     source: str = "series"
     history: tuple[LedgerEntry, ...] = ()
-    workspace: Workspace = field(default=IN_MEMORY, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        extremes = {}
         for name in COLUMNS:
             given = getattr(self, name)
             if given is not None:
-                values = _vector(self, name, given)
-                extremes[name] = _extremes(as_stored(values), self.workspace)
-                object.__setattr__(self, name, _frozen_column(self, name, values, extremes[name]))
+                object.__setattr__(self, name, _checked_column(self.source, name, given))
         _check_lengths(self)
-        uniform_period_s(self.time_s, f"{self.source}: column time_s", workspace=self.workspace)
-        for name, bounds in POSSIBLE.items():
-            if name in extremes and not _within(extremes[name], bounds):
-                _check_range(self, name, bounds)
+        uniform_period_s(self.time_s, f"{self.source}: column time_s")
         for name in ("phi", "psi_p"):
-            if extremes[name][0] == extremes[name][1]:
-                raise _constant(self, name)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Survive pickling, which a place on disk does not: the copy lies in memory."""
-        names = [name for name in self.__dataclass_fields__ if name != "workspace"]
-        return (_rebuild, ({name: getattr(self, name) for name in names},))
-
-    def _sheet(self) -> Sheet:
-        fields = (Field("source", self.source), *series_fields(self))
-        return Sheet("CoefficientSeries", fields, ledger_grid(self.history))
+            values = getattr(self, name)
+            if np.ptp(values) == 0.0:
+                raise InputError(
+                    f"{self.source}: column {name}",
+                    expected="a signal that moves",
+                    found=f"the constant {values[0]:g}",
+                    remedy="a lag cannot be identified without excitation",
+                )
 
     @property
     def n_samples(self) -> int:
@@ -184,7 +172,7 @@ class CoefficientSeries(Displayed):
         return 1.0 / self.sample_period_s
 
     @property
-    def scored(self) -> NDArray[np.bool_]:
+    def scored(self) -> BoolArray:
         """Rows that lie in an interval to be fitted."""
         return np.asarray(self.segment > 0)
 
@@ -198,124 +186,74 @@ class CoefficientSeries(Displayed):
         present = {name: getattr(self, name) for name in COLUMNS}
         return {name: values for name, values in present.items() if values is not None}
 
+    def fields(self) -> tuple[Field, ...]:
+        """Return what is shown of the columns and the ledger."""
+        fitted = int(np.count_nonzero(self.segment))
+        fields = [
+            Field("rows", f"{self.n_samples} at {self.sample_rate_hz:g} Hz"),
+            Field("facility clock", f"{self.time_s[0]:.3f} to {self.time_s[-1]:.3f} s"),
+            Field("to be fitted", f"{fitted} rows in {counted(self.n_segments, 'segment')}"),
+        ]
+        for name, (label, factor, unit) in SHOWN.items():
+            values = getattr(self, name)
+            if values is not None:
+                low, high = factor * float(np.min(values)), factor * float(np.max(values))
+                shown = f"{significant(low, 3)} to {significant(high, 3)}{unit}"
+                fields.append(Field(label, shown))
+        if self.in_stall is not None:
+            share = 100.0 * float(np.mean(self.in_stall))
+            fields.append(Field("in stall", f"{share:.0f} % of rows"))
+        if self.free_run is not None:
+            scored = int(np.count_nonzero(self.free_run == 2))
+            fields.append(Field("whole run", f"unfiltered columns are there; {scored} rows scored"))
+        fields.append(Field("ledger", ledger_words(self.history)))
+        return tuple(fields)
 
-def _rebuild(known: dict[str, Any]) -> CoefficientSeries:
-    return CoefficientSeries(**known)
-
-
-def _vector(
-    series: CoefficientSeries, name: str, values: NDArray[np.generic]
-) -> NDArray[np.generic]:
-    given = values if is_computed(values) else np.asarray(values)
-    if given.ndim != 1:
-        raise InputError(
-            f"{series.source}: column {name}",
-            expected="one value a row",
-            found=f"shape {given.shape}",
-        )
-    return given if given.dtype.kind in "fbiu" else given.astype(np.float64)
-
-
-def _extremes(values: NDArray[Any], workspace: Workspace) -> tuple[float, float]:
-    """Return the least and the largest value, which are NaN where one value is."""
-    low, high = np.inf, -np.inf
-    for rows in blocks(values.size):
-        low = np.minimum(low, values[rows].min())
-        high = np.maximum(high, values[rows].max())
-        workspace.release()
-    return float(low), float(high)
-
-
-def _within(extremes: tuple[float, float], bounds: tuple[float, float]) -> bool:
-    return bounds[0] <= extremes[0] and extremes[1] <= bounds[1]
+    def _sheet(self) -> Sheet:
+        fields = (Field("source", self.source), *self.fields())
+        return Sheet("CoefficientSeries", fields, ledger_grid(self.history))
 
 
-def _frozen_column(
-    series: CoefficientSeries,
-    name: str,
-    given: NDArray[np.generic],
-    extremes: tuple[float, float],
-) -> NDArray[np.generic]:
-    """Check a column, block by block where something is wrong; return it read-only, of its type."""
-    if not _within(extremes, (-LARGEST, LARGEST)):
-        _check_rows(
-            series,
-            name,
-            given,
-            (-LARGEST, LARGEST),
-            expected="a finite number in every row",
-            found="{0} in row {1}{2}",
-            remedy="cut the record there or repair the channel",
-        )
-    if name in TRUTH_COLUMNS + COUNT_COLUMNS:
+def _checked_column(source: str, name: str, given: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a column read-only and of its type, or refuse its first row that is impossible."""
+    values = np.asarray(given)
+    where = f"{source}: column {name}"
+    if values.ndim != 1:
+        raise InputError(where, expected="one value a row", found=f"shape {values.shape}")
+    kind = np.bool_ if name in TRUTH_COLUMNS else np.int64 if name in COUNT_COLUMNS else np.float64
+    if values.dtype.kind not in "biu":
+        values = values.astype(np.float64, copy=False)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            more = f" and {bad.size - 1} more" if bad.size > 1 else ""
+            raise InputError(
+                where,
+                expected="a finite number in every row",
+                found=f"{values[bad[0]]} in row {bad[0] + 1}{more}",
+                remedy="cut the record there or repair the channel",
+            )
+    low, high = POSSIBLE.get(name, (-np.inf, np.inf))
+    whole = kind is not np.float64
+    expected = f"values between {low:g} and {high:g}{_shown_unit(name)}"
+    if whole:
+        low, high = 0.0, 1.0 if name in TRUTH_COLUMNS else high
         expected = "0 or 1" if name in TRUTH_COLUMNS else "whole numbers from 0 on"
-        bounds = (0.0, 1.0 if name in TRUTH_COLUMNS else LARGEST)
-        if given.dtype.kind == "f" or not _within(extremes, bounds):
-            _check_rows(series, name, given, bounds, whole=True, expected=expected)
-    if given.dtype == _column_type(name) and (is_computed(given) or not given.flags.writeable):
-        return given
-    column: NDArray[np.generic] = given.astype(_column_type(name))
+    bad = np.flatnonzero((values < low) | (values > high))
+    if whole and not bad.size and values.dtype.kind == "f":
+        bad = np.flatnonzero(values != np.round(values))
+    if bad.size:
+        row = int(bad[0])
+        raise InputError(
+            where,
+            expected=expected,
+            found=f"{values[row]:g}" + ("" if whole else f" in row {row + 1}"),
+            remedy="" if whole else "check the units and the calibration",
+        )
+    if values.dtype == kind and not values.flags.writeable:
+        return values
+    column: NDArray[np.generic] = values.astype(kind)
     column.setflags(write=False)
     return column
-
-
-def _column_type(name: str) -> type[np.generic]:
-    if name in COUNT_COLUMNS:
-        return np.int64
-    return np.bool_ if name in TRUTH_COLUMNS else np.float64
-
-
-def _check_rows(
-    series: CoefficientSeries,
-    name: str,
-    values: NDArray[np.generic],
-    bounds: tuple[float, float],
-    *,
-    expected: str,
-    whole: bool = False,
-    found: str = "{0}",
-    remedy: str = "",
-) -> None:
-    """Refuse the first row out of bounds or not whole: its value, number, how many more."""
-    first, number, n_bad = -1, 0.0, 0
-    whole = whole and values.dtype.kind not in "biu"
-    for rows in blocks(values.size):
-        bad = _bad_rows(values[rows], bounds, whole)
-        if bad.size:
-            if not n_bad:
-                first = int(rows.start + bad[0])
-                number = float(np.float64(values[first]))
-            n_bad += bad.size
-        series.workspace.release()
-    if n_bad:
-        more = f" and {n_bad - 1} more" if n_bad > 1 else ""
-        raise InputError(
-            f"{series.source}: column {name}",
-            expected=expected,
-            found=found.format(number, first + 1, more),
-            remedy=remedy,
-        )
-
-
-def _bad_rows(numbers: NDArray[Any], bounds: tuple[float, float], whole: bool) -> NDArray[np.int64]:
-    if not whole and numbers.min() >= bounds[0] and numbers.max() <= bounds[1]:
-        return np.zeros(0, dtype=np.int64)
-    good = (numbers >= bounds[0]) & (numbers <= bounds[1])
-    if whole:
-        good &= numbers == np.round(numbers)
-    return np.flatnonzero(~good)
-
-
-def _check_range(series: CoefficientSeries, name: str, bounds: tuple[float, float]) -> None:
-    _check_rows(
-        series,
-        name,
-        getattr(series, name),
-        bounds,
-        expected=f"values between {bounds[0]:g} and {bounds[1]:g}{_shown_unit(name)}",
-        found="{0:g} in row {1}",
-        remedy="check the units and the calibration",
-    )
 
 
 def _check_lengths(series: CoefficientSeries) -> None:
@@ -330,61 +268,3 @@ def _check_lengths(series: CoefficientSeries) -> None:
 
 def _shown_unit(name: str) -> str:
     return "" if UNITS[name] == "1" else f" {UNITS[name]}"
-
-
-def _constant(series: CoefficientSeries, name: str) -> InputError:
-    return InputError(
-        f"{series.source}: column {name}",
-        expected="a signal that moves",
-        found=f"the constant {getattr(series, name)[0]:g}",
-        remedy="a lag cannot be identified without excitation",
-    )
-
-
-def __getattr__(name: str) -> object:
-    """Lend the names of the file functions, which need this module themselves."""
-    if name not in ("ledger_path", "read_series", "write_series"):
-        raise AttributeError(f"module 'classic_ml.series' has no attribute {name!r}")
-    return getattr(import_module("classic_ml.readers.series_files"), name)
-
-
-_SIGNALS = {
-    "phi": ("φ", 1.0, ""),
-    "psi_p": ("ψ'", 1.0, ""),
-    "psi": ("ψ", 1.0, ""),
-    "T25_K": ("T25", 1.0, " K"),
-    "Nc_frac": ("corrected speed", 100.0, " % of design"),
-}
-
-
-def series_fields(series: CoefficientSeries) -> tuple[Field, ...]:
-    """Return what is shown of a series.
-
-    Parameters
-    ----------
-    series : CoefficientSeries
-        The series.
-    """
-    fitted = int(np.count_nonzero(series.segment))
-    segments = f"{series.n_segments} segment{'' if series.n_segments == 1 else 's'}"
-    fields = [
-        Field("rows", f"{series.n_samples} at {series.sample_rate_hz:g} Hz"),
-        Field("facility clock", f"{series.time_s[0]:.3f} to {series.time_s[-1]:.3f} s"),
-        Field("to be fitted", f"{fitted} rows in {segments}"),
-    ]
-    for name, (label, factor, unit) in _SIGNALS.items():
-        values = getattr(series, name)
-        if values is not None:
-            fields.append(Field(label, f"{_range(values, factor)}{unit}"))
-    if series.in_stall is not None:
-        fields.append(Field("in stall", f"{100.0 * float(np.mean(series.in_stall)):.0f} % of rows"))
-    if series.free_run is not None:
-        scored = int(np.count_nonzero(series.free_run == 2))
-        fields.append(Field("whole run", f"unfiltered columns are there; {scored} rows scored"))
-    fields.append(Field("ledger", ledger_words(series.history)))
-    return tuple(fields)
-
-
-def _range(values: NDArray[np.float64], factor: float) -> str:
-    low, high = factor * float(np.min(values)), factor * float(np.max(values))
-    return f"{significant(low, 3)} to {significant(high, 3)}"

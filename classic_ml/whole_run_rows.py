@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.filtering import period_average
+from classic_ml.filters import period_average
 from classic_ml.series import CoefficientSeries
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

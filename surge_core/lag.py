@@ -88,7 +88,7 @@ class FirstOrderLag:
         e = float(np.exp(-r * rest))
         # expm1 keeps the digits that 1 - a loses when τ is much longer than h.
         begun = -float(np.expm1(-r * rest))
-        ended = -a * float(np.expm1(r * late)) if late > 0.0 else 0.0
+        ended = e * float(np.expm1(-r * late))
         if self.hold == "zero":
             return np.array(
                 [

@@ -1,1 +1,1 @@
-"""What a raw record gives away about its own readings: gaps, spikes, probes that disagree."""
+"""Readings that do not count, and channels that contradict each other or the facility."""

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from classic_ml.calibration import near_stall_rows
-from classic_ml.columns.workspace import blocks
-from classic_ml.faults.bridging import bridged_rows
-from classic_ml.faults.marks import (
+from classic_ml.faults.findings import (
     BEYOND_LIMITS,
     CLIPPED,
-    KIND_WORDS,
+    MARK_WORDS,
     SPIKED,
     STUCK,
-    fault_counts,
-    fault_name,
-    has_fault,
-    kinds_of_fault,
+    Finding,
+    marked_rows,
 )
-from classic_ml.faults.probe_agreement import (
-    Agreement,
-    compare_probes,
-    drifted_apart,
-    exchanged_immersions,
-    slow_pressures,
-)
-from classic_ml.readers.test_description import (
-    TestDescription,
-)
+from classic_ml.faults.probes import Agreement, compare_probes, disagreements, slow_pressures
+from classic_ml.intervals import bridged
+from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from surge_core.errors import InputError
 
@@ -41,19 +30,25 @@ __all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_brid
 CLIPPED_SHARE = 0.01
 # "Substantial": beyond this share of the window a straight line across the gaps is no reading.
 BEYOND_SHARE = 0.05
-# Sound probes of 13 simulated records move by 0.96 to 1.03 times what those beside them do, and
-# differ from them by 9 % of it. One that moves by half or by twice as much has come off, or is
-# another's; between the two its sensitivity is in doubt.
-GAIN_DOUBTED, APART_DOUBTED = 0.08, 0.2
+ALLOWED_SHARE = {
+    CLIPPED: CLIPPED_SHARE,
+    STUCK: 0.0,
+    BEYOND_LIMITS: BEYOND_SHARE,
+    SPIKED: CLIPPED_SHARE,
+}
+# A probe that moves by half or by twice as much as those beside it has come off, or is another's.
 GAIN_REFUSED, APART_REFUSED = 2.0, 0.6
-ALL_KINDS = sum(KIND_WORDS)
+ALL_KINDS = sum(MARK_WORDS)
 
 
 @dataclass(frozen=True)
 class _Verdict:
+    """Why a channel is left out, for how many rows, and whether its limits are to blame."""
+
     channel: str
     rows: int
     why: str
+    beyond_limits: bool = False
 
 
 def choose_channels(record: Record, test: TestDescription, window: slice) -> Record:
@@ -81,8 +76,8 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
     """
     verdicts = {name: _judge(record, test, name, window) for name in test.channel_names}
     bad = {name: verdict for name, verdict in verdicts.items() if verdict is not None}
-    slow = slow_pressures(record, test, window)
-    agreements = compare_probes(slow, test, bad)
+    slow = slow_pressures(record, test, window).without(bad)
+    agreements = compare_probes(slow, test)
     bad |= _come_off(agreements, window)
     dropped, gone = _drop_pairs(record, test, bad)
     for plane in test.areas_m2:
@@ -94,30 +89,49 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         gone += out
         if couples and len(out) == len(couples):
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
-    kept = [c.name for c in test.temperatures if c.name not in gone]
-    bridged = [_bridged(record, name) for name in kept if fault_name(name) in record]
-    kept = [p.name for p in test.pressures if p.name not in gone]
-    bridged += [_bridged(record, name, SPIKED) for name in kept if has_fault(record, name, SPIKED)]
-    flags = [_kept_flag(record, name, window) for name in test.channel_names if name not in gone]
-    flags += [*_doubts(agreements, gone), *_between_rakes(slow, test, gone)]
+    kept = record.without(gone)
+    lines = [_bridged(kept, c.name, ALL_KINDS) for c in test.temperatures if c.name in kept]
+    lines += [_bridged(kept, p.name, SPIKED) for p in test.pressures if p.name in kept]
+    findings = _kept_faults(kept, test, window)
+    findings += disagreements(slow.without(gone), test, agreements)
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
         {"clipped_share": CLIPPED_SHARE, "beyond_limits_share": BEYOND_SHARE},
         tuple(dropped),
-        tuple(flag for flag in flags if flag),
+        tuple(finding.sentence for finding in findings),
     )
-    return record.after(entry, add=bridged, drop=gone)
+    return kept.after(entry, add=[line for line in lines if line is not None])
+
+
+def with_faults_bridged(record: Record, test: TestDescription) -> Record:
+    """Return a record with straight lines across all readings that do not count.
+
+    Only what a window is looked for with: a dropout must not end it.
+
+    Parameters
+    ----------
+    record : Record
+        With the marks of :func:`inspect_readings`.
+    test : TestDescription
+        Its channels.
+    """
+    lines = [_bridged(record, name, ALL_KINDS) for name in test.channel_names]
+    channels = {line.name: line for line in lines if line is not None}
+    return replace(record, channels={**record.channels, **channels})
 
 
 def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _Verdict | None:
     n_rows = window.stop - window.start
-    if n_rows and _stands_still(record, name, window):
+    readings = record[name][window]
+    if n_rows and np.all(readings == readings[0]):
         return _Verdict(name, n_rows, f"the same in all {n_rows} rows in the window")
-    if _lacks_shift(test, name):
+    aft = {probe.name for probe in test.pressures if probe.facing == "aft"}
+    if test.near_stall_shifts and name not in {*test.near_stall_shifts, *aft}:
         why = f"not in {test.source} [near_stall_shifts], so that it cannot be matched"
         return _Verdict(name, record.n_samples, why)
-    if fault_name(name) not in record:
+    marks = marked_rows(record, name)
+    if marks is None:
         return None
     looked_at = [(window, "in the window")]
     if not test.near_stall_shifts:
@@ -125,33 +139,12 @@ def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _
         looked_at.append((rows, "at near stall, so that it cannot be matched"))
     for rows, where in looked_at:
         n = rows.stop - rows.start
-        counts = fault_counts(record, name, rows)
-        allowed = {
-            CLIPPED: CLIPPED_SHARE * n,
-            STUCK: 0.0,
-            BEYOND_LIMITS: BEYOND_SHARE * n,
-            SPIKED: CLIPPED_SHARE * n,
-        }
-        for kind, word in KIND_WORDS.items():
-            if counts[kind] > allowed[kind]:
-                return _Verdict(name, counts[kind], f"{word} in {counts[kind]} of {n} rows {where}")
+        for kind, word in MARK_WORDS.items():
+            count = int(np.count_nonzero(marks[rows] & kind))
+            if count > ALLOWED_SHARE[kind] * n:
+                why = f"{word} in {count} of {n} rows {where}"
+                return _Verdict(name, count, why, kind == BEYOND_LIMITS)
     return None
-
-
-def _lacks_shift(test: TestDescription, name: str) -> bool:
-    """Tell whether the shifts are stated, and not that of a channel; aft probes have none."""
-    aft = {probe.name for probe in test.pressures if probe.facing == "aft"}
-    return bool(test.near_stall_shifts) and name not in {*test.near_stall_shifts, *aft}
-
-
-def _stands_still(record: Record, name: str, rows: slice) -> bool:
-    """Tell whether a channel has one and the same reading in all rows, with those alike or not."""
-    first = record[name][rows.start]
-    for block in blocks(rows.stop, rows.start):
-        if not np.all(record[name][block] == first):
-            return False
-        record.workspace.release()
-    return True
 
 
 def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _Verdict]:
@@ -169,33 +162,8 @@ def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _
     }
 
 
-def _doubts(agreements: Mapping[str, Agreement], gone: Iterable[str]) -> list[str]:
-    """Return a flag for each probe that stays and does not quite go with those beside it."""
-    return [
-        f"{name} moves {found.gain:.2f} times as much as the probes beside it, {found.apart:.0%} "
-        "apart from them: check its zero and calibrate readings"
-        for name, found in agreements.items()
-        if name not in gone
-        and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
-    ]
-
-
-def _between_rakes(slow: Record, test: TestDescription, gone: Iterable[str]) -> list[str]:
-    """Return a flag for each two rakes that do not show the same."""
-    exchanged = [
-        f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, and the "
-        "reverse: are hub and tip exchanged on one of them?"
-        for plane, first, second in exchanged_immersions(slow, test, gone)
-    ]
-    return exchanged + [
-        f"{high} is {apart:.1%} above {low} in the window, though both were matched near stall: "
-        "has the zero of one drifted, or is its sensitivity wrong?"
-        for low, high, apart in drifted_apart(slow, test, gone)
-    ]
-
-
 def _drop_pairs(
-    record: Record, test: TestDescription, bad: dict[str, _Verdict]
+    record: Record, test: TestDescription, bad: Mapping[str, _Verdict]
 ) -> tuple[list[Dropped], list[str]]:
     dropped: list[Dropped] = []
     gone: list[str] = []
@@ -225,44 +193,26 @@ def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
         found=f"it {verdict.why}",
         remedy="are its unit (psia or psig?) and reference_Pa right? else correct its [limits], or "
         "choose another window"
-        if KIND_WORDS[BEYOND_LIMITS] in verdict.why
-        else "choose a window without the fault, or mend the range of the transducer",
+        if verdict.beyond_limits
+        else "choose a window without the fault, or widen the range of the transducer",
     )
 
 
-def _bridged(record: Record, name: str, kinds: int = ALL_KINDS) -> Channel:
-    """Return a channel with straight lines across its faults of some kinds, of all without."""
-    channel, place, n_rows = record.channel(name), record.workspace, record.n_samples
-    rows_of = bridged_rows(
-        place,
-        n_rows,
-        channel.values.__getitem__,
-        lambda rows: kinds_of_fault(record, name, rows) & np.uint8(kinds) == 0,
-    )
-    return Channel(name, place.derived(n_rows, rows_of), channel.unit)
+def _bridged(record: Record, name: str, kinds: int) -> Channel | None:
+    """Return a channel with straight lines across its faults of some kinds, if it has any."""
+    marks = marked_rows(record, name)
+    if marks is None or not np.any(marks & kinds):
+        return None
+    channel = record.channel(name)
+    return Channel.adopt(name, bridged(channel.values, marks & kinds == 0), channel.unit)
 
 
-def with_faults_bridged(record: Record, test: TestDescription) -> Record:
-    """Return a record with straight lines across all readings that do not count.
-
-    Only what a window is looked for with: a dropout must not end it.
-
-    Parameters
-    ----------
-    record : Record
-        With the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Its channels.
-    """
-    names = [name for name in test.channel_names if fault_name(name) in record]
-    channels = {name: _bridged(record, name) for name in names}
-    return replace(record, channels={**record.channels, **channels})
-
-
-def _kept_flag(record: Record, name: str, window: slice) -> str:
-    if fault_name(name) not in record:
-        return ""
-    inside = fault_counts(record, name, window)[0]
-    if inside:
-        return f"{name}: {inside} faulty rows in the window, few enough to keep it"
-    return f"{name}: faulty rows outside the window only"
+def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Finding]:
+    """Return the channels that have faults and stay nevertheless."""
+    findings = []
+    for name in test.channel_names:
+        marks = marked_rows(kept, name) if name in kept else None
+        if marks is not None:
+            inside = int(np.count_nonzero(marks[window]))
+            findings.append(Finding("kept" if inside else "faulty outside", name, inside))
+    return findings

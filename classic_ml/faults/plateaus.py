@@ -1,55 +1,58 @@
-"""Readings cut off at an end of the range, told from a channel by itself: no converter is known.
+"""Readings cut off at an end of a channel's own range, whatever its unit.
 
 A transducer, an amplifier or the software behind it holds what is beyond its range at the last
-value that it can give. In a channel of a physical unit nothing says where that is, but it shows:
+value that it can give. In a channel of a physical unit nothing states where that is, but it shows.
 
-- readings stand bit-equal at the channel's own extreme, several separate times;
-- they arrive there and leave at full speed, many steps of the resolution away, as those around
-  the peak of a smooth signal do not: one that stays within a step of its peak for L rows is no more
-  than five steps below it another (L - 1)/2 rows away;
-- hardly any lie a few steps short of the extreme, where a slow or a noisy signal has most;
-- and the channel stands still like that nowhere else, as one does that is held, interpolated or
-  coarse.
+Where the noise is larger than the resolution, readings pile up bit-equal at the extreme: the tail
+of a noisy signal has fewer readings there than just short of it, not many times more.
+
+Where it is smaller, a slow signal stands still at its own peak too. One that is cut off stands
+there two rows or more, and
+
+- arrives and leaves at full speed, many steps of the resolution away, as readings around the peak
+  of a smooth signal do not: one that stays within a step of its peak for L rows is no more than five
+  steps below it another (L - 1)/2 rows away;
+- has hardly any readings a few steps short of the extreme, where a slow signal has most;
+- and stands still like that nowhere else, as one does that is held, interpolated or coarse.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from classic_ml.columns.compiled_as_written import as_written
-from classic_ml.columns.workspace import IN_MEMORY, Workspace, blocks
-from classic_ml.faults.standstill import Tally
-from classic_ml.readers.test_description import TestDescription
-from classic_ml.records import Record
-from surge_core.types import FloatArray, IntArray
+from classic_ml.intervals import equal_runs, intervals_where
+from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["LEAST_TIMES", "REACH", "End", "EndSearch", "cut_off_ends", "ends_of_ranges"]
+__all__ = ["RangeEnd", "range_ends"]
 
-
-# Times that a channel must be seen to be cut off for two rows or more. Some of them are longer, or
-# single readings reach the extreme too: in a signal that repeats itself exactly, two readings
-# on either side of the peak may be alike again and again.
-LEAST_TIMES, LEAST_LONG, LONG_ROWS, LEAST_SINGLE = 3, 2, 3, 3
-# Between two times, and on either side of one, so many rows are somewhere else.
-APART_ROWS, REACH = 3, 4
+# Rows at which a channel must be seen to be cut off, in how many separate plateaus: two readings on
+# either side of a peak may be alike by chance, and again and again in a signal that repeats itself.
+LEAST_ROWS, LEAST_PLATEAUS, LONG_ROWS = 6, 2, 3
+# A single plateau as long as that is one, too: an overload at the inception of surge.
+LONG_PLATEAU_ROWS = 8
+# Bit-equal readings at the extreme for each of the eight steps short of it; and how differently the
+# signal gets there, which one that repeats itself exactly does not.
+PILE, WAYS, WAYS_OF_SINGLE_ROWS = 4.0, 3, 12
+# On either side of a plateau so many rows are looked at.
+REACH = 4
 # In steps of the resolution, and half a one, so that no rounding decides: readings within the
-# first are near the extreme; by the second a run is arrived at and left.
+# first are near the extreme; by the second a plateau is arrived at and left.
 NEAR_STEPS, RISE_STEPS = 8.5, 5.5
+# Steps of the resolution that the second difference usually has, beyond which a channel is noisy.
+NOISY_STEPS = 2.5
 # A jump of so many times what the four rows before it moved is a dropout, or the step of a channel
 # that is held.
 LEAP = 2.0
 # Of its slope, a line between two readings of a slower recorder is as straight as that.
 STRAIGHT = 1e-6
-# So many runs elsewhere for each time at the extreme, and they tell nothing.
+# So many plateaus elsewhere for each at the extreme, and they say nothing.
 ELSEWHERE = 0.5
 
 
 @dataclass(frozen=True)
-class End:
+class RangeEnd:
     """An end of the range, at which the readings of a channel are cut off.
 
     Parameters
@@ -60,264 +63,112 @@ class End:
         Whether it is the largest.
     rows : int
         How many readings stand there.
-    times : int
-        How many separate times they are plainly cut off.
     """
 
     reading: float
     upper: bool
     rows: int
-    times: int
 
-    def beyond(self, readings: FloatArray) -> NDArray[np.bool_]:
-        """Tell which readings stand there."""
+    def beyond(self, readings: FloatArray) -> BoolArray:
+        """Return which readings stand there."""
         return readings >= self.reading if self.upper else readings <= self.reading
 
 
-def ends_of_ranges(
-    record: Record, test: TestDescription, found: Mapping[str, Tally]
-) -> tuple[dict[str, tuple[End, ...]], list[str]]:
-    """Return where channels of a physical unit are cut off.
-
-    Parameters
-    ----------
-    record : Record
-        As read.
-    test : TestDescription
-        Its channels. Where ``limits`` says which readings of one count, it is believed.
-    found : mapping of str to Tally
-        Of all channels.
-
-    Returns
-    -------
-    dict of str to tuple of End
-        By channel, of those that are; none of counts, whose converter is known.
-    list of str
-        A flag for each channel whose limits let such readings count.
-    """
-    counts = {probe.name for probe in test.pressures if probe.record_unit == "count"}
-    ends: dict[str, tuple[End, ...]] = {}
-    flags = []
-    for name in test.channel_names:
-        if name in counts:
-            continue
-        tally, place = found[name], record.workspace
-        here = cut_off_ends(record[name], tally.low, tally.high, tally.least_step, workspace=place)
-        if here and name not in test.limits:
-            ends[name] = here
-        for end in here if name in test.limits else ():
-            low, high = test.limits[name]
-            if low < end.reading < high:
-                flags.append(
-                    f"{name}: {end.rows} rows at its {'largest' if end.upper else 'least'} reading "
-                    f"of {end.reading:.6g} {record.channel(name).unit}, where it stands still "
-                    f"again and again: does its range end there? [limits] of {test.source} lets "
-                    "them count"
-                )
-    return ends, flags
-
-
-def cut_off_ends(
-    values: FloatArray,
-    low: float,
-    high: float,
-    least_step: float,
-    *,
-    workspace: Workspace = IN_MEMORY,
-) -> tuple[End, ...]:
+def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
     """Return the ends of its range at which a channel is cut off.
 
     Parameters
     ----------
     values : ndarray of shape (n,)
-        The channel.
-    low, high : float
-        Its least and its largest reading.
-    least_step : float
-        Least change from row to row that is one: its resolution.
-    workspace : Workspace
-        Where the column lies.
+        The channel, as read.
 
     Returns
     -------
-    tuple of End
+    tuple of RangeEnd
         None, one or two.
     """
-    if not low < high:
+    low, high = float(values.min()), float(values.max())
+    if low == high:
         return ()
-    n_rows = values.size
-    search = EndSearch(n_rows, low, high, least_step)
-    for rows in blocks(n_rows):
-        first = max(0, rows.start - REACH)
-        search.follow(values[first : rows.stop + REACH], first, rows.stop)
-        workspace.release()
-    return search.ends
-
-
-class EndSearch:
-    """The search for the ends of a range, block by block.
-
-    Parameters
-    ----------
-    n_rows : int
-        Rows of the channel.
-    low, high : float
-        Its least and its largest reading.
-    least_step : float
-        Least change from row to row that is one: its resolution.
-    """
-
-    def __init__(self, n_rows: int, low: float, high: float, least_step: float) -> None:
-        self._n_rows, self._step = n_rows, least_step
-        self._extremes = np.array([low, high])
-        self._counts = np.zeros((2, 6), dtype=np.int64)
-        self._counts[:, 5] = -APART_ROWS
-        self._carried, self._lead = np.array([1, 0, 0]), np.full(REACH, np.nan)
-
-    def follow(self, values: FloatArray, first: int, stop: int) -> None:
-        """Go on to a row.
-
-        Parameters
-        ----------
-        values : ndarray of shape (m,)
-            Rows of the channel, NaN without a reading: from `REACH` before the row where the last
-            call stopped, up to `REACH` behind the one where this stops; at the ends of the record
-            as many as there are.
-        first : int
-            Row of the first of them.
-        stop : int
-            Where to stop.
-        """
-        state = (self._extremes, self._step, self._counts, self._carried, self._lead)
-        _follow(values, first, stop, self._n_rows, *state)
-
-    @property
-    def ends(self) -> tuple[End, ...]:
-        """What was found."""
-        elsewhere = int(self._carried[2])
-        return tuple(
-            End(float(self._extremes[end]), bool(end), int(at), int(times))
-            for end, (at, near, times, long, single, _) in enumerate(self._counts)
-            if times >= LEAST_TIMES
-            and (long >= LEAST_LONG or single >= LEAST_SINGLE)
-            and at > near
-            and elsewhere <= ELSEWHERE * times
-        )
-
-
-@as_written
-def _follow(
-    values: FloatArray,
-    first: int,
-    stop: int,
-    n_rows: int,
-    extremes: FloatArray,
-    step: float,
-    counts: IntArray,
-    carried: IntArray,
-    lead: FloatArray,
-) -> None:
-    """Count the runs of equal readings that end before a row of a channel.
-
-    Parameters
-    ----------
-    values : ndarray of shape (m,)
-        Rows of the channel, `REACH` before those of a block and `REACH` behind them.
-    first : int
-        Row of the first of them.
-    stop : int
-        Where the block ends; the next call goes on there. What the record ends with is left by
-        nothing, and tells nothing.
-    n_rows : int
-        Rows of the whole channel.
-    extremes : ndarray of shape (2,)
-        Its least and its largest reading.
-    step : float
-        Its resolution.
-    counts : ndarray of int64, shape (2, 6)
-        For each extreme: readings there, readings near it, times that it is cut off there for two
-        rows or more, those of three or more, single readings, and the row behind the last time.
-    carried : ndarray of int64, shape (3,)
-        The row to look at next, where the run begins that it may continue, and how many runs like
-        those at the extremes were elsewhere.
-    lead : ndarray of shape (REACH,)
-        The readings before that run, the nearest first.
-    """
-    row, start, elsewhere = carried
-    low, high = extremes
-    low_near, high_near = low + NEAR_STEPS * step, high - NEAR_STEPS * step
-    n_low, n_high, n_low_near, n_high_near = 0, 0, 0, 0
-    # Of a part from its own first row on, no index can be below zero, which the compiler must know.
-    part = values[row - 1 - first : stop - first - (1 if stop < n_rows else 0)]
-    for k in range(part.size):
-        value = part[k]
-        n_low += value == low
-        n_high += value == high
-        n_low_near += low < value <= low_near
-        n_high_near += high > value >= high_near
-    counts[0, 0] += n_low
-    counts[1, 0] += n_high
-    counts[0, 1] += n_low_near
-    counts[1, 1] += n_high_near
-    level = values[row - 1 - first]
-    while row < stop:
-        value = values[row - first]
-        if value == level:
-            row += 1
+    found = []
+    for level, upper in ((low, False), (high, True)):
+        at = values == level
+        rows = int(np.count_nonzero(at))
+        if rows < LEAST_ROWS:
             continue
-        length = row - start
-        end = 0 if level == low else 1 if level == high else -1
-        if end >= 0 and length == 1:
-            counts[end, 4] += 1
-        elif end >= 0 and length > 1 and start - counts[end, 5] >= APART_ROWS:
-            if _is_cut_off(values, first, start, row, n_rows, lead, step):
-                counts[end, 2] += 1
-                counts[end, 3] += length >= LONG_ROWS
-                counts[end, 5] = row
-        elif end < 0 and length >= LONG_ROWS:
-            elsewhere += _is_cut_off(values, first, start, row, n_rows, lead, step)
-        start, level = row, value
-        row += 1
-    if start - first >= REACH:
-        for k in range(REACH):
-            lead[k] = values[start - 1 - k - first]
-    carried[0], carried[1], carried[2] = row, start, elsewhere
+        steps = np.abs(np.diff(values))
+        step = float(np.min(steps[steps > 0.0]))
+        near = int(np.count_nonzero(np.abs(values - level) <= NEAR_STEPS * step)) - rows
+        runs = intervals_where(at)
+        noisy = float(np.median(np.abs(np.diff(values, n=2)))) > NOISY_STEPS * step
+        is_cut_off = _piled_up if noisy else _plateaus
+        if is_cut_off(values, runs, step, near):
+            found.append(RangeEnd(level, upper, rows))
+    return tuple(found)
 
 
-@as_written
-def _is_cut_off(
-    values: FloatArray,
-    first: int,
-    start: int,
-    stop: int,
-    n_rows: int,
-    lead: FloatArray,
-    step: float,
-) -> bool:
-    """Tell whether a signal would go on where a run of equal readings stands, on either side."""
-    if start < REACH or stop + REACH > n_rows:
+def _piled_up(values: FloatArray, runs: IntArray, step: float, near: int) -> bool:
+    """Return whether so many readings stand at the extreme of a noisy signal by no chance."""
+    lengths = runs[:, 1] - runs[:, 0]
+    if PILE * near / NEAR_STEPS > lengths.sum():
         return False
-    level = values[stop - 1 - first]
-    away = max(1, min((stop - start - 1) // 2, REACH))
-    straight = True
-    for before in (True, False):
-        jump = least = largest = nearer = 0.0
-        for k in range(REACH):
-            if not before:
-                value = values[stop + k - first]
-            elif start - first >= REACH:
-                value = values[start - 1 - k - first]
-            else:
-                value = lead[k]
-            # What is not a number fulfils no condition.
-            if k == away - 1 and not abs(value - level) > RISE_STEPS * step:
-                return False
-            if k == 0:
-                jump, least, largest = value - level, value, value
-            else:
-                least, largest = min(least, value), max(largest, value)
-                straight &= abs(value - nearer - jump) <= STRAIGHT * abs(jump)
-            nearer = value
-        if not abs(jump) <= LEAP * (largest - least):
-            return False
-    return not straight
+    inner = (runs[:, 0] > 0) & (runs[:, 1] < values.size)
+    before, behind = values[runs[inner, 0] - 1], values[runs[inner, 1]]
+    ways = np.unique(before + 1j * behind).size
+    longest = int(lengths.max())
+    fewest = WAYS if longest > 1 else WAYS_OF_SINGLE_ROWS
+    return longest >= LONG_PLATEAU_ROWS or ways >= fewest
+
+
+def _plateaus(values: FloatArray, runs: IntArray, step: float, near: int) -> bool:
+    """Return whether a signal of little noise is cut off where it stands at its extreme."""
+    if near >= np.sum(runs[:, 1] - runs[:, 0]):
+        return False
+    runs = runs[runs[:, 1] - runs[:, 0] >= 2]
+    runs = runs[_cut_off(values, runs, step)]
+    lengths = runs[:, 1] - runs[:, 0]
+    several = len(runs) >= LEAST_PLATEAUS and np.any(lengths >= LONG_ROWS)
+    if lengths.sum() < LEAST_ROWS or not (several or np.any(lengths >= LONG_PLATEAU_ROWS)):
+        return False
+    return _plateaus_elsewhere(values, step) <= ELSEWHERE * len(runs)
+
+
+def _plateaus_elsewhere(values: FloatArray, step: float) -> int:
+    """Count the runs of equal readings between the extremes that look cut off."""
+    runs = equal_runs(values, LONG_ROWS)
+    level = values[runs[:, 0]]
+    inner = (level > values.min()) & (level < values.max())
+    return int(np.count_nonzero(_cut_off(values, runs[inner], step)))
+
+
+def _cut_off(values: FloatArray, runs: IntArray, step: float) -> BoolArray:
+    """Return at which runs of equal readings the signal would go on, on either side.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        The channel.
+    runs : ndarray of int, shape (m, 2)
+        First row of each run, and the row behind its last.
+    step : float
+        The resolution.
+    """
+    inside = (runs[:, 0] >= REACH) & (runs[:, 1] + REACH <= values.size)
+    start, stop = runs[inside].T
+    level = values[start]
+    away = np.clip((stop - start - 1) // 2, 1, REACH) - 1
+    good = np.ones(start.size, dtype=np.bool_)
+    straight = np.ones(start.size, dtype=np.bool_)
+    reach = np.arange(REACH)
+    for rows in (start[:, None] - 1 - reach, stop[:, None] + reach):
+        beside = values[rows]
+        off = beside - level[:, None]
+        jump = off[:, 0]
+        good &= np.abs(off[np.arange(start.size), away]) > RISE_STEPS * step
+        good &= np.abs(jump) <= LEAP * np.ptp(beside, axis=1)
+        slopes = np.diff(beside, axis=1)
+        limit = STRAIGHT * np.abs(jump)[:, None]
+        straight &= np.all(np.abs(slopes - jump[:, None]) <= limit, axis=1)
+    cut = np.zeros(len(runs), dtype=np.bool_)
+    cut[inside] = good & ~straight
+    return cut

@@ -2,45 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from classic_ml.calibration import probe_pressure_Pa
-from classic_ml.columns.computed import as_stored
-from classic_ml.columns.workspace import blocks
-from classic_ml.faults.converter_range import CodeRange
-from classic_ml.faults.marks import (
+from classic_ml.faults.findings import (
     BEYOND_LIMITS,
     CLIPPED,
+    MARK_WORDS,
     SPIKED,
     STUCK,
-    Marks,
+    Finding,
 )
-from classic_ml.faults.odd_readings import copies, jumps, spiked_rows
-from classic_ml.faults.plateaus import End, ends_of_ranges
-from classic_ml.faults.recording import how_recorded
-from classic_ml.faults.standstill import DROPOUT_ROWS, Tally, still_runs, tallies
+from classic_ml.faults.held import check_held
+from classic_ml.faults.plateaus import range_ends
+from classic_ml.faults.spikes import spike_rows
+from classic_ml.intervals import equal_runs
 from classic_ml.readers.test_description import (
     PressureChannel,
     TemperatureChannel,
     TestDescription,
 )
-from classic_ml.records import LedgerEntry, Record
-from surge_core.types import FloatArray
+from classic_ml.records import Channel, LedgerEntry, Record, fault_name
+from surge_core.types import FloatArray, IntArray
 
-__all__ = ["inspect_readings"]
+__all__ = ["find_faults", "inspect_readings"]
 
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05
-
+# A short dropout differs from a plateau by its edges: both are jumps far beyond the usual step.
+DROPOUT_ROWS = 5
+DROPOUT_JUMP = 10.0
+# Other channels must have moved by this many of their own steps while one stood still.
+MOVED_STEPS = 8.0
 # On 24 simulated records and an independent one readings of four thermocouples stand out as spikes
 # do, by 1.0 to 1.7 % of their range, where 1 % is enough for a pressure: their range counts thrice.
 COUPLE_RANGES = 3.0
 # Next to a reading that does not count for another reason, none is called a spike.
 EDGE_ROWS = 3
+
+Marks = dict[str, NDArray[np.uint8]]
 
 
 def inspect_readings(record: Record, test: TestDescription, *, whole: bool = False) -> Record:
@@ -59,8 +62,8 @@ def inspect_readings(record: Record, test: TestDescription, *, whole: bool = Fal
     -------
     Record
         With a channel ``fault_NAME`` for every channel that has a fault: the sum of 1 (clipped
-        at an end of the converter, or of the range that the channel itself shows) and 4 (beyond
-        its limits), or 2 (stuck, or dropped out), or 8 (a reading or two far off those before and
+        at an end of the converter, or of the range that the channel itself shows), 4 (beyond its
+        limits), 2 (stuck, or dropped out) and 8 (a reading or two far off those before and
         behind).
 
     Raises
@@ -68,147 +71,150 @@ def inspect_readings(record: Record, test: TestDescription, *, whole: bool = Fal
     InputError
         When some pressures of a whole record were recorded at a lower rate than others.
     """
-    found = tallies(record, test.channel_names)
-    codes = how_recorded(record, test, found) if whole else CodeRange(test, {}, ())
-    test = codes.test
-    long_rows = max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
-    groups, ranges = _alike(test), _ranges(test, found)
-    of_ranges, doubts = ends_of_ranges(record, test, found)
-    of_ranges |= codes.ends
-    spiked = spiked_rows(record, ranges, groups)
-    still: dict[str, list[NDArray[np.int64]]] = {name: [] for name in test.channel_names}
-    for name, runs in still_runs(record, groups, found, long_rows):
-        still[name].append(runs)
-    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
-    marks: dict[str, Marks] = {}
-    for channel in channels:
-        name = channel.name
-        cut_off = partial(_cut_off, channel, test, of_ranges.get(name, ()))
-        # Most channels have no such readings, which their least and largest one tell.
-        ends = cut_off([found[name].low, found[name].high])
-        if still[name] or name in spiked or any(np.any(which) for _, which in ends):
-            runs = np.concatenate([_NO_RUNS, *still[name]])
-            alone = _alone(record[name], spiked.get(name, _NO_ROWS), cut_off, runs)
-            mark = _marked(record, name, cut_off, runs, alone)
-            if mark.counts:
-                marks[name] = mark
-    flags = [text for name, mark in marks.items() for text in mark.described(record, name)]
-    flags += [*codes.flags, *doubts, *copies(record, test), *jumps(record, test, ranges)]
+    marks, findings = find_faults(record, test)
+    if whole:
+        findings += check_held(record, test)
     clipped = "clipped readings, "
     if test.converter is not None:
         clipped = f"clipped codes (0 and {test.adc.top_code}), "
     entry = LedgerEntry(
         "inspect readings",
-        f"looked for {clipped}stuck channels, spikes, jumps and readings beyond their limits: "
-        f"{len(flags) or 'no'} findings",
+        f"looked for {clipped}stuck channels, spikes and readings beyond their limits: "
+        f"{len(findings) or 'no'} findings",
         {"stuck_s": STUCK_S},
-        flags=tuple(flags),
+        flags=tuple(finding.sentence for finding in findings),
     )
-    added = [mark.channel(record, name) for name, mark in marks.items()]
-    return record.after(entry, add=added)
+    return record.after(
+        entry, add=[Channel.adopt(fault_name(name), mark, "1") for name, mark in marks.items()]
+    )
 
 
-_NO_RUNS = np.empty((0, 2), dtype=np.int64)
-_NO_ROWS = np.empty(0, dtype=np.int64)
+def find_faults(record: Record, test: TestDescription) -> tuple[Marks, list[Finding]]:
+    """Return the marks of the readings that do not count, by channel, and what was found.
+
+    Parameters
+    ----------
+    record, test
+        As :func:`inspect_readings` takes them.
+    """
+    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
+    marks = {c.name: np.zeros(record.n_samples, dtype=np.uint8) for c in channels}
+    findings: list[Finding] = []
+    for channel in channels:
+        findings += _mark_cut_off(record[channel.name], channel, test, marks[channel.name])
+    for names in _alike(test):
+        for name in names:
+            for start, stop in _still_runs(record, name, names).tolist():
+                # A reading that is cut off stands still because of that.
+                mark = marks[name][start:stop]
+                mark[mark == 0] = STUCK
+        for name, rows in _spikes(record, test, names).items():
+            around = np.clip(rows[:, None] + np.arange(-EDGE_ROWS, EDGE_ROWS + 1), 0, None)
+            around = np.minimum(around, record.n_samples - 1)
+            alone = ~np.any(marks[name][around], axis=1)
+            marks[name][rows[alone]] = SPIKED
+    marks = {name: mark for name, mark in marks.items() if mark.any()}
+    listed = [
+        _marked(record, name, mark, kind)
+        for name, mark in marks.items()
+        for kind in MARK_WORDS
+        if np.any(mark & kind)
+    ]
+    return marks, listed + findings
 
 
-def _ranges(test: TestDescription, found: Mapping[str, Tally]) -> dict[str, tuple[float, float]]:
-    """Return between which readings each channel can lie, or did where it is not in counts."""
-    ranges = {name: (found[name].low, found[name].high) for name in test.channel_names}
-    for couple in test.temperatures:
-        low, high = ranges[couple.name]
-        ranges[couple.name] = low, low + COUPLE_RANGES * (high - low)
-    for probe in test.pressures:
-        if probe.record_unit == "count":
-            ranges[probe.name] = 0.0, float(test.adc.top_code)
-    return {name: ends for name, ends in ranges.items() if ends[0] < ends[1]}
+def _marked(record: Record, name: str, mark: NDArray[np.uint8], kind: int) -> Finding:
+    rows = np.flatnonzero(mark & kind)
+    first_s, last_s = record.time_at_s(int(rows[0])), record.time_at_s(int(rows[-1]))
+    return Finding("marked", name, rows.size, first_s, last_s, {"word": MARK_WORDS[kind]})
 
 
-def _marked(
-    record: Record,
-    name: str,
-    cut_off: Callable[[ArrayLike], Iterable[tuple[int, NDArray[np.bool_]]]],
-    runs: NDArray[np.int64],
-    spiked: NDArray[np.int64],
-) -> Marks:
-    """Mark the readings that are cut off, those in runs that stand still, and the spikes."""
-    column = record.workspace.zeros(record.n_samples, np.uint8)
-    counts: dict[int, tuple[int, int, int]] = {}
-    for rows in blocks(record.n_samples):
-        kinds = [*cut_off(as_stored(record[name])[rows])]
-        stuck = _inside(runs, rows)
-        for _, which in kinds:
-            # A reading that is cut off stands still because of that.
-            stuck &= ~which
-        marks = np.zeros(stuck.size, dtype=np.uint8)
-        for kind, which in (*kinds, (STUCK, stuck), (SPIKED, _among(spiked, rows))):
-            found = int(np.count_nonzero(which))
-            if found:
-                marks += which * np.uint8(kind)
-                last = rows.stop - 1 - int(np.argmax(which[::-1]))
-                n, first, _ = counts.get(kind, (0, rows.start + int(np.argmax(which)), last))
-                counts[kind] = (n + found, first, last)
-        if marks.any():
-            record.workspace.put(column, rows, marks)
-        record.workspace.release()
-    column.setflags(write=False)
-    return Marks(column, counts)
-
-
-def _alone(
+def _mark_cut_off(
     values: FloatArray,
-    rows: NDArray[np.int64],
-    cut_off: Callable[[ArrayLike], Iterable[tuple[int, NDArray[np.bool_]]]],
-    runs: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Return the spikes that are not the edge of another fault, from which a reading comes back."""
-    alone = []
-    for row in rows.tolist():
-        around = slice(max(row - EDGE_ROWS, 0), min(row + EDGE_ROWS + 1, values.size))
-        if not any(np.any(which) for _, which in cut_off(values[around])) and not np.any(
-            _inside(runs, around)
-        ):
-            alone.append(row)
-    return np.array(alone, dtype=np.int64)
-
-
-def _inside(runs: NDArray[np.int64], rows: slice) -> NDArray[np.bool_]:
-    """Tell which rows of a slice are in one of the runs, which are in order and apart."""
-    n = rows.stop - rows.start
-    first = np.searchsorted(runs[:, 1], rows.start, side="right")
-    last = np.searchsorted(runs[:, 0], rows.stop, side="left")
-    inside = np.zeros(n, dtype=np.bool_)
-    for start, stop in np.clip(runs[first:last] - rows.start, 0, n).tolist():
-        inside[start:stop] = True
-    return inside
-
-
-def _among(places: NDArray[np.int64], rows: slice) -> NDArray[np.bool_]:
-    """Tell which rows of a slice are among some, which are in order."""
-    inside = np.zeros(rows.stop - rows.start, dtype=np.bool_)
-    first, last = np.searchsorted(places, (rows.start, rows.stop))
-    inside[places[first:last] - rows.start] = True
-    return inside
-
-
-def _cut_off(
     channel: PressureChannel | TemperatureChannel,
     test: TestDescription,
-    ends: Iterable[End],
-    readings: ArrayLike,
-) -> Iterator[tuple[int, NDArray[np.bool_]]]:
-    """Yield the kinds of fault that readings show by themselves, and which readings do."""
-    values = np.asarray(readings)
+    mark: NDArray[np.uint8],
+) -> list[Finding]:
+    """Mark readings at the ends of a range and beyond the limits; return what is in doubt."""
+    name, findings = channel.name, []
+    cut_off = np.zeros(values.size, dtype=np.bool_)
     if channel.record_unit == "count":
-        yield CLIPPED, (values <= 0) | (values >= test.adc.top_code)
-    for end in ends:
-        yield CLIPPED, end.beyond(values)
-    if channel.name in test.limits:
-        low, high = test.limits[channel.name]
+        cut_off |= (values <= 0) | (values >= test.adc.top_code)
+    low, high = test.limits.get(name, (-np.inf, np.inf))
+    for end in range_ends(values):
+        if name not in test.limits:
+            cut_off |= end.beyond(values)
+        elif channel.record_unit != "count" and low < end.reading < high:
+            # What [limits] says of a channel is believed.
+            details: dict[str, str | float] = {
+                "end": "largest" if end.upper else "least",
+                "reading": end.reading,
+                "unit": channel.record_unit,
+                "source": test.source,
+            }
+            findings.append(Finding("range end within limits", name, end.rows, details=details))
+    mark[cut_off] = CLIPPED
+    if name in test.limits:
+        physical = values
         if isinstance(channel, PressureChannel):
-            values = probe_pressure_Pa(channel, test, values.astype(np.float64))
+            physical = probe_pressure_Pa(channel, test, values)
         # A reading at the limit is one that the acquisition has cut off there.
-        yield BEYOND_LIMITS, (values <= low) | (values >= high)
+        mark[(physical <= low) | (physical >= high)] += BEYOND_LIMITS
+    return findings
+
+
+def _still_runs(record: Record, name: str, alike: Sequence[str]) -> IntArray:
+    """Return the runs of rows in which a channel is stuck, or has dropped out.
+
+    Parameters
+    ----------
+    record : Record
+        As read.
+    name : str
+        The channel.
+    alike : sequence of str
+        Channels that see the same, it among them.
+    """
+    values = record[name]
+    runs = equal_runs(values, DROPOUT_ROWS)
+    if not runs.size:
+        return runs
+    steps = np.abs(np.diff(values))
+    moving = steps[steps > 0.0]
+    jumps = np.concatenate([[np.inf], steps, [np.inf]])
+    lesser = np.minimum(jumps[runs[:, 0]], jumps[runs[:, 1]])
+    usual = float(np.median(moving)) if moving.size else np.inf
+    stuck = np.isfinite(lesser) & (lesser > DROPOUT_JUMP * usual)
+    long = runs[:, 1] - runs[:, 0] >= max(DROPOUT_ROWS, round(STUCK_S * record.sample_rate_hz))
+    candidates = np.flatnonzero(long & ~stuck)
+    others = [record[n] for n in alike if n != name] if candidates.size else []
+    moves = [MOVED_STEPS * _least_step(other) for other in others]
+    for run in candidates:
+        rows = slice(*runs[run].tolist())
+        moved = sum(np.ptp(v[rows]) > least for v, least in zip(others, moves, strict=True))
+        # Alone of its kind, a channel that stands still has nothing to be compared with.
+        stuck[run] = bool(others) and 2 * moved >= len(others)
+    return np.asarray(runs[stuck])
+
+
+def _least_step(values: FloatArray) -> float:
+    """Return the least change from row to row that is one: the resolution of a channel."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps[steps > 0.0], initial=np.inf))
+
+
+def _spikes(record: Record, test: TestDescription, names: Sequence[str]) -> dict[str, IntArray]:
+    couples = {couple.name for couple in test.temperatures}
+    in_counts = {probe.name for probe in test.pressures if probe.record_unit == "count"}
+    ranges = {name: float(np.ptp(record[name])) for name in names}
+    for name in names:
+        if name in couples:
+            ranges[name] *= COUPLE_RANGES
+        elif name in in_counts:
+            ranges[name] = float(test.adc.top_code)
+    moving = {name: record[name] for name in names if ranges[name] > 0.0}
+    # Without another beside it a channel may show a shock that is real.
+    return spike_rows(moving, ranges) if len(moving) > 1 else {}
 
 
 def _alike(test: TestDescription) -> list[list[str]]:

@@ -7,10 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from classic_ml.columns import workspace as places
-from classic_ml.columns.clock import CLOCK_TOLERANCE, uniform_period_s
-from classic_ml.columns.growing import GrowingColumns
-from classic_ml.columns.workspace import IN_MEMORY, Workspace
+from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
 from classic_ml.readers.raw_files import open_raw
 from classic_ml.readers.raw_table import MINIMUM_ROWS, TIME_COLUMN, Columns, RawFile
 from classic_ml.readers.test_description import TestDescription
@@ -21,8 +18,8 @@ from surge_core.types import FloatArray
 
 __all__ = ["TestDescription", "possible_ranges", "read_raw", "read_test_description"]
 
-# More than this is the whole of any file, and some libraries count in 32 bits.
-MOST_ROWS = 2**31 - 1
+# Rows that are read and checked at once.
+CHUNK_ROWS = 65_536
 # A crystal clock keeps 1e-4; a record at another rate is off by far more.
 RATE_TOLERANCE = 1e-3
 # Beyond these no gas of a compressor is, nor a thermocouple that measures it.
@@ -33,8 +30,6 @@ def read_raw(
     raw_path: str | os.PathLike[str],
     test: str | os.PathLike[str] | TestDescription,
     *,
-    chunk_rows: int | None = None,
-    workspace: Workspace = IN_MEMORY,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Record, TestDescription]:
     """Read a raw record and the description of its test, and check one against the other.
@@ -45,12 +40,8 @@ def read_raw(
         Table of ``time_s`` and one column a channel, as test.toml describes it.
     test : str or path or TestDescription
         Its test.toml, read or not.
-    chunk_rows : int, optional
-        Rows that are read at once; no number depends on it.
-    workspace : Workspace
-        Where the columns of the record lie, and those of its reduction.
     progress : callable, optional
-        Told the rows of each chunk when they have been read.
+        Called with the rows of each chunk when they have been read.
 
     Returns
     -------
@@ -65,33 +56,27 @@ def read_raw(
     InputError
         Naming the file, the channel and the row at fault.
     """
-    if chunk_rows is not None and chunk_rows < 1:
-        raise InputError("chunk_rows", expected="at least 1 row", found=f"{chunk_rows}")
     if not isinstance(test, TestDescription):
         test = read_test_description(test)
     stored = open_raw(raw_path, test)
-    # Room is taken for no more rows than the file can hold, whatever it claims.
-    claimed = stored.n_rows if (stored.n_rows or 0) <= os.path.getsize(raw_path) else None
-    columns = GrowingColumns(workspace, len(stored.names), claimed, readings=True)
+    chunks: list[Columns] = []
+    n_rows = 0
     possible = possible_ranges(test, stored.names)
-    for values in stored.columns(min(chunk_rows or places.BLOCK_ROWS, MOST_ROWS)):
-        _check_readings(values, columns.n_rows, stored, test, possible)
-        columns.append_columns(values)
+    for values in stored.columns(CHUNK_ROWS):
+        _check_readings(values, n_rows, stored, test, possible)
+        chunks.append(tuple(np.asarray(column, dtype=np.float64) for column in values))
+        n_rows += values[0].size
         if progress is not None:
             progress(values[0].size)
-    if columns.n_rows < MINIMUM_ROWS:
-        raise InputError(
-            stored.source, expected=f"at least {MINIMUM_ROWS} rows", found=f"{columns.n_rows}"
-        )
-    by_name = dict(zip(stored.names, columns.finished(), strict=True))
-    return _record(by_name, stored, test, workspace), test
+    if n_rows < MINIMUM_ROWS:
+        raise InputError(stored.source, expected=f"at least {MINIMUM_ROWS} rows", found=f"{n_rows}")
+    whole = [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
+    return _record(dict(zip(stored.names, whole, strict=True)), stored, test), test
 
 
-def _record(
-    columns: dict[str, FloatArray], stored: RawFile, test: TestDescription, workspace: Workspace
-) -> Record:
+def _record(columns: dict[str, FloatArray], stored: RawFile, test: TestDescription) -> Record:
     time_s = columns.pop(TIME_COLUMN)
-    rate_hz = _check_clock(time_s, stored.source, test, workspace)
+    rate_hz = _check_clock(time_s, stored.source, test)
     entry = LedgerEntry(
         "read",
         f"{time_s.size} rows of {len(test.channel_names)} channels, "
@@ -99,16 +84,14 @@ def _record(
         + (f"; the clock is {stored.clock}" if stored.clock else ""),
         {"raw": stored.source, "test": test.source, "rows": int(time_s.size)},
     )
-    channels = [Channel(c.name, columns.pop(c.name), c.record_unit) for c in test.pressures]
-    channels += [Channel(c.name, columns.pop(c.name), "K") for c in test.temperatures]
+    channels = [Channel.adopt(c.name, columns.pop(c.name), c.record_unit) for c in test.pressures]
+    channels += [Channel.adopt(c.name, columns.pop(c.name), "K") for c in test.temperatures]
     by_name = {channel.name: channel for channel in channels}
-    return Record(by_name, rate_hz, float(time_s[0]), stored.source, (entry,), workspace)
+    return Record(by_name, rate_hz, float(time_s[0]), stored.source, (entry,))
 
 
-def _check_clock(
-    time_s: FloatArray, source: str, test: TestDescription, workspace: Workspace
-) -> float:
-    period_s = uniform_period_s(time_s, f"{source}: column {TIME_COLUMN}", workspace=workspace)
+def _check_clock(time_s: FloatArray, source: str, test: TestDescription) -> float:
+    period_s = uniform_period_s(time_s, f"{source}: column {TIME_COLUMN}")
     rate_hz = test.sample_rate_hz
     # The ends of a printed clock are each rounded by up to half a digit, worth half of what
     # a step may be off at the coarsest clock that is let through.

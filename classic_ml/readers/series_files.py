@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.columns.computed import is_computed
-from classic_ml.columns.workspace import Workspace, blocks
 from classic_ml.readers.raw_columns import one_line
 from classic_ml.readers.raw_hdf5 import opened_hdf5
 from classic_ml.readers.series_csv import read_series_table
@@ -33,7 +31,7 @@ from surge_core.errors import InputError
 from surge_core.files import replace_whole
 from surge_core.types import FloatArray
 
-__all__ = ["hand_over_series", "ledger_path", "read_series", "write_series"]
+__all__ = ["ledger_path", "read_series", "write_series"]
 
 # A compressor surges a few times a second: what is sampled more slowly shows no cycle.
 LONGEST_STEP_S = 0.05
@@ -150,44 +148,18 @@ def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> Non
     InputError
         When the suffix is unknown or the folder does not exist.
     """
-    _write(series, Path(path), give_up=False)
+    _write(series, Path(path))
 
 
-def hand_over_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
-    """Write a series file as :func:`write_series` does, for whoever does not look at it again.
-
-    A netCDF file takes the room of the columns on disk one by one. Nothing may read such a column
-    afterwards, from the record of its reduction neither, whether the file came to its end or not.
-
-    Parameters
-    ----------
-    series, path
-        As for :func:`write_series`.
-
-    Raises
-    ------
-    InputError
-        As there.
-    """
-    _write(series, Path(path), give_up=True)
-
-
-def _write(series: CoefficientSeries, file: Path, *, give_up: bool) -> None:
+def _write(series: CoefficientSeries, file: Path) -> None:
     if file.suffix.lower() not in _READERS:
         raise InputError(
             str(file),
             expected="an output file ending in .csv or .nc",
             found=f"the suffix '{file.suffix}'",
         )
-    if any(series.workspace.is_discarded(column) for column in series.columns().values()):
-        raise InputError(
-            series.source,
-            expected="a series that has its columns",
-            found="one that was handed over",
-            remedy="reduce the record again, or read the file that was written",
-        )
     if file.suffix.lower() != ".csv":
-        replace_whole(file, lambda temporary: _write_netcdf_or_tell(series, temporary, give_up))
+        replace_whole(file, lambda temporary: _write_netcdf_or_tell(series, temporary))
         return
 
     def write_ledger_and_table(temporary: Path) -> None:
@@ -337,15 +309,13 @@ def _write_csv(series: CoefficientSeries, file: Path) -> None:
     with file.open("wb") as out:
         out.write((",".join(columns) + "\n").encode())
         with csv.CSVWriter(out, pa.schema(types), write_options=options) as writer:
-            for rows in blocks(series.n_samples):
-                arrays = [pa.array(values[rows], types[name]) for name, values in columns.items()]
-                writer.write_batch(pa.record_batch(arrays, schema=pa.schema(types)))
-                series.workspace.release()
+            arrays = [pa.array(values, types[name]) for name, values in columns.items()]
+            writer.write_batch(pa.record_batch(arrays, schema=pa.schema(types)))
 
 
-def _write_netcdf_or_tell(series: CoefficientSeries, file: Path, give_up: bool) -> None:
+def _write_netcdf_or_tell(series: CoefficientSeries, file: Path) -> None:
     try:
-        _write_netcdf(series, file, give_up)
+        _write_netcdf(series, file)
     except (RuntimeError, OSError) as error:
         # HDF5 tells in its own words of a full disk, perhaps not before it closes the file.
         cause = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
@@ -354,14 +324,12 @@ def _write_netcdf_or_tell(series: CoefficientSeries, file: Path, give_up: bool) 
         raise OSError(int(cause[1]), cause[2]) from error
 
 
-def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
+def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
     import h5netcdf
     import h5py
 
     columns = series.columns()
     types = {name: _stored_type(name, values) for name, values in columns.items()}
-    if give_up:
-        series.workspace.tidy()
     with h5netcdf.File(file, "w") as out:
         for name, text in _ABOUT.items():
             out.attrs[name] = text
@@ -374,25 +342,12 @@ def _write_netcdf(series: CoefficientSeries, file: Path, give_up: bool) -> None:
             variable.attrs["long_name"] = LONG_NAMES[name]
     # The rows are no matter of netCDF any more, whose own way takes twice the time.
     with h5py.File(file, "r+") as out:
-        for number, (name, values) in enumerate(columns.items()):
+        for name, values in columns.items():
             variable = out[name]
             for first in range(0, series.n_samples, WRITTEN_ROWS):
                 rows = slice(first, min(first + WRITTEN_ROWS, series.n_samples))
                 part = values[rows].astype(types[name], copy=False)
                 variable.write_direct(part, None, rows)
-                series.workspace.release()
-            if give_up:
-                later = list(columns.values())[number + 1 :]
-                _discard_unless_read_by(later, values, series.workspace)
-
-
-def _discard_unless_read_by(
-    later: Sequence[NDArray[Any]], values: NDArray[Any], place: Workspace
-) -> None:
-    """Let go of a column, unless another name for it is still to be written."""
-    arrays = [column for column in later if not is_computed(column)]
-    if not is_computed(values) and not any(np.may_share_memory(values, a) for a in arrays):
-        place.discard(values)
 
 
 def _stored_type(name: str, values: NDArray[Any]) -> np.dtype[Any]:
@@ -401,7 +356,7 @@ def _stored_type(name: str, values: NDArray[Any]) -> np.dtype[Any]:
         return np.dtype(np.int8)
     if name not in COUNT_COLUMNS:
         return np.dtype(values.dtype)
-    most = max(int(values[rows].max()) for rows in blocks(values.size))
+    most = int(values.max())
     return np.dtype(next((kind for largest, kind in COUNT_TYPES if most <= largest), np.int64))
 
 

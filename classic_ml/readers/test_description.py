@@ -11,7 +11,6 @@ from classic_ml.units import COUNT
 from surge_core.errors import InputError
 
 __all__ = [
-    "DEFAULT_THRESHOLD_LBM_S",
     "PLAUSIBLE_BIAS",
     "PLAUSIBLE_BIAS_K",
     "Compressor",
@@ -29,8 +28,6 @@ __all__ = [
 PLAUSIBLE_BIAS = 0.2
 # No thermocouple is off by an eighth; 698 K written in °F is off by a seventh.
 PLAUSIBLE_BIAS_K = 0.12
-# The paper's corrected inlet flow between in-stall and unstalled (98.5 % case).
-DEFAULT_THRESHOLD_LBM_S = 50.0
 
 
 @dataclass(frozen=True)
@@ -300,9 +297,9 @@ class TestDescription:
         Pressure channels in file order.
     temperatures : tuple of TemperatureChannel
         Thermocouples in file order.
-    threshold_lbm_s : float or None
-        Corrected inlet flow that splits in-stall from unstalled, in lbm/s; None for a record
-        without an unstalled regime.
+    threshold_lbm_s : float, "none" or None
+        Corrected inlet flow that splits in-stall from unstalled, in lbm/s; "none" for a record
+        without an unstalled regime; None where it is to be estimated.
     hysteresis_lbm_s : float
         Half width of the band around the threshold.
     window_s : tuple of float, optional
@@ -331,7 +328,7 @@ class TestDescription:
     near_stall: NearStall
     pressures: tuple[PressureChannel, ...]
     temperatures: tuple[TemperatureChannel, ...]
-    threshold_lbm_s: float | None = DEFAULT_THRESHOLD_LBM_S
+    threshold_lbm_s: float | str | None = None
     hysteresis_lbm_s: float = 0.0
     window_s: tuple[float, float] | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from classic_ml.readers.test_description import (
-    DEFAULT_THRESHOLD_LBM_S,
     PLAUSIBLE_BIAS,
     PLAUSIBLE_BIAS_K,
     Compressor,
@@ -368,14 +367,17 @@ def _choice_or(table: Table, key: str, choices: tuple[str, ...], default: str) -
     return str(table.choice(key, choices)) if key in table else default
 
 
-def _segmentation(top: Table) -> tuple[float | None, float]:
+def _segmentation(top: Table) -> tuple[float | str | None, float]:
     if "segmentation" not in top:
-        return DEFAULT_THRESHOLD_LBM_S, 0.0
+        return None, 0.0
     table = top.table("segmentation", SEGMENTATION_KEYS)
-    threshold = table.number_or("threshold_lbm_s", "none", default=DEFAULT_THRESHOLD_LBM_S)
+    threshold: float | str | None = None
+    if "threshold_lbm_s" in table:
+        threshold = table.number_or("threshold_lbm_s", "none", default=0.0)
+        threshold = "none" if threshold is None else threshold
     hysteresis = table.number("hysteresis_lbm_s", least=0.0, default=0.0)
     table.finish()
-    if threshold is not None and threshold <= hysteresis:
+    if isinstance(threshold, float) and threshold <= hysteresis:
         raise table.error(
             "threshold_lbm_s", f"more than the hysteresis ({hysteresis:g})", f"{threshold:g}"
         )

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.airflow import corrected_from_physical
 from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.coefficients import flow_coefficient
-from classic_ml.filtering import period_average
+from classic_ml.filters import period_average
+from classic_ml.flow import corrected_from_physical
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import cell_frequency_hz, hub_tip_stall

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.readers.test_description import Compressor, TestDescription
+from classic_ml.coefficients import (
+    PSI_MINIMUM_PHI,
+    psi_is_known,
+    rate_of_change,
+    work_coefficient,
+)
+from classic_ml.intervals import bridged
+from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
-__all__ = ["PSI_MINIMUM_PHI", "WORK_FORMS", "psi_is_known", "with_work", "work_coefficient"]
+__all__ = ["WORK_FORMS", "with_work"]
 
-# ψ is a power over W25. On the 98.5 % record its 5 to 95 % range in stall is -7 to 9 for
-# |φ| >= 0.03, and 1.2 to 5 for φ >= 0.05; in reversed flow T25 is the temperature of the exit's gas
-# and ψ has no meaning.
-PSI_MINIMUM_PHI = 0.05
 # ψ_QS moves by a fifth of itself over the flows of a stall; where the two planes' flows disagree by
 # half of that, Eq 13 shows their disagreement and not the work.
 FLOW_MISMATCH_LIMIT = 0.1
@@ -30,46 +33,6 @@ _INSTEAD = {
     "temperature-rise": "ψ is taken from the temperature rise alone, which leaves out what is "
     "stored between the planes",
 }
-
-
-def work_coefficient(
-    inlet_kg_s: FloatArray,
-    exit_kg_s: FloatArray,
-    inlet_K: FloatArray,
-    exit_K: FloatArray,
-    storage_W: FloatArray,
-    rotor_velocity_m_s: float,
-    compressor: Compressor,
-) -> FloatArray:
-    """Return the instantaneous work coefficient ψ (energy form of Eq 13); infinite at W25 = 0.
-
-    Parameters
-    ----------
-    inlet_kg_s, exit_kg_s : ndarray of shape (n,)
-        Physical flows W25 and W31.
-    inlet_K, exit_K : ndarray of shape (n,)
-        Total temperatures T25 and T31.
-    storage_W : ndarray of shape (n,)
-        V_c/(γ−1) dP̄/dt: the power that goes into the internal volume.
-    rotor_velocity_m_s : float
-        U.
-    compressor : Compressor
-        For c_p.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        ψ = (2 c_p T25/U²)(T2/T25 − 1), c_p W25 T2 = c_p W31 T31 + V_c/(γ−1) dP̄/dt.
-    """
-    heat = compressor.specific_heat_J_kg_K
-    with np.errstate(divide="ignore", invalid="ignore"):
-        delivered_K = (exit_kg_s * exit_K + storage_W / heat) / inlet_kg_s
-    return np.asarray(2.0 * heat / rotor_velocity_m_s**2 * (delivered_K - inlet_K))
-
-
-def psi_is_known(phi: FloatArray) -> BoolArray:
-    """Return the rows where ψ was computed rather than interpolated: φ ≥ ``PSI_MINIMUM_PHI``."""
-    return np.asarray(phi >= PSI_MINIMUM_PHI)
 
 
 def with_work(
@@ -99,8 +62,7 @@ def with_work(
     Record
         With ``psi``, interpolated across φ < ``PSI_MINIMUM_PHI``, where φ is above it at all.
     """
-    n = record.n_samples
-    known = psi_is_known(record["phi"])
+    n, known = record.n_samples, psi_is_known(record["phi"])
     gaps = n - int(np.count_nonzero(known))
     parameters: dict[str, str | int | float | bool] = {
         "minimum_phi": PSI_MINIMUM_PHI,
@@ -113,10 +75,11 @@ def with_work(
                 "work coefficient", "ψ is not known", parameters, (Dropped("ψ", gaps, why),)
             )
         )
-    psi, rise = _energy_form(record, test, inertia_per_m), _temperature_rise(record, test)
+    by_flow = _energy_form(record, test, inertia_per_m)
+    rise = _temperature_rise(record, test)
     # Half of what lies between the 16th and 84th percentile is a standard deviation that single
     # rows near zero flow do not decide.
-    low, high = np.percentile((psi - rise)[known], [16.0, 84.0])
+    low, high = np.percentile((by_flow - rise)[known], [16.0, 84.0])
     mismatch = 0.5 * float(high - low) / float(np.median(rise[known]))
     parameters["flow_mismatch"] = round(mismatch, 4)
     too_far = mismatch > FLOW_MISMATCH_LIMIT
@@ -132,12 +95,9 @@ def with_work(
             f"the measured W31 and W25 disagree by an equivalent of {100.0 * mismatch:.0f} % in ψ: "
             + _INSTEAD[form],
         )
-    if form == "temperature-rise":
-        psi = rise
-    elif form == "mass-balance":
-        psi = _mass_balance(record, test, inertia_per_m, cell_period_s)
-    rows = np.arange(n)
-    bridged = np.interp(rows, rows[known], psi[known])
+    if form == "mass-balance":
+        by_flow = _mass_balance(record, test, inertia_per_m, cell_period_s)
+    psi = bridged(rise if form == "temperature-rise" else by_flow, known)
     entry = LedgerEntry(
         "work coefficient",
         f"ψ by {_FORM_WORDS[form]}, interpolated over {gaps} of {n} rows",
@@ -153,7 +113,7 @@ def with_work(
         else (),
         flags,
     )
-    return record.after(entry, add=[Channel("psi", bridged, "1")])
+    return record.after(entry, add=[Channel("psi", psi, "1")])
 
 
 def _temperature_rise(record: Record, test: TestDescription) -> FloatArray:
@@ -169,7 +129,7 @@ def _lag_undone(record: Record) -> bool:
 
 
 def _mass_balance(
-    record: Record, test: TestDescription, inertia_per_m: float, cell_period_s: float | None
+    record: Record, test: TestDescription, inertia: float, cell_period_s: float | None
 ) -> FloatArray:
     """ψ by Eq 13 with the mean of both planes' flows and W31 from the mass balance."""
 
@@ -178,28 +138,28 @@ def _mass_balance(
             return values
         return flat_average(values, cell_period_s, record.sample_rate_hz)
 
-    flow = np.asarray(0.5 * (record["W25_kg_s"] + exit_flow_at_inlet(record, test)))
+    flow = 0.5 * (record["W25_kg_s"] + exit_flow_at_inlet(record, test))
     phi = smooth(record["phi"])
-    power = delivered_power(record, test, flow, phi, inertia_per_m=inertia_per_m, smooth=smooth)
+    power = delivered_power(record, test, flow, phi, inertia_per_m=inertia, smooth=smooth)
     with np.errstate(divide="ignore", invalid="ignore"):
-        psi = smooth(power) / smooth(flow)
+        ratio = np.asarray(smooth(power) / smooth(flow))
     # The averaged flow may be at zero where that of the row is not.
-    known, rows = psi_is_known(phi), np.arange(flow.size)
-    return np.asarray(np.interp(rows, rows[known], psi[known]) if known.any() else psi)
+    return bridged(ratio, psi_is_known(phi))
 
 
-def _energy_form(record: Record, test: TestDescription, inertia_per_m: float) -> FloatArray:
+def _energy_form(record: Record, test: TestDescription, inertia: float) -> FloatArray:
     """ψ by Eq 13, W31 as measured."""
-    machine, inlet_Pa = test.compressor, record["P25_Pa"]
-    blading_Pa = record["P31_Pa"] + inertia_per_m * record["dW25_dt_kg_s2"]
+    machine = test.compressor
+    inlet_Pa = record["P25_Pa"]
+    blading_Pa = record["P31_Pa"] + inertia * record["dW25_dt_kg_s2"]
     mean_Pa = inlet_Pa + EXIT_WEIGHT * (blading_Pa - inlet_Pa)
-    stored = machine.internal_volume_m3 / (machine.gamma - 1.0)
+    rate_Pa_s = rate_of_change(mean_Pa, record.sample_period_s)
     return work_coefficient(
         record["W25_kg_s"],
         record["W31_kg_s"],
         record["T25_K"],
         record["T31_K"],
-        stored * np.gradient(mean_Pa, record.sample_period_s),
+        machine.internal_volume_m3 / (machine.gamma - 1.0) * rate_Pa_s,
         test.rotor_velocity_m_s,
         machine,
     )

@@ -183,7 +183,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
     """Return where series and raw record go, or refuse what cannot be written."""
-    from classic_ml.series import ledger_path
+    from classic_ml.readers.series_files import ledger_path
     from surge_core.errors import InputError
     from surge_core.files import check_apart, check_target
 
@@ -277,7 +277,7 @@ def _stopped_by_signals(session: Session) -> Iterator[None]:
 
 
 def _print_results(results: list[Result], quiet: bool) -> None:
-    from comparisons.cli.commands import print_reduction
+    from comparisons.cli.reduce import print_reduction
 
     for result in results:
         piece = result.piece

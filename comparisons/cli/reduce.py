@@ -1,203 +1,168 @@
-"""What `sindy-surge reduce` does beside the reduction: room on the disk, progress, long records."""
+"""The command `sindy-surge reduce`: raw counts to φ, ψ' and ψ."""
 
 from __future__ import annotations
 
-import os
-import shutil
+import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from classic_ml.columns.workspace import IN_MEMORY, OnDisk, Workspace
-from surge_core.errors import InputError
+from comparisons.cli.reduction_options import (
+    add_reduction_options,
+    options_named,
+    reduction_settings,
+)
+from comparisons.cli.shared import (
+    Commands,
+    add_raw,
+    check_files,
+    command_line,
+    drawing,
+    write_all,
+)
+from surge_core.files import check_target
+from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
     from classic_ml.readers import TestDescription
     from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["excerpt", "read_file", "reduce_file"]
+__all__ = ["add_parser", "print_reduction", "read_file", "reduce_file", "run"]
 
-# A number takes so many bytes.
-NUMBER_BYTES = 8
-# In memory a reduction holds, at its widest, so many columns a channel: as matched, filtered,
-# marked for faults, and its share of the averages (68 columns were measured for 20 channels).
-COLUMNS_A_CHANNEL = 4
-# On disk it holds the channels with a byte a row for their faults, and so many columns beside them:
-# of 20 channels 445 bytes a row were measured where none is of codes and the lag of the
-# thermocouples is undone, 130 as a rule.
-COLUMNS_BESIDE = 34
-# A row of a series: 12 columns, at most 25 characters each as text.
-SERIES_BYTES = 300
-# What a reduction takes in memory up to this stays there; beyond it the system clears pages for
-# longer than files would take.
-IN_MEMORY_BYTES = 256 << 20
-# Lines at the head of a table of text from which the number of all is estimated.
-HEAD_BYTES = 1 << 16
+SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
 REPORT_ROWS = 100_000
 
 
-def reduce_file(
-    raw: Path,
-    test_path: Path,
-    settings: ReductionSettings,
-    *,
-    chunk_rows: int | None,
-    out: Path,
-    for_report: bool,
-) -> Reduction:
-    """Reduce a raw record, in memory or chunk by chunk, and show how far it is on a terminal.
+def add_parser(commands: Commands) -> None:
+    """Add the command.
 
     Parameters
     ----------
-    raw, test_path : path
+    commands : argparse sub-parsers
+        Those of `sindy-surge`.
+    """
+    parser = commands.add_parser(
+        "reduce",
+        help="raw counts to φ, ψ' and ψ",
+        description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ "
+        "and the intervals to be fitted.",
+    )
+    add_raw(parser)
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
+    )
+    add_reduction_options(parser)
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help=f"report of the reduction; its pictures show at most {REPORT_ROWS} rows",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Reduce a raw record to a series file.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    """
+    from classic_ml.readers.series_files import write_series
+
+    check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
+    check_target(arguments.out, SERIES_SUFFIXES)
+    with options_named():
+        reduction = reduce_file(arguments.raw, arguments.test, reduction_settings(arguments))
+    write_series(reduction.series, arguments.out)
+    written = write_all([("report", arguments.report, lambda: _page(reduction))])
+    print_reduction(reduction)
+    for line in (f"series: {arguments.out}", *written):
+        print(line)
+
+
+def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction:
+    """Read and reduce a raw record, and show how far that is on a terminal.
+
+    Parameters
+    ----------
+    raw, test : path
         The record and its test.toml.
     settings : ReductionSettings
         The switches.
-    chunk_rows : int, optional
-        Rows that are read at once, with the columns on disk; without it in memory, unless the
-        record is long and there is room on the disk. No number depends on it.
-    out : path
-        Where the series is to go: the columns lie in its folder, or in ``TMPDIR`` where that is
-        set.
-    for_report : bool
-        Whether more than the series will be looked at.
-
-    Returns
-    -------
-    Reduction
-        Without the readings of the single probes; its record has the averages for a report, else
-        the channels of the series alone.
 
     Raises
     ------
     InputError
-        When the record cannot be used, or there is too little room on the disk.
+        When the record cannot be used.
     """
     from classic_ml.reduction import STEPS, reduce_record
-    from comparisons.cli.progress import shown_count
 
-    records, test = read_file(raw, test_path, chunk_rows=chunk_rows, out=out)
+    record, description = read_file(raw, test)
     with shown_count("reducing", unit="step", total=STEPS) as done:
-        # Nobody but the reduction holds the raw record, so that it can let go of it.
-        return reduce_record(
-            records.pop(),
-            test,
-            settings,
-            keep="averages" if for_report else "series",
-            progress=done,
-        )
+        return reduce_record(record, description, settings, keep_probes=False, progress=done)
 
 
-def read_file(
-    raw: Path, test_path: Path, *, chunk_rows: int | None, out: Path
-) -> tuple[list[Record], TestDescription]:
-    """Read a raw record, in memory or chunk by chunk, and show how far it is on a terminal.
+def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
+    """Read a raw record, and show how far that is on a terminal.
 
     Parameters
     ----------
-    raw, test_path : path
-        The record and its test.toml.
-    chunk_rows : int, optional
-        As :func:`reduce_file` takes it.
-    out : path
-        As there.
-
-    Returns
-    -------
-    list of Record
-        The record alone, to be taken out by whoever works on it.
-    TestDescription
-        Its test.
+    raw, test : path
+        As :func:`reduce_file` takes them.
 
     Raises
     ------
     InputError
-        When it cannot be read, or there is too little room on the disk for its reduction.
+        When it cannot be read.
     """
-    from classic_ml.readers import read_raw, read_test_description
-    from classic_ml.readers.raw_files import open_raw
-    from comparisons.cli.progress import shown_count
+    from classic_ml.readers import read_raw
 
-    test = read_test_description(test_path)
-    stored = open_raw(raw, test)
-    n_rows = stored.n_rows if stored.n_rows is not None else _rows_of_text(raw)
-    workspace: Workspace = IN_MEMORY
-    if chunk_rows is not None or _column_bytes(n_rows, test) > IN_MEMORY_BYTES:
-        folder = Path(os.environ.get("TMPDIR") or out.resolve().parent)
-        short = _lack_of_room(n_rows, test, folder, out.resolve().parent)
-        if short is not None and chunk_rows is not None:
-            raise short
-        workspace = IN_MEMORY if short is not None else OnDisk(folder)
-    with shown_count("reading", unit="row", total=n_rows) as read:
-        records = [
-            read_raw(raw, test, chunk_rows=chunk_rows, workspace=workspace, progress=read)[0]
-        ]
-    return records, test
+    with shown_count("reading", unit="row") as read:
+        return read_raw(raw, test, progress=read)
 
 
-def excerpt(reduction: Reduction) -> tuple[Reduction, str]:
-    """Return what of a long record is drawn: the beginning of its window, and before.
+def print_reduction(reduction: Reduction) -> None:
+    """Print the ledger of a reduction.
 
     Parameters
     ----------
     reduction : Reduction
         A reduced record.
-
-    Returns
-    -------
-    Reduction
-        The same of at most ``REPORT_ROWS`` rows; its ledger and its window are those of the whole.
-    str
-        Which part of the record it is, empty for the whole.
     """
-    from classic_ml.records import Channel
+    for entry in reduction.record.history:
+        print(f"{entry.step}: {entry.did}")
+        for dropped in entry.dropped:
+            print(f"  left out {dropped.what} ({dropped.count}): {dropped.why}")
+        for flag in entry.flags:
+            print(f"  note: {flag}")
 
+
+def _page(reduction: Reduction) -> str:
+    from comparisons.show.report import ReportSection, render_report
+
+    drawn, part = _excerpt(reduction)
+    name = reduction.test.name
+    return render_report(
+        [ReportSection(title=f"{name}{part}", reduction=drawn)],
+        title=f"Reduction of {name}",
+        command=command_line(),
+        progress=drawing,
+    )
+
+
+def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
+    """Return what of a long record is drawn, the beginning of its window, and which part it is."""
     record, series = reduction.record, reduction.series
     if record.n_samples <= REPORT_ROWS:
         return reduction, ""
     window = record.rows_between(*reduction.window_s)
     start = min(max(0, window.start - REPORT_ROWS // 4), record.n_samples - REPORT_ROWS)
     rows = slice(start, start + REPORT_ROWS)
-    channels = {n: Channel(n, c.values[rows], c.unit) for n, c in record.channels.items()}
-    part = replace(record, channels=channels, start_s=record.time_at_s(start))
+    part = record.part(rows)
     columns = {name: values[rows] for name, values in series.columns().items()}
-    words = f"{part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"
-    return replace(
-        reduction,
-        record=part,
-        series=replace(series, **columns),  # type: ignore[arg-type]
-    ), words
-
-
-def _rows_of_text(raw: Path) -> int:
-    """Estimate how many rows a table of text has."""
-    with raw.open("rb") as file:
-        head = file.read(HEAD_BYTES)
-    lines = max(head.count(b"\n"), head.count(b"\r"), 1)
-    return int(raw.stat().st_size * lines / max(len(head), 1))
-
-
-def _column_bytes(n_rows: int, test: TestDescription) -> int:
-    """Return what the columns of a reduction take in memory at their widest."""
-    return n_rows * len(test.channel_names) * COLUMNS_A_CHANNEL * NUMBER_BYTES
-
-
-def _lack_of_room(n_rows: int, test: TestDescription, work: Path, out: Path) -> InputError | None:
-    """Tell, before any work is done, of a disk that would be full before the end."""
-    row = len(test.channel_names) * (NUMBER_BYTES + 1) + COLUMNS_BESIDE * NUMBER_BYTES
-    wanted = {work: n_rows * row}
-    same = work.stat().st_dev == out.stat().st_dev
-    place = work if same else out
-    wanted[place] = wanted.get(place, 0) + n_rows * SERIES_BYTES
-    for folder, size in wanted.items():
-        free = shutil.disk_usage(folder).free
-        if free < size:
-            return InputError(
-                str(folder),
-                expected=f"room for {size / 1e9:.2g} GB of columns between the steps",
-                found=f"{free / 1e9:.2g} GB",
-                remedy="free some, or let TMPDIR name a folder on another disk",
-            )
-    return None
+    shown = replace(reduction, record=part, series=replace(series, **columns))  # type: ignore[arg-type]
+    return shown, f", {part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"

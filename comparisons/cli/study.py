@@ -85,16 +85,16 @@ def run_study_command(arguments: argparse.Namespace) -> None:
 def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any]:
     from joblib import cpu_count
 
-    from comparisons.cli.progress import shown_count
     from comparisons.study.engines import engine_for
     from comparisons.study.run import StudyFiles, run_study
+    from surge_core.progress import shown_count
 
     jobs = arguments.jobs or cpu_count()
     engine = engine_for(jobs, arguments.scheduler)
     # A scheduler of jobs ends a process by SIGTERM: as Ctrl-C, workers end with it.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with shown_count(unit="cell", total=cells, resumed=True) as told:
+        with shown_count(unit="cell", total=cells) as told:
             table = run_study(
                 spec,
                 arguments.out,
@@ -112,7 +112,7 @@ def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> tuple[Any, Any
 
 def _conclude(spec: Any, table: Any, files: Any) -> None:
     """Print the comparison and write the page."""
-    from comparisons.cli.commands import command_line
+    from comparisons.cli.shared import command_line
     from comparisons.study.comparison import methods_in
     from comparisons.study.report import write_study_report
     from comparisons.study.run import resolved

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, FitRows, stack_rows
+from comparisons.harness.cautions import tau_caution
+from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, stack_rows
+from comparisons.results import FitRows
+from surge_core.display import Field, Sheet
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
-    from sindy_surge.equations import EquationParts
     from sindy_surge.summary import ModelSummary
+    from sindy_surge.text import EquationParts
     from surge_core.types import FloatArray
 
 __all__ = ["FoundStructure", "find_structure"]
@@ -85,20 +88,15 @@ class FoundStructure:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What to know before the numbers are used, but for the advice of the state."""
-        from comparisons.harness.cautions import tau_caution
-
         own = [c for c in getattr(self.fit, "cautions_", ()) if c != self.state[1]]
-        filtered = (
-            tau_caution([record.history for record in self.records], target=self.target)
-            if self.fitted_to == "rows"
-            else None
-        )
-        return (*own, *([filtered] if filtered else []))
+        histories = [record.history for record in self.records]
+        filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
+        return (*own, *([filtered.text] if filtered else []))
 
     @property
     def parts(self) -> EquationParts:
         """The equation with its errors; of a refused fit without terms."""
-        from sindy_surge.equations import EquationParts
+        from sindy_surge.text import EquationParts
 
         fit = self.fit
         dead_stderr = getattr(fit, "dead_time_stderr_s_", 0.0)
@@ -117,9 +115,9 @@ class FoundStructure:
     @property
     def summary(self) -> ModelSummary:
         """All fields and tables of the fit."""
-        from sindy_surge.equations import pretty_term
         from sindy_surge.summary import ModelSummary
         from surge_core.fit_state import FitState
+        from surge_core.terms import pretty_term
 
         fit, known = self.fit, self.inclusion
         rows = self.fitted_to == "rows"
@@ -150,24 +148,25 @@ class FoundStructure:
             "python" gives the source of a function that returns ψ'_QS.
         """
         if style != "python":
-            from sindy_surge.equations import write_equation
+            from sindy_surge.text import write_equation
 
             return write_equation(self.parts, style)
         if self.fitted_to == "rows":
             return str(self.fit.equation("python"))
         from sindy_surge.candidate_terms import CandidateTerms
-        from sindy_surge.export import SelectedTerms, python_source
+        from sindy_surge.export import python_source
 
         # The library that the whole runs were fitted with, over the φ that they were scored at.
         library = CandidateTerms(None, self.phi[:, None], ["phi"])
-        columns = tuple(library.names.index(term) for term in self.fit.terms_)
+        columns = [library.names.index(term) for term in self.fit.terms_]
         ends = np.array([[self.phi.min()], [self.phi.max()]])
-        return python_source(self.parts, SelectedTerms(library, columns), ends)
+        return python_source(self.parts, lambda phi, _: library(phi)[:, columns], ends)
 
     def _repr_html_(self) -> str:
-        from comparisons.show.sheets import structure_html
-
-        return structure_html(self)
+        if self.refused:
+            code, advice = self.state
+            return Sheet("No structure", (Field("state", f"{code}: {advice}", "advice"),)).html()
+        return self.summary.sheet().html()
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""

@@ -61,10 +61,7 @@ def _has_reading(piece: Piece, test: TestDescription) -> bool:
 def _shifts(piece: Piece, test_path: Path) -> dict[str, float]:
     """Return the shifts of a piece; none where its reading would be refused."""
     try:
-        records, test = read_file(
-            piece.path, test_path, chunk_rows=piece.chunk_rows, out=piece.path
-        )
-        return near_stall_shifts(records.pop(), test)
+        return near_stall_shifts(*read_file(piece.path, test_path))
     except InputError:
         return {}
 

@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.cycles import DEEP_SHARE, LEAST_SWING
+from classic_ml.flow import LBM_KG
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.segments import SHORTEST_S
-from classic_ml.surge_cycles import DEEP_SHARE, LEAST_SWING
 from comparisons.live.operating_point import OperatingPoints, low_pass_delay_s
 
 __all__ = ["CycleCounter", "Sighting", "SurgeDetector"]
@@ -135,7 +135,7 @@ class SurgeDetector:
         rate_hz = test.sample_rate_hz
         self._rate_hz = rate_hz
         threshold = test.threshold_lbm_s
-        self._threshold_kg_s = None if threshold is None else threshold * LBM_KG
+        self._threshold_kg_s = threshold * LBM_KG if isinstance(threshold, float) else None
         self._band_kg_s = test.hysteresis_lbm_s * LBM_KG
         self._late_s = low_pass_delay_s(rate_hz)
         self._least_reversed = max(1, round(REVERSED_S * rate_hz))

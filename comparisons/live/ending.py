@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from classic_ml.readers import read_test_description
+from classic_ml.readers.series_files import write_series
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings
-from classic_ml.series import write_series
 from comparisons.cli.reduce import reduce_file
 from comparisons.live.carried_match import carry_matches
 from comparisons.live.columns import FEED
@@ -104,14 +104,7 @@ def _reduced(
 ) -> Result:
     try:
         _check_clock(piece, test_path)
-        reduction = reduce_file(
-            piece.path,
-            piece.test or test_path,
-            settings,
-            chunk_rows=piece.chunk_rows,
-            out=out,
-            for_report=False,
-        )
+        reduction = reduce_file(piece.path, piece.test or test_path, settings)
     except InputError as error:
         return Result(piece, error=error)
     reduction = _with_entry(reduction, _with_piece(entry, piece))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from classic_ml.faults.choice import BEYOND_SHARE, CLIPPED_SHARE
-from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK, fault_name
+from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, STUCK
 from classic_ml.faults.search import inspect_readings
-from classic_ml.records import Record
+from classic_ml.records import Record, fault_name
 from comparisons.live.columns import FeedColumns
 from surge_core.types import FloatArray
 

@@ -18,8 +18,8 @@ from classic_ml.coefficients import (
     pressure_coefficient,
     rate_of_change,
 )
-from classic_ml.filtering import phase_delay_s
-from classic_ml.plane_averages import local_flows, plane_averages
+from classic_ml.filters import phase_delay_s
+from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Channel, LedgerEntry, Record
 from comparisons.live.columns import FeedColumns
 from comparisons.live.near_stall import NearStallMatch

@@ -253,7 +253,7 @@ def _load() -> None:
     """Load what takes seconds to load, its compiled kernels too, before the first rows come."""
     import classic_ml.reduction
     import classic_ml.whole_run  # noqa: F401
-    from classic_ml.filtering import low_pass
+    from classic_ml.filters import low_pass
     from classic_ml.lag_regressor import LagRegressor
 
     phase = np.linspace(0.0, 20.0, 400)

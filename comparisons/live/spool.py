@@ -8,14 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from classic_ml.columns.workspace import BLOCK_ROWS
 from surge_core.errors import InputError
 
 __all__ = ["Piece", "RawSpool", "numbered"]
-
-# A piece of more rows is reduced chunk by chunk, which gives the same numbers: with 20 channels
-# the columns of half a million rows take a good half of a gigabyte.
-ROWS_IN_MEMORY = 500_000
 
 
 @dataclass
@@ -48,11 +43,6 @@ class Piece:
     to_s: float = 0.0
     test: Path | None = None
     matched_by: int = 0
-
-    @property
-    def chunk_rows(self) -> int | None:
-        """How many rows to read at once; None for all."""
-        return BLOCK_ROWS if self.n_rows > ROWS_IN_MEMORY else None
 
 
 class RawSpool:

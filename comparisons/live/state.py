@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from classic_ml.airflow import LBM_KG
+from classic_ml.flow import LBM_KG
 from comparisons.live.estimate import Estimate
 from comparisons.live.latency import Latency
 from surge_core.rounding import round_to_error

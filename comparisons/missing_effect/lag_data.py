@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.harness.terms import evaluate_terms
+from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LATER", "OTHER", "TRAIN", "LagData", "Part"]
@@ -184,7 +184,7 @@ class LagData:
         """Return fine columns as the average that the measured coefficient passed leaves them."""
         if self.average_s == 0.0:
             return columns
-        from classic_ml.filtering import period_average
+        from classic_ml.filters import period_average
 
         out = columns
         for period_s in (self.average_s, self.also_average_s):

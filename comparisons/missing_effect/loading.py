@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from classic_ml.filtering import period_average
-from classic_ml.free_run_rows import near
+from classic_ml.filters import period_average
+from classic_ml.free_run import near
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import check_rates
 from classic_ml.whole_run_rows import (

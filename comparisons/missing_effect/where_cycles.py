@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import find_peaks
 
-from classic_ml.columns.peaks import prominent_peaks
-from classic_ml.surge_cycles import deep_ones
+from classic_ml.cycles import deep_ones
 from comparisons.missing_effect.where_rows import ResidualRuns
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
@@ -203,7 +203,8 @@ def _rises(phi: FloatArray, time_s: FloatArray) -> tuple[IntArray, FloatArray]:
 
 def _into_cycles(arrived: IntArray, phi: FloatArray, swing: float) -> IntArray:
     """Return the arrivals above the mean that a deep peak follows before the next."""
-    peaks, rises = prominent_peaks(phi, swing)
+    peaks, found = find_peaks(phi, prominence=swing)
+    rises = found["prominences"]
     if not arrived.size or not peaks.size:
         return arrived[:0]
     before = np.searchsorted(arrived, peaks[deep_ones(rises)], side="right") - 1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.rows import FitRows
+from comparisons.results import FitRows
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 from surge_core.errors import InputError

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.series import CoefficientSeries, read_series
+from classic_ml.readers.series_files import read_series
+from classic_ml.series import CoefficientSeries
 from comparisons.study.design import Point
 from comparisons.study.spec import Scalar, StudySpec
 from surge_core.errors import InputError

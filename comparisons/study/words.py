@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from comparisons.show.table import TableField
+from comparisons.results import TableField
 from comparisons.study.comparison import (
     LEVEL,
     GroupComparison,

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from raw_data import GAMMA, GAS, INERTIA_PER_M, U_M_S, make_test
 
-from classic_ml.airflow import corrected_flow, corrected_from_physical
 from classic_ml.coefficients import (
     PSI_MINIMUM_PHI,
     coefficients,
@@ -19,6 +18,7 @@ from classic_ml.coefficients import (
     rate_of_change,
     work_coefficient,
 )
+from classic_ml.flow import corrected_flow, corrected_from_physical
 from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError

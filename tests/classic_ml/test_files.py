@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from comparison_data import made_series
 
-from classic_ml.series import write_series
+from classic_ml.readers.series_files import write_series
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target, replace_whole, write_whole
 

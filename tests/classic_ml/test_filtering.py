@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
 
 from classic_ml import filtering
-from classic_ml.filtering import (
+from classic_ml.filters import (
     butterworth_gain,
     channel_filter,
     filter_channels,
@@ -210,7 +210,7 @@ def test_every_channel_gets_the_same_filter_and_the_history_says_so() -> None:
 def test_pieces_that_go_in_one_run_are_those_of_each_alone(
     n_signals: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("classic_ml.filtering.PIECE_ROWS", 600)
+    monkeypatch.setattr("classic_ml.filters.PIECE_ROWS", 600)
     rng = np.random.default_rng(n_signals)
     signals = np.cumsum(rng.standard_normal((n_signals, 7000)), axis=1)
 

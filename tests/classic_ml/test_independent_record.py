@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from classic_ml import LagRegressor
-from classic_ml.airflow import LBM_KG
+from classic_ml.flow import LBM_KG
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record

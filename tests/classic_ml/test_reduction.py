@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from raw_data import INERTIA_PER_M, U_M_S, RawTest, make_test
 
-from classic_ml.airflow import LBM_KG
 from classic_ml.coefficients import psi_is_known
-from classic_ml.filtering import low_pass
+from classic_ml.filters import low_pass
+from classic_ml.flow import LBM_KG
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from surge_core.errors import InputError
 

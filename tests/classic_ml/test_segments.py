@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from classic_ml.columns.intervals import intervals_where, label_intervals, labelled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import LBM, surge_waves
 
 from classic_ml import segments
 from classic_ml.columns import workspace
-from classic_ml.columns.intervals import intervals_where, label_intervals, labelled
-from classic_ml.free_run_rows import near
+from classic_ml.cycles import deep_ones, find_cycles
+from classic_ml.free_run import near
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.segments import (
     cell_frequency_hz,
@@ -20,7 +21,6 @@ from classic_ml.segments import (
     segment,
     window_rows,
 )
-from classic_ml.surge_cycles import deep_ones, find_cycles
 from surge_core.errors import InputError
 
 RATE = 1000.0

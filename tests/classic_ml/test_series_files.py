@@ -14,8 +14,8 @@ import pytest
 from classic_ml import CoefficientSeries, read_series, write_series
 from classic_ml.columns import workspace
 from classic_ml.readers import series_csv, series_files
+from classic_ml.readers.series_files import ledger_path
 from classic_ml.records import Dropped, LedgerEntry
-from classic_ml.series import ledger_path
 from surge_core.errors import InputError
 
 HISTORY = (

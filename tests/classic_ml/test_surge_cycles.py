@@ -10,10 +10,10 @@ import pytest
 from clean_records import SURGES, clean_record, rows_of
 
 from classic_ml.columns import workspace
+from classic_ml.cycles import find_cycles
 from classic_ml.readers import read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
-from classic_ml.surge_cycles import find_cycles
 from comparisons.rig import simulate, write_run
 from surge_core.errors import InputError
 

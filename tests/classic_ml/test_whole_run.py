@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from classic_ml.filtering import period_average
-from classic_ml.free_run_rows import extend_while_settled, free_run_rows, near
+from classic_ml.filters import period_average
+from classic_ml.free_run import extend_while_settled, free_run_rows, near
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import (

@@ -186,7 +186,7 @@ def test_damage_that_was_once_the_end_of_the_process(
 
 
 def test_a_damaged_netcdf_series(clean: Path, tmp_path: Path) -> None:
-    from classic_ml.series import read_series, write_series
+    from classic_ml.readers.series_files import read_series, write_series
 
     write_series(read_series(clean / "series.csv"), tmp_path / "series.nc")
     shutil.copy(clean / "model.json", tmp_path)

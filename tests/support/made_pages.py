@@ -13,7 +13,7 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.structure_fit import FoundStructure
-from comparisons.harness.truth import Truth
+from comparisons.results import Caution, Truth
 from comparisons.show.report import Part, ReportSection, Words, render_report
 
 __all__ = ["EVIL", "PAGES", "made_page"]
@@ -42,7 +42,8 @@ def _compare(name: str) -> str:
     from comparisons.harness.reconstruction import reconstruct_record
 
     comparison = made_comparison(
-        made_series(source=name), cautions=(f"{name}: P25_A: 40 rows clipped",)
+        made_series(source=name),
+        cautions=(Caution("ledger", name, "inspect", {"finding": "P25_A: 40 rows clipped"}),),
     )
     phi = np.linspace(0.0, 1.0, 50)
     section = ReportSection(
@@ -145,17 +146,18 @@ def _study(name: str) -> str:
 
 def _reproduce(name: str) -> str:
     from comparisons.cli.reproduce import claims_sections
-    from comparisons.paper.claims_base import Claim
-    from comparisons.paper.figures_common import PaperFigure, one_panel
+    from comparisons.page.style import new_figure
+    from comparisons.paper.claim import Claim
+    from comparisons.paper.figures import PaperFigure
 
-    figure, ax = one_panel()
-    ax.plot([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
+    figure = new_figure()
+    figure.add_subplot().plot([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
     claims = [
-        Claim(1, f"p. 3 {name}", f"The filter cuts at 48 Hz {name}", 48.0, 47.9, True, name, "Hz"),
-        Claim(2, "p. 5", "The time constant is 18 ms", 18.0, 29.1, False, "by trial", "ms"),
-        Claim(3, "p. 6", "Cells turn", "half speed", name, True, "spectrum", ""),
+        Claim(1, f"p. 3 {name}", f"The filter {name}", "built in", 48.0, 47.9, True, name, "Hz"),
+        Claim(2, "p. 5", "The lag is 18 ms", "tested", 18.0, 29.1, False, "by trial", "ms"),
+        Claim(3, "p. 6", "Cells turn", "tested", "half speed", name, True, "spectrum", ""),
     ]
-    drawn = [PaperFigure(3, name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
+    drawn = [PaperFigure(name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
     return render_report(
         claims_sections(claims, drawn), title=name, command=f"sindy-surge reproduce {name}"
     )

@@ -104,19 +104,19 @@ MODELS = (
     _refused_model(
         "tau-endless",
         "τ is 1e999, more than any number",
-        ("time_constant_s", "above 0 s", "infinity", "save the model anew"),
+        ("time_constant_s", "above 0 s", "inf", "save the model again"),
         replaced('"time_constant_s": 0.018', '"time_constant_s": 1e999', "model.json"),
     ),
     _refused_model(
         "tau-nan",
         "τ is NaN",
-        ("time_constant_s", "above 0 s", "NaN", "save the model anew"),
+        ("time_constant_s", "above 0 s", "nan", "save the model again"),
         replaced('"time_constant_s": 0.018', '"time_constant_s": NaN', "model.json"),
     ),
     _refused_model(
         "target",
         "the model is of another coefficient",
-        ("target", "psi_p", "'phi'", "save the model anew"),
+        ("target", "psi_p", "'phi'", "save the model again"),
         _model(lambda m: {**m, "target": "phi"}),
     ),
     _refused_model(
@@ -137,7 +137,7 @@ MODELS = (
     _refused_model(
         "coefficient-text",
         "a coefficient is a word",
-        ("terms[0].coefficient", "a finite number", "'big'"),
+        ("terms[1].coefficient", "a finite number", "'big'"),
         _model(lambda m: {**m, "terms": [{**m["terms"][0], "coefficient": "big"}]}),
     ),
     Mistake(
@@ -165,7 +165,7 @@ MODELS = (
     _refused_model(
         "nested",
         "the model file is nested a hundred thousand deep",
-        ("nested too deeply",),
+        ("no JSON",),
         written("model.json", '{"a":' * 100_000 + "1" + "}" * 100_000),
     ),
 )
@@ -472,7 +472,7 @@ FACILITIES = (
         "facility-key-missing",
         "a volume is missing",
         REFUSED,
-        ("facility.toml", "[volumes]", "discharge_m3"),
+        ("facility.toml", "volumes.discharge_m3"),
         SYSTEM,
         spoil=toml(("volumes/discharge_m3", ...), file="facility.toml"),
     ),
@@ -488,7 +488,7 @@ FACILITIES = (
         "facility-negative",
         "a volume is negative",
         REFUSED,
-        ("facility.toml", "[volumes]", "inlet_m3", "-1"),
+        ("facility.toml", "volumes.inlet_m3", "-1"),
         SYSTEM,
         spoil=toml(("volumes/inlet_m3", -1.0), file="facility.toml"),
     ),
@@ -496,7 +496,7 @@ FACILITIES = (
         "facility-string",
         "a number is in quotation marks",
         REFUSED,
-        ("facility.toml", "[supply]", "temperature_K"),
+        ("facility.toml", "supply.temperature_K"),
         SYSTEM,
         spoil=toml(("supply/temperature_K", "288"), file="facility.toml"),
     ),
@@ -504,7 +504,7 @@ FACILITIES = (
         "facility-breaks",
         "the breakpoints are exchanged",
         REFUSED,
-        ("facility.toml", "work_break_1", "smaller first"),
+        ("facility.toml", "work_break_1", "below work_break_2"),
         SYSTEM,
         spoil=toml(("compressor/work_break_1", 0.9), file="facility.toml"),
     ),

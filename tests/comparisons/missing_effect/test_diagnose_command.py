@@ -22,7 +22,8 @@ import pytest
 from made_diagnosis import Told
 from PIL import Image
 
-from classic_ml.series import CoefficientSeries, read_series, write_series
+from classic_ml.readers.series_files import read_series, write_series
+from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
 from comparisons.missing_effect.base_terms import discovered_terms
 from comparisons.rig.coefficient_tests import CoefficientTest, simulate_test
@@ -234,41 +235,6 @@ def test_options_that_cannot_be_are_refused(
         run("diagnose", *untouched.paths, *options)
     assert refused.value.code == 2
     assert words in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--report", "page.txt"), "ending in .html or .htm"),
-        (("--json", "nowhere/n.json"), "an existing folder"),
-        (("--json", "n.json", "--save", "n.json"), "a file of its own for each output"),
-        (("--degree", 2, "--base", "sindy"), "--degree"),
-    ],
-)
-def test_targets_and_options_are_checked_before_any_work(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    options: tuple[object, ...],
-    words: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    # The series is not even there: that would be said if it were read first.
-    assert run("diagnose", "missing.csv", *options) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("sindy-surge: ")
-    assert words in error
-    assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_input_is_never_written_over(
-    untouched: Case, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = untouched.paths[0].read_bytes()
-    assert run("diagnose", *untouched.paths, "--json", untouched.paths[0]) == 2
-    assert "an input of this command" in capsys.readouterr().err
-    assert untouched.paths[0].read_bytes() == before
 
 
 def test_a_record_given_twice_is_refused(

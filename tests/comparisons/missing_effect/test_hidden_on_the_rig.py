@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.filtering import period_average
+from classic_ml.filters import period_average
 from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries

@@ -1,0 +1,293 @@
+"""The quasi-steady surge cycles of a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from classic_ml.filters import filter_channels
+from classic_ml.flow import LBM_KG
+from classic_ml.intervals import intervals_where
+from classic_ml.records import Record
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IntArray
+
+__all__ = [
+    "DEEP_SHARE",
+    "FEW_CYCLES",
+    "LEAST_SWING",
+    "SurgeCycles",
+    "cycles_within",
+    "deep_ones",
+    "find_cycles",
+    "first_reversal",
+]
+
+
+# Surge is below 20 Hz; what lies above (cells, noise) must not make peaks of its own.
+CYCLE_BAND_HZ = 30.0
+# A cycle fills and empties the plenum: P31 rises by at least this share of its mean.
+LEAST_SWING = 0.15
+# What it rises above is looked for so far around it, which is many of the slowest cycles.
+SURROUNDINGS_S = 60.0
+# Between deep cycles the machine may oscillate mildly in stall; a cycle has at least this share
+# of the deepest one's rise.
+DEEP_SHARE = 0.5
+# A machine in deep surge pumps again in every cycle, so that its flow swings by 0.58 to 0.89 of
+# what it was before, in all cycles of the simulated cases at 90 to 98.5 % speed, whether they leave
+# stall or not. In stall before them it oscillates too, by 0.33 at most and running backwards now
+# and then, for ten cycles and more: they alone are in a record that ends early.
+LEAST_FLOW_SWING = 0.45
+# Ten or twelve of those come before the first deep cycle. Where so many follow one another and no
+# deep one, they are the surge of this machine: small limit cycles about its stalled branch.
+MANY_MILD = 30
+# How far a cycle may be from the median of the record and still repeat it.
+RISE_SPREAD = 0.3
+PERIOD_SPREAD = 0.4
+# The inlet heats up after the first reversal; settled when N_c is this near its later median.
+SPEED_SPREAD = 0.025
+MINIMUM_CYCLES = 3
+FEW_CYCLES = 6
+
+
+@dataclass(frozen=True)
+class SurgeCycles:
+    """The repetitive cycles of a record.
+
+    Parameters
+    ----------
+    from_s, to_s : float
+        The window that they fill, on the facility clock, from trough to trough of P31.
+    n_cycles : int
+        Complete cycles inside.
+    period_s : float
+        Their median period.
+    first_reversal_s : float
+        When the flow at plane 25 first ran backwards.
+    left_out : int
+        Cycles before or after that do not repeat the others.
+    flow_swing : float
+        How far the flow swings in the median cycle, as a share of its level before the surge;
+        infinite where nothing was before.
+    """
+
+    from_s: float
+    to_s: float
+    n_cycles: int
+    period_s: float
+    first_reversal_s: float
+    left_out: int
+    flow_swing: float
+
+    @property
+    def mild(self) -> bool:
+        """Whether the machine oscillates in stall rather than surge deeply."""
+        return self.flow_swing < LEAST_FLOW_SWING
+
+
+def find_cycles(record: Record) -> SurgeCycles:
+    """Find the quasi-steady surge cycles of a record.
+
+    A cycle is a rise of P31 by at least half of the deepest one's in which the flow swings by about
+    half of what it was before the surge, unless the machine does nothing else but oscillate less
+    for many cycles; those that count agree with the others in rise, period
+    and corrected speed, and follow one another without a break.
+
+    Parameters
+    ----------
+    record : Record
+        With ``P31_Pa``, ``Wc25_kg_s`` and ``Nc_frac``.
+
+    Returns
+    -------
+    SurgeCycles
+        The window and what is in it.
+
+    Raises
+    ------
+    InputError
+        When there is no surge in the record, or fewer than three such cycles.
+    """
+    slow = _slow(record, "Wc25_kg_s", "P31_Pa")
+    start, pressure = _first_negative(slow), slow["P31_Pa"]
+    peaks, rises = _deep_peaks(pressure, start, record.sample_rate_hz)
+    if peaks.size == 0:
+        raise InputError(
+            f"{record.source}: P31",
+            expected="surge cycles after the first reversal of the flow",
+            found=f"no surge in the record, no rise of P31 by {LEAST_SWING:.0%} of its mean",
+        )
+    swings = _swings(slow, peaks, start)
+    pumping = swings >= LEAST_FLOW_SWING
+    mild = int(np.count_nonzero(~pumping))
+    if np.count_nonzero(pumping) < MINIMUM_CYCLES and mild >= MANY_MILD:
+        pumping[:] = True
+    peaks, rises, swings = peaks[pumping], rises[pumping], swings[pumping]
+    if peaks.size < MINIMUM_CYCLES:
+        raise _too_few(record, peaks.size, mild)
+    edges = _troughs(pressure, peaks, start)
+    good = _repeats(record, peaks, rises, edges)
+    first, last = _longest_run(good)
+    if last - first < MINIMUM_CYCLES:
+        raise _too_few(record, last - first)
+    return SurgeCycles(
+        from_s=record.time_at_s(int(edges[first])),
+        to_s=record.time_at_s(int(edges[last])),
+        n_cycles=last - first,
+        period_s=float(np.median(np.diff(peaks[first:last]))) / record.sample_rate_hz,
+        first_reversal_s=record.time_at_s(start),
+        left_out=int(peaks.size - (last - first)),
+        flow_swing=float(np.median(swings[first:last])),
+    )
+
+
+def cycles_within(record: Record, window_s: tuple[float, float]) -> tuple[str, ...]:
+    """Return a flag for a stated window that few surge cycles fit into.
+
+    Parameters
+    ----------
+    record : Record
+        As for :func:`find_cycles`.
+    window_s : tuple of float
+        The window, on the facility clock.
+
+    Returns
+    -------
+    tuple of str
+        The flag; nothing where the record has no cycles that repeat each other, as in steady
+        stall.
+    """
+    try:
+        cycles = find_cycles(record)
+    except InputError:
+        return ()
+    fit = (window_s[1] - window_s[0]) / cycles.period_s
+    if fit >= FEW_CYCLES - 0.5:
+        return ()
+    return (
+        f"the window of {window_s[0]:g} to {window_s[1]:g} s holds {fit:.1f} cycles of "
+        f"{cycles.period_s * 1e3:.0f} ms, too few: the time constant will be uncertain",
+    )
+
+
+def _slow(record: Record, *names: str) -> Record:
+    """Return the record with what is too fast for surge taken out of some channels."""
+    if record.sample_rate_hz <= 4.0 * CYCLE_BAND_HZ:
+        return record
+    return filter_channels(record, names, order=3, cutoff_hz=CYCLE_BAND_HZ, phase="zero")
+
+
+def first_reversal(record: Record) -> int:
+    """Return the row at which the flow at plane 25 first runs backwards.
+
+    Parameters
+    ----------
+    record : Record
+        With ``Wc25_kg_s``.
+
+    Raises
+    ------
+    InputError
+        When it never does.
+    """
+    return _first_negative(_slow(record, "Wc25_kg_s"))
+
+
+def _first_negative(record: Record) -> int:
+    flow = record["Wc25_kg_s"]
+    row = int(np.argmax(flow < 0.0))
+    if flow[row] < 0.0:
+        return row
+    raise InputError(
+        f"{record.source}: plane 25",
+        expected="reversed flow, with which every deep surge begins",
+        found="no surge in the record, the corrected flow stays above "
+        f"{flow.min() / LBM_KG:.1f} lbm/s",
+    )
+
+
+def _deep_peaks(
+    pressure: FloatArray, start: int, sample_rate_hz: float
+) -> tuple[IntArray, FloatArray]:
+    after = pressure[start:]
+    least = LEAST_SWING * float(np.median(after))
+    around = max(3, round(SURROUNDINGS_S * sample_rate_hz))
+    peaks, found = find_peaks(after, prominence=least, wlen=around)
+    rises = found["prominences"]
+    deep = deep_ones(rises) if peaks.size else np.zeros(0, dtype=np.bool_)
+    return peaks[deep] + start, rises[deep]
+
+
+def deep_ones(rises: FloatArray) -> BoolArray:
+    """Separate the rises of cycles from those of the mild oscillations between them.
+
+    Parameters
+    ----------
+    rises : ndarray of shape (n,)
+        How far the peaks stand out, at least one.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True for at least half of the deepest one's.
+    """
+    # The second deepest of many, so that one freak cycle does not set the scale.
+    scale = np.sort(rises)[-min(2, rises.size)]
+    return np.asarray(rises >= DEEP_SHARE * scale)
+
+
+def _swings(slow: Record, peaks: IntArray, start: int) -> FloatArray:
+    """Return by how much of its level before the surge the flow swings about each peak of P31."""
+    if start == 0:
+        # Nothing was before.
+        return np.full(peaks.size, np.inf)
+    flow = slow["Wc25_kg_s"]
+    edges = _troughs(slow["P31_Pa"], peaks, start)
+    inside = flow[: edges[-1]]
+    largest = np.maximum.reduceat(inside, edges[:-1])
+    least = np.minimum.reduceat(inside, edges[:-1])
+    return np.asarray((largest - least) / np.median(flow[:start]))
+
+
+def _troughs(pressure: FloatArray, peaks: IntArray, start: int) -> IntArray:
+    """Rows of least P31 before, between and after the peaks: one more than there are peaks."""
+    period = int(np.median(np.diff(peaks))) if peaks.size > 1 else pressure.size
+    first = max(start, int(peaks[0]) - period)
+    last = min(pressure.size, int(peaks[-1]) + period)
+    bounds = np.array([first, *peaks.tolist(), last])
+    lows = [
+        low + int(np.argmin(pressure[low:high]))
+        for low, high in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
+    ]
+    return np.array(lows)
+
+
+def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray) -> BoolArray:
+    lengths = np.diff(edges).astype(np.float64)
+    speeds = np.add.reduceat(record["Nc_frac"][: edges[-1]], edges[:-1]) / lengths
+    later = speeds[speeds.size // 2 :]
+    good = np.abs(rises / np.median(rises) - 1.0) <= RISE_SPREAD
+    good &= np.abs(lengths / np.median(np.diff(peaks)) - 1.0) <= PERIOD_SPREAD
+    good &= np.abs(speeds - np.median(later)) <= SPEED_SPREAD
+    return np.asarray(good)
+
+
+def _longest_run(good: BoolArray) -> tuple[int, int]:
+    """First and one past the last of the longest run of True."""
+    runs = intervals_where(good)
+    if runs.size == 0:
+        return 0, 0
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return int(first), int(last)
+
+
+def _too_few(record: Record, found: int, mild: int = 0) -> InputError:
+    beside = f" beside {mild} mild oscillations in stall" if mild else ""
+    return InputError(
+        f"{record.source}: P31",
+        expected=f"at least {MINIMUM_CYCLES} surge cycles that repeat each other",
+        found=f"{found}{beside}",
+        remedy="name the window in test.toml ([window] from_s, to_s) if there are more",
+    )

@@ -1,0 +1,212 @@
+"""Eq 1 to 4: from the pressures of a probe pair to flow, with the rule for reversed flow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from classic_ml.readers.test_description import Compressor
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
+
+__all__ = [
+    "LBM_KG",
+    "P_STANDARD_PA",
+    "T_STANDARD_K",
+    "calculated_mach",
+    "corrected_flow",
+    "corrected_from_physical",
+    "mach_from_corrected_flow",
+    "pair_flow",
+    "physical_flow",
+    "true_mach",
+]
+
+# US standard day, as the paper's corrected quantities use it, and the avoirdupois pound.
+P_STANDARD_PA = 101_325.0
+T_STANDARD_K = 288.15
+LBM_KG = 0.45359237
+
+# Newton's steps for the inverse of Eq 3; four are enough from the first guess below.
+MOST_STEPS = 60
+ARRIVED = 1e-16
+# At the choke the slope of Eq 3 is zero; a step must stay finite there.
+LEAST_SLOPE = 1e-6
+
+
+def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) -> FloatArray:
+    """Return the signed calculated Mach number of a probe pair.
+
+    Parameters
+    ----------
+    forward_Pa, aft_Pa : ndarray of shape (n,)
+        Pressures of the forward and the aft probe. In reversed flow the aft probe reads the
+        total pressure and the forward one the wake; the Mach number is then negative.
+    gamma : float
+        Ratio of the specific heats.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        M_calc = ±√{2/(γ−1) [(P_high/P_low)^((γ−1)/γ) − 1]}, Eq 1 with the reverse rule.
+    """
+    ratio = np.maximum(forward_Pa, aft_Pa) / np.minimum(forward_Pa, aft_Pa)
+    square = 2.0 / (gamma - 1.0) * (ratio ** ((gamma - 1.0) / gamma) - 1.0)
+    return np.asarray(np.sign(forward_Pa - aft_Pa) * np.sqrt(square))
+
+
+def true_mach(calculated: FloatArray, slope: float, offset: float) -> FloatArray:
+    """Return the signed true Mach number, M_true = ±(a |M_calc| + b) (Eq 2).
+
+    Parameters
+    ----------
+    calculated : ndarray of shape (n,)
+        Signed M_calc.
+    slope, offset : float
+        a and b of the pair, from its flow calibration; the same in reversed flow.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Signed M_true; zero where the probes read alike, since the sign is not known there.
+    """
+    magnitude = np.maximum(slope * np.abs(calculated) + offset, 0.0)
+    return np.asarray(np.sign(calculated) * magnitude)
+
+
+def corrected_flow(mach: FloatArray, area_m2: float, compressor: Compressor) -> FloatArray:
+    """Return the corrected flow for a Mach number, odd in it (Eq 3).
+
+    Parameters
+    ----------
+    mach : ndarray of shape (n,)
+        Signed true Mach number.
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        W_c = A P_o √(γ/(R T_o)) M / (1 + (γ−1)/2 M²)^((γ+1)/(2(γ−1))), in kg/s.
+    """
+    return _flow_constant_kg_s(area_m2, compressor) * mach / _expansion(mach, compressor.gamma)
+
+
+def pair_flow(
+    forward_Pa: FloatArray,
+    aft_Pa: FloatArray,
+    slope: float,
+    offset: float,
+    area_m2: float,
+    compressor: Compressor,
+) -> FloatArray:
+    """Return the corrected flow that a probe pair shows, Eq 1 to 3 one after the other.
+
+    Parameters
+    ----------
+    forward_Pa, aft_Pa : ndarray of shape (n,)
+        Absolute pressures.
+    slope, offset : float
+        a and b of Eq 2.
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Signed W_c, in kg/s.
+    """
+    calculated = calculated_mach(forward_Pa, aft_Pa, compressor.gamma)
+    return corrected_flow(true_mach(calculated, slope, offset), area_m2, compressor)
+
+
+def mach_from_corrected_flow(
+    corrected_kg_s: FloatArray, area_m2: float, compressor: Compressor
+) -> FloatArray:
+    """Invert Eq 3 on its subsonic branch, by Newton's method.
+
+    Parameters
+    ----------
+    corrected_kg_s : ndarray of shape (n,)
+        Signed corrected flow, in kg/s.
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Signed Mach number, |M| ≤ 1.
+
+    Raises
+    ------
+    InputError
+        When the flow is more than the area can pass.
+    """
+    gamma = compressor.gamma
+    constant_kg_s = _flow_constant_kg_s(area_m2, compressor)
+    share = np.abs(corrected_kg_s) / constant_kg_s
+    choked = float((2.0 / (gamma + 1.0)) ** _exponent(gamma))
+    largest = float(np.max(share, initial=0.0))
+    if largest > choked:
+        raise InputError(
+            "corrected flow",
+            expected=f"at most {choked * constant_kg_s:.4g} kg/s through {area_m2:g} m²",
+            found=f"{largest * constant_kg_s:.4g} kg/s",
+            remedy="check the area and the calibration of the probes",
+        )
+    # First guess: exact at rest and at the choke, with the slopes there, as a function of
+    # u = √(1 − share/choked), in which the choke is no singularity.
+    u = np.sqrt(np.maximum(1.0 - share / choked, 0.0))
+    linear = 1.0 - np.sqrt(0.5 * (gamma + 1.0))
+    mach = (1.0 - u) * (1.0 + u * (linear + u * (2.0 * choked - 1.0 - linear)))
+    for _ in range(MOST_STEPS):
+        expansion = _expansion(mach, gamma)
+        slope = (1.0 - mach**2) / (expansion * (1.0 + 0.5 * (gamma - 1.0) * mach**2))
+        slope = np.maximum(slope, LEAST_SLOPE)
+        step = (mach / expansion - share) / slope
+        mach = np.clip(mach - step, 0.0, 1.0)
+        # The square of a step over the slope bounds what it leaves.
+        if np.all(step**2 < ARRIVED * slope):
+            break
+    return np.asarray(np.copysign(mach, corrected_kg_s))
+
+
+def physical_flow(
+    corrected_kg_s: FloatArray, pressure_Pa: FloatArray, temperature_K: FloatArray
+) -> FloatArray:
+    """Return W = W_c (P/P_o) √(T_o/T), with total P and T of the plane (Eq 4)."""
+    return np.asarray(
+        corrected_kg_s * (pressure_Pa / P_STANDARD_PA) * np.sqrt(T_STANDARD_K / temperature_K)
+    )
+
+
+def corrected_from_physical(
+    flow_kg_s: FloatArray, pressure_Pa: FloatArray, temperature_K: FloatArray
+) -> FloatArray:
+    """Return W_c = W √θ/δ, the inverse of Eq 4."""
+    return np.asarray(
+        flow_kg_s * np.sqrt(temperature_K / T_STANDARD_K) / (pressure_Pa / P_STANDARD_PA)
+    )
+
+
+def _flow_constant_kg_s(area_m2: float, compressor: Compressor) -> float:
+    """Return A P_o √(γ/(R T_o)) of Eq 3 in kg/s: 416.86 for 1 m² of air."""
+    gas = compressor.gamma / (compressor.gas_constant_J_kg_K * T_STANDARD_K)
+    return float(area_m2 * P_STANDARD_PA * np.sqrt(gas))
+
+
+def _exponent(gamma: float) -> float:
+    return (gamma + 1.0) / (2.0 * (gamma - 1.0))
+
+
+def _expansion(mach: FloatArray, gamma: float) -> FloatArray:
+    """Return (1 + (γ−1)/2 M²)^((γ+1)/(2(γ−1))), whose exponent is 3 for γ = 1.4."""
+    base = 1.0 + 0.5 * (gamma - 1.0) * mach**2
+    exponent = _exponent(gamma)
+    # A product of three takes a tenth of the time of a power.
+    return np.asarray(base * base * base if abs(exponent - 3.0) < 1e-12 else base**exponent)

@@ -1,0 +1,196 @@
+"""Eq 1 to 4 against hand-worked numbers, their inverses, and the rule for reversed flow."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from classic_ml.columns.elementary import powers
+from classic_ml.flow_kernels import pair_flow, pair_total
+from raw_data import GAMMA, GAS, corrected, make_test
+
+from classic_ml.calibration import calibrate
+from classic_ml.flow import (
+    LBM_KG,
+    P_STANDARD_PA,
+    T_STANDARD_K,
+    calculated_mach,
+    corrected_flow,
+    corrected_from_physical,
+    mach_from_corrected_flow,
+    physical_flow,
+    reversed_above,
+    true_mach,
+)
+from classic_ml.planes import local_flows, plane_averages
+from classic_ml.readers.test_description import Compressor
+from classic_ml.records import Record
+from surge_core.errors import InputError
+
+AIR = Compressor(0.28, 10.7, 0.08, GAMMA, GAS)
+MACH = np.linspace(-0.95, 0.95, 381)
+
+
+def test_eq_3_has_the_constant_and_the_choke_of_air() -> None:
+    small = corrected_flow(np.array([1e-6]), 1.0, AIR)[0] / 1e-6
+    assert small == pytest.approx(416.86, abs=0.01)
+    choke_lbm_s_ft2 = corrected_flow(np.array([1.0]), 0.3048**2, AIR)[0] / LBM_KG
+    assert choke_lbm_s_ft2 == pytest.approx(49.4, abs=0.05)
+    np.testing.assert_allclose(corrected_flow(MACH, 0.3, AIR), corrected(MACH, 0.3), rtol=1e-12)
+
+
+def test_eq_3_and_its_inverse_are_the_identity() -> None:
+    back = mach_from_corrected_flow(corrected_flow(MACH, 0.2938, AIR), 0.2938, AIR)
+    np.testing.assert_allclose(back, MACH, atol=1e-12)
+    assert mach_from_corrected_flow(np.zeros(3), 0.2938, AIR) == pytest.approx(0.0, abs=0.0)
+
+
+@pytest.mark.parametrize("gamma", [1.3, 1.378, 1.4])
+def test_the_inverse_holds_up_to_the_choke_for_any_gas(gamma: float) -> None:
+    gas = dataclasses.replace(AIR, gamma=gamma)
+    mach = np.array([0.0, 1e-9, 0.5, 0.99, 1.0])
+    back = mach_from_corrected_flow(corrected_flow(mach, 0.1, gas) * (1 - 1e-15), 0.1, gas)
+    # Near the choke the flow hardly depends on the Mach number: 1e-15 of flow is 3e-8 of it.
+    np.testing.assert_allclose(back, mach, atol=1e-6)
+
+
+def test_more_flow_than_the_area_can_pass_is_refused() -> None:
+    with pytest.raises(InputError, match=r"at most 24\.12 kg/s through 0.1 m²"):
+        mach_from_corrected_flow(np.array([1.0, 30.0]), 0.1, AIR)
+
+
+def test_eq_4_and_the_corrected_flow_are_the_identity() -> None:
+    rng = np.random.default_rng(0)
+    flow, pressure, temperature = rng.uniform((-20, 2e4, 200), (50, 2e6, 900), (100, 3)).T
+    corrected_kg_s = corrected_from_physical(flow, pressure, temperature)
+    np.testing.assert_allclose(
+        physical_flow(corrected_kg_s, pressure, temperature), flow, rtol=1e-14
+    )
+    standard = physical_flow(flow, np.full(100, P_STANDARD_PA), np.full(100, T_STANDARD_K))
+    np.testing.assert_allclose(standard, flow, rtol=1e-15)
+
+
+def test_eq_1_returns_the_mach_number_of_an_isentropic_pair() -> None:
+    static = np.full(MACH.size, 1e5)
+    total = static * (1 + 0.2 * MACH**2) ** 3.5
+    forward, aft = np.where(MACH > 0, total, static), np.where(MACH > 0, static, total)
+    np.testing.assert_allclose(calculated_mach(forward, aft, GAMMA), MACH, atol=1e-7)
+
+
+def test_swapping_the_probes_reverses_the_flow_and_nothing_else() -> None:
+    rng = np.random.default_rng(1)
+    forward, aft = rng.uniform(9e4, 1.1e5, (2, 50))
+    one, other = calculated_mach(forward, aft, GAMMA), calculated_mach(aft, forward, GAMMA)
+    np.testing.assert_array_equal(one, -other)
+    np.testing.assert_array_equal(true_mach(one, 1.1, 0.012), -true_mach(other, 1.1, 0.012))
+
+
+def test_eq_2_adds_the_offset_away_from_zero_and_none_at_zero() -> None:
+    got = true_mach(np.array([-0.2, 0.0, 0.2]), 1.1, 0.012)
+    np.testing.assert_allclose(got, [-0.232, 0.0, 0.232], atol=1e-15)
+    # A negative offset must not turn a slow forward flow into a reversed one.
+    assert true_mach(np.array([0.005]), 1.0, -0.01)[0] == 0.0
+
+
+@pytest.mark.parametrize("gamma", [1.2, 1.378, 1.4])
+def test_the_compiled_pair_is_the_three_equations_one_after_another(gamma: float) -> None:
+    rng = np.random.default_rng(2)
+    forward, aft = rng.uniform(5e4, 2e5, (2, 2000))
+    aft[:50] = forward[:50]
+    # Near no flow, where Eq 1 is a difference of nearly equal numbers.
+    aft[50:500] = forward[50:500] * (1.0 + 1e-5 * rng.standard_normal(450))
+    gas = dataclasses.replace(AIR, gamma=gamma)
+    for slope, offset in ((1.1, 0.012), (1.0, -0.05)):
+        calculated = calculated_mach(forward, aft, gamma)
+        expected = corrected_flow(true_mach(calculated, slope, offset), 0.3, gas)
+        flow, total = np.empty(2000), np.empty(2000)
+        constant = corrected_flow(np.array([1e-9]), 0.3, gas)[0] / 1e-9
+        above = reversed_above(slope, offset, gamma)
+        counts = pair_flow(forward, aft, gamma, slope, offset, constant, above, flow, total)
+        assert counts == (np.count_nonzero(expected < 0.0), 0)
+        np.testing.assert_array_equal(total, np.maximum(forward, aft))
+        alone = np.empty(2000)
+        assert pair_total(forward, aft, above, alone) == counts
+        np.testing.assert_array_equal(alone, total)
+        # The power is near 1: its last bits, 2^-52 each, are bits of M² times 2/(γ−1).
+        moved = 2.0 / (gamma - 1.0) * 2.0**-52 / np.maximum(np.abs(calculated), 1e-8)
+        error = 1e-14 * np.abs(expected) + slope * constant * moved
+        assert np.all(np.abs(flow - expected) <= error)
+        fast = np.abs(calculated) > 0.3
+        np.testing.assert_allclose(flow[fast], expected[fast], rtol=1e-14)
+
+
+def test_the_compiled_pair_hands_on_what_is_no_number() -> None:
+    values = np.array([1e5, np.nan, 1e5, np.inf])
+    flow, total = np.empty(4), np.empty(4)
+    pair_flow(values, np.array([9e4, 9e4, np.nan, 9e4]), 1.4, 1.1, 0.012, 30.0, 1.0, flow, total)
+    np.testing.assert_array_equal(np.isnan(flow), [False, True, True, True])
+
+
+def test_the_inverse_of_a_row_does_not_depend_on_the_other_rows() -> None:
+    flow = corrected_flow(np.append(MACH, [0.999999, 1e-12]), 0.2938, AIR)
+    together = mach_from_corrected_flow(flow, 0.2938, AIR)
+    alone = [mach_from_corrected_flow(flow[k : k + 1], 0.2938, AIR)[0] for k in range(flow.size)]
+    np.testing.assert_array_equal(together, alone)
+    assert mach_from_corrected_flow(flow[7], 0.2938, AIR) == together[7]
+
+
+@pytest.mark.parametrize("exponent", [1.0 / 3.5, 3.0, 2.9999999999999996, -0.7])
+def test_powers_are_right_to_the_last_bits(exponent: float) -> None:
+    base = np.exp(np.random.default_rng(3).uniform(-1.2, 1.2, 5000))
+    exact = base.astype(np.longdouble) ** np.longdouble(exponent)
+    error = np.abs(np.asarray(powers(base, exponent) / exact - 1.0, dtype=float))
+    assert error.max() < 3e-16 * max(1.0, 1.2 * abs(exponent))
+    assert powers(np.array([1.0]), exponent)[0] == 1.0
+
+
+def averages(probes: str = "all", drop: tuple[str, ...] = ()) -> tuple[Record, Record]:
+    """Local flows and plane averages of a small test in pascal and kelvin, given as they are."""
+    record, test = make_test(seconds=0.6, quantise=False).load()
+    record = calibrate(record, test)
+    local = local_flows(record.after(record.history[-1], drop=drop), test)
+    return local, plane_averages(local, test, probes)
+
+
+def test_plane_averages_are_the_plain_mean_of_the_four_pairs() -> None:
+    local, plane = averages()
+    four = [local[f"Wc25_{rake}_{place}_kg_s"] for rake in "AB" for place in ("tip", "hub")]
+    np.testing.assert_allclose(plane["Wc25_kg_s"], np.mean(four, axis=0), rtol=1e-12)
+    np.testing.assert_allclose(plane["Wc25_tip_kg_s"], np.mean(four[::2], axis=0), rtol=1e-12)
+    np.testing.assert_allclose(
+        plane["W25_kg_s"],
+        physical_flow(plane["Wc25_kg_s"], plane["P25_Pa"], plane["T25_K"]),
+        rtol=1e-14,
+    )
+
+
+def test_tip_and_hub_averages_differ_as_the_flows_do() -> None:
+    _, tip = averages("tip")
+    _, hub = averages("hub")
+    np.testing.assert_array_equal(tip["Wc25_kg_s"], tip["Wc25_tip_kg_s"])
+    in_stall = slice(450, 600)
+    difference = hub["Wc25_kg_s"][in_stall] - tip["Wc25_kg_s"][in_stall]
+    assert np.median(difference) / LBM_KG == pytest.approx(16.0, abs=1.0)
+
+
+def test_a_missing_tip_pair_does_not_tilt_the_mean_to_the_hub() -> None:
+    _, whole = averages()
+    _, part = averages(drop=("P25_A_tip_forward", "P25_A_tip_aft"))
+    np.testing.assert_allclose(part["Wc25_kg_s"], whole["Wc25_kg_s"], atol=0.02)
+
+
+def test_an_immersion_without_a_pair_is_refused() -> None:
+    gone = tuple(f"P25_{rake}_tip_{facing}" for rake in "AB" for facing in ("forward", "aft"))
+    with pytest.raises(
+        InputError, match="plane 25: expected at least one usable probe pair at tip"
+    ):
+        averages(drop=gone)
+
+
+def test_a_plane_without_a_thermocouple() -> None:
+    _, plane = averages(drop=("T31_A", "T31_B"))
+    assert "W31_kg_s" not in plane
+    assert "Wc31_kg_s" in plane
+    with pytest.raises(InputError, match="plane 25: expected at least one thermocouple"):
+        averages(drop=("T25_A", "T25_B"))
