@@ -27,7 +27,7 @@ __all__ = ["LagFit", "Newton", "fit_lag", "newton", "without_blocks"]
 
 # A first-order lag looks much the same over a factor of three in τ. The equations' sum of squares
 # is a parabola in a and b, so that there a search ends at its one minimum from anywhere.
-SCAN_POINTS = 10
+SCAN_POINTS = 8
 FEW_SCAN_POINTS = 5
 SCAN_ROWS = 4_000
 # A search is brought to its end on this share of a long record before the first pass over all.
@@ -40,9 +40,9 @@ MAXIMUM_ITERATIONS = 200
 COARSE_DECREMENT = 1e-4
 # One standard error short of the minimum says which of several minima is the lower.
 CHOICE_DECREMENT = 1.0
-# A step of 1e-4 standard errors changes nothing that is ever printed; of 1e-7 no test.
+# A step of 1e-4 standard errors changes nothing that is ever printed; of 1e-6 no test.
 NEWTON_DECREMENT = 1e-8
-FINE_DECREMENT = 1e-14
+FINE_DECREMENT = 1e-12
 LONG_RECORD = 200_000
 # Of the cost: smaller differences between two passes are rounding.
 BLIND = 1e-11
@@ -343,10 +343,14 @@ def _is_enough(data: LagData) -> bool:
 def _shapes(data: LagData) -> list[FloatArray]:
     """Return the shapes from which to search: armax starts from arx and from output error."""
     if data.is_output_error or data.order == 0:
-        return [np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(data)]
+        points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
+        return [np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(data, points)]
     plain = replace(data, noise="arx", order=0)
-    shapes = [np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(plain)]
-    for pair in _pairs(replace(data, noise="output-error", order=0)):
+    shapes = [
+        np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(plain, FEW_SCAN_POINTS)
+    ]
+    free_run = replace(data, noise="output-error", order=0)
+    for pair in _pairs(free_run, FEW_SCAN_POINTS):
         # Output error is armax with C = A: the other end of the family.
         c = np.zeros(data.order)
         c[0] = -data.lag(pair[0], 0.0).a
@@ -354,10 +358,9 @@ def _shapes(data: LagData) -> list[FloatArray]:
     return shapes
 
 
-def _pairs(data: LagData) -> list[FloatArray]:
+def _pairs(data: LagData, points: int) -> list[FloatArray]:
     """Scan log τ, and the dead time where it is fitted; several dead times may be worth a try."""
     low, high = data.log_tau_bounds
-    points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
     grid = np.linspace(low + np.log(10.0), high, points)
     held = data.held_log_tau
     if held is not None:

@@ -440,7 +440,11 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
 
     def _fit_basis(self, X: FloatArray) -> FloatArray:
         self.basis_ = polynomial_basis(self.degree) if self.basis is None else clone(self.basis)
-        terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
+        if self.basis is None and X.shape[1] == 1:
+            self.basis_.fit(X[:1])
+            terms = np.vander(X[:, 0], self.degree + 1, increasing=True)
+        else:
+            terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
         if terms.ndim != 2 or terms.shape[0] != X.shape[0] or not np.all(np.isfinite(terms)):
             raise InputError(
                 "basis", expected="a finite table with one row a sample", found=f"{terms.shape}"

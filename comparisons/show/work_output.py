@@ -71,7 +71,7 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
     low, high = fit.valid_phi
     if not math.isfinite(fit.time_constant_s):
         return (
-            f"ψ_QS and τ are not stated: {fit.n_cycles} cycles, {fit.n_scored} rows. "
+            f"ψ_QS is not stated, nor τ: {fit.n_cycles} cycles, {fit.n_scored} rows. "
             f"{fit.fit_state.advice}\n{fit.entry.did}"
         )
     lines = [
