@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from classic_ml.noise_models import NoiseKind
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.segments import scored_pieces
+from surge_core.segments import scored_pieces, with_known_inputs
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Drift", "LagData", "Piece", "Terms", "drift_of_runs", "nearly_orthogonal", "rows_late"]
+__all__ = [
+    "Drift",
+    "LagData",
+    "Piece",
+    "Terms",
+    "drift_of_runs",
+    "lag_data",
+    "nearly_orthogonal",
+    "rows_late",
+]
 
 # A knot every other row leaves nothing for the lag to explain.
 FEWEST_ROWS_A_KNOT = 4
@@ -22,6 +31,10 @@ FEWEST_ROWS_A_KNOT = 4
 MILD = 1e-8
 # Values of the hats that are kept as a plain table: 16 MB.
 MOST_DENSE = 2_000_000
+# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
+MOST_DEAD_SAMPLES = 250
+MOST_OF_A_RUN = 0.1
+MOST_OF_A_GIVEN_RUN = 0.5
 
 
 @dataclass(frozen=True)
@@ -342,3 +355,91 @@ class LagData:
             runs=tuple(runs),
             drift=None if self.drift is None else replace(self.drift, hats=self.drift.hats[:end]),
         )
+
+
+class LagSettings(Protocol):
+    """Parameters of :class:`classic_ml.LagRegressor` that make the model."""
+
+    sample_period_s: float
+    noise: NoiseKind
+    drift: Literal["spline"] | None
+    hold: Hold
+    noise_order: int
+    knot_spacing_s: float
+    exact_start: bool
+    time_constant_s: float | None
+    dead_time_s: float | Literal["fit"]
+
+
+def lag_data(
+    settings: LagSettings,
+    y: FloatArray,
+    terms: FloatArray,
+    weight: FloatArray,
+    runs: list[slice],
+    about: float | None = None,
+) -> LagData:
+    """Set up the fit.
+
+    Parameters
+    ----------
+    settings : LagSettings
+        The model, its parameters checked.
+    y : ndarray of shape (n,)
+        ψ' as measured.
+    terms : ndarray of shape (n, r)
+        The terms of the characteristic.
+    weight : ndarray of shape (n,)
+        Weight of each row.
+    runs : list of slice
+        The segments.
+    about : float, optional
+        The dead time in samples, where it is roughly known.
+
+    Raises
+    ------
+    InputError
+        When the dead time or the drift's knots do not suit the segments.
+    """
+    period, held = float(settings.sample_period_s), settings.time_constant_s
+    dead, longest = _dead_samples(settings, runs, about)
+    if longest > 0.0:
+        weight = with_known_inputs(weight, runs, rows_late(longest))
+    drift = None
+    if settings.drift is not None:
+        drift = drift_of_runs(runs, period, settings.knot_spacing_s)
+    return LagData(
+        y,
+        terms,
+        weight,
+        tuple(runs),
+        period,
+        settings.hold,
+        settings.noise,
+        settings.noise_order if settings.noise == "armax" else 0,
+        bool(settings.exact_start),
+        None if held is None else float(np.log(held)),
+        dead,
+        longest,
+        settings.dead_time_s == "fit",
+        drift,
+    )
+
+
+def _dead_samples(
+    settings: LagSettings, runs: list[slice], about: float | None
+) -> tuple[float, float]:
+    """Return the dead time to start from and the longest that is tried, in samples."""
+    period = float(settings.sample_period_s)
+    shortest = min(run.stop - run.start for run in runs)
+    if settings.dead_time_s == "fit":
+        longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
+        return (0.0, longest) if about is None else (about, min(longest, about + 1.0))
+    dead = float(settings.dead_time_s) / period
+    if dead > MOST_OF_A_GIVEN_RUN * shortest:
+        raise InputError(
+            "dead_time_s",
+            expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
+            found=f"{settings.dead_time_s:g}",
+        )
+    return dead, dead

@@ -13,7 +13,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
-from classic_ml.lag_data import LagData, Terms, drift_of_runs, nearly_orthogonal, rows_late
+from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal, rows_late
 from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.linearised import LinearisedFit, linearised, linearised_static
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
@@ -30,10 +30,6 @@ __all__ = ["LagRegressor"]
 
 # Of the size of ψ': a smaller range is rounding, and there is no response to read a lag from.
 NO_RESPONSE = 1e-12
-# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
-MOST_DEAD_SAMPLES = 250
-MOST_OF_A_RUN = 0.1
-MOST_OF_A_GIVEN_RUN = 0.5
 
 
 class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
@@ -181,7 +177,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         runs = self._runs(segments, y.size)
         terms = self._fit_basis(X)
         combined = nearly_orthogonal(terms)
-        data = self._data(y, combined.columns, weight, runs)
+        data = lag_data(self, y, combined.columns, weight, runs)
         if data.scored.size <= data.n_parameters(terms.shape[1]):
             self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
             return self
@@ -191,7 +187,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         fit = fit_lag(data, combined)
         if self.dead_time_s == "fit":
             # Now that it is known within a sample, few rows need to be left unscored for it.
-            data = self._data(y, combined.columns, weight, runs, float(fit.shape[1]))
+            data = lag_data(self, y, combined.columns, weight, runs, float(fit.shape[1]))
             fit = fit_lag(data, combined, fit)
         self._store(fit, data, combined)
         return self
@@ -250,12 +246,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
 
         Parameters
         ----------
-        X : array-like of shape (n, n_features)
-            Inputs; rows in time order.
-        y : array-like of shape (n,)
-            ψ' as measured.
-        segments : array-like of int, shape (n,), optional
-            Labels as in :meth:`fit`.
+        X, y, segments
+            As in :meth:`fit`.
 
         Returns
         -------
@@ -319,21 +311,16 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
 
         Parameters
         ----------
-        X : array-like of shape (n, n_features)
-            Inputs; rows in time order.
-        y : array-like of shape (n,)
-            ψ' as measured.
-        segments : array-like of int, shape (n,), optional
-            Labels as in :meth:`fit`.
-        sample_weight : array-like of shape (n,), optional
-            Weight of each row.
+        X, y, segments, sample_weight
+            As in :meth:`fit`.
         """
         return float(r2_score(y, self.predict(X, segments), sample_weight=sample_weight))
 
     def equation(self) -> str:
         """Return the fitted model as one line with units."""
         check_is_fitted(self)
-        parts = [f"{value:+.4g}" + factor(name) for name, value in self._named()]
+        named = zip(self.terms_, self.coef_.tolist(), strict=True)
+        parts = [f"{value:+.4g}" + factor(name) for name, value in named]
         right = " ".join(parts).removeprefix("+")
         if np.isnan(self.time_constant_s_):
             return f"y = {right}"
@@ -370,7 +357,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         dead = self.dead_time_s_ / float(self.sample_period_s)
         if self._n_late:
             weight = with_known_inputs(weight, runs, self._n_late)
-        data = self._data(y, terms.columns, weight, runs, dead)
+        data = lag_data(self, y, terms.columns, weight, runs, dead)
         free = MovingAverage.from_coefficients(self.moving_average_).free
         shape = np.concatenate([[np.log(self.time_constant_s_), dead], free])
         return linearised(replace(data, weight=weight, exact_start=False), terms, shape, beta)
@@ -398,9 +385,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         ]
         return Sheet("LagRegressor", tuple(fields), (characteristic_grid(self),))
 
-    def _named(self) -> list[tuple[str, float]]:
-        return list(zip(self.terms_, self.coef_.tolist(), strict=True))
-
     def __sklearn_tags__(self) -> Any:
         """Declare what scikit-learn's checks should know."""
         tags = super().__sklearn_tags__()
@@ -418,9 +402,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         whole_number("noise_order", self.noise_order, 0, MAXIMUM_ORDER)
         if self.time_constant_s is not None:
             positive("time_constant_s", self.time_constant_s)
-        self._check_dead_time()
-
-    def _check_dead_time(self) -> None:
         value = self.dead_time_s
         if isinstance(value, str) and value == "fit":
             return
@@ -457,60 +438,12 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return np.asarray(self.basis_.transform(X), dtype=np.float64)
 
     def _lag(self) -> FirstOrderLag:
-        return FirstOrderLag(
-            self.time_constant_s_, float(self.sample_period_s), self.hold, self.dead_time_s_
-        )
+        period = float(self.sample_period_s)
+        return FirstOrderLag(self.time_constant_s_, period, self.hold, self.dead_time_s_)
 
     def _runs(self, segments: ArrayLike | None, n_rows: int) -> list[slice]:
         runs = runs_of(segments, n_rows)
         return [slice(0, n_rows)] if self.link_segments else runs
-
-    def _data(
-        self,
-        y: FloatArray,
-        terms: FloatArray,
-        weight: FloatArray,
-        runs: list[slice],
-        about: float | None = None,
-    ) -> LagData:
-        """Set up the fit, ``about`` being the dead time in samples where it is roughly known."""
-        period = float(self.sample_period_s)
-        dead, longest = self._dead_samples(runs, about)
-        if longest > 0.0:
-            weight = with_known_inputs(weight, runs, rows_late(longest))
-        spline = self.drift is not None
-        return LagData(
-            y,
-            terms,
-            weight,
-            tuple(runs),
-            period,
-            self.hold,
-            self.noise,
-            self.noise_order if self.noise == "armax" else 0,
-            bool(self.exact_start),
-            None if self.time_constant_s is None else float(np.log(self.time_constant_s)),
-            dead,
-            longest,
-            self.dead_time_s == "fit",
-            drift_of_runs(runs, period, self.knot_spacing_s) if spline else None,
-        )
-
-    def _dead_samples(self, runs: list[slice], about: float | None) -> tuple[float, float]:
-        """Return the dead time to start from and the longest that is tried, in samples."""
-        period = float(self.sample_period_s)
-        shortest = min(run.stop - run.start for run in runs)
-        if self.dead_time_s == "fit":
-            longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
-            return (0.0, longest) if about is None else (about, min(longest, about + 1.0))
-        dead = float(self.dead_time_s) / period
-        if dead > MOST_OF_A_GIVEN_RUN * shortest:
-            raise InputError(
-                "dead_time_s",
-                expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
-                found=f"{self.dead_time_s:g}",
-            )
-        return dead, dead
 
     def _store(self, fit: LagFit, data: LagData, terms: Terms) -> None:
         tau_s, period = float(np.exp(fit.shape[0])), float(self.sample_period_s)
