@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from classic_ml.readers.test_description import (
@@ -62,7 +64,11 @@ def pressure_from_counts(
     zero_V = float(volts(channel.zero_count, adc))
     calibrate_V = float(volts(channel.calibrate_count, adc))
     sensitivity_V_Pa = (calibrate_V - zero_V) / channel.calibrate_pressure_Pa
-    return np.asarray((volts(counts, adc) - zero_V) / sensitivity_V_Pa + channel.zoc_reference_Pa)
+    pressure_Pa = volts(counts, adc) - zero_V
+    # In place: of long records it is new memory that takes the time.
+    pressure_Pa /= sensitivity_V_Pa
+    pressure_Pa += channel.zoc_reference_Pa
+    return np.asarray(pressure_Pa)
 
 
 def probe_pressure_Pa(
@@ -84,7 +90,9 @@ def probe_pressure_Pa(
     return pressure_from_counts(channel, test.adc, readings)
 
 
-def calibrate(record: Record, test: TestDescription) -> Record:
+def calibrate(
+    record: Record, test: TestDescription, shifts: Mapping[str, float] | None = None
+) -> Record:
     """Turn counts into pascal and indicated into total temperatures.
 
     Parameters
@@ -93,6 +101,8 @@ def calibrate(record: Record, test: TestDescription) -> Record:
         Counts or Pa, and kelvin, as read.
     test : TestDescription
         Calibration of each channel.
+    shifts : mapping of str to float, optional
+        What is added to each channel besides, in Pa and K, from :func:`near_stall_match`.
 
     Returns
     -------
@@ -101,14 +111,19 @@ def calibrate(record: Record, test: TestDescription) -> Record:
     """
     _check_units(record, test)
     in_counts = [probe for probe in test.pressures if probe.record_unit == "count"]
-    added = [
-        Channel.adopt(probe.name, pressure_from_counts(probe, test.adc, record[probe.name]), "Pa")
-        for probe in in_counts
-    ]
-    added += [
-        Channel.adopt(couple.name, record[couple.name] / couple.recovery_factor, "K")
-        for couple in test.temperatures
-    ]
+    added = []
+    for probe in test.pressures:
+        shift = 0.0 if shifts is None else shifts.get(probe.name, 0.0)
+        if probe in in_counts:
+            pressure_Pa = pressure_from_counts(probe, test.adc, record[probe.name])
+            pressure_Pa += shift
+            added.append(Channel.adopt(probe.name, pressure_Pa, "Pa"))
+        elif shift != 0.0:
+            added.append(Channel.adopt(probe.name, record[probe.name] + shift, "Pa"))
+    for couple in test.temperatures:
+        total_K = record[couple.name] / couple.recovery_factor
+        total_K += 0.0 if shifts is None else shifts.get(couple.name, 0.0)
+        added.append(Channel.adopt(couple.name, total_K, "K"))
     ways = []
     if in_counts:
         ways.append(f"{len(in_counts)} pressures from counts by their zero and calibrate readings")

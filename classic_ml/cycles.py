@@ -30,6 +30,8 @@ __all__ = [
 CYCLE_BAND_HZ = 30.0
 # A cycle fills and empties the plenum: P31 rises by at least this share of its mean.
 LEAST_SWING = 0.15
+# What it rises above is looked for so far around it, which is many of the slowest cycles.
+SURROUNDINGS_S = 60.0
 # Between deep cycles the machine may oscillate mildly in stall; a cycle has at least this share
 # of the deepest one's rise.
 DEEP_SHARE = 0.5
@@ -110,7 +112,7 @@ def find_cycles(record: Record) -> SurgeCycles:
     """
     slow = _slow(record, "Wc25_kg_s", "P31_Pa")
     start, pressure = _first_negative(slow), slow["P31_Pa"]
-    peaks, rises = _deep_peaks(pressure, start)
+    peaks, rises = _deep_peaks(pressure, start, record.sample_rate_hz)
     if peaks.size == 0:
         raise InputError(
             f"{record.source}: P31",
@@ -206,9 +208,13 @@ def _first_negative(record: Record) -> int:
     )
 
 
-def _deep_peaks(pressure: FloatArray, start: int) -> tuple[IntArray, FloatArray]:
+def _deep_peaks(
+    pressure: FloatArray, start: int, sample_rate_hz: float
+) -> tuple[IntArray, FloatArray]:
     after = pressure[start:]
-    peaks, found = find_peaks(after, prominence=LEAST_SWING * float(np.median(after)))
+    least = LEAST_SWING * float(np.median(after))
+    around = max(3, round(SURROUNDINGS_S * sample_rate_hz))
+    peaks, found = find_peaks(after, prominence=least, wlen=around)
     rises = found["prominences"]
     deep = deep_ones(rises) if peaks.size else np.zeros(0, dtype=np.bool_)
     return peaks[deep] + start, rises[deep]

@@ -84,7 +84,10 @@ def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
     """
     if known.all() or not known.any():
         return values
-    rows = np.arange(values.size)
+    gaps = intervals_where(~known)
+    beside = np.concatenate([gaps[:, 0] - 1, gaps[:, 1]])
+    beside = np.unique(beside[(beside >= 0) & (beside < values.size)])
+    unknown = np.flatnonzero(~known)
     out = np.array(values)
-    out[~known] = np.interp(rows[~known], rows[known], values[known])
+    out[unknown] = np.interp(unknown, beside, values[beside])
     return out

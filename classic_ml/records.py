@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -232,9 +233,9 @@ class Record(Displayed):
             Rows of the record, an empty slice where there are none.
         """
         half = 0.5 * self.sample_period_s
-        time_s = self.time_s
-        first = int(np.searchsorted(time_s, from_s - half, side="left"))
-        stop = int(np.searchsorted(time_s, to_s + half, side="right"))
+        rows = range(self.n_samples)
+        first = bisect_left(rows, from_s - half, key=self.time_at_s)
+        stop = bisect_right(rows, to_s + half, key=self.time_at_s)
         return slice(first, max(first, stop))
 
     def part(self, rows: slice) -> Record:

@@ -11,8 +11,8 @@ from classic_ml.calibration import (
     calibrate,
     check_facing,
     invert_thermocouples,
-    match_near_stall,
     near_stall_match,
+    near_stall_rows,
 )
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
 from classic_ml.cycles import FEW_CYCLES, cycles_within, find_cycles
@@ -184,7 +184,8 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
         When :func:`reduce_record` would refuse the reading.
     """
     inspected = inspect_readings(record, test, whole=True)
-    shifts, _ = near_stall_match(calibrate(inspected, test), test)
+    steady = calibrate(inspected.part(near_stall_rows(inspected, test)), test)
+    shifts, _ = near_stall_match(steady, test)
     sound = choose_channels(_matched(inspected, test, "pair"), test, slice(0, 0))
     forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
     named = [*forward, *(couple.name for couple in test.temperatures)]
@@ -197,11 +198,12 @@ def _unreported(_: int) -> None:
 
 def _matched(inspected: Record, test: TestDescription, match: str) -> Record:
     """Calibrate, check how the probes face, match near stall, and check the flow there."""
-    calibrated = calibrate(inspected, test)
+    steady = inspected
     if not test.near_stall_shifts:
-        check_facing(calibrated, test)
-    shifts, _ = near_stall_match(calibrated, test, match)
-    matched = match_near_stall(calibrated, test, match)
+        steady = calibrate(inspected.part(near_stall_rows(inspected, test)), test)
+        check_facing(steady, test)
+    shifts, entry = near_stall_match(steady, test, match)
+    matched = calibrate(inspected, test, shifts).after(entry)
     return matched.after(check_near_stall(matched, test, shifts))
 
 

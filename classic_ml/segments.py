@@ -343,7 +343,7 @@ def _regime_flags(
 
 
 def _recovers(record: Record, window: slice) -> bool:
-    """Return whether the flow comes back, for 20 ms or more, to a good part of that before surge."""
+    """Return whether the flow comes back, for 20 ms, to a good part of that before surge."""
     shortest = round(SHORTEST_S * record.sample_rate_hz)
     flow, reversal = record["Wc25_kg_s"], first_reversal(record)
     if reversal < shortest:

@@ -1,4 +1,4 @@
-"""The candidate terms of a fit, and which of them its data can tell apart."""
+"""The candidate terms of a fit, and which of them its data can separate."""
 
 from __future__ import annotations
 
@@ -104,18 +104,7 @@ class CandidateTerms:
         return plain
 
     def with_hinges(self, extra: Sequence[tuple[int, float]]) -> CandidateTerms:
-        """Return a library with further hinges behind its terms of the inputs.
-
-        Parameters
-        ----------
-        extra : sequence of (int, float)
-            Input and knot of each.
-
-        Returns
-        -------
-        CandidateTerms
-            The longer library; they take the place of such added before.
-        """
+        """Return a library with further hinges behind its terms of the inputs."""
         longer = copy.copy(self)
         longer._extra = tuple(extra)
         return longer
@@ -138,8 +127,6 @@ class CandidateTerms:
             ψ' at the same rows; needed for the terms that hold it.
         wanted : sequence of int or None
             Positions of the terms, rising; None takes all, without ψ' all that do not hold it.
-        strict : bool
-            Refuse values that are not finite.
 
         Returns
         -------
@@ -177,13 +164,6 @@ def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[
     ----------
     values : ndarray of shape (n_rows, n_terms)
         The terms over the data.
-    tolerance : float
-        Least share of a column's norm that must be new.
-
-    Returns
-    -------
-    ndarray of int
-        Indices of the columns kept.
     """
     norms = np.linalg.norm(values, axis=0)
     # The triangular factor holds all inner products in as many rows as there are terms.
@@ -211,16 +191,6 @@ def aliases_of(values: FloatArray, kept: NDArray[np.intp], names: Sequence[str])
     ----------
     values : ndarray of shape (n_rows, n_terms)
         The terms over the data.
-    kept : ndarray of int
-        Columns from `independent_columns`.
-    names : sequence of str
-        Names of the terms.
-
-    Returns
-    -------
-    dict of str to str
-        Name of each term left out, and the sum of others that it is on this data ("0" for a term
-        that is zero on every row), e.g. ``{"phi |phi|": "phi^2 - 2 phi^2[phi<0]"}``.
     """
     found = {}
     for j in range(values.shape[1]):

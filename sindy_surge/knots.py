@@ -11,9 +11,9 @@ import numpy as np
 from sindy_surge.lag_equations import Point
 from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.selection import information_penalty
-from sindy_surge.sparse_paths import Support, beam_search, support_chi2
+from sindy_surge.sparse_paths import beam_search
 from surge_core.types import FloatArray
 
 __all__ = ["MovedKnot", "knot_columns", "moved_knots", "with_hinges"]
@@ -61,15 +61,6 @@ def moved_knots(
     pays for each twice, for the term and for its knot. The best one is fitted by itself while
     its knots move.
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The best structure on the grid.
-    required : tuple of int
-        Terms that every structure holds.
-
     Returns
     -------
     tuple of MovedKnot
@@ -90,8 +81,7 @@ def moved_knots(
     best = _best(linear, own, new, penalty, tuple(place[i] for i in required))
     if best is None:
         return ()
-    weights = np.abs(np.linalg.lstsq(linear.columns[:, list(best)], linear.target)[0])
-    weights = weights / linear.norms[list(best)]
+    weights = np.abs(linear.coefficients(best))
     back = {position: i for i, position in place.items()}
     terms = [
         _Term(None if i in new else back[i], fine[i - first] if i in new else None, float(weight))
@@ -166,22 +156,7 @@ def _fine_grid(problem: LagProblem) -> list[Hinge]:
 
 
 def with_hinges(problem: LagProblem, hinges: Sequence[Hinge]) -> tuple[LagProblem, dict[int, int]]:
-    """Widen the library of a problem by hinges.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    hinges : sequence of (int, float)
-        Input and knot of each.
-
-    Returns
-    -------
-    wide : LagProblem
-        With the hinges behind its terms of the inputs; they take the place of such added before.
-    place : dict of int to int
-        New position of every usable term.
-    """
+    """Widen the library of a problem by hinges."""
     terms = problem.terms.with_hinges(hinges)
     edge, n_new = problem.terms.n_without_state, len(hinges)
     grown = terms.n_without_state - edge
@@ -205,7 +180,7 @@ def _best(
 ) -> Support | None:
     """Return the best structure with at most two free knots, if it beats `own`."""
     variance = linear.variance
-    limit = support_chi2(linear, own) / variance + penalty * len(own)
+    limit = linear.chi2(own) / variance + penalty * len(own)
     best: Support | None = None
     for size, ranked in beam_search(linear, _LARGEST, _WIDTH, required).items():
         for chi2, support in ranked[:_LOOKED_AT]:
@@ -267,15 +242,6 @@ def _round_within(value: float, stderr: float) -> float:
 
 def knot_columns(problem: LagProblem, fit: StructureFit, knots: Sequence[MovedKnot]) -> FloatArray:
     """Return the whitened derivatives of a fit with respect to its moved knots.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data; the hinges are the last of its terms of the inputs.
-    fit : StructureFit
-        The fit.
-    knots : sequence of MovedKnot
-        All hinges that were added to the library.
 
     Returns
     -------

@@ -7,8 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from sindy_surge.covariance import sandwich
-from sindy_surge.cycles import surge_period_s
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -20,10 +18,12 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
-from sindy_surge.sparse_paths import Support, beam_search
-from sindy_surge.weak_form import WeakLag, compensated_lag, weak_lag
-from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
+from sindy_surge.segments import surge_period_s
+from sindy_surge.sparse_paths import beam_search
+from sindy_surge.uncertainty import sandwich
+from sindy_surge.weak import WeakLag, compensated_lag, weak_lag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -76,17 +76,8 @@ def prepare(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data; its noise levels and dead time are replaced.
     dead_time : float, "fit" or "auto"
         The dead time in seconds, or whether to fit it: always, or where it shows.
-    required : tuple of int
-        Terms that must not be dropped, however many there are.
-
-    Returns
-    -------
-    Prepared
-        With noise levels, and their colour if the whitened residual has any.
     """
     given = 0.0 if isinstance(dead_time, str) else float(dead_time)
     problem = problem.with_dead_time(given, False)
@@ -143,18 +134,11 @@ def _weak(problem: LagProblem) -> WeakLag | None:
 
 
 def _surge_period_s(problem: LagProblem) -> float | None:
-    return surge_period_s(problem.inputs, problem.segments, problem.sample_period_s)
+    return surge_period_s(problem.inputs[:, 0], problem.segments, problem.sample_period_s)
 
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     """Estimate τ of a structure in the weak form: forward, reverse, and with the noise taken off.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data, with noise levels and dead time.
-    support : tuple of int
-        Positions of the terms; those with ψ' are left out, for the weak form has no simulated ψ'.
 
     Returns
     -------

@@ -121,7 +121,7 @@ class FirstOrderLag:
         r, a, rest = self.ratio, self.a, 1.0 - late
         e = float(np.exp(-r * rest))
         begun = -float(np.expm1(-r * rest))
-        ended = -a * float(np.expm1(r * late)) if late > 0.0 else 0.0
+        ended = e * float(np.expm1(-r * late))
         if self.hold == "zero":
             return np.array(
                 [

@@ -204,7 +204,7 @@ def _bridged(record: Record, name: str, kinds: int) -> Channel | None:
     if marks is None or not np.any(marks & kinds):
         return None
     channel = record.channel(name)
-    return replace(channel, values=bridged(channel.values, marks & kinds == 0))
+    return Channel.adopt(name, bridged(channel.values, marks & kinds == 0), channel.unit)
 
 
 def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Finding]:

@@ -1,15 +1,19 @@
 """Readings cut off at an end of a channel's own range, whatever its unit.
 
 A transducer, an amplifier or the software behind it holds what is beyond its range at the last
-value that it can give. In a channel of a physical unit nothing states where that is, but it shows:
+value that it can give. In a channel of a physical unit nothing states where that is, but it shows.
 
-- readings stand bit-equal at the channel's own extreme, two or more in a row;
-- they arrive there and leave at full speed, many steps of the resolution away, as those around
-  the peak of a smooth signal do not: one that stays within a step of its peak for L rows is no more
-  than five steps below it another (L - 1)/2 rows away;
-- hardly any lie a few steps short of the extreme, where a slow or a noisy signal has most;
-- and the channel stands still like that nowhere else, as one does that is held, interpolated or
-  coarse.
+Where the noise is larger than the resolution, readings pile up bit-equal at the extreme: the tail
+of a noisy signal has fewer readings there than just short of it, not many times more.
+
+Where it is smaller, a slow signal stands still at its own peak too. One that is cut off stands
+there two rows or more, and
+
+- arrives and leaves at full speed, many steps of the resolution away, as readings around the peak
+  of a smooth signal do not: one that stays within a step of its peak for L rows is no more than five
+  steps below it another (L - 1)/2 rows away;
+- has hardly any readings a few steps short of the extreme, where a slow signal has most;
+- and stands still like that nowhere else, as one does that is held, interpolated or coarse.
 """
 
 from __future__ import annotations
@@ -28,11 +32,16 @@ __all__ = ["RangeEnd", "range_ends"]
 LEAST_ROWS, LEAST_PLATEAUS, LONG_ROWS = 6, 2, 3
 # A single plateau as long as that is one, too: an overload at the inception of surge.
 LONG_PLATEAU_ROWS = 8
+# Bit-equal readings at the extreme for each of the eight steps short of it; and how differently the
+# signal gets there, which one that repeats itself exactly does not.
+PILE, WAYS, WAYS_OF_SINGLE_ROWS = 4.0, 3, 12
 # On either side of a plateau so many rows are looked at.
 REACH = 4
 # In steps of the resolution, and half a one, so that no rounding decides: readings within the
 # first are near the extreme; by the second a plateau is arrived at and left.
 NEAR_STEPS, RISE_STEPS = 8.5, 5.5
+# Steps of the resolution that the second difference usually has, beyond which a channel is noisy.
+NOISY_STEPS = 2.5
 # A jump of so many times what the four rows before it moved is a dropout, or the step of a channel
 # that is held.
 LEAP = 2.0
@@ -89,19 +98,39 @@ def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
             continue
         steps = np.abs(np.diff(values))
         step = float(np.min(steps[steps > 0.0]))
+        near = int(np.count_nonzero(np.abs(values - level) <= NEAR_STEPS * step)) - rows
         runs = intervals_where(at)
-        runs = runs[runs[:, 1] - runs[:, 0] >= 2]
-        runs = runs[_cut_off(values, runs, step)]
-        lengths = runs[:, 1] - runs[:, 0]
-        if lengths.sum() < LEAST_ROWS or not (
-            (runs.shape[0] >= LEAST_PLATEAUS and np.any(lengths >= LONG_ROWS))
-            or np.any(lengths >= LONG_PLATEAU_ROWS)
-        ):
-            continue
-        near = np.count_nonzero(np.abs(values - level) <= NEAR_STEPS * step) - rows
-        if rows > near and _plateaus_elsewhere(values, step) <= ELSEWHERE * runs.shape[0]:
+        noisy = float(np.median(np.abs(np.diff(values, n=2)))) > NOISY_STEPS * step
+        is_cut_off = _piled_up if noisy else _plateaus
+        if is_cut_off(values, runs, step, near):
             found.append(RangeEnd(level, upper, rows))
     return tuple(found)
+
+
+def _piled_up(values: FloatArray, runs: IntArray, step: float, near: int) -> bool:
+    """Return whether so many readings stand at the extreme of a noisy signal by no chance."""
+    lengths = runs[:, 1] - runs[:, 0]
+    if PILE * near / NEAR_STEPS > lengths.sum():
+        return False
+    inner = (runs[:, 0] > 0) & (runs[:, 1] < values.size)
+    before, behind = values[runs[inner, 0] - 1], values[runs[inner, 1]]
+    ways = np.unique(before + 1j * behind).size
+    longest = int(lengths.max())
+    fewest = WAYS if longest > 1 else WAYS_OF_SINGLE_ROWS
+    return longest >= LONG_PLATEAU_ROWS or ways >= fewest
+
+
+def _plateaus(values: FloatArray, runs: IntArray, step: float, near: int) -> bool:
+    """Return whether a signal of little noise is cut off where it stands at its extreme."""
+    if near >= np.sum(runs[:, 1] - runs[:, 0]):
+        return False
+    runs = runs[runs[:, 1] - runs[:, 0] >= 2]
+    runs = runs[_cut_off(values, runs, step)]
+    lengths = runs[:, 1] - runs[:, 0]
+    several = len(runs) >= LEAST_PLATEAUS and np.any(lengths >= LONG_ROWS)
+    if lengths.sum() < LEAST_ROWS or not (several or np.any(lengths >= LONG_PLATEAU_ROWS)):
+        return False
+    return _plateaus_elsewhere(values, step) <= ELSEWHERE * len(runs)
 
 
 def _plateaus_elsewhere(values: FloatArray, step: float) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = ["spike_rows"]
 
@@ -39,60 +39,47 @@ def spike_rows(
     dict of str to ndarray of int
         Rows, of those channels that have some.
     """
-    candidates = {name: _candidates(values, ranges[name]) for name, values in channels.items()}
+    off = {name: _off_neighbours(values) / ranges[name] for name, values in channels.items()}
     found = {}
-    for name, rows in candidates.items():
-        others = [(values, ranges[n]) for n, values in channels.items() if n != name]
-        kept = rows[~_seen(rows, _off(channels[name], rows) / ranges[name], others)]
-        if kept.size:
-            found[name] = kept
+    for name, own in off.items():
+        rows = np.flatnonzero(own[MARGIN : own.size - MARGIN] > SHARE) + MARGIN
+        for shift in range(-2, 3):
+            # On a steep slope the rows beside a spike stand out a little too.
+            rows = rows[own[rows] > 0.5 * own[rows + shift]]
+        rows = _standing_out(own, rows, RATIO)
+        others = [other for n, other in off.items() if n != name]
+        rows = rows[~_seen(rows, own, others)]
+        if rows.size:
+            found[name] = rows
     return found
 
 
-def _candidates(values: FloatArray, width: float) -> IntArray:
-    """Return the rows of a channel that stand out of those around them."""
-    # A reading that is off the median of five is off one of its two neighbours.
-    edges = np.flatnonzero(np.abs(np.diff(values)) > SHARE * width)
-    rows = np.union1d(edges, edges + 1)
-    rows = rows[(rows >= MARGIN) & (rows < values.size - MARGIN)]
-    off = _off(values, rows) / width
-    rows, off = rows[off > SHARE], off[off > SHARE]
-    # On a steep slope the rows beside a spike stand out a little too.
-    beside = _largest_off(values, rows, np.arange(-2, 3)) / width
-    rows, off = rows[off > 0.5 * beside], off[off > 0.5 * beside]
-    return rows[off > RATIO * np.maximum(LEAST, _around(values, rows, width))]
+def _off_neighbours(values: FloatArray) -> FloatArray:
+    """Return how far each reading is off the median of itself and two on either side."""
+    off = np.zeros(values.size)
+    first, second, own, fourth, fifth = (values[k : values.size - 4 + k] for k in range(5))
+    # The least and the largest of the four are on either side of the median of all five.
+    one = np.maximum(np.minimum(first, second), np.minimum(fourth, fifth))
+    other = np.minimum(np.maximum(first, second), np.maximum(fourth, fifth))
+    median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
+    off[2:-2] = np.abs(own - median)
+    return off
 
 
-def _seen(
-    rows: IntArray, off: FloatArray, others: Sequence[tuple[FloatArray, float]]
-) -> np.ndarray:
-    """Return at which rows another channel stands out, too."""
+def _standing_out(off: FloatArray, rows: IntArray, ratio: float) -> IntArray:
+    """Return the rows that are off by so many times what those before and behind are at most."""
+    for shift in range(GAP, GAP + REACH):
+        for beside in (shift, -shift):
+            rows = rows[off[rows] > ratio * np.maximum(LEAST, off[rows + beside])]
+    return rows
+
+
+def _seen(rows: IntArray, own: FloatArray, others: Sequence[FloatArray]) -> BoolArray:
+    """Return at which rows another channel stands out at once, if less."""
     seen = np.zeros(rows.size, dtype=np.bool_)
-    for values, width in others:
+    for other in others:
         for shift in range(-2, 3):
             at = rows + shift
-            other = _off(values, at) / width
-            apart = other > QUIET_RATIO * np.maximum(LEAST, _around(values, at, width))
-            seen |= (other > SEEN_SHARE * off) & apart
+            shown = at[other[at] > SEEN_SHARE * own[rows]]
+            seen |= np.isin(at, _standing_out(other, shown, QUIET_RATIO))
     return seen
-
-
-def _around(values: FloatArray, rows: IntArray, width: float) -> FloatArray:
-    """Return by how much a channel is off its neighbours for some rows before and behind."""
-    away = np.arange(GAP, GAP + REACH)
-    return _largest_off(values, rows, np.concatenate([-away, away])) / width
-
-
-def _largest_off(values: FloatArray, rows: IntArray, shifts: IntArray) -> FloatArray:
-    """Return the largest distance from the neighbours among rows beside some."""
-    largest = np.zeros(rows.size)
-    for shift in shifts:
-        np.maximum(largest, _off(values, rows + shift), out=largest)
-    return largest
-
-
-def _off(values: FloatArray, rows: IntArray) -> FloatArray:
-    """Return how far readings are off the median of themselves and two on either side."""
-    inside = (rows >= 2) & (rows < values.size - 2)
-    five = values[np.clip(rows[:, None] + np.arange(-2, 3), 0, values.size - 1)]
-    return np.where(inside, np.abs(five[:, 2] - np.median(five, axis=1)), 0.0)

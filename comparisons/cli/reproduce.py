@@ -14,13 +14,21 @@ from surge_core.files import check_apart, check_target, write_whole
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
-    from comparisons.paper.claims_base import Claim
-    from comparisons.paper.figures_common import PaperFigure
+    from comparisons.paper.claim import Claim
+    from comparisons.paper.figures import PaperFigure
     from comparisons.show.report import ReportSection
 
-__all__ = ["claims_sections", "command_line", "reproduce", "show_progress", "write_claims_report"]
+__all__ = ["claims_sections", "command_line", "reproduce", "show_progress"]
 
 HTML = (".html", ".htm")
+ABOUT = (
+    "Four surge tests and one of steady rotating stall were simulated on a rig whose truth is "
+    "known, read from their raw counts and reduced and fitted the paper's way: Butterworth "
+    "filter of order 3 at 48 Hz on the pressures, run once; 50 lbm/s between the regimes; "
+    "maximum likelihood with a moving average and zero-order hold. A claim of the kind “built in” "
+    "reads back how the rig was made, “conformance” says that the code does as the paper says it "
+    "did, and “tested” could have come out otherwise. What does not hold is printed as such."
+)
 
 
 def reproduce(
@@ -40,7 +48,7 @@ def reproduce(
     json_path : path, optional
         Where the rows go as JSON.
     report : path, optional
-        Where the HTML report with the counterparts of the paper's figures goes.
+        Where the HTML report with its pictures goes.
     progress : callable
         Wraps iterations, to show how far they are.
     command : str
@@ -61,50 +69,25 @@ def reproduce(
         check_target(path, suffixes)
     check_apart([], [path for path, _ in wanted])
 
-    from comparisons.paper.claims import check_claims, claims_json, claims_table
+    from comparisons.paper.claim import claims_json, claims_table
+    from comparisons.paper.claims import check_claims
     from comparisons.paper.instabilities import run_instabilities
 
     runs = run_instabilities(seed, progress)
     claims = check_claims(runs, progress)
-    said = [claims_table(claims)]
+    lines = [claims_table(claims)]
     if json_path is not None:
         rows = json.dumps(claims_json(claims), indent=1, allow_nan=False, ensure_ascii=False)
         write_whole(json_path, rows + "\n")
-        said.append(f"numbers: {json_path}")
+        lines.append(f"numbers: {json_path}")
     if report is not None:
         from comparisons.paper.figures import draw_figures
+        from comparisons.show.report import write_report
 
-        write_claims_report(report, claims, draw_figures(runs), command, progress)
-        said.append(f"report: {report}")
-    return "\n".join(said)
-
-
-def write_claims_report(
-    path: Path,
-    claims: Sequence[Claim],
-    figures: Sequence[PaperFigure],
-    command: str,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> None:
-    """Write claims and figures as one HTML page.
-
-    Parameters
-    ----------
-    path : path
-        Target, ending in ``.html``.
-    claims : sequence of Claim
-        Checked claims.
-    figures : sequence of PaperFigure
-        Counterparts of the paper's figures.
-    command : str
-        The command line that made it.
-    progress : callable
-        Wraps the iteration over the figures, to show how far it is.
-    """
-    from comparisons.show.report import write_report
-
-    sections = claims_sections(claims, figures, progress)
-    write_report(path, sections, title="The paper, claim by claim", command=command)
+        sections = claims_sections(claims, draw_figures(runs), progress)
+        write_report(report, sections, title="The paper, claim by claim", command=command)
+        lines.append(f"report: {report}")
+    return "\n".join(lines)
 
 
 def claims_sections(
@@ -112,7 +95,7 @@ def claims_sections(
     figures: Sequence[PaperFigure],
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> tuple[ReportSection, ...]:
-    """Return the sections of the page: the claims, and the figures where there are any.
+    """Return the sections of the page: the claims and the pictures.
 
     Parameters
     ----------
@@ -123,26 +106,15 @@ def claims_sections(
     progress : callable
         Wraps the iteration over the figures, to show how far it is.
     """
-    from comparisons.paper.claims import claims_block
+    from comparisons.paper.claim import claims_block
     from comparisons.show.report import Part, Picture, ReportSection, Words
 
-    about = Words(
-        "Four surge tests and one of steady rotating stall were simulated on a rig whose truth is "
-        "known, read from their raw counts and reduced and fitted the paper's way: Butterworth "
-        "filter of order 3 at 48 Hz on the pressures, run once; 50 lbm/s between the regimes; "
-        "maximum likelihood with a moving average and zero-order hold. A claim about the rig's own "
-        "sensors or machine is tested on these. What does not hold is printed as such.",
-        "quiet",
-    )
-    table = ReportSection("Claims", extra=(Part("Table", (about, claims_block(claims))),))
+    table = Part("Table", (Words(ABOUT, "quiet"), claims_block(claims)))
     pictures = tuple(
-        Part(
-            f"Figure {f.number}: {f.title}",
-            (Picture.of(f.title, f.figure, f.caption, f"In the paper: “{f.paper_caption}”"),),
-        )
+        Part(f.title, (Picture.of(f.title, f.figure, f.caption, f.counterpart),))
         for f in progress(figures)
     )
-    return (table, ReportSection("Figures", extra=pictures)) if pictures else (table,)
+    return ReportSection("Claims", extra=(table,)), ReportSection("Figures", extra=pictures)
 
 
 def show_progress(items: Iterable[Any]) -> Iterable[Any]:

@@ -96,6 +96,8 @@ def fit_sparse_whole_runs(
         When a series lacks the unfiltered columns.
     """
     from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+    from sindy_surge.free_run_equations import FreeRunEquations
+    from sindy_surge.segments import Segments
     from sindy_surge.sparse_run import select_on_free_run
 
     check_rates(records)
@@ -111,17 +113,20 @@ def fit_sparse_whole_runs(
     inputs, psi_p, weight, runs = stacked_rows(rows)
     n_terms = len(library.names)
     kept = moving_columns(inputs, n_terms)
-    found = select_on_free_run(
+    equations = FreeRunEquations(
         inputs[:, :n_terms],
-        library.names,
-        [polynomial_degree(name, ["phi"]) for name in library.names],
         inputs[:, kept[n_terms:]],
         psi_p,
         weight,
-        runs,
-        np.concatenate([row.cycle for row in rows]),
+        Segments.from_labels(runs, psi_p.size),
         records[0].sample_period_s,
-        hold=hold,
+        hold,
+    )
+    found = select_on_free_run(
+        equations,
+        library.names,
+        [polynomial_degree(name, ["phi"]) for name in library.names],
+        np.concatenate([row.cycle for row in rows]),
         optimizer=optimizer,
         max_terms=max_terms,
         common_tau_share=COMMON_TAU_SHARE,

@@ -17,8 +17,8 @@ from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
-    from sindy_surge.equations import EquationParts
     from sindy_surge.summary import ModelSummary
+    from sindy_surge.text import EquationParts
     from surge_core.types import FloatArray
 
 __all__ = ["FoundStructure", "find_structure"]
@@ -96,7 +96,7 @@ class FoundStructure:
     @property
     def parts(self) -> EquationParts:
         """The equation with its errors; of a refused fit without terms."""
-        from sindy_surge.equations import EquationParts
+        from sindy_surge.text import EquationParts
 
         fit = self.fit
         dead_stderr = getattr(fit, "dead_time_stderr_s_", 0.0)
@@ -115,9 +115,9 @@ class FoundStructure:
     @property
     def summary(self) -> ModelSummary:
         """All fields and tables of the fit."""
-        from sindy_surge.equations import pretty_term
         from sindy_surge.summary import ModelSummary
         from surge_core.fit_state import FitState
+        from surge_core.terms import pretty_term
 
         fit, known = self.fit, self.inclusion
         rows = self.fitted_to == "rows"
@@ -148,27 +148,25 @@ class FoundStructure:
             "python" gives the source of a function that returns ψ'_QS.
         """
         if style != "python":
-            from sindy_surge.equations import write_equation
+            from sindy_surge.text import write_equation
 
             return write_equation(self.parts, style)
         if self.fitted_to == "rows":
             return str(self.fit.equation("python"))
         from sindy_surge.candidate_terms import CandidateTerms
-        from sindy_surge.export import SelectedTerms, python_source
+        from sindy_surge.export import python_source
 
         # The library that the whole runs were fitted with, over the φ that they were scored at.
         library = CandidateTerms(None, self.phi[:, None], ["phi"])
-        columns = tuple(library.names.index(term) for term in self.fit.terms_)
+        columns = [library.names.index(term) for term in self.fit.terms_]
         ends = np.array([[self.phi.min()], [self.phi.max()]])
-        return python_source(self.parts, SelectedTerms(library, columns), ends)
+        return python_source(self.parts, lambda phi, _: library(phi)[:, columns], ends)
 
     def _repr_html_(self) -> str:
         if self.refused:
             code, advice = self.state
             return Sheet("No structure", (Field("state", f"{code}: {advice}", "advice"),)).html()
-        from sindy_surge.display import html_summary
-
-        return html_summary(self.summary)
+        return self.summary.sheet().html()
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""

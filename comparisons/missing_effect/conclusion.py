@@ -46,7 +46,7 @@ def concluded(
     Parameters
     ----------
     verdict : str
-        One of the seven; a name whose effect is not told from none makes it provisional.
+        One of the seven; a name whose effect is not distinguished from none makes it provisional.
     base, final : Bench
         The model before and after, on the same rows.
     sets : mapping of str to sequence of Candidate

@@ -94,7 +94,7 @@ class Effect:
     searched : float
         How many independent trials that search is worth.
     needs : str
-        Signal without which it cannot be told; empty for none.
+        Signal without which it cannot be detected; empty for none.
     on_tau : str
         What the time constant suffers when the effect is left out.
     confirm : str
@@ -143,7 +143,7 @@ class Effect:
         return tuple(i for i, p in enumerate(self.nonlinear) if p.kind == "free")
 
     def missing_channel(self, data: LagData) -> str | None:
-        """Return why the effect cannot be told from these records, or None.
+        """Return why the effect cannot be separated from these records, or None.
 
         Parameters
         ----------

@@ -164,14 +164,14 @@ class ExtendedLag(Displayed):
         """Reconstruct ψ' of a record from its φ; nothing is refitted.
 
         Each segment of at least 15 rows is one free run. A ripple is left out: its phase differs
-        from one stall episode to the next, and in another record nobody knows it.
+        from one stall episode to the next, and in another record it is unknown.
 
         Parameters
         ----------
         record : CoefficientSeries
             Of any length; its segments, temperature, speed and clock need not be those of the fit.
         labels : array-like of int, shape (n,), optional
-            Starts anew from the measured ψ' wherever these change within a segment.
+            Starts again from the measured ψ' wherever these change within a segment.
         start : {"measured", "rest"}
             Whether a run starts from the first measured ψ' of its segment, or from the quasi-steady
             value ten rows before it. A lag of second order reads its two numbers from the first

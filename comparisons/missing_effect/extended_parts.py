@@ -26,7 +26,7 @@ __all__ = [
     "n_powers",
 ]
 
-# Three effects beside one lag are as many as records of one test have ever told apart.
+# Three effects beside one lag are as many as records of one test have ever separated.
 MOST_EFFECTS = 3
 REVERSE, SHAPE = "reverse_flow_branch", "characteristic_shape"
 REFERENCES = ("mean_amplitude", "mean_amplitude_as_is", "mean_speed", "clock_zero_s")

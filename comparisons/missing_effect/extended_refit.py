@@ -96,7 +96,7 @@ def refitted(
         if missing is not None:
             raise InputError(
                 ", ".join(data.sources),
-                expected=f"records in which {added.name} can be told",
+                expected=f"records in which {added.name} can be detected",
                 found=f"some without: it {missing}",
             )
     plain = Metric(model.noise_sigma)
@@ -135,7 +135,7 @@ def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) ->
     if not probe.starts:
         raise InputError(
             ", ".join(data.sources),
-            expected=f"records in which {added.name} can be told",
+            expected=f"records in which {added.name} can be detected",
             found="none of the rows that it acts on",
         )
     starts = [np.concatenate([fit.nonlinear, start]) for start in probe.starts]

@@ -161,7 +161,7 @@ def model_equation(fit: Fit) -> str:
     fit : Fit
         The model.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     text = "τ dψ'/dt + ψ' ="
     for name, value in zip(fit.structure.terms, fit.coefficients, strict=False):

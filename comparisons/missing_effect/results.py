@@ -55,10 +55,10 @@ class MissingEffect:
     effect : str
         First name.
     alias_set : tuple of str
-        The names that these data cannot tell apart, the first among them.
+        The names that these data cannot separate, the first among them.
     provisional : bool
         True where the model still leaves structure in its errors, or where what the effect does
-        is not told from nothing: then the name stands for something that may be another.
+        is not distinguished from nothing: then the name stands for something that may be another.
     parameters : tuple of FittedParameter
         Its numbers.
     evidence : mapping

@@ -135,6 +135,11 @@ class EstimatorResult:
         return self.state == "converged"
 
     @property
+    def states_curve(self) -> bool:
+        """Whether its characteristic may be read; else it is written as null."""
+        return self.state not in ("rank_deficient", "blowdown")
+
+    @property
     def on_rows(self) -> bool:
         """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
         return self.whole_run is None and self.extended is None

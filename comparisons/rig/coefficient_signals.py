@@ -235,7 +235,7 @@ def slow_amplitude(flow: FlowSignal, first_s: float, last_s: float) -> CubicSpli
     Notes
     -----
     φ is known before and after the interval, so that neither the analytic signal nor the filter
-    feels an edge; whoever has the record alone can do no better than approach this.
+    feels an edge; from the record alone this can only be approached.
     """
     lead_s = _AMPLITUDE_LEAD_CYCLES / flow.surge_hz
     rate_hz = _POINTS_PER_CYCLE * flow.surge_hz

@@ -2,7 +2,7 @@
 
 The truth is τ dψ'/dt + ψ' = ψ'_QS(φ) with none, one or two physical effects at their ports. φ is a
 formula in time, so that ψ' is simulated on its own fine grid and only then sampled: what is left of
-a perfect model is noise alone, and the error of whoever simulates at the sample rate is his own.
+a perfect model is noise alone, and an error of a simulation at the sample rate is its own.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class CoefficientTest:
     records : tuple of CoefficientRecord
         The records, in the order of the facility clock.
     tau_s : float
-        True time constant, in seconds, as the design reports it for each effect.
+        True time constant, in seconds, as it is to be reported for each effect.
     beta : tuple of float
         Coefficients of ψ'_QS in plain powers of φ, from the constant on.
     effects : mapping of str to mapping of str to float

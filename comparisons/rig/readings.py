@@ -34,7 +34,7 @@ __all__ = [
 
 
 # Nominal ranges ±10 psi (plane 25) and ±110 psi (plane 31) over ±5 V; calibrate pressures 6 and
-# 66 psi: section 5 and the independent record.
+# 66 psi: as in the independent record.
 _RANGE_PA = {25: 10.0 * PSI_PA, 31: 110.0 * PSI_PA}
 CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
 # Facility readings average this long before the throttle closes, as in the independent record.

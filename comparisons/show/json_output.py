@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from typing import Any
+
+import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.results import Comparison, EstimatorResult
@@ -69,7 +72,8 @@ def _body(comparison: Comparison) -> dict[str, Any]:
 
 def _estimator(result: EstimatorResult) -> dict[str, Any]:
     model = result.model
-    phi, value, stderr = (list(column) for column in zip(*model.table, strict=True))
+    phi, psi_p, stderr = np.asarray(model.table).T
+    known = 1.0 if result.states_curve else math.nan
     fit_state = {"code": result.state, "advice": result.advice}
     return {
         "label": result.label,
@@ -80,15 +84,15 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         },
         "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": [
-            {"name": name, "coefficient": coefficient, "stderr": error}
+            {"name": name, "coefficient": known * coefficient, "stderr": error}
             for name, coefficient, error in zip(
                 model.terms, model.coefficients, model.stderr, strict=True
             )
         ],
         "characteristic": {
-            "phi": phi,
-            "psi_p" if model.target == "psi_p" else "psi": value,
-            "stderr": stderr,
+            "phi": phi.tolist(),
+            model.target: (known * psi_p).tolist(),
+            "stderr": stderr.tolist(),
         },
         "valid_phi": list(model.valid_phi),
         "hold": model.hold,

@@ -41,14 +41,12 @@ def structure_text(found: FoundStructure, *, latex: bool = False) -> str:
     latex : bool
         Add the equation as LaTeX, on a line of its own.
     """
-    from sindy_surge.display import text_summary
-
     lines = _wrapped(opening_words(found))
     if found.refused:
         code, advice = found.state
         return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
     summary = found.summary
-    lines += ["", text_summary(replace(summary, path=()))]
+    lines += ["", replace(summary, path=()).sheet().text()]
     lines += _wrapped(left_out_words(found))
     if summary.path:
         lines += ["", *_path_lines(summary)]
@@ -65,7 +63,7 @@ def opening_words(found: FoundStructure) -> str:
     found : FoundStructure
         The structure.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     names = ", ".join(Path(record.source).name for record in found.records)
     return f"{pretty_term(found.target)} of {names}: {found.phi.size} rows; {found.reason}"
@@ -83,7 +81,7 @@ def left_out_words(found: FoundStructure) -> str:
     found : FoundStructure
         The structure.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     known = found.inclusion
     if not known:
@@ -108,9 +106,7 @@ def _why_no_inclusion(found: FoundStructure) -> str:
 
 def _path_lines(summary: ModelSummary) -> list[str]:
     """Tabulate the structures by size, the terms last, where they can wrap."""
-    from sindy_surge.summary import summary_tables
-
-    table = summary_tables(summary)[1]
+    table = summary.sheet().grids[1]
     order = [i for i, head in enumerate(table.header) if head not in ("chosen", "terms")]
     words = table.header.index("terms")
     grid = [table.header, *table.rows]

@@ -84,16 +84,14 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
 
 def _summary(found: FoundStructure) -> tuple[Block, ...]:
     """Return the fields and tables that a terminal and a notebook show of the fit."""
-    from sindy_surge.summary import summary_fields, summary_tables
-
-    summary = found.summary
+    sheet = found.summary.sheet()
     fields = Table(
-        summary.name,
+        sheet.title,
         (Head("quantity"), Head("value", prose=True)),
         # A ledger has a line for each of its entries.
         tuple(
             (field.label if number == 0 else "", line)
-            for field in summary_fields(summary)
+            for field in sheet.fields
             for number, line in enumerate(field.lines)
         ),
     )
@@ -107,14 +105,14 @@ def _summary(found: FoundStructure) -> tuple[Block, ...]:
             table.rows,
             tuple("best" if row == table.marked else "" for row in range(len(table.rows))),
         )
-        for table in summary_tables(summary)
+        for table in sheet.grids
     )
     return (fields, *tables)
 
 
 def _curve_picture(found: FoundStructure) -> Picture:
     """Draw the characteristic with its band over the measured points and the histogram of φ."""
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     phi, value, stderr = found.curve()
     figure = new_figure(height_in=6.0)
@@ -153,7 +151,7 @@ def _curve_picture(found: FoundStructure) -> Picture:
 
 def _inclusion_picture(found: FoundStructure) -> Picture:
     """Draw the inclusion probabilities as bars, the chosen terms in colour."""
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     chosen = set(found.fit.terms_)
     known = sorted(found.inclusion.items(), key=lambda pair: -pair[1])
@@ -190,7 +188,7 @@ def _path_picture(found: FoundStructure) -> Picture:
     scored about the fit with all terms and of those about their own. A panel without a finite
     value is left out.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     path = found.fit.path_
     held_out = [row for row in path if math.isfinite(row.held_out_rms)]

@@ -15,7 +15,7 @@ from numba import njit
 
 from surge_core.types import FloatArray
 
-__all__ = ["Constants", "Inlet", "integrate", "latches", "observe", "orifice"]
+__all__ = ["Constants", "integrate", "latches", "observe", "orifice"]
 
 
 # Positions in the state vector and, behind it, in an output row; `model` names them.
@@ -82,7 +82,6 @@ class Constants(NamedTuple):
     exchange: float
     reverse_heat: float
     face_volume: float
-    face_measured: bool
     throttle: float
     exhaust: float
     ambient: float
@@ -99,27 +98,6 @@ class Constants(NamedTuple):
     gamma: float
     gas: float
     heat: float
-
-
-class Inlet(NamedTuple):
-    """T25 over time, which may drive the model in place of its own face temperature."""
-
-    begin: float
-    step: float
-    values: FloatArray
-
-
-@_compile
-def _t25(inlet: Inlet, time: float) -> float:
-    """Return T25 at a time, by straight lines; the first and last value hold beyond."""
-    x = (time - inlet.begin) / inlet.step
-    last = inlet.values.size - 1
-    if x <= 0.0:
-        return float(inlet.values[0])
-    if x >= last:
-        return float(inlet.values[last])
-    i = int(x)
-    return float(inlet.values[i] + (x - i) * (inlet.values[i + 1] - inlet.values[i]))
 
 
 @_compile
@@ -198,12 +176,9 @@ def _blend(c: Constants, latch: FloatArray, time: float) -> float:
 
 @_compile
 def _rates(
-    c: Constants, inlet: Inlet, time: float, s: FloatArray, latch: FloatArray, d: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
+    c: Constants, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
+) -> None:
     """Fill in the state's rates and the output row."""
-    if c.face_measured:
-        s[T_FACE] = _t25(inlet, time)
     t25 = s[T_FACE]
     q = _blend(c, latch, time)
     # Momentum of the inlet duct and of the compressor, one flow through both.
@@ -311,24 +286,24 @@ def _switch(
 
 @_compile
 def _step(
-    c: Constants, inlet: Inlet, time: float, h: float, s: FloatArray, latch: FloatArray,
-    work: FloatArray, row: FloatArray,
+    c: Constants, time: float, h: float, s: FloatArray, latch: FloatArray, work: FloatArray,
+    row: FloatArray,
 ) -> None:  # fmt: skip
     """Advance the state by one classical Runge-Kutta step whose first rates are in ``work[0]``."""
     k1, k2, k3, k4, trial = work[0], work[1], work[2], work[3], work[4]
     trial[:] = s + 0.5 * h * k1
-    _rates(c, inlet, time + 0.5 * h, trial, latch, k2, row)
+    _rates(c, time + 0.5 * h, trial, latch, k2, row)
     trial[:] = s + 0.5 * h * k2
-    _rates(c, inlet, time + 0.5 * h, trial, latch, k3, row)
+    _rates(c, time + 0.5 * h, trial, latch, k3, row)
     trial[:] = s + h * k3
-    _rates(c, inlet, time + h, trial, latch, k4, row)
+    _rates(c, time + h, trial, latch, k4, row)
     s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
 @_compile
 def integrate(
-    c: Constants, inlet: Inlet, state: FloatArray, begin_latch: FloatArray, begin: float,
-    first: float, n_rows: int, row_s: float, substeps: int, forced: FloatArray,
+    c: Constants, state: FloatArray, begin_latch: FloatArray, begin: float, first: float,
+    n_rows: int, row_s: float, substeps: int, forced: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Integrate from ``begin`` and return one row at ``first`` and each ``row_s`` after it.
 
@@ -354,19 +329,21 @@ def integrate(
                 # A switch inside the row is written to the latch of the next one.
                 after = time >= forced[i + 1, SINCE] and forced[i + 1, SINCE] > first
                 latch[:] = forced[i + 1] if after else forced[i]
-            _rates(c, inlet, time, s, latch, work[0], row)
+            _rates(c, time, s, latch, work[0], row)
             if not np.isnan(phi) and forced.shape[0] == 0:
                 new = row[PHI]
                 if _switch(c, latch, s[T_FACE], phi, new, time, last_h):
-                    _rates(c, inlet, time, s, latch, work[0], row)
+                    _rates(c, time, s, latch, work[0], row)
             phi, last_h = row[PHI], h
             if i < n_rows - 1:
-                _step(c, inlet, time, h, s, latch, work, scratch)
+                _step(c, time, h, s, latch, work, scratch)
     return rows
 
 
 @_compile
-def latches(c: Constants, inlet: Inlet, phi: FloatArray, first: float, row_s: float) -> FloatArray:
+def latches(
+    c: Constants, phi: FloatArray, t25: FloatArray, first: float, row_s: float
+) -> FloatArray:
     """Return the latch of each row of a measured φ, in stall from the surge start on."""
     out = np.empty((phi.size, 4))
     latch = np.zeros(4)
@@ -378,19 +355,19 @@ def latches(c: Constants, inlet: Inlet, phi: FloatArray, first: float, row_s: fl
             begun = True
             latch[STALLED], latch[ARMED], latch[SINCE], latch[FROM] = 1.0, 0.0, c.start, 0.0
         elif begun:
-            _switch(c, latch, _t25(inlet, time), phi[i - 1], phi[i], time, row_s)
+            _switch(c, latch, t25[i], phi[i - 1], phi[i], time, row_s)
         out[i] = latch
     return out
 
 
 @_compile
 def observe(
-    c: Constants, inlet: Inlet, measured: FloatArray, latch: FloatArray, first: float,
-    row_s: float, state: FloatArray,
+    c: Constants, measured: FloatArray, latch: FloatArray, first: float, row_s: float,
+    state: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Return the model's states at each row with the measured ones put in for the compressor.
 
-    ``measured`` has the columns W25, ψ', P31, P_in, P25 and φ. What no probe reads (gas
+    ``measured`` has the columns W25, ψ', P31, P_in, P25, φ and T25. What no probe reads (gas
     temperatures of the volumes, exhaust pressure, ψ) follows from the same balances, driven by
     what was measured; nothing unstable is left in them, so that they forget their start.
     """
@@ -400,27 +377,27 @@ def observe(
     here, there = np.zeros(N_STATES), np.zeros(N_STATES)
     for i in range(n):
         s[W], s[PSI_P], s[P31], s[P_IN] = measured[i, :4]
-        s[T_FACE] = _t25(inlet, first + i * row_s)
+        s[T_FACE] = measured[i, 6]
         rows[i] = s
         if i == n - 1:
             break
         slopes = (measured[i + 1] - measured[i]) / row_s
-        _unmeasured(c, inlet, first + i * row_s, measured[i], slopes, latch[i], s, here)
+        _unmeasured(c, first + i * row_s, measured[i], slopes, latch[i], s, here)
         ahead[:] = s + row_s * here
         j = i + 1
-        _unmeasured(c, inlet, first + j * row_s, measured[j], slopes, latch[j], ahead, there)
+        _unmeasured(c, first + j * row_s, measured[j], slopes, latch[j], ahead, there)
         s += 0.5 * row_s * (here + there)
     return rows
 
 
 @_compile
 def _unmeasured(
-    c: Constants, inlet: Inlet, time: float, at: FloatArray, slopes: FloatArray, latch: FloatArray,
+    c: Constants, time: float, at: FloatArray, slopes: FloatArray, latch: FloatArray,
     s: FloatArray, d: FloatArray,
 ) -> None:  # fmt: skip
     """Fill in the rates of the states that no probe reads, with the measured ones put in."""
-    flow, p31, p_in, p25, phi = at[0], at[2], at[3], at[4], at[5]
-    t25, q = _t25(inlet, time), _blend(c, latch, time)
+    flow, p31, p_in, p25, phi, t25 = at[0], at[2], at[3], at[4], at[5], at[6]
+    q = _blend(c, latch, time)
     k = (c.gamma - 1.0) / c.gamma
     t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
     _, quasi_w = _characteristics(c, phi, t25, q)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from sindy_surge.covariance import leave_out_moves
-from sindy_surge.free_run import Segments
 from sindy_surge.free_run_equations import FreeRunEquations
-from sindy_surge.sparse_paths import support_chi2
+from sindy_surge.leave_out import leave_out_moves
+from sindy_surge.segments import Segments
 
 from .conftest import PERIOD_S, TAU_S, lag
 
@@ -109,7 +108,7 @@ def test_the_linear_problem_has_the_residual_of_the_fit_and_of_no_other_tau() ->
     eq = equations(4, 0.05)
     for support in ((0, 1), (0, 1, 2), (0, 1, 2, 4)):
         rest = eq.solve(support).residual
-        assert support_chi2(eq.linear(support), support) == pytest.approx(rest @ rest, rel=1e-5)
+        assert eq.linear(support).chi2(support) == pytest.approx(rest @ rest, rel=1e-5)
 
 
 def test_weights_and_units_carry_through() -> None:

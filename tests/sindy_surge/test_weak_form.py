@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sindy_surge.free_run import Segments
-from sindy_surge.weak_form import MIN_HALF_WIDTH, half_width_samples, weak_lag, weak_rows
+from sindy_surge.segments import Segments
+from sindy_surge.weak import MIN_HALF_WIDTH, half_width_samples, weak_lag, weak_rows
 
 
 def _powers(phi: np.ndarray) -> np.ndarray:

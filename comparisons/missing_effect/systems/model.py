@@ -60,7 +60,7 @@ class Model(Displayed):
         deviation, or the first sample of the output of that name. The start is always estimated.
     balance : mapping of str to (str, str)
         ``{"v": ("M", "N")}`` says that the equation of v is M dv/dt = a sum of forces in N, so
-        that effects in it are told in N.
+        that effects in it are given in N.
     name : str
         How it is called in reports.
 

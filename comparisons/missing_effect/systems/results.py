@@ -52,7 +52,7 @@ class FoundEffect:
     place : mapping of str to str
         Equation, signal, input, sensor, parameter or state, as they apply.
     alias_set : tuple of str
-        Names that these records cannot tell apart, the first among them.
+        Names that these records cannot separate, the first among them.
     alias_labels : tuple of str
         The same with their places.
     provisional : bool

@@ -121,14 +121,14 @@ def _run(
         check_target(path, (".html", ".htm") if path is arguments.report else ())
     check_apart([], targets)
     found: dict[str, SystemDiagnosis] = {}
-    with shown_steps(len(cases) * steps_of(arguments.max_effects)) as told:
+    with shown_steps(len(cases) * steps_of(arguments.max_effects)) as listed:
         for name, (model, fit, check) in cases.items():
             found[name] = diagnose_model(
                 model,
                 fit,
                 check,
                 most_effects=arguments.max_effects,
-                progress=lambda words, name=name: told(f"{name}: {words}"),  # type: ignore[misc]
+                progress=lambda words, name=name: listed(f"{name}: {words}"),  # type: ignore[misc]
             )
     command = " ".join([prog, *(sys.argv[1:] if argv is None else argv)])
     contents = contents_of(found, command, arguments.json, arguments.report)

@@ -329,7 +329,7 @@ def test_a_file_that_is_no_such_model_is_refused_in_one_sentence(
     BAD_FILES[fault](document)
     file.write_text(json.dumps(document), "utf-8")
     whole = fault in ("another schema", "no model", "models in a list")
-    remedy = "; save the model anew with `sindy-surge diagnose --save`"
+    remedy = "; save the model again with `sindy-surge diagnose --save`"
     begins = (
         r"expected a file of a lag model with effects" if whole else r"models\.m\.\w+.*: expected"
     )
@@ -357,7 +357,7 @@ def test_a_wild_shape_is_refused(models: dict[str, ExtendedLag], tmp_path: Path)
     for intervals in (2.5, 0.0, 3.0):
         document["models"]["m"]["effects"][0]["parameters"][1]["value"] = intervals
         file.write_text(json.dumps(document), "utf-8")
-        with pytest.raises(InputError, match="characteristic_shape"):
+        with pytest.raises(InputError, match=r"effects\[1\]"):
             load_extended(file)
 
 
