@@ -269,16 +269,15 @@ def test_an_impossible_target_is_refused_before_anything_is_drawn(
 
 
 def test_the_recommended_estimator_leads_and_is_marked(html: str) -> None:
-    assert 'class="best"' not in html  # none of these is recommended
-    comparison = dataclasses.replace(made_comparison(), quotable=("classic_ml",))
-    order = sorted(comparison.table, key=lambda row: row.estimator != "classic_ml")
-    comparison = dataclasses.replace(comparison, table=tuple(order))
-    page = render_report([ReportSection("x", comparison)], title="x", command="x")
-    row = page.split('<tr class="best">', 1)[1].split("</tr>", 1)[0]
-    assert "<small>classic_ml</small>" in row
-    assert "30.1 ± 1.2" in row
-    assert page.count('<tr class="best">') == 1
-    assert "Recommended: maximum likelihood (armax)" in Page(page).text
+    row = html.split('<tr class="best">', 1)[1].split("</tr>", 1)[0]
+    assert "<small>sindy</small>" in row
+    assert "18.01 ± 0.22" in row
+    assert html.count('<tr class="best">') == 1
+    assert "Recommended: sparse regression (SINDy)" in Page(html).text
+    none = dataclasses.replace(made_comparison(), quotable=())
+    page = render_report([ReportSection("x", none)], title="x", command="x")
+    assert '<tr class="best">' not in page
+    assert "No estimator's τ is recommended" in Page(page).text
 
 
 def test_a_series_alone_is_drawn_as_loops_and_of_many_the_first() -> None:
