@@ -120,13 +120,13 @@ def run_demo(folder: Path, seed: int, begin: Callable[[str], None]) -> _Demo:
         When the folder cannot be made.
     """
     demo = _Demo(folder, seed, begin)
-    begin("loading; the first run compiles for about half a minute")
-    from comparisons.show.report import write_report
-
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise InputError(str(folder), expected="a folder to write to", found="a file") from None
+    begin("loading; the first run compiles for about half a minute")
+    from comparisons.show.report import write_report
+
     (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
     _missing(demo, untouched, tau_s)
     begin("drawing the report")
