@@ -70,7 +70,8 @@ def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGr
         type=float,
         default=None,
         metavar="LBM_S",
-        help="corrected flow below which the machine is in stall (default: test.toml's, else 50)",
+        help="corrected flow below which the machine is in stall (default: test.toml's, else "
+        "estimated from the record)",
     )
     parser.add_argument(
         "--hysteresis",

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from classic_ml.readers import TestDescription, read_raw, read_test_description
-from classic_ml.reduction import reduce_record
 from classic_ml.readers.series_files import write_series
+from classic_ml.reduction import reduce_record
 from comparisons.live.display import Display
 from comparisons.live.ending import Result, reduce_pieces
 from comparisons.live.feed import Arrival, Closed, Data, Feed, Opened

@@ -11,8 +11,8 @@ import pytest
 from live_records import LiveRecord, Played, cut, made_record, play, series_of
 
 from classic_ml.readers import read_raw, read_test_description
-from classic_ml.reduction import near_stall_shifts, reduce_record
 from classic_ml.readers.series_files import read_series
+from classic_ml.reduction import near_stall_shifts, reduce_record
 from comparisons.cli import main
 from comparisons.live.columns import feed_columns
 from comparisons.live.near_stall import NearStallMatch

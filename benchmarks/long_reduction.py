@@ -2,14 +2,10 @@
 
 A rig record of 10 s is drawn out to minutes or hours by repeating its surge cycles, written as
 Parquet and as CSV, and reduced by the command `sindy-surge reduce` on one core, as a process of its
-own: with `--chunk`, and without, when it keeps what is longer than some minutes on disk too.
-Printed are the seconds of the whole process, its start included, by the clock and of the processor;
-how many times real time that is by the clock; the peak of its resident memory; and whether its
-numbers are those of the first run, to the last bit. A short record is reduced before, which leaves
-the compiled modules and loops behind that later runs find.
+own. Printed are the seconds of the whole process, its start included, by the clock and of the
+processor; how many times real time that is by the clock; and the peak of its resident memory.
 
-    python benchmarks/chunked_reduction.py [--minutes 10 60] [--chunk 65536] [--json FILE]
-    python benchmarks/chunked_reduction.py --minutes 600 --only-chunks
+    python benchmarks/long_reduction.py [--minutes 10 60] [--json FILE]
 """
 
 from __future__ import annotations
@@ -30,7 +26,6 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv, parquet
 
-from classic_ml import read_series
 from classic_ml.readers import read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
@@ -45,11 +40,11 @@ FORMATS = ((".parquet", ".nc"), (".csv", ".nc"), (".csv", ".csv"))
 PROCESS = """
 import json, os, sys, time
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-told = sys.argv.pop(1)
+stated = sys.argv.pop(1)
 from comparisons.cli import main as run
 code = run()
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
-with open(told, "w") as out:
+with open(stated, "w") as out:
     json.dump({"cpu": time.process_time(), "peak": 1024 * int(peak.split()[1])}, out)
 sys.exit(code)
 """
@@ -65,27 +60,21 @@ class Cost:
         Rows of the record.
     raw, series : str
         Suffix of the file read and of the file written.
-    chunk : int or None
-        Rows read at once; None where the command was not told.
     seconds, cpu_seconds : float
         By the clock, and of the processor.
     times_real_time : float
         Length of the record over the seconds by the clock.
     peak_mb : float
         Peak of resident memory.
-    same : bool
-        Whether its numbers are those of the first run.
     """
 
     rows: int
     raw: str
     series: str
-    chunk: int | None
     seconds: float
     cpu_seconds: float
     times_real_time: float
     peak_mb: float
-    same: bool
 
 
 def drawn_out(record: Record, window: slice, n_rows: int) -> Iterator[pa.Table]:
@@ -118,85 +107,57 @@ def write_table(pieces: Iterator[pa.Table], file: Path) -> None:
                 writer.write_table(piece)
 
 
-def run(folder: Path, raw: str, series: str, chunk: int | None) -> tuple[float, dict[str, float]]:
-    """Run the command, and return the seconds by the clock and what the process told."""
-    told, out = folder / "told.json", folder / f"{raw[1:]}-{chunk}{series}"
+def run(folder: Path, raw: str, series: str) -> tuple[float, dict[str, float]]:
+    """Run the command, and return the seconds by the clock and what the process left."""
+    stated, out = folder / "stated.json", folder / f"{raw[1:]}{series}"
     arguments = ["reduce", f"raw{raw}", "--test", "test.toml", "-o", str(out)]
-    arguments += ["--chunk", str(chunk)] if chunk is not None else []
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     # Modules are kept compiled, as those of an installed package are.
     one_thread["PYTHONDONTWRITEBYTECODE"] = ""
     begun = time.perf_counter()
     subprocess.run(
-        [sys.executable, "-c", PROCESS, str(told), *arguments],
+        [sys.executable, "-c", PROCESS, str(stated), *arguments],
         cwd=folder,
         env=os.environ | one_thread,
         stdout=subprocess.DEVNULL,
         check=True,
     )
-    return time.perf_counter() - begun, json.loads(told.read_text())
+    return time.perf_counter() - begun, json.loads(stated.read_text())
 
 
 def costs_of(
-    record: Record,
-    window: slice,
-    n_rows: int,
-    folder: Path,
-    chunks: tuple[int | None, ...],
-    formats: tuple[tuple[str, str], ...],
+    record: Record, window: slice, n_rows: int, folder: Path, formats: tuple[tuple[str, str], ...]
 ) -> list[Cost]:
-    """Run each format with each size of the chunks."""
+    """Run each format."""
     costs: list[Cost] = []
-    first: dict[str, np.ndarray] = {}
     for raw, series in formats:
         write_table(drawn_out(record, window, n_rows), folder / f"raw{raw}")
-        for rows in chunks:
-            seconds, told = run(folder, raw, series, rows)
-            out = folder / f"{raw[1:]}-{rows}{series}"
-            found = read_series(out).columns()
-            first = first or dict(found)
-            same = all(np.array_equal(found[name], values) for name, values in first.items())
-            costs.append(
-                Cost(
-                    n_rows,
-                    raw,
-                    series,
-                    rows,
-                    seconds,
-                    told["cpu"],
-                    n_rows / record.sample_rate_hz / seconds,
-                    told["peak"] / 1e6,
-                    same,
-                )
-            )
-            out.unlink()
-            print(line(costs[-1]), flush=True)
+        seconds, stated = run(folder, raw, series)
+        (folder / f"{raw[1:]}{series}").unlink()
         (folder / f"raw{raw}").unlink()
+        speed = n_rows / record.sample_rate_hz / seconds
+        costs.append(Cost(n_rows, raw, series, seconds, stated["cpu"], speed, stated["peak"] / 1e6))
+        print(line(costs[-1]), flush=True)
     return costs
 
 
-HEAD = "     rows  raw       series    chunk       s   cpu s  x real time  peak MB  same"
+HEAD = "     rows  raw       series       s   cpu s  x real time  peak MB"
 
 
 def line(cost: Cost) -> str:
     """Return one row of the table."""
     return (
-        f"{cost.rows:9d}  {cost.raw:8s}  {cost.series:6s}  {cost.chunk or '-':>7}  "
-        f"{cost.seconds:6.2f}  {cost.cpu_seconds:6.2f}  {cost.times_real_time:11.0f}  "
-        f"{cost.peak_mb:7.0f}  {'yes' if cost.same else 'no'}"
+        f"{cost.rows:9d}  {cost.raw:8s}  {cost.series:6s}  {cost.seconds:6.2f}  "
+        f"{cost.cpu_seconds:6.2f}  {cost.times_real_time:11.0f}  {cost.peak_mb:7.0f}"
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 60.0])
-    parser.add_argument("--chunk", type=int, default=65_536)
     parser.add_argument("--folder", type=Path, help="where the files lie (default: TMPDIR)")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="half a minute, Parquet alone")
-    parser.add_argument(
-        "--only-chunks", action="store_true", help="Parquet to netCDF with --chunk alone: for hours"
-    )
     options = parser.parse_args()
     costs: list[Cost] = []
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
@@ -205,13 +166,12 @@ def main() -> None:
         record, test = read_raw(folder / "raw.csv", folder / "test.toml")
         window = record.rows_between(*reduce_record(record, test).window_s)
         write_table(drawn_out(record, window, SHORT_ROWS), folder / "raw.parquet")
-        run(folder, *FORMATS[0], PIECE_ROWS)
+        run(folder, *FORMATS[0])
         print(HEAD)
         for minutes in [0.5] if options.quick else options.minutes:
             n_rows = round(60.0 * minutes * record.sample_rate_hz)
-            formats = FORMATS[:1] if options.quick or options.only_chunks else FORMATS
-            chunks = (options.chunk,) if options.only_chunks else (None, options.chunk)
-            costs += costs_of(record, window, n_rows, folder, chunks, formats)
+            formats = FORMATS[:1] if options.quick else FORMATS
+            costs += costs_of(record, window, n_rows, folder, formats)
     if options.json:
         options.json.write_text(json.dumps([asdict(cost) for cost in costs]))
 
