@@ -125,8 +125,9 @@ def planes(phi: np.ndarray) -> tuple[Record, TestDescription]:
 def with_psi(
     record: Record, test: TestDescription, form: str = "auto", cell_period_s: float | None = None
 ) -> Record:
-    """φ and ψ of plane averages, without the inertia term of Eq 5."""
-    return with_work(coefficients(record, test), test, 0.0, form, cell_period_s)
+    """φ and ψ of plane averages."""
+    inertia = test.compressor.inertia_per_m
+    return with_work(coefficients(record, test), test, inertia, form, cell_period_s)
 
 
 def test_phi_survives_the_way_through_flow_and_back() -> None:
@@ -138,7 +139,7 @@ def test_phi_survives_the_way_through_flow_and_back() -> None:
 def test_psi_is_finite_through_zero_flow_and_the_ledger_counts_the_rows() -> None:
     phi = 0.1 + 0.15 * np.sin(np.linspace(0, 20, 2000))
     record, test = planes(phi)
-    out = with_psi(record, test)
+    out = with_work(coefficients(record, test), test, 0.0, "auto", None)
     known = psi_is_known(out["phi"])
     assert np.all(np.isfinite(out["psi"]))
     steady = 2 * HEAT * 180.0 / U_M_S**2
