@@ -280,7 +280,7 @@ def test_the_optional_tables_are_read(made: RawTest, tmp_path: Path) -> None:
     file = tmp_path / "test.toml"
     file.write_text(to_toml(tables), "utf-8")
     test = read_test_description(file)
-    assert test.threshold_lbm_s is None
+    assert test.threshold_lbm_s == "none"
     assert test.window_s == (1.8, 3.6)
     assert dict(test.limits) == {"T31_A": (200.0, 620.0)}
     file.write_text(to_toml(made.description), "utf-8")

@@ -120,18 +120,17 @@ def dated(columns: Columns, *, index: str | None, gap: bool = False) -> pd.DataF
     return frame.drop(frame.index[200:347]) if gap else frame
 
 
-@pytest.mark.parametrize("chunk", [None, 7, 150])
 @pytest.mark.parametrize("index", [None, "Recorded"])
 def test_a_gap_in_a_clock_that_is_passed_over_is_seen(
-    made: RawTest, tmp_path: Path, index: str | None, chunk: int | None
+    made: RawTest, tmp_path: Path, index: str | None
 ) -> None:
     path, test = tmp_path / "raw.parquet", described(tmp_path, made, FROM_RATE)
     dated(made.columns, index=index).to_parquet(path)
-    record, _ = read_raw(path, test, chunk_rows=chunk)
+    record, _ = read_raw(path, test)
     np.testing.assert_array_equal(record["T25_A"], made.columns["T25_A"])
     dated(made.columns, index=index, gap=True).to_parquet(path)
     with pytest.raises(InputError, match=r"step of 0\.148 where others have 0.001, before row 201"):
-        read_raw(path, test, chunk_rows=chunk)
+        read_raw(path, test)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +188,7 @@ def test_dates_in_a_csv_table_are_a_clock(
     stored = open_stored(path)
     times = np.concatenate([block[:, 0] for block in stored.chunks(chunk or 9999)])
     np.testing.assert_array_equal(times, np.arange(501) / 1000.0)
-    record, _ = read_raw(path, test, chunk_rows=chunk)
+    record, _ = read_raw(path, test)
     assert "seconds from the first sample at 2024-05-01" in record.history[0].did
     np.testing.assert_array_equal(record["T31_B"], made.columns["T31_B"])
 

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 
 from classic_ml import CoefficientSeries, read_series, write_series
-from classic_ml.columns import workspace
 from classic_ml.readers import series_csv, series_files
 from classic_ml.readers.series_files import ledger_path
 from classic_ml.records import Dropped, LedgerEntry
@@ -324,10 +323,7 @@ def test_a_netcdf_file_whose_clock_is_called_time_is_told_to_rename_it(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".nc"])
-def test_every_double_survives_its_file(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(workspace, "BLOCK_ROWS", 4_999)
+def test_every_double_survives_its_file(tmp_path: Path, suffix: str) -> None:
     rng = np.random.default_rng(11)
     n = 100_000
     bits = rng.integers(0, 2**64, n, dtype=np.uint64)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from comparison_data import LINES, made_comparison, made_series
-from comparisons.show.report.agreement import dwelling_words, widest_gap
 from raw_data import make_test
 from report_page import without_own_script
 

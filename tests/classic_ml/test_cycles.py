@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from clean_records import SURGES, clean_record, rows_of
 
-from classic_ml.columns import workspace
-from classic_ml.cycles import find_cycles
 from classic_ml.readers import read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
@@ -101,13 +99,3 @@ def test_a_named_window_with_many_cycles_or_of_steady_stall_is_not(name: str) ->
     record, test = clean_record(name)
     history = reduce_record(record, replace(test, window_s=(1.8, 3.6))).record.history
     assert not [f for entry in history for f in entry.flags if "too few" in f]
-
-
-def test_blocks_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, test = clean_record("985/1")
-    reduced = reduce_record(record, replace(test, window_s=(1.8, 3.6))).record
-    whole = find_cycles(reduced)
-    assert whole.n_cycles == WHOLE["985/1"][0]
-    for block in (97, 640):
-        monkeypatch.setattr(workspace, "BLOCK_ROWS", block)
-        assert find_cycles(reduced) == whole

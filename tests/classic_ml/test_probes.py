@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from classic_ml.faults.probe_agreement import (
-    compare_probes,
-    exchanged_immersions,
-    slow_pressures,
-)
 from raw_data import RawTest, make_test
 
 from classic_ml.calibration import calibrate, match_near_stall
+from classic_ml.faults.probes import compare_probes, disagreements, slow_pressures
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
 
@@ -59,7 +55,7 @@ def test_a_probe_that_came_off_has_no_part_in_the_cycles(
     lost = compare_probes(slow_pressures(spoiled, test, CYCLES), test)[PROBE]
     assert abs(lost.gain) < 0.02
     assert lost.apart == pytest.approx(1.0, abs=0.03)
-    assert PROBE not in compare_probes(slow_pressures(spoiled, test, CYCLES), test, without=[PROBE])
+    assert PROBE not in compare_probes(slow_pressures(spoiled, test, CYCLES).without([PROBE]), test)
 
 
 def test_two_probes_or_a_quiet_record_tell_nothing(
@@ -68,7 +64,7 @@ def test_two_probes_or_a_quiet_record_tell_nothing(
     record, test = loaded
     aft = [p.name for p in test.pressures if p.plane == 25 and p.facing == "aft"]
     assert not set(aft) & set(
-        compare_probes(slow_pressures(record, test, CYCLES), test, without=aft[:2])
+        compare_probes(slow_pressures(record, test, CYCLES).without(aft[:2]), test)
     )
     assert compare_probes(slow_pressures(record, test, slice(0, 290)), test) == {}
     assert compare_probes(slow_pressures(record, test, slice(700, 900)), test) == {}
@@ -76,15 +72,27 @@ def test_two_probes_or_a_quiet_record_tell_nothing(
 
 def test_a_rake_upside_down_is_found(loaded: tuple[Record, TestDescription]) -> None:
     record, test = loaded
-    assert exchanged_immersions(slow_pressures(record, test, CYCLES), test) == []
+    assert disagreements(slow_pressures(record, test, CYCLES), test, {}) == []
     channels = dict(record.channels)
     for facing in ("forward", "aft"):
         hub, tip = (f"P25_A_{place}_{facing}" for place in ("hub", "tip"))
         channels[hub] = Channel(hub, record[tip], "Pa")
         channels[tip] = Channel(tip, record[hub], "Pa")
     upside_down = record.after(record.history[-1], add=list(channels.values()))
-    assert exchanged_immersions(slow_pressures(upside_down, test, CYCLES), test) == [(25, "A", "B")]
-    without = exchanged_immersions(
-        slow_pressures(upside_down, test, CYCLES), test, without=["P25_B_tip_aft"]
-    )
-    assert without == []
+    slow = slow_pressures(upside_down, test, CYCLES)
+    (found,) = (f for f in disagreements(slow, test, {}) if f.kind == "exchanged immersions")
+    assert found.details == {"plane": 25, "first": "A", "second": "B"}
+    others = disagreements(slow.without(["P25_B_tip_aft"]), test, {})
+    assert not [f for f in others if f.kind == "exchanged immersions"]
+
+
+def test_a_zero_that_drifts_between_near_stall_and_the_cycles_is_found(
+    loaded: tuple[Record, TestDescription],
+) -> None:
+    record, test = loaded
+    name = "P25_A_hub_forward"
+    spoiled = changed(record, name, 1.03 * record[name])
+    found = disagreements(slow_pressures(spoiled, test, CYCLES), test, {})
+    assert [f.kind for f in found] == ["drifted apart"]
+    assert (found[0].channel, found[0].details["other"]) == (name, "P25_B_hub_forward")
+    assert found[0].details["apart"] == pytest.approx(0.03, abs=0.004)
