@@ -67,7 +67,8 @@ OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {
             "type": number,
             "metavar": "LBM_S",
-            "help": "corrected flow below which the machine is in stall (default: test.toml's)",
+            "help": "corrected flow below which the machine is in stall (default: test.toml's, "
+            "else estimated from the record)",
         },
     ),
     (
