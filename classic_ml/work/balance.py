@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 

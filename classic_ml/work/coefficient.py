@@ -15,9 +15,9 @@ import numpy as np
 
 from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.coefficients import flow_coefficient
+from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import corrected_from_physical
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.segments import cell_frequency_hz, hub_tip_stall
 from classic_ml.work.balance import (

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comparisons.cli.reduction_options import (
+    add_read_window,
     add_reduction_options,
     options_named,
+    read_window,
     reduction_settings,
 )
 from comparisons.cli.shared import (
@@ -24,7 +26,7 @@ from surge_core.files import check_target
 from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
-    from classic_ml.readers import TestDescription
+    from classic_ml.io import TestDescription
     from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
@@ -53,6 +55,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
     )
+    add_read_window(parser)
     add_reduction_options(parser)
     parser.add_argument(
         "--report",
@@ -71,12 +74,13 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.readers.series_files import write_series
+    from classic_ml.io.series import write_series
 
     check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
     check_target(arguments.out, SERIES_SUFFIXES)
     with options_named():
-        reduction = reduce_file(arguments.raw, arguments.test, reduction_settings(arguments))
+        settings, window = reduction_settings(arguments), read_window(arguments)
+        reduction = reduce_file(arguments.raw, arguments.test, settings, window)
     write_series(reduction.series, arguments.out)
     written = write_all([("report", arguments.report, lambda: _page(reduction))])
     print_reduction(reduction)
@@ -84,7 +88,12 @@ def run(arguments: argparse.Namespace) -> None:
         print(line)
 
 
-def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction:
+def reduce_file(
+    raw: Path,
+    test: Path,
+    settings: ReductionSettings,
+    window: tuple[float, float] | None = None,
+) -> Reduction:
     """Read and reduce a raw record, and show how far that is on a terminal.
 
     Parameters
@@ -93,6 +102,8 @@ def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction
         The record and its test.toml.
     settings : ReductionSettings
         The switches.
+    window : tuple of float, optional
+        Part of the file that is read, in s on its clock.
 
     Raises
     ------
@@ -101,17 +112,19 @@ def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction
     """
     from classic_ml.reduction import STEPS, reduce_record
 
-    record, description = read_file(raw, test)
+    record, description = read_file(raw, test, window)
     with shown_count("reducing", unit="step", total=STEPS) as done:
         return reduce_record(record, description, settings, keep_probes=False, progress=done)
 
 
-def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
+def read_file(
+    raw: Path, test: Path, window: tuple[float, float] | None = None
+) -> tuple[Record, TestDescription]:
     """Read a raw record, and show how far that is on a terminal.
 
     Parameters
     ----------
-    raw, test : path
+    raw, test, window
         As :func:`reduce_file` takes them.
 
     Raises
@@ -119,10 +132,10 @@ def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
     InputError
         When it cannot be read.
     """
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
 
     with shown_count("reading", unit="row") as read:
-        return read_raw(raw, test, progress=read)
+        return read_raw(raw, test, window=window, progress=read)
 
 
 def print_reduction(reduction: Reduction) -> None:

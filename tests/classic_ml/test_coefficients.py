@@ -18,8 +18,8 @@ from classic_ml.coefficients import (
     rate_of_change,
     work_coefficient,
 )
+from classic_ml.description import Compressor, TestDescription
 from classic_ml.flow import corrected_flow, corrected_from_physical
-from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.work.forms import with_work
 from surge_core.errors import InputError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from clean_records import SURGES, clean_record, rows_of
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from comparisons.rig import simulate, write_run

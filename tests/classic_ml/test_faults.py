@@ -13,7 +13,7 @@ from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.faults.choice import choose_channels
 from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, STUCK
 from classic_ml.faults.search import inspect_readings
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from surge_core.errors import InputError
 

@@ -9,6 +9,7 @@ import pytest
 from raw_data import GAMMA, GAS, corrected, make_test
 
 from classic_ml.calibration import calibrate
+from classic_ml.description import Compressor
 from classic_ml.flow import (
     LBM_KG,
     P_STANDARD_PA,
@@ -22,7 +23,6 @@ from classic_ml.flow import (
     true_mach,
 )
 from classic_ml.planes import local_flows, plane_averages
-from classic_ml.readers.test_description import Compressor
 from classic_ml.records import Record
 from surge_core.errors import InputError
 

@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from classic_ml import LagRegressor
 from classic_ml.flow import LBM_KG
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Channel, FloatArray, LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.spectra import peak_frequency_hz, power_spectrum

@@ -10,7 +10,7 @@ import pytest
 from clean_records import CLEAN, clean_record, with_channels
 from raw_data import make_test
 
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError

@@ -15,8 +15,8 @@ from raw_data import make_test, to_toml, write_csv
 from classic_ml.faults.findings import CLIPPED
 from classic_ml.faults.plateaus import RangeEnd, range_ends
 from classic_ml.faults.search import inspect_readings
-from classic_ml.inspection import inspect_file
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.inspect import inspect_file
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
 from classic_ml.reduction import reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run

@@ -13,7 +13,7 @@ import pytest
 from raw_data import GAMMA, GAS, U_M_S, make_test
 
 from classic_ml.flow import corrected_flow
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.work.balance import (

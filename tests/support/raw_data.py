@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 
 LBM = 0.45359237

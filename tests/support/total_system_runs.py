@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
 from comparisons.total_system import (
