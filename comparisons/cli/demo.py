@@ -284,6 +284,8 @@ def _power_balance(raw: Path) -> WorkCharacteristic:
 def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) -> str:
     import numpy as np
 
+    if not np.isfinite(power.time_constant_s):
+        return f"{title}, ψ_QS from the power balance: not stated. {power.fit_state.advice}"
     low, high = max(power.valid_phi[0], 0.0), min(power.valid_phi[1], WORK_TO_PHI)
     at = np.linspace(low, high, 50)
     off = np.max(np.abs(power.characteristic(at)[0] - np.interp(at, truth.phi, truth.quasi_steady)))

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 from comparison_data import made_series
+from comparisons.cli.progress import shown_count, shown_over, shown_steps
 from raw_data import make_test
 
 from classic_ml.readers.series_files import write_series
 from comparisons.cli import main
-from comparisons.cli.progress import shown_count, shown_over, shown_steps
 from comparisons.rig import SensorSettings, simulate, write_run
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")

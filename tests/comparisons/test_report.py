@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from comparison_data import LINES, made_comparison, made_series
+from comparisons.show.report.agreement import dwelling_words, widest_gap
 from raw_data import make_test
 from report_page import without_own_script
 
@@ -21,7 +22,6 @@ from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.results import Caution, Comparison, Truth
 from comparisons.show.report import Part, ReportSection, Words, render_report, write_report
-from comparisons.show.report.agreement import dwelling_words, widest_gap
 from surge_core.errors import InputError
 
 EVIL = "<script>alert('x')</script>\"'><img src=http://evil.example/x.png onerror=alert(1)>&amp;$x$"
