@@ -120,13 +120,13 @@ def run_demo(folder: Path, seed: int, begin: Callable[[str], None]) -> _Demo:
         When the folder cannot be made.
     """
     demo = _Demo(folder, seed, begin)
-    begin("loading; the first run compiles for about half a minute")
-    from comparisons.show.report import write_report
-
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise InputError(str(folder), expected="a folder to write to", found="a file") from None
+    begin("loading; the first run compiles for about half a minute")
+    from comparisons.show.report import write_report
+
     (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
     _missing(demo, untouched, tau_s)
     begin("drawing the report")
@@ -284,6 +284,8 @@ def _power_balance(raw: Path) -> WorkCharacteristic:
 def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) -> str:
     import numpy as np
 
+    if not np.isfinite(power.time_constant_s):
+        return f"{title}, ψ_QS from the power balance: not stated. {power.fit_state.advice}"
     low, high = max(power.valid_phi[0], 0.0), min(power.valid_phi[1], WORK_TO_PHI)
     at = np.linspace(low, high, 50)
     off = np.max(np.abs(power.characteristic(at)[0] - np.interp(at, truth.phi, truth.quasi_steady)))

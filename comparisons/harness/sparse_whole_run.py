@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.lag_model import LagRegressor
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import COMMON_CURVE_SHARE, COMMON_TAU_SHARE, WholeRunFit, check_rates
 from classic_ml.whole_run_rows import (
@@ -39,7 +39,7 @@ __all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
 
 @dataclass(frozen=True)
 class SparseWholeRunFit(WholeRunFit):
-    """Terms chosen on whole runs, with the attributes of an estimator (DESIGN section 5).
+    """Terms chosen on whole runs, with the attributes of an estimator.
 
     ``rows_`` hold the terms that were chosen, and ``model_`` is output error with these, for the
     checks; ``degree`` is that of the highest power among them.

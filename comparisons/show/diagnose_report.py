@@ -76,7 +76,7 @@ def diagnosis_parts(
             (Words(words, tone), diagnosis_picture(d, before, after), _gap_table(d)),
         ),
         Part("Where the model and the measurement part", _where(d, before)),
-        Part("Candidates", _candidates(d)),
+        Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
         Part("What it changes", _shown(d, before, after)),
         Part("Noise and what is left", _left(d, after)),

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from classic_ml.columns.clock import CLOCK_TOLERANCE, NEAR_MEDIAN, uniform_period_s
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from classic_ml.columns import workspace
-from classic_ml.columns.clock import CLOCK_TOLERANCE, NEAR_MEDIAN, uniform_period_s
 from surge_core.errors import InputError
 
 CLOCK = np.arange(500) * 1e-3

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from classic_ml.columns.workspace import blocks
+from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK
 from raw_data import RawTest, make_test
 
 from classic_ml.calibration import calibrate, match_near_stall
-from classic_ml.columns.workspace import blocks
 from classic_ml.faults import standstill
 from classic_ml.faults.choice import choose_channels
-from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK
 from classic_ml.faults.search import inspect_readings
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record

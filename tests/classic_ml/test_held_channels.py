@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from classic_ml.columns.workspace import OnDisk
+from classic_ml.faults.standstill import tallies
 from clean_records import CLEAN, clean_record, with_channels
 
 from classic_ml.columns import workspace
-from classic_ml.columns.workspace import OnDisk
 from classic_ml.faults.held import HeldSearch, check_held, held_channels
-from classic_ml.faults.standstill import tallies
 from classic_ml.records import Channel, FloatArray, Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from classic_ml.columns.workspace import OnDisk
+from classic_ml.faults.marks import CLIPPED
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_data import make_test, to_toml, write_csv
 
 from classic_ml.columns import workspace
-from classic_ml.columns.workspace import OnDisk
 from classic_ml.faults import plateaus
-from classic_ml.faults.marks import CLIPPED
 from classic_ml.faults.plateaus import End, cut_off_ends
 from classic_ml.faults.search import inspect_readings
 from classic_ml.inspection import inspect_file

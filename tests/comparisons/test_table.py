@@ -72,7 +72,8 @@ def test_a_time_constant_not_separated_from_zero_gets_an_upper_bound() -> None:
 
 def test_every_line_names_what_the_command_line_calls_the_estimator() -> None:
     text = comparison_table(made_comparison())
-    assert all(f"\n   {name}: " in text for name in ("sindy", "classic_ml", "custom"))
+    names = ("sindy (recommended)", "classic_ml", "custom")
+    assert all(f"\n   {name}: " in text for name in names)
 
 
 def test_reconstructions_of_other_records_in_a_table() -> None:

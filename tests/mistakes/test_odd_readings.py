@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from classic_ml.faults.odd_readings import copied_columns, spike_rows, spikes, splice_rows, splices
+
 from classic_ml.records import Record
 from comparisons.rig import simulate
 

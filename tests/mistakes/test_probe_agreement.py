@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from raw_data import RawTest, make_test
-
-from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.faults.probe_agreement import (
     compare_probes,
     exchanged_immersions,
     slow_pressures,
 )
+from raw_data import RawTest, make_test
+
+from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.readers import TestDescription
 from classic_ml.records import Channel, Record
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.lag_model import LagRegressor
+from classic_ml.checks import whiteness
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
-from classic_ml.residual_checks import whiteness
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from classic_ml.characteristics import feature_names, polynomial_basis, term_names
-from classic_ml.lag.conditioning import condition
-from classic_ml.lag.fit import LagFit, fit_lag
-from classic_ml.lag.prediction import LagProblem
-from classic_ml.lag.setup import lag_problem, ripple_frequencies
+from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
+from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal, rows_late
+from classic_ml.lag_fit import LagFit, fit_lag
+from classic_ml.linearised import LinearisedFit, linearised, linearised_static
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
-from surge_core.display import FittedDisplay, Sheet
+from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.segments import runs_of
-from surge_core.types import FloatArray
+from surge_core.rounding import significant
+from surge_core.segments import runs_of, with_known_inputs
+from surge_core.types import BoolArray, FloatArray
 from surge_core.validation import one_of, positive, whole_number
 
 __all__ = ["LagRegressor"]
@@ -68,9 +70,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     dead_time_s : float or "fit"
         How much later the inputs act, in seconds; any fraction of a sample period. ``"fit"``
         fits it along with τ. Rows whose inputs lie before their segment are not scored.
-    ripple_hz : float or tuple of float, optional
-        Frequencies of a ripple of ψ' (rotating stall and its harmonics), in hertz. Each segment
-        has an amplitude and a phase of its own for each.
 
     Attributes
     ----------
@@ -103,9 +102,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Dead time and its standard error, in seconds; 0.0 where it was given.
     joint_covariance_ : ndarray of shape (n_terms + 2, n_terms + 2)
         Covariance of (τ in seconds, dead time in seconds, β).
-    ripple_coef_ : ndarray of shape (n_segments, 2 n_frequencies)
-        Amplitudes of sine and cosine of each frequency, their phase counted from the first row of
-        each segment; zero where no row of the segment was scored.
 
     Notes
     -----
@@ -129,7 +125,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         exact_start: bool = True,
         time_constant_s: float | None = None,
         dead_time_s: float | Literal["fit"] = 0.0,
-        ripple_hz: float | tuple[float, ...] | None = None,
     ) -> None:
         self.sample_period_s = sample_period_s
         self.noise = noise
@@ -143,7 +138,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.exact_start = exact_start
         self.time_constant_s = time_constant_s
         self.dead_time_s = dead_time_s
-        self.ripple_hz = ripple_hz
 
     def fit(
         self,
@@ -180,23 +174,22 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self._check_parameters()
         X, y = self._validated(X, y, reset=True)
         weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
-        runs = runs_of(segments, y.size)
-        runs = [slice(0, y.size)] if self.link_segments else runs
+        runs = self._runs(segments, y.size)
         terms = self._fit_basis(X)
-        conditioned = condition(terms, self.drift is not None)
-        problem = lag_problem(self, y, conditioned, weight, runs)
-        if problem.n_errors <= problem.n_parameters(terms.shape[1]):
-            self._store_static(y, terms, weight, problem, FitState.TOO_FEW_ROWS)
+        combined = nearly_orthogonal(terms)
+        data = lag_data(self, y, combined.columns, weight, runs)
+        if data.scored.size <= data.n_parameters(terms.shape[1]):
+            self._store_static(y, terms, data, FitState.TOO_FEW_ROWS)
             return self
-        if self.time_constant_s is None and _is_constant(y[problem.weight > 0.0]):
-            self._store_static(y, terms, weight, problem, FitState.RANK_DEFICIENT)
+        if self.time_constant_s is None and _is_constant(y[data.weight > 0.0]):
+            self._store_static(y, terms, data, FitState.RANK_DEFICIENT)
             return self
-        fit = fit_lag(problem, conditioned)
+        fit = fit_lag(data, combined)
         if self.dead_time_s == "fit":
             # Now that it is known within a sample, few rows need to be left unscored for it.
-            problem = lag_problem(self, y, conditioned, weight, runs, fit.dead)
-            fit = fit_lag(problem, conditioned, fit)
-        self._store(fit, problem, terms.shape[1])
+            data = lag_data(self, y, combined.columns, weight, runs, float(fit.shape[1]))
+            fit = fit_lag(data, combined, fit)
+        self._store(fit, data, combined)
         return self
 
     def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
@@ -248,17 +241,13 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
 
     def one_step(
         self, X: ArrayLike, y: ArrayLike, segments: ArrayLike | None = None
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+    ) -> tuple[FloatArray, BoolArray]:
         """Return the one-step predictions of y and which rows have one.
 
         Parameters
         ----------
-        X : array-like of shape (n, n_features)
-            Inputs; rows in time order.
-        y : array-like of shape (n,)
-            ψ' as measured.
-        segments : array-like of int, shape (n,), optional
-            Labels as in :meth:`fit`.
+        X, y, segments
+            As in :meth:`fit`.
 
         Returns
         -------
@@ -322,33 +311,79 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
 
         Parameters
         ----------
-        X : array-like of shape (n, n_features)
-            Inputs; rows in time order.
-        y : array-like of shape (n,)
-            ψ' as measured.
-        segments : array-like of int, shape (n,), optional
-            Labels as in :meth:`fit`.
-        sample_weight : array-like of shape (n,), optional
-            Weight of each row.
+        X, y, segments, sample_weight
+            As in :meth:`fit`.
         """
         return float(r2_score(y, self.predict(X, segments), sample_weight=sample_weight))
 
     def equation(self) -> str:
         """Return the fitted model as one line with units."""
         check_is_fitted(self)
-        parts = [f"{value:+.4g}" + _factor(name) for name, value in self._named()]
+        named = zip(self.terms_, self.coef_.tolist(), strict=True)
+        parts = [f"{value:+.4g}" + factor(name) for name, value in named]
         right = " ".join(parts).removeprefix("+")
         if np.isnan(self.time_constant_s_):
             return f"y = {right}"
         return f"({self.time_constant_s_:.4g} s) dy/dt + y = {right}"
 
+    def linearised(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        segments: ArrayLike | None = None,
+        sample_weight: ArrayLike | None = None,
+    ) -> LinearisedFit:
+        """Return the errors on rows like those of the fit, and their derivatives.
+
+        Parameters
+        ----------
+        X, y, segments, sample_weight
+            As in :meth:`fit`.
+
+        Returns
+        -------
+        LinearisedFit
+            At the τ, β and C of the fit; start and drift of each segment are the best for these.
+            The recursion of C starts from zero.
+        """
+        check_is_fitted(self)
+        X, y = self._validated(X, y, reset=False)
+        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        runs = self._runs(segments, y.size)
+        terms = nearly_orthogonal(self._terms_of(X))
+        beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
+        if np.isnan(self.time_constant_s_):
+            return linearised_static(y - terms.columns @ beta, terms, weight, runs)
+        dead = self.dead_time_s_ / float(self.sample_period_s)
+        if self._n_late:
+            weight = with_known_inputs(weight, runs, self._n_late)
+        data = lag_data(self, y, terms.columns, weight, runs, dead)
+        free = MovingAverage.from_coefficients(self.moving_average_).free
+        shape = np.concatenate([[np.log(self.time_constant_s_), dead], free])
+        return linearised(replace(data, weight=weight, exact_start=False), terms, shape, beta)
+
     def _sheet(self) -> Sheet | None:
-        from classic_ml.sheets import lag_sheet
-
-        return lag_sheet(self) if hasattr(self, "fit_state_") else None
-
-    def _named(self) -> list[tuple[str, float]]:
-        return list(zip(self.terms_, self.coef_.tolist(), strict=True))
+        if not hasattr(self, "fit_state_"):
+            return None
+        state = self.fit_state_
+        held = " (held)" if self.time_constant_s is not None else ""
+        tone = "good" if state is FitState.CONVERGED else "advice"
+        tau = milliseconds(self.time_constant_s_, self.time_constant_stderr_s_)
+        fields = [
+            Field("equation", equation_with_errors(self)),
+            Field("state", f"{state.code}: {state.advice}", tone),
+            Field("time constant τ", tau + held),
+        ]
+        if self.dead_time_s_:
+            fields.append(
+                Field("dead time", milliseconds(self.dead_time_s_, self.dead_time_stderr_s_))
+            )
+        fields += [
+            Field("noise", f"{self.noise}, hold “{self.hold}”"),
+            Field("residual (std)", significant(self.residual_std_, 3)),
+            Field("scored", f"{self.n_scored_} rows; errors from {self.n_blocks_} blocks"),
+        ]
+        return Sheet("LagRegressor", tuple(fields), (characteristic_grid(self),))
 
     def __sklearn_tags__(self) -> Any:
         """Declare what scikit-learn's checks should know."""
@@ -367,10 +402,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         whole_number("noise_order", self.noise_order, 0, MAXIMUM_ORDER)
         if self.time_constant_s is not None:
             positive("time_constant_s", self.time_constant_s)
-        self._check_dead_time()
-        self._check_ripple()
-
-    def _check_dead_time(self) -> None:
         value = self.dead_time_s
         if isinstance(value, str) and value == "fit":
             return
@@ -379,20 +410,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             raise InputError(
                 "dead_time_s", expected="a non-negative number or 'fit'", found=repr(value)
             )
-
-    def _check_ripple(self) -> None:
-        highest = 0.5 / self.sample_period_s
-        frequencies = ripple_frequencies(self.ripple_hz)
-        for frequency in frequencies:
-            positive("ripple_hz", frequency)
-            if frequency >= highest:
-                raise InputError(
-                    "ripple_hz",
-                    expected=f"frequencies below half the sample rate, {highest:g} Hz",
-                    found=f"{frequency:g}",
-                )
-        if len(set(frequencies)) < len(frequencies):
-            raise InputError("ripple_hz", expected="each frequency once", found=repr(frequencies))
 
     def _validated(
         self, X: ArrayLike, y: ArrayLike, *, reset: bool
@@ -404,7 +421,11 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
 
     def _fit_basis(self, X: FloatArray) -> FloatArray:
         self.basis_ = polynomial_basis(self.degree) if self.basis is None else clone(self.basis)
-        terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
+        if self.basis is None and X.shape[1] == 1:
+            self.basis_.fit(X[:1])
+            terms = np.vander(X[:, 0], self.degree + 1, increasing=True)
+        else:
+            terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
         if terms.ndim != 2 or terms.shape[0] != X.shape[0] or not np.all(np.isfinite(terms)):
             raise InputError(
                 "basis", expected="a finite table with one row a sample", found=f"{terms.shape}"
@@ -417,73 +438,65 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return np.asarray(self.basis_.transform(X), dtype=np.float64)
 
     def _lag(self) -> FirstOrderLag:
-        return FirstOrderLag(
-            self.time_constant_s_, float(self.sample_period_s), self.hold, self.dead_time_s_
-        )
-
-    def _store(self, fit: LagFit, problem: LagProblem, n_terms: int) -> None:
-        tau_s = float(np.exp(fit.log_tau))
         period = float(self.sample_period_s)
+        return FirstOrderLag(self.time_constant_s_, period, self.hold, self.dead_time_s_)
+
+    def _runs(self, segments: ArrayLike | None, n_rows: int) -> list[slice]:
+        runs = runs_of(segments, n_rows)
+        return [slice(0, n_rows)] if self.link_segments else runs
+
+    def _store(self, fit: LagFit, data: LagData, terms: Terms) -> None:
+        tau_s, period = float(np.exp(fit.shape[0])), float(self.sample_period_s)
+        n_terms = terms.back.shape[0]
         # The search runs over log τ: dτ = τ d(log τ), the delta method of Eq 10.
         to_user = np.concatenate([[tau_s, period], np.ones(n_terms)])
         self.joint_covariance_ = fit.covariance * np.outer(to_user, to_user)
         keep = [0, *range(2, n_terms + 2)]
         held = self.time_constant_s
         self.time_constant_s_ = tau_s if held is None else float(held)
-        self.dead_time_s_ = fit.dead * period
+        self.dead_time_s_ = float(fit.shape[1]) * period
         self.parameter_covariance_ = self.joint_covariance_[np.ix_(keep, keep)]
         self.time_constant_stderr_s_ = float(np.sqrt(self.joint_covariance_[0, 0]))
         self.dead_time_stderr_s_ = float(np.sqrt(self.joint_covariance_[1, 1]))
         self.coef_ = fit.coef
         self.covariance_ = self.parameter_covariance_[1:, 1:]
-        self._curve_back, self._curve_moves = fit.back, fit.curve_moves
-        self.drift_coef_ = fit.drift
-        self.ripple_coef_ = fit.ripple
+        self._curve_back, self._curve_moves = terms.back, fit.curve_moves
+        # The last knot as the zero: the mean of a drift belongs to the characteristic.
+        self.drift_coef_ = (fit.drift - fit.drift[-1:])[:-1]
         self.moving_average_ = fit.moving_average
         self.fit_state_ = fit.state
-        self._n_late = problem.n_late
-        scored = problem.weight[problem.weight > 0.0]
-        freedom = max(fit.n_errors - problem.n_parameters(n_terms), 1)
+        self._n_late = rows_late(data.longest_dead)
+        scored = data.weight[data.weight > 0.0]
+        freedom = max(fit.n_errors - data.n_parameters(n_terms), 1)
         self.residual_std_ = float(np.sqrt(fit.cost / freedom / scored.mean()))
         self.residual_lag_ = fit.n_lags
         self.n_blocks_ = len(fit.moves)
         self.n_scored_ = fit.n_errors
 
     def _store_static(
-        self,
-        y: FloatArray,
-        terms: FloatArray,
-        weight: FloatArray,
-        problem: LagProblem,
-        state: FitState,
+        self, y: FloatArray, terms: FloatArray, data: LagData, state: FitState
     ) -> None:
         """Where no lag can be had: the weighted static curve of least norm, and a code."""
-        root = np.sqrt(weight)
+        root = np.sqrt(data.weight)
         n_terms = terms.shape[1]
         coef = np.asarray(np.linalg.lstsq(terms * root[:, None], y * root)[0])
         error = (y - terms @ coef) * root
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = float("nan")
         self.coef_ = np.asarray(coef, dtype=np.float64)
-        self.covariance_ = np.full((n_terms, n_terms), np.nan)
-        self._curve_back, self._curve_moves = np.zeros((n_terms, 1)), np.full((1, 1), np.nan)
-        self.parameter_covariance_ = np.full((n_terms + 1, n_terms + 1), np.nan)
         self.joint_covariance_ = np.full((n_terms + 2, n_terms + 2), np.nan)
-        levels = 0 if problem.knots is None else problem.knots.n_levels
-        self.drift_coef_ = np.zeros(max(levels - 1, 0))
-        self.ripple_coef_ = np.zeros((len(problem.runs), 2 * problem.omega.size))
-        self.moving_average_ = np.zeros(problem.order)
+        self.parameter_covariance_ = self.joint_covariance_[1:, 1:]
+        self.covariance_ = self.joint_covariance_[2:, 2:]
+        self._curve_back, self._curve_moves = np.zeros((n_terms, 1)), np.full((1, 1), np.nan)
+        self.drift_coef_ = np.zeros(0 if data.drift is None else data.drift.n_hats - 1)
+        self.moving_average_ = np.zeros(data.order)
         self.fit_state_ = state
-        self._n_late = problem.n_late
+        self._n_late = rows_late(data.longest_dead)
         self.residual_std_ = float(np.sqrt(np.mean(error**2)))
         self.residual_lag_ = 1
         self.n_blocks_ = 0
-        self.n_scored_ = int(np.count_nonzero(weight))
+        self.n_scored_ = int(np.count_nonzero(data.weight))
 
 
 def _is_constant(values: FloatArray) -> bool:
     return bool(np.ptp(values) <= NO_RESPONSE * np.max(np.abs(values)))
-
-
-def _factor(name: str) -> str:
-    return "" if name == "1" else f" {name}"

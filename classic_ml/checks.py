@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.leverage import CycleShifts, LinearisedFit, cycle_shifts, linearised_fit
+from classic_ml.characteristics import feature_names
+from classic_ml.cycle_shifts import CycleShifts, cycle_shifts
+from classic_ml.lag_regressor import LagRegressor
+from classic_ml.linearised import LinearisedFit
 from classic_ml.whitening import (
     autoregressive_innovations,
     bartlett_widening,
@@ -118,7 +120,7 @@ class PhiCoverage:
 
 
 def residual_checks(
-    model: Any,
+    model: LagRegressor,
     X: ArrayLike,
     y: ArrayLike,
     segments: ArrayLike | None = None,
@@ -130,8 +132,8 @@ def residual_checks(
 
     Parameters
     ----------
-    model : fitted LagRegressor
-        Or another estimator with ``one_step``, ``characteristic``, ``time_constant_s_``, ``coef_``.
+    model : LagRegressor
+        Fitted.
     X : array-like of shape (n, n_features)
         Inputs.
     y : array-like of shape (n,)
@@ -149,10 +151,8 @@ def residual_checks(
         Whiteness, correlation with each input, normality, leverage of single cycles, and, of the
         first input, sweeps, range and cycles of φ.
     """
-    from classic_ml.characteristics import feature_names
-
     inputs = np.asarray(X, dtype=np.float64)
-    fit = linearised_fit(model, inputs, y, segments, sample_weight)
+    fit = model.linearised(inputs, y, segments, sample_weight)
     pieces = list(fit.pieces)
     errors, scored = fit.errors, inputs[fit.rows]
     names = feature_names(scored.shape[1], getattr(model, "feature_names_in_", None))
@@ -262,7 +262,7 @@ def normality(errors: FloatArray, runs: list[slice]) -> CheckRow:
     limit = float(chi2.isf(FALSE_ALARM, 2))
     white = autoregressive_innovations(errors, runs)
     if white.size < FEWEST_FOR_NORMALITY or np.ptp(white) == 0.0:
-        meaning = f"fewer than {FEWEST_FOR_NORMALITY} errors: their law cannot be told"
+        meaning = f"fewer than {FEWEST_FOR_NORMALITY} errors: too few to know their law"
         return CheckRow("normality", math.nan, "<", limit, False, meaning)
     statistic = float(normaltest(white).statistic)
     passed = statistic < limit
@@ -277,13 +277,13 @@ def normality(errors: FloatArray, runs: list[slice]) -> CheckRow:
     return CheckRow("normality", statistic, "<", limit, passed, meaning)
 
 
-def leverage(model: Any, fit: LinearisedFit, inputs: FloatArray) -> CheckRow:
+def leverage(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> CheckRow:
     """Check that no single cycle moves τ or the curve more than the others let expect.
 
     Parameters
     ----------
-    model : fitted estimator
-        With ``basis_``, ``time_constant_s_`` and ``coef_``.
+    model : LagRegressor
+        Fitted.
     fit : LinearisedFit
         Its errors and their derivatives.
     inputs : ndarray of shape (n, n_features)
@@ -298,7 +298,7 @@ def leverage(model: Any, fit: LinearisedFit, inputs: FloatArray) -> CheckRow:
     from scipy.stats import t
 
     shifts = cycle_shifts(fit)
-    contrasts = _contrasts(model, inputs, shifts.shift.shape[1])
+    contrasts = _contrasts(model, fit, inputs)
     size = np.abs(shifts.studentised(contrasts))
     tests = size.size
     limit = float(t.isf(0.5 * FALSE_ALARM / tests, shifts.n_cycles - 2))
@@ -340,7 +340,7 @@ def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> 
 def phi_coverage(
     phi: FloatArray, runs: list[slice], stated: tuple[float, float], n_parts: int = PARTS
 ) -> PhiCoverage:
-    """Tell where φ dwells in a stated range, and how many cycles went there.
+    """Return where φ dwells in a stated range, and how many cycles went there.
 
     Parameters
     ----------
@@ -423,18 +423,18 @@ def _sweeps(phi: FloatArray, stated: tuple[float, float]) -> NDArray[np.int64]:
     return np.cumsum(crossed)
 
 
-def _contrasts(model: Any, inputs: FloatArray, n_parameters: int) -> FloatArray:
-    """Return τ and the curve at three points as linear functions of (τ, β, …)."""
+def _contrasts(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> FloatArray:
+    """Return τ and the curve at three points as linear functions of the fit's parameters."""
     points = np.percentile(inputs, CURVE_PERCENTILES, axis=0)
-    terms = np.asarray(model.basis_.transform(points), dtype=np.float64)
-    contrasts = np.zeros((1 + terms.shape[0], n_parameters))
+    terms = np.asarray(model.basis_.transform(points), dtype=np.float64) @ fit.back
+    contrasts = np.zeros((1 + terms.shape[0], fit.jacobian.shape[1]))
     contrasts[0, 0] = 1.0
     contrasts[1:, 1 : 1 + terms.shape[1]] = terms
     return contrasts
 
 
 def _about_cycle(
-    model: Any,
+    model: LagRegressor,
     shifts: CycleShifts,
     contrasts: FloatArray,
     cycle: int,
