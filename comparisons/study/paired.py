@@ -229,18 +229,18 @@ def jackknife(
     columns = values.reshape(values.shape[0], -1)
     sums = np.stack([np.bincount(cluster, weights=column) for column in columns.T], axis=1)
 
-    def told(total: FloatArray, count: FloatArray) -> FloatArray:
+    def measured(total: FloatArray, count: FloatArray) -> FloatArray:
         means = total / count[..., None]
         if target is None:
             return means[..., 0]
         return np.abs(means[..., 0] - target) - np.abs(means[..., 1] - target)
 
     with np.errstate(over="ignore", invalid="ignore"):
-        whole = float(told(sums.sum(axis=0), counts.sum()))
+        whole = float(measured(sums.sum(axis=0), counts.sum()))
         if counts.size < 2 or not math.isfinite(whole):
             return whole if math.isfinite(whole) else math.nan, math.nan
         # About the whole's value rather than the mean of the parts: a little wider, never smaller.
-        spread = told(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
+        spread = measured(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
         # Scaled, so that squares of scores beyond 1e154 do not overflow.
         largest = float(np.max(np.abs(spread))) or 1.0
         share = (counts.size - 1) / counts.size

@@ -112,6 +112,7 @@ def _structure(name: str) -> str:
 
 def _study(name: str) -> str:
     from comparisons.study.report import render_study_report
+    from comparisons.study.spec import spec_from
 
     rng = np.random.default_rng(2)
     rows = [
@@ -121,8 +122,7 @@ def _study(name: str) -> str:
             "reduction": f"d-{k}",
             "method": method,
             "seed": k,
-            f"record.{name}": (0.0, 1.0, 5.0)[k % 3],
-            "record.case": (name, "b")[k % 2],
+            "record.hide": (name, "b")[k % 2],
             "state": "failed" if place == 2 and k == 3 else "ok",
             "reason": name if place == 2 and k == 3 else "",
             "tau_error_ms": 5.0 + 0.5 * place + rng.normal(),
@@ -133,15 +133,16 @@ def _study(name: str) -> str:
         for k in range(12)
         for place, method in enumerate(("classic_ml", "sindy", f"mine {name}"))
     ]
-    spec = {"title": name, "record": {name: [name, 1.0]}}
-    return render_study_report(
-        pd.DataFrame(rows),
-        spec,
-        ["tau_error_ms"],
-        by=("record.case",),
-        title=name,
-        command=f"sindy-surge study {name}",
+    spec = spec_from(
+        {
+            "title": name,
+            "scores": ["tau_error_ms"],
+            "record": {"hide": ["none", "sensitivity_drift"]},
+            "by": ["record.hide"],
+            "method": [{"name": "classic_ml"}, {"name": name, "class": "a:B"}],
+        }
     )
+    return render_study_report(pd.DataFrame(rows), spec, command=f"sindy-surge study {name}")
 
 
 def _reproduce(name: str) -> str:
