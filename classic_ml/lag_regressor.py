@@ -106,9 +106,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     Notes
     -----
     ψ'[k+1] - a ψ'[k] = Σ b_i s_i[k], a = exp(-h/τ), b_i = (1 - a) β_i (paper, Eq 9-11); with
-    first-order hold both s[k] and s[k+1] enter. Each segment starts from a state of its own. In
-    several segments no equation straddles two. A row of weight 0 is simulated through but not
-    scored.
+    first-order hold both s[k] and s[k+1] enter. Each segment starts from a state of its own, and no
+    equation straddles two.
     """
 
     def __init__(
@@ -158,11 +157,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             Label of each row; rows of one label that follow each other are a segment.
         sample_weight : array-like of shape (n,), optional
             Weight of each squared error; a row of weight 0 is simulated through but not scored.
-
-        Returns
-        -------
-        LagRegressor
-            The fitted estimator.
 
         Raises
         ------

@@ -27,6 +27,7 @@ __all__ = ["OrderRow", "OrderTable", "select_order"]
 TRAIN_SHARE = 2.0 / 3.0
 FEWEST_BLOCKS = 6
 FEWEST_ROWS = 30
+ORDERS_OF_C = tuple(range(1, MAXIMUM_ORDER + 1))
 
 
 @dataclass(frozen=True)
@@ -130,11 +131,9 @@ def select_order(
     *,
     sample_period_s: float,
     noise: Sequence[NoiseKind] = NOISE_KINDS,
-    noise_orders: Sequence[int] = (0, 1, 2),
     input_lags: Sequence[int] = (0, 1, 2),
     degrees: Sequence[int] = (1, 2, 3),
     hold: Hold = "first",
-    sample_weight: ArrayLike | None = None,
     hold_out: bool = True,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> OrderTable:
@@ -151,9 +150,7 @@ def select_order(
     sample_period_s : float
         Sample period, in seconds.
     noise : sequence of {"arx", "armax", "output-error"}
-        Noise models.
-    noise_orders : sequence of int
-        Degrees of C for armax, 0 to 2; 0 is arx and is fitted once.
+        Noise models; armax with C of degree 1 and 2.
     input_lags : sequence of int
         Whole samples by which φ acts late. All models are fitted to the rows that the longest
         of them leaves.
@@ -161,8 +158,6 @@ def select_order(
         Degrees of the characteristic.
     hold : {"zero", "first"}
         How φ acts between samples.
-    sample_weight : array-like of shape (n,), optional
-        Weights; a row of weight 0 is simulated through but not scored.
     hold_out : bool
         Score each model on the last third of the cycles too, by a fit to the others.
     progress : callable
@@ -186,12 +181,9 @@ def select_order(
     model that is within one paired standard error of the best on the later cycles.
     """
     inputs, target = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    candidates = _candidates(noise, noise_orders, input_lags, degrees)
+    candidates = _candidates(noise, input_lags, degrees)
     runs = runs_of(segments, target.size)
-    weight = (
-        np.ones(target.size) if sample_weight is None else np.asarray(sample_weight, np.float64)
-    )
-    data = _Rows(inputs, target, weight, runs, max(input_lags))
+    data = _Rows(inputs, target, runs, max(input_lags))
     if data.y.size < FEWEST_ROWS:
         raise InputError(
             "select_order",
@@ -210,7 +202,6 @@ class _Rows:
         self,
         X: FloatArray,
         y: FloatArray,
-        weight: FloatArray,
         runs: list[slice],
         longest_lag: int,
     ) -> None:
@@ -223,7 +214,7 @@ class _Rows:
         self.at = np.concatenate([*kept, np.zeros(0, dtype=np.int64)]).astype(np.int64)
         self.labels = np.repeat(np.arange(len(kept)), [rows.size for rows in kept])
         self._X = X
-        self.y, self.weight = y[self.at], weight[self.at]
+        self.y = y[self.at]
 
     def X(self, lag: int) -> FloatArray:
         """Return the inputs that act at each row."""
@@ -231,9 +222,8 @@ class _Rows:
 
     @property
     def n_free(self) -> int:
-        """Scored rows, less one for the start of each segment."""
-        scored = self.weight > 0.0
-        return int(scored.sum()) - np.unique(self.labels[scored]).size
+        """Rows, less one for the start of each segment."""
+        return int(self.y.size) - np.unique(self.labels).size
 
     def earlier(self) -> NDArray[np.bool_]:
         """Tell which rows train: whole cycles, or the first part of the one segment."""
@@ -247,24 +237,20 @@ class _Rows:
 
 def _candidates(
     noise: Sequence[NoiseKind],
-    noise_orders: Sequence[int],
     input_lags: Sequence[int],
     degrees: Sequence[int],
 ) -> list[_Candidate]:
-    if not (noise and noise_orders and input_lags and degrees):
+    if not (noise and input_lags and degrees):
         raise InputError("select_order", expected="at least one of each order", found="none")
     for kind in noise:
         one_of("noise", kind, NOISE_KINDS)
-    for order in noise_orders:
-        whole_number("noise_orders", order, 0, MAXIMUM_ORDER)
     for lag in input_lags:
         whole_number("input_lags", lag, 0, 1000)
     for degree in degrees:
         whole_number("degrees", degree, 0, 20)
     kinds: list[tuple[NoiseKind, int]] = []
     for kind in noise:
-        orders = noise_orders if kind == "armax" else (0,)
-        kinds += [("arx", 0) if (kind, c) == ("armax", 0) else (kind, c) for c in orders]
+        kinds += [(kind, c) for c in (ORDERS_OF_C if kind == "armax" else (0,))]
     return [
         _Candidate(kind, c, lag, degree)
         for (kind, c), lag, degree in product(dict.fromkeys(kinds), input_lags, degrees)
@@ -279,13 +265,12 @@ def _fit(
     hold: Hold,
 ) -> _Fitted:
     X = data.X(candidate.input_lag)
-    model = _model(candidate, sample_period_s, hold).fit(X, data.y, data.labels, data.weight)
+    model = _model(candidate, sample_period_s, hold).fit(X, data.y, data.labels)
     predicted, known = model.one_step(X, data.y, data.labels)
-    scored = known & (data.weight > 0.0)
-    errors = (data.y - predicted) * np.sqrt(data.weight)
+    errors = data.y - predicted
     runs = runs_of(data.labels, data.y.size)
-    power = float(errors[scored] @ errors[scored])
-    white = whiteness(np.where(scored, errors, 0.0), runs).passed
+    power = float(errors[known] @ errors[known])
+    white = whiteness(np.where(known, errors, 0.0), runs).passed
     n_parameters = 2 + model.coef_.size + candidate.noise_order
     log_power = math.log(max(power / max(data.n_free, 1), np.finfo(np.float64).tiny))
     blocks = np.zeros((0, 2)) if train is None else _held_out(candidate, model, data, train, X)
@@ -314,20 +299,19 @@ def _held_out(
 ) -> FloatArray:
     """Return the sum of squares and rows of each held-out block of cycles."""
     trained = _model(candidate, model.sample_period_s, model.hold).fit(
-        X[train], data.y[train], data.labels[train], data.weight[train]
+        X[train], data.y[train], data.labels[train]
     )
     test = ~train
     labels = data.labels[test]
     free_run = trained.simulate(X[test], labels, start=data.y[test])
-    squares = (data.y[test] - free_run) ** 2 * (data.weight[test] > 0.0)
-    counted = (data.weight[test] > 0.0).astype(np.float64)
+    squares = (data.y[test] - free_run) ** 2
     runs = runs_of(labels, labels.size)
     parts = max(1, math.ceil(FEWEST_BLOCKS / len(runs)))
     blocks = []
     for run in runs:
         for low, high in pairwise(np.linspace(run.start, run.stop, parts + 1).astype(int)):
-            if counted[low:high].any():
-                blocks.append((float(squares[low:high].sum()), float(counted[low:high].sum())))
+            if high > low:
+                blocks.append((float(squares[low:high].sum()), float(high - low)))
     return np.asarray(blocks, dtype=np.float64).reshape(-1, 2)
 
 
