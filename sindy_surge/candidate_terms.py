@@ -55,7 +55,7 @@ class CandidateTerms:
         chosen = default_library(X, degree=degree, knots=knots) if library is None else library
         self._library = fitted_library(copy.deepcopy(chosen), X, "library")
         n_terms = evaluated(self._library, X[:1], strict=False).shape[1]
-        self._input_names = tuple(input_names)
+        self.input_names = tuple(input_names)
         self._own_names = term_names(self._library, input_names, n_terms)
         if output_name in input_names:
             raise InputError(
@@ -72,7 +72,7 @@ class CandidateTerms:
                 found=f"{double[0]!r} twice",
                 remedy="rename the term or the column",
             )
-        self._extra: tuple[tuple[int, float], ...] = ()
+        self._extra: tuple[float, ...] = ()
         self.states: StateTerms | None = (
             None
             if psi_p is None
@@ -82,13 +82,8 @@ class CandidateTerms:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all terms; those that hold ψ' come last."""
-        extra = tuple(hinge_name(self._input_names[j], knot) for j, knot in self._extra)
+        extra = tuple(hinge_name(self.input_names[0], knot) for knot in self._extra)
         return self._own_names + extra + (() if self.states is None else tuple(self.states.names))
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return self._input_names
 
     @property
     def n_without_state(self) -> int:
@@ -103,10 +98,10 @@ class CandidateTerms:
         plain.states = self.states.physical()
         return plain
 
-    def with_hinges(self, extra: Sequence[tuple[int, float]]) -> CandidateTerms:
-        """Return a library with further hinges behind its terms of the inputs."""
+    def with_hinges(self, knots: Sequence[float]) -> CandidateTerms:
+        """Return a library with hinges of its first input behind its terms of the inputs."""
         longer = copy.copy(self)
-        longer._extra = tuple(extra)
+        longer._extra = tuple(knots)
         return longer
 
     def __call__(
@@ -146,7 +141,7 @@ class CandidateTerms:
         if inputs_alone:
             parts.append(evaluated(self._library, X, inputs_alone, self._own_names, strict=strict))
         extra = [self._extra[i - own] for i in wanted if own <= i < edge]
-        parts += [np.maximum(X[:, j] - knot, 0.0)[:, None] for j, knot in extra]
+        parts += [np.maximum(X[:, 0] - knot, 0.0)[:, None] for knot in extra]
         with_state = [i - edge for i in wanted if i >= edge]
         if with_state and self.states is not None and psi_p is not None:
             parts.append(self.states(X, psi_p)[:, with_state])

@@ -232,7 +232,7 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
     knots = moved_knots(problem, fit, search.constraints.required)
     if not knots:
         return search
-    wide, _ = with_hinges(search.whole, [(moved.column, moved.knot) for moved in knots])
+    wide, _ = with_hinges(search.whole, [moved.knot for moved in knots])
     if choices.dead_time == "auto" and not problem.dead_time.fitted:
         choices = replace(choices, dead_time=0.0)
     again = _searched(wide, choices, input_names, knots)

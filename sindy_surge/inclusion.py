@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sindy_surge.lag_fit import WhiteEquations
+from sindy_surge.leave_out import unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from sindy_surge.sparse_paths import beam_search
 from surge_core.errors import InputError
@@ -70,7 +71,12 @@ def inclusion_probabilities(
     if not len(grams):
         return np.full(n_terms, np.nan)
     linear = equations.compressed()
-    seeds = [s for _, s in _ranked(linear, largest, penalty_per_term, 200, forced)[:_SEEDS]]
+    ranked = sorted(
+        (chi2 / linear.variance + penalty_per_term * size, support)
+        for size, found in beam_search(linear, largest, required=forced).items()
+        for chi2, support in found
+    )
+    seeds = sorted((support for _, support in ranked[:_SEEDS]), key=len)
     counts = rng.multinomial(len(grams), np.full(len(grams), 1 / len(grams)), size=n_resamples)
     held = np.zeros(n_terms)
     for drawn in counts:
@@ -90,25 +96,17 @@ def _best(
     """Return the best of some structures and of those that a narrow beam finds."""
     floor = linear.outside / linear.variance
     best: tuple[float, Support] = (np.inf, ())
-    for support in sorted(seeds, key=len):
+    for support in seeds:
         # Even with nothing left to explain a structure pays for its terms.
         if floor + penalty * len(support) < best[0]:
             score = linear.score(support, penalty)
             best = min(best, (score, support))
     if np.isfinite(best[0]):
         largest = min(largest, max(int((best[0] - floor) / penalty), len(required), 1))
-    return min([best, *_ranked(linear, largest, penalty, _WIDTH, required)[:1]])[1]
-
-
-def _ranked(
-    linear: LinearProblem, largest: int, penalty: float, width: int, required: Support
-) -> list[tuple[float, Support]]:
-    """Return structures with their scores, the best first."""
-    return sorted(
-        (chi2 / linear.variance + penalty * size, support)
-        for size, found in beam_search(linear, largest, width, required).items()
-        for chi2, support in found
-    )
+    found = beam_search(linear, largest, _WIDTH, required)
+    leading = [ranked[0] for ranked in found.values()]
+    scored = [(chi2 / linear.variance + penalty * len(s), s) for chi2, s in leading]
+    return min([best, *scored])[1]
 
 
 def _compressed_blocks(
@@ -122,8 +120,7 @@ def _compressed_blocks(
     ]
     used = [rows for rows in used if rows.stop > rows.start]
     stacked = np.column_stack((equations.nuisances, equations.columns, equations.target))
-    norms = np.linalg.norm(stacked, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(stacked)
     orthogonal, triangle = np.linalg.qr(stacked / norms)
     # The target keeps its size: χ² is in units of the noise.
     triangle[:, -1] *= norms[-1]

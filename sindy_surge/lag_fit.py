@@ -350,6 +350,8 @@ def output_error(
 
     Returns
     -------
+    cost : float
+        Residual sum of squares.
     beta : ndarray of shape (n_terms,)
         Coefficients.
     """

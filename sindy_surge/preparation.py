@@ -18,12 +18,13 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
-from sindy_surge.weak import WeakLag, compensated_lag, weak_lag
+from sindy_surge.weak import WeakEquations, WeakLag, weak_lag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -158,16 +159,12 @@ def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     if weak is None or problem.noise.colour.size or problem.holds_state(support):
         # What would be taken off is the noise of white signals, of a model without ψ' in its terms.
         return weak
-    compensated = compensated_lag(
-        problem.output,
-        values,
-        np.stack([problem.late(slope) for slope in found.slopes]),
-        problem.segments,
-        round(weak.half_width_s / problem.sample_period_s),
-        problem.sample_period_s,
-        problem.noise.output,
-        problem.noise.inputs,
+    width = round(weak.half_width_s / problem.sample_period_s)
+    equations = WeakEquations.integrate(
+        problem.output, values, problem.segments, width, problem.sample_period_s
     )
+    slopes = np.stack([problem.late(slope) for slope in found.slopes])
+    compensated = equations.compensated_lag(slopes, problem.noise.output, problem.noise.inputs)
     return replace(weak, compensated_s=compensated)
 
 
@@ -266,8 +263,7 @@ def _screened(problem: LagProblem, tau: float, required: tuple[int, ...]) -> Lag
         return problem
     values = problem.terms(problem.inputs)[:, problem.columns[:n_inputs_terms]]
     columns = simulate(problem.late(values), problem.segments, problem.hold_at(tau))
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(columns)
     plain = LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
     always = tuple(i for i in required if i < n_inputs_terms)
     ranked = beam_search(plain, max(most, len(always)), width=1, required=always)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sindy_surge.leave_out import leave_out_moves
+from sindy_surge.leave_out import leave_out_moves, unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.types import FloatArray, IndexArray
 
@@ -117,8 +117,7 @@ class Trials:
 
 def _leverage(design: FloatArray, rows: IndexArray) -> float:
     """Return the largest share of the information on any parameter that some rows hold."""
-    norms = np.linalg.norm(design, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(design)
     basis, values, _ = np.linalg.svd(design / norms, full_matrices=False)
     within = basis[np.ix_(rows, values > 1e-10 * values[0])]
     return float(np.linalg.norm(within, 2) ** 2)

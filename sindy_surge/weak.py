@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
 from sindy_surge.segments import Segments
 from surge_core.types import FloatArray, IndexArray
@@ -16,11 +15,8 @@ __all__ = [
     "MIN_HALF_WIDTH",
     "WeakEquations",
     "WeakLag",
-    "compensated_lag",
     "half_width_samples",
-    "weak_centres",
     "weak_lag",
-    "weak_rows",
 ]
 
 
@@ -31,6 +27,8 @@ _EXPONENT = 4
 # 2 τ lies between the 1.5 and 3 τ within which the study found no bias (30-50 ms at 18 ms).
 _HALF_WIDTH_IN_TAU = 2.0
 _HALF_WIDTH_IN_PERIODS = 0.25
+# τ in samples with which the search for a width begins.
+_FIRST_GUESS = 20
 
 
 @dataclass(frozen=True)
@@ -106,46 +104,6 @@ def half_width_samples(
     return width if width >= MIN_HALF_WIDTH else None
 
 
-def weak_rows(
-    y: FloatArray, terms: FloatArray, segments: Segments, half_width: int, sample_period_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Integrate every signal against sliding test functions w(z) = (1 - z²)⁴.
-
-    By parts, ∫ w (dψ'/dt) dt = -∫ (dw/dt) ψ' dt, so nothing is differentiated. The terms are
-    built from the raw φ and integrated with the very same w; smoothing φ first would not
-    commute with its powers. A test function starts every quarter of a half width; segments
-    shorter than one give no equation.
-
-    Parameters
-    ----------
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    terms : ndarray of shape (n_rows, n_terms)
-        The candidate terms.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-
-    Returns
-    -------
-    derivative, signal : ndarray of shape (n_weak,)
-        Weak dψ'/dt (1/s) and ψ'.
-    columns : ndarray of shape (n_weak, n_terms)
-        Weak terms.
-    """
-    weight, slope = _test_function(half_width, sample_period_s)
-    stride, width = _stride(half_width), 2 * half_width + 1
-    stacked = np.column_stack((y, terms))
-    parts = []
-    for rows in segments.slices():
-        if rows.stop - rows.start >= width:
-            seen = np.lib.stride_tricks.sliding_window_view(stacked[rows], width, axis=0)[::stride]
-            parts.append(np.column_stack((-(seen[:, 0] @ slope), seen @ weight)))
-    every = np.concatenate(parts) if parts else np.empty((0, stacked.shape[1] + 1))
-    return every[:, 0], every[:, 1], every[:, 2:]
-
-
 def _test_function(half_width: int, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
     """Return w, of sum one, and dw/dt in 1/s over its 2 m + 1 samples."""
     z = np.arange(-half_width, half_width + 1) / half_width
@@ -154,160 +112,27 @@ def _test_function(half_width: int, sample_period_s: float) -> tuple[FloatArray,
     return weight / weight.sum(), slope / weight.sum()
 
 
-def _stride(half_width: int) -> int:
-    return max(1, half_width // 4)
-
-
-def weak_centres(segments: Segments, half_width: int) -> IndexArray:
-    """Return the row at the middle of each test function of `weak_rows`.
-
-    Parameters
-    ----------
-    segments : Segments
-        The runs of rows.
-
-    Returns
-    -------
-    ndarray of int of shape (n_weak,)
-        Rows, in the order of the weak equations.
-    """
-    stride = _stride(half_width)
-    return np.concatenate(
-        [
-            np.arange(rows.start + half_width, rows.stop - half_width, stride, dtype=np.intp)
-            for rows in segments.slices()
-        ]
-    )
-
-
-def weak_lag(
-    y: FloatArray,
-    terms: FloatArray,
-    segments: Segments,
-    sample_period_s: float,
-    guess_s: float | None = None,
-    surge_period_s: float | None = None,
-) -> WeakLag | None:
-    """Estimate τ by weak regression in both directions.
-
-    Parameters
-    ----------
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    terms : ndarray of shape (n_rows, n_terms)
-        The candidate terms.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    guess_s : float or None
-        A first τ in seconds; None begins at 20 samples and repeats with what comes out.
-    surge_period_s : float or None
-        Period of the surge cycles in seconds, if any are seen.
-
-    Returns
-    -------
-    WeakLag or None
-        None if the segments are too short or the equations too few.
-    """
-    guess = 20 * sample_period_s if guess_s is None else guess_s
-    result: WeakLag | None = None
-    for _ in range(2):
-        width = half_width_samples(segments, guess, sample_period_s, surge_period_s)
-        if width is None:
-            return None
-        change, signal, columns = weak_rows(y, terms, segments, width, sample_period_s)
-        if signal.size < columns.shape[1] + 3:
-            return result
-        forward = _solve(np.column_stack((signal, columns)), change)[0]
-        reverse = _solve(np.column_stack((change, columns)), signal)[0]
-        if not (forward < 0 and reverse < 0):
-            return result
-        result = WeakLag(-1 / forward, -reverse, width * sample_period_s, signal.size)
-        guess = result.reverse_s
-    return result
-
-
-def compensated_lag(
-    y: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
-    segments: Segments,
-    half_width: int,
-    sample_period_s: float,
-    output_noise: float,
-    input_noise: FloatArray,
-) -> float:
-    """Estimate τ by weak regression with the noise of both channels taken off.
-
-    Of ψ' = -τ dψ'/dt + Σ β_i s_i the normal equations of noisy signals expect
-    n σ_ψ² Σ (dw/dt)² too much for dψ'/dt and Σ w² σ_φ² s_i' s_j' for the terms; between
-    dψ'/dt and ψ' nothing, w being even and dw/dt odd.
-
-    Parameters
-    ----------
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    terms : ndarray of shape (n_rows, n_terms)
-        The terms, the bend that noise gives them taken off.
-    slopes : ndarray of shape (n_inputs, n_rows, n_terms)
-        Their derivatives with respect to each input.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    input_noise : ndarray of shape (n_inputs,)
-        Those of the inputs.
-
-    Returns
-    -------
-    float
-        τ in seconds; nan if the noise leaves nothing to regress on.
-    """
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-    weight, slope = _test_function(half_width, sample_period_s)
-    change, signal, columns = weak_rows(y, terms, segments, half_width, sample_period_s)
-    if signal.size < columns.shape[1] + 3:
-        return float("nan")
-    design = np.column_stack((change, columns))
-    gram = design.T @ design
-    gram[0, 0] -= signal.size * output_noise**2 * float(slope @ slope)
-    # How often, and how heavily, a row of the record enters the weak equations.
-    entered = np.zeros(y.size)
-    for centre in weak_centres(segments, half_width):
-        entered[centre - half_width : centre + half_width + 1] += weight**2
-    for level, one in zip(input_noise, slopes, strict=True):
-        gram[1:, 1:] -= level**2 * (one * entered[:, None]).T @ one
-    norms = np.sqrt(np.maximum(np.diag(design.T @ design), 1e-300))
-    try:
-        factor = cho_factor(gram / np.outer(norms, norms))
-    except LinAlgError:
-        return float("nan")
-    tau = -float(cho_solve(factor, design.T @ signal / norms)[0] / norms[0])
-    return tau if tau > 0 else float("nan")
-
-
-def _solve(columns: FloatArray, target: FloatArray) -> FloatArray:
-    norms = unit_norms(columns)
-    solution: FloatArray = np.linalg.lstsq(columns / norms, target, rcond=1e-10)[0] / norms
-    return solution
-
-
 @dataclass(frozen=True)
 class WeakEquations:
-    """Weak equations ψ' = -τ dψ'/dt + Σ β_i s_i of one width of the test function.
+    """Weak equations ψ' = -τ dψ'/dt + Σ β_i s_i: sums against sliding w(z) = (1 - z²)⁴.
+
+    By parts, ∫ w (dψ'/dt) dt = -∫ (dw/dt) ψ' dt, so nothing is differentiated. The terms are
+    built from the raw φ and integrated with the very same w; smoothing φ first would not
+    commute with its powers. A test function starts every quarter of a half width; segments
+    shorter than one give no equation.
 
     Parameters
     ----------
     derivative, signal : ndarray of shape (n_weak,)
         Weak dψ'/dt (1/s) and ψ'.
     columns : ndarray of shape (n_weak, n_columns)
-        Weak usable terms.
+        Weak terms.
     centres : ndarray of int of shape (n_weak,)
         Row at the middle of each test function.
     half_width : int
-        Half width in samples.
+        Half width m in samples.
+    sample_period_s : float
+        Sample period in seconds.
     """
 
     derivative: FloatArray
@@ -315,15 +140,35 @@ class WeakEquations:
     columns: FloatArray
     centres: IndexArray
     half_width: int
+    sample_period_s: float
+
+    @classmethod
+    def integrate(
+        cls,
+        y: FloatArray,
+        terms: FloatArray,
+        segments: Segments,
+        half_width: int,
+        sample_period_s: float,
+    ) -> WeakEquations:
+        """Integrate ψ' (n_rows,) and terms (n_rows, n_terms) against the test functions."""
+        weight, slope = _test_function(half_width, sample_period_s)
+        stride, width = max(1, half_width // 4), 2 * half_width + 1
+        stacked = np.column_stack((y, terms))
+        parts, centres = [np.empty((0, stacked.shape[1] + 1))], [np.empty(0, dtype=np.intp)]
+        for rows in segments.slices():
+            if rows.stop - rows.start >= width:
+                seen = np.lib.stride_tricks.sliding_window_view(stacked[rows], width, axis=0)
+                seen = seen[::stride]
+                parts.append(np.column_stack((-(seen[:, 0] @ slope), seen @ weight)))
+                centres.append(rows.start + half_width + stride * np.arange(len(seen)))
+        every = np.concatenate(parts)
+        places = np.concatenate(centres)
+        return cls(every[:, 0], every[:, 1], every[:, 2:], places, half_width, sample_period_s)
 
     @classmethod
     def of(cls, problem: LagProblem, half_width: int | None = None) -> WeakEquations | None:
-        """Set up the equations.
-
-        Parameters
-        ----------
-        half_width : int or None
-            Half width in samples; None takes two time constants.
+        """Set up the equations of a record; None takes a half width of two time constants.
 
         Returns
         -------
@@ -340,8 +185,7 @@ class WeakEquations:
             if found is None:
                 return None
             half_width = round(found.half_width_s / period)
-        change, signal, columns = weak_rows(problem.output, values, segments, half_width, period)
-        return cls(change, signal, columns, weak_centres(segments, half_width), half_width)
+        return cls.integrate(problem.output, values, segments, half_width, period)
 
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Regress ψ' on dψ'/dt and some terms.
@@ -374,3 +218,94 @@ class WeakEquations:
     def linear(self) -> LinearProblem:
         """Return the regression on all terms, τ projected out, for the optimizers."""
         return without_nuisances(self.derivative[:, None], self.columns, self.signal)
+
+    def compensated_lag(
+        self, slopes: FloatArray, output_noise: float, input_noise: FloatArray
+    ) -> float:
+        """Return τ by the regression on all terms, the noise of both channels taken off.
+
+        Of ψ' = -τ dψ'/dt + Σ β_i s_i the normal equations of noisy signals expect
+        n σ_ψ² Σ (dw/dt)² too much for dψ'/dt and Σ w² σ_φ² s_i' s_j' for the terms; between
+        dψ'/dt and ψ' nothing, w being even and dw/dt odd.
+
+        Parameters
+        ----------
+        slopes : ndarray of shape (n_inputs, n_rows, n_terms)
+            Derivatives of the terms with respect to each input.
+        output_noise : float
+            Standard deviation of the white noise of ψ'.
+        input_noise : ndarray of shape (n_inputs,)
+            Those of the inputs.
+
+        Returns
+        -------
+        float
+            τ in seconds; nan if the noise leaves nothing to regress on.
+        """
+        from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+        m = self.half_width
+        weight, slope = _test_function(m, self.sample_period_s)
+        if self.signal.size < self.columns.shape[1] + 3:
+            return float("nan")
+        design = np.column_stack((self.derivative, self.columns))
+        gram = design.T @ design
+        gram[0, 0] -= self.signal.size * output_noise**2 * float(slope @ slope)
+        # How often, and how heavily, a row of the record enters the weak equations.
+        entered = np.zeros(slopes.shape[1])
+        for centre in self.centres:
+            entered[centre - m : centre + m + 1] += weight**2
+        for level, one in zip(input_noise, slopes, strict=True):
+            gram[1:, 1:] -= level**2 * (one * entered[:, None]).T @ one
+        norms = np.sqrt(np.maximum(np.diag(design.T @ design), 1e-300))
+        try:
+            factor = cho_factor(gram / np.outer(norms, norms))
+        except LinAlgError:
+            return float("nan")
+        tau = -float(cho_solve(factor, design.T @ self.signal / norms)[0] / norms[0])
+        return tau if tau > 0 else float("nan")
+
+
+def weak_lag(
+    y: FloatArray,
+    terms: FloatArray,
+    segments: Segments,
+    sample_period_s: float,
+    surge_period_s: float | None = None,
+) -> WeakLag | None:
+    """Estimate τ by weak regression in both directions, the width following from the first.
+
+    Parameters
+    ----------
+    y : ndarray of shape (n_rows,)
+        ψ'.
+    terms : ndarray of shape (n_rows, n_terms)
+        The candidate terms.
+    segments : Segments
+        The runs of rows.
+    sample_period_s : float
+        Sample period in seconds.
+    surge_period_s : float or None
+        Period of the surge cycles in seconds, if any are seen.
+
+    Returns
+    -------
+    WeakLag or None
+        None if the segments are too short or the equations too few.
+    """
+    guess = _FIRST_GUESS * sample_period_s
+    result: WeakLag | None = None
+    for _ in range(2):
+        width = half_width_samples(segments, guess, sample_period_s, surge_period_s)
+        if width is None:
+            return None
+        weak = WeakEquations.integrate(y, terms, segments, width, sample_period_s)
+        every = tuple(range(terms.shape[1]))
+        if weak.signal.size < len(every) + 3:
+            return result
+        forward, reverse = weak.fit_forward(every), float(weak.fit(every)[0][-1])
+        if forward is None or not reverse > 0:
+            return result
+        guess = reverse
+        result = WeakLag(float(forward[-1]), guess, width * sample_period_s, weak.signal.size)
+    return result

@@ -21,7 +21,6 @@ __all__ = [
     "comparison_cautions",
     "drift_cautions",
     "filter_cautions",
-    "low_pass_before_flow",
     "noise_model_cautions",
     "spread_speeds",
     "tau_caution",
@@ -120,28 +119,13 @@ def tau_caution(
     Caution or None
         None for ψ, and where no ledger shows such a filter.
     """
-    cutoffs = {low_pass_before_flow(history) for history in histories} - {None}
+    # The first low-pass of a ledger is the one before the flow equation.
+    cutoffs = {cutoff_hz for history in histories for _, cutoff_hz in _low_passes(history)[:1]}
     if target != "psi_p" or not cutoffs:
         return None
-    at = " and ".join(f"{cutoff:g}" for cutoff in sorted(c for c in cutoffs if c is not None))
+    at = " and ".join(f"{cutoff:g}" for cutoff in sorted(cutoffs))
     code = "quote_tau" if quotable else "tau_biased"
     return Caution.of(code, cutoff_hz=at, estimators=" and ".join(quotable))
-
-
-def low_pass_before_flow(history: Sequence[LedgerEntry]) -> float | None:
-    """Return the cut-off of the low-pass that the pressures passed before the flow equation.
-
-    Parameters
-    ----------
-    history : sequence of LedgerEntry
-        Ledger of a record.
-
-    Returns
-    -------
-    float or None
-        In hertz; None where the ledger shows no such filter.
-    """
-    return next((cutoff_hz for _, cutoff_hz in _low_passes(history)), None)
 
 
 def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:

@@ -281,7 +281,7 @@ def _table(
     scores = [block_rms(result.held_out_blocks) for result in results]
     known = [i for i, (error, _) in enumerate(scores) if math.isfinite(error)]
     least = min(known, key=lambda i: scores[i][0], default=None)
-    medians = _median_tau(results)
+    median_tau = _median_tau(results)
 
     def distrust(i: int) -> tuple[int, bool, bool, int, float]:
         result, error = results[i], scores[i][0]
@@ -311,7 +311,7 @@ def _table(
                 paired_error,
                 result.model.time_constant_s,
                 result.model.time_constant_stderr_s,
-                _trust(result, medians, difference, paired_error),
+                _trust(result, median_tau, difference, paired_error),
             )
         )
     return tuple(rows)

@@ -39,7 +39,7 @@ __all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
 
 @dataclass(frozen=True)
 class SparseWholeRunFit(WholeRunFit):
-    """Terms chosen on whole runs, with the attributes of an estimator (DESIGN section 5).
+    """Terms chosen on whole runs, with the attributes of an estimator.
 
     ``rows_`` hold the terms that were chosen, and ``model_`` is output error with these, for the
     checks; ``degree`` is that of the highest power among them.

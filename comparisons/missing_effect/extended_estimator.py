@@ -26,7 +26,7 @@ _CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
 
 @dataclass(frozen=True)
 class ExtendedLagFit:
-    """A fitted lag model with effects, with the attributes of an estimator (DESIGN section 5).
+    """A fitted lag model with effects, with the attributes of an estimator.
 
     Its terms and its characteristic are functions of φ alone; what else the model holds is in
     ``extended_``, which reconstructs.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from typing import Any
 
@@ -73,7 +72,7 @@ def _body(comparison: Comparison) -> dict[str, Any]:
 def _estimator(result: EstimatorResult) -> dict[str, Any]:
     model = result.model
     phi, psi_p, stderr = np.asarray(model.table).T
-    known = 1.0 if result.states_curve else math.nan
+    known = 1.0 if result.states_curve else np.nan
     fit_state = {"code": result.state, "advice": result.advice}
     return {
         "label": result.label,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.study.method_table import LEVEL, GroupComparison, MethodRow, PairwiseDifferences
+from comparisons.study.method_table import LEVEL, GroupComparison, MethodRow
 from comparisons.study.paired import (
     SAME,
     Cells,
@@ -30,7 +30,7 @@ from surge_core.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["compare_methods", "methods_in", "pairwise", "score_named", "study_text"]
+__all__ = ["compare_methods", "methods_in", "score_named", "study_text"]
 
 # Below so many records neither an error nor its normal approximation is to be relied on.
 FEWEST_RECORDS = 5
@@ -82,26 +82,6 @@ def compare_methods(
         whole = groups[0][1] if not by else group_cells(table, chosen, ())[0][1]
         reference = _winner(whole, chosen)
     return tuple(_compared(cells, chosen, reference, where) for where, cells in groups)
-
-
-def pairwise(table: pd.DataFrame, score: Score | str) -> PairwiseDifferences:
-    """Compare every method with every other over the cells that the two share.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Results, one row a cell.
-    score : Score or str
-        What is compared, or its name in `SCORES`.
-    """
-    chosen = score_named(score)
-    groups = group_cells(table, chosen, ())
-    if not groups:
-        return PairwiseDifferences(chosen, (), ())
-    cells = groups[0][1]
-    n = range(len(cells.methods))
-    pairs = tuple(tuple(paired(cells, chosen, i, j) for j in n) for i in n)
-    return PairwiseDifferences(chosen, cells.methods, pairs)
 
 
 def study_text(

@@ -7,20 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from comparisons.study.paired import Paired
 from comparisons.study.scores import Score
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
-from surge_core.types import FloatArray
 
 __all__ = [
     "LEVEL",
     "Column",
     "GroupComparison",
     "MethodRow",
-    "PairwiseDifferences",
     "columns_of",
     "loss_label",
     "value_words",
@@ -151,51 +147,6 @@ class GroupComparison(Displayed):
         if cautions:
             fields.append(Field("caution", cautions, "advice"))
         return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (grid,))
-
-
-@dataclass(frozen=True)
-class PairwiseDifferences(Displayed):
-    """Every method against every other.
-
-    Parameters
-    ----------
-    score : Score
-        What is compared.
-    methods : tuple of str
-        Names, in the order of rows and columns.
-    pairs : tuple of tuple of Paired
-        ``pairs[i][j]``: method i against method j.
-    """
-
-    score: Score
-    methods: tuple[str, ...]
-    pairs: tuple[tuple[Paired, ...], ...]
-
-    @property
-    def difference(self) -> FloatArray:
-        """Mean loss of the row's method minus the column's, of shape (n, n)."""
-        return np.array([[p.difference for p in row] for row in self.pairs], dtype=np.float64)
-
-    @property
-    def stderr(self) -> FloatArray:
-        """Standard errors of the differences, of shape (n, n)."""
-        return np.array([[p.stderr for p in row] for row in self.pairs], dtype=np.float64)
-
-    def _sheet(self) -> Sheet:
-        unit = f" [{self.score.unit}]" if self.score.unit else ""
-        rows = tuple(
-            (
-                name,
-                *(
-                    "" if i == j else round_to_error(pair.difference, pair.stderr)
-                    for j, pair in enumerate(self.pairs[i])
-                ),
-            )
-            for i, name in enumerate(self.methods)
-        )
-        grid = Grid("Worse by … than", ("method", *self.methods), rows)
-        what = f"{loss_label(self.score)}{unit}: the row's method minus the column's"
-        return Sheet("Every method against every other", (Field("difference", what),), (grid,))
 
 
 class Column(NamedTuple):

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
-from comparisons.study.comparison import compare_methods, methods_in, pairwise, score_named
-from comparisons.study.method_table import GroupComparison, columns_of, loss_label, value_words
+from comparisons.study.comparison import compare_methods, methods_in, score_named
+from comparisons.study.method_table import GroupComparison, columns_of, value_words
 from comparisons.study.plots import draw_differences, draw_over_axis, draw_seconds
-from comparisons.study.scores import Score
 from comparisons.study.spec import Range, StudySpec
 from surge_core.files import check_target, write_whole
-from surge_core.rounding import round_to_error, significant
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,7 +111,6 @@ def _score_parts(
     parts = (
         Part("Methods", (*tables, Words(READING, "quiet"))),
         Part(f"By {', '.join(spec.by)}", (Bullets(leads),) if leads else ()),
-        Part("Every method against every other", _pairwise_table(table, score)),
         Part("Pictures", _pictures(table, spec, [*whole, *groups])),
     )
     return [part for part in parts if part.blocks]
@@ -127,28 +125,6 @@ def _method_table(group: GroupComparison) -> Table:
     rows = tuple(tuple(column.text(row, group) for column in columns) for row in group.rows)
     marks = tuple("best" if row.method == group.best else "" for row in group.rows)
     return Table(_capital(group.caption), heads, rows, marks)
-
-
-def _pairwise_table(table: pd.DataFrame, score: Score) -> tuple[Block, ...]:
-    matrix = pairwise(table, score)
-    if len(matrix.methods) < 2:
-        return ()
-    rows: list[tuple[str | Cell, ...]] = []
-    for i, name in enumerate(matrix.methods):
-        cells = [
-            Cell(
-                round_to_error(pair.difference, pair.stderr),
-                f"{pair.n_pairs} pairs, {pair.n_records} records",
-            )
-            if i != j
-            else ""
-            for j, pair in enumerate(matrix.pairs[i])
-        ]
-        rows.append((name, *cells))
-    heads = (Head("worse by … than"), *(Head(name, numeric=True) for name in matrix.methods))
-    unit = f" [{score.unit}]" if score.unit else ""
-    caption = f"{_capital(loss_label(score))}{unit}: the row's method minus the column's"
-    return (Table(caption, heads, tuple(rows)),)
 
 
 def _pictures(

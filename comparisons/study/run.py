@@ -213,8 +213,8 @@ def _row(cell: Cell, shared: dict[str, Any]) -> Row:
             raise shared[key]
         return shared[key]
 
-    # A class may draw from numpy's shared generator: the same numbers for a cell, whoever runs it
-    # and after what.
+    # A class may draw from numpy's shared generator: the same numbers for a cell in any worker and
+    # any order.
     np.random.seed(int(cell.key.removeprefix("c-"), 16) % 2**32)  # noqa: NPY002
     begun = time.perf_counter()
     try:

@@ -204,8 +204,8 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     psi_p = pressure_coefficient(
         p25, p31, t25, slope, machine.inertia_per_m, test.rotor_velocity_m_s, machine
     )
-    lagged = psi_p - c.reverse_loss * np.minimum(phi, 0.0) ** 2
-    p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia * slope
+    lagged = psi_p - c.compressor_reverse_loss * np.minimum(phi, 0.0) ** 2
+    p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia_per_m * slope
     first = float(measured.time_s[0])
     latch = kernel.latches(c, phi, t25, first, measured.period_s)
     columns = np.column_stack([flow, lagged, p31, p_in, p25, phi, t25])

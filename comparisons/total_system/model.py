@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from classic_ml.readers.test_description import TestDescription
 from comparisons.total_system.facility import Facility
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from comparisons.total_system.kernel import Constants
 
 __all__ = ["COLUMNS", "STATES", "STEPS_PER_SECOND", "TotalSystemModel"]
 
@@ -105,64 +102,33 @@ class TotalSystemModel:
             )
         return pressure
 
-    def constants(self) -> Constants:
+    def constants(self) -> Any:
         """Return the numbers of the compiled loops, orifices sized by the near-stall reading."""
-        from comparisons.total_system.kernel import Constants, orifice
+        from comparisons.total_system.kernel import FACILITY_FIELDS, Constants, orifice
 
         test, f, near = self.test, self.facility, self.test.near_stall
-        machine, flow, known = test.compressor, self.near_stall_flow_kg_s, self.facility.compressor
+        machine, flow = test.compressor, self.near_stall_flow_kg_s
         g, velocity = machine.gamma, test.rotor_velocity_m_s
         loss = f.inlet.loss_frac * near.P25_Pa / flow**2
+        tables = f.model_dump().items()
+        known = [float(value) for _, table in tables for value in table.values()]
         c = Constants(
+            **dict(zip(FACILITY_FIELDS, known, strict=True)),
             beta1=self.beta[0],
             beta2=self.beta[1],
             beta3=self.beta[2],
             tau=self.tau_s,
-            reverse_loss=known.reverse_loss,
-            recovery_phi=known.recovery_phi,
-            rearm_phi=known.rearm_phi,
-            speed_low=known.stall_speed_low_frac,
-            speed_high=known.stall_speed_high_frac,
-            phi_low=known.stall_phi_low,
-            phi_high=known.stall_phi_high,
-            psi_low=known.stall_psi_p_low,
-            psi_high=known.stall_psi_p_high,
-            droop=known.unstalled_droop,
-            efficiency=known.unstalled_efficiency,
-            blend=known.blend_s,
-            work0=known.work_intercept,
-            work1=known.work_slope_1,
-            work2=known.work_slope_2,
-            work3=known.work_slope_3,
-            break1=known.work_break_1,
-            break2=known.work_break_2,
             inertia=machine.inertia_per_m,
-            inlet_inertia=f.inlet.inertia_per_m,
             storage_volume=_STORAGE_SHARE * machine.internal_volume_m3,
             discharge_volume=self.volume_factor * f.volumes.discharge_m3,
-            exhaust_volume=f.volumes.exhaust_m3,
-            inlet_volume=f.volumes.inlet_m3,
             loss=loss,
             supply_flow=flow,
             supply_pressure=near.P25_Pa + loss * flow**2,
-            supply_temperature=f.supply.temperature_K,
-            supply_slope=f.supply.slope_kg_s_Pa,
-            coil=f.supply.coil_effectiveness,
-            coil_lag=f.supply.coil_lag_s,
-            recirculation=f.heat.recirculation_frac,
             recirculation_heat=f.heat.recirculation_work
             * velocity**2
             / (2.0 * machine.specific_heat_J_kg_K),
-            exchange=f.heat.recirculation_exchange,
-            reverse_heat=f.heat.reverse_heat_frac,
-            face_volume=f.volumes.face_m3,
-            throttle=1.0,
-            exhaust=1.0,
-            ambient=f.throttle.ambient_pressure_Pa,
-            close_start=f.throttle.close_start_s,
-            close_rate=f.throttle.close_rate_per_s,
-            open_ratio=f.throttle.open_ratio,
-            open_lag=f.throttle.open_lag_s,
+            throttle_area=1.0,
+            exhaust_area=1.0,
             start=self.start_s,
             speed=test.rotor_speed_rpm * np.sqrt(T_STANDARD_K) / test.design_corrected_speed_rpm,
             velocity=velocity,
@@ -173,12 +139,11 @@ class TotalSystemModel:
             gas=machine.gas_constant_J_kg_K,
             heat=machine.specific_heat_J_kg_K,
         )
-        middle = self._exhaust_pressure_Pa
+        middle, ambient = self._exhaust_pressure_Pa, f.throttle.ambient_pressure_Pa
         through, _ = orifice(c, 1.0, near.P31_Pa, near.T31_K, middle, near.T31_K)
-        out, _ = orifice(c, 1.0, middle, near.T31_K, c.ambient, near.T31_K)
+        out, _ = orifice(c, 1.0, middle, near.T31_K, ambient, near.T31_K)
         return c._replace(
-            throttle=f.throttle.area_factor * flow / through,
-            exhaust=flow / out,
+            throttle_area=f.throttle.area_factor * flow / through, exhaust_area=flow / out
         )
 
     def simulate(

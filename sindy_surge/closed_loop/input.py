@@ -43,6 +43,8 @@ def read_record(
     -------
     record : ndarray of shape (n_rows, 2 or 3)
         The channels.
+    sample_period_s : float
+        The sample period in seconds.
 
     Raises
     ------
@@ -167,6 +169,8 @@ def hidden_plenum(
     -------
     plenum : ndarray of shape (n_rows,)
         Ψ in the unit of ψ', smoothed.
+    gain_per_s : float
+        a.
 
     Raises
     ------

@@ -19,7 +19,7 @@ from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from sindy_surge.segments import Segments
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import proposals
-from sindy_surge.weak import weak_rows
+from sindy_surge.weak import WeakEquations
 from surge_core.types import FloatArray
 
 __all__ = ["StructureRow", "WeakStructure", "settle_structure", "weak_structure"]
@@ -100,10 +100,11 @@ def weak_structure(
     """
     terms = library.subset(allowed)
     whole = Segments.from_labels(None, len(record))
-    change, _, columns = weak_rows(
+    weak = WeakEquations.integrate(
         record[:, equation], terms.values(record), whole, half_width, sample_period_s
     )
-    linear = without_nuisances(columns[:, :0], columns, change)
+    change = weak.derivative
+    linear = without_nuisances(weak.columns[:, :0], weak.columns, change)
     n_independent = len(record) / half_width
     penalty = information_penalty(round(n_independent), len(terms))
     floor = _QUADRATURE**2 * float(change @ change)
@@ -133,6 +134,8 @@ def settle_structure(
 
     Returns
     -------
+    fit : JointFit
+        The structure that stands.
     rows : tuple of StructureRow
         What was fitted on the way.
     settled : bool

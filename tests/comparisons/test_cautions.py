@@ -14,7 +14,6 @@ from classic_ml.records import Dropped, LedgerEntry
 from comparisons.harness.cautions import (
     drift_cautions,
     filter_cautions,
-    low_pass_before_flow,
     noise_model_cautions,
     tau_caution,
     unknown_work,
@@ -227,16 +226,17 @@ def test_findings_of_one_step_are_one_sentence_that_counts_the_rest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("entry", "cutoff"),
+    ("entry", "low_passed"),
     [
-        (LedgerEntry("filter", "", {"phase": "zero", "cutoff_hz": 48.0}), 48.0),
-        (LedgerEntry("filter", "", {"phase": "none"}), None),
-        (LedgerEntry("filter", "", {"phase": "none", "cutoff_hz": 48.0}), None),
-        (LedgerEntry("calibrate", "", {"cutoff_hz": 48.0}), None),
+        (LedgerEntry("filter", "", {"phase": "zero", "cutoff_hz": 48.0}), True),
+        (LedgerEntry("filter", "", {"phase": "none", "cutoff_hz": 48.0}), False),
+        (LedgerEntry("calibrate", "", {"cutoff_hz": 48.0}), False),
     ],
 )
-def test_the_filter_is_found_in_the_ledger(entry: LedgerEntry, cutoff: float | None) -> None:
-    assert low_pass_before_flow([LedgerEntry("read", ""), entry]) == cutoff
+def test_the_filter_is_found_in_the_ledger(entry: LedgerEntry, low_passed: bool) -> None:
+    found = tau_caution([[LedgerEntry("read", ""), entry]])
+    assert (found is not None) is low_passed
+    assert found is None or found.numbers["cutoff_hz"] == "48"
 
 
 def test_every_cutoff_is_named_once() -> None:

@@ -15,7 +15,7 @@ from made_systems import made_diagnosis as made_system
 from comparisons.missing_effect.extended_refit import value_of
 from comparisons.missing_effect.quantities import tau_ms
 from comparisons.results import FIELDS, Caution, comparison_cells
-from comparisons.study.comparison import compare_methods, pairwise
+from comparisons.study.comparison import compare_methods
 
 
 def shown(value: Any) -> tuple[str, str]:
@@ -113,6 +113,3 @@ def test_methods_of_a_study_are_shown_with_errors_and_units() -> None:
     assert "[ms]" in text
     assert "±" in text
     assert html.count('class="chosen"') == 1
-    matrix = pairwise(table, "tau_error_ms")
-    text, _ = shown(matrix)
-    assert f"{matrix.difference[0, 1]:.1f}"[:3] in text

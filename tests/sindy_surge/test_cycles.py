@@ -129,15 +129,6 @@ def test_many_cycles_are_joined_evenly() -> None:
     assert set(lengths[1:-1].round(-1).tolist()) <= {150, 200}
 
 
-def test_a_steady_stretch_is_cut_as_long_as_a_cycle() -> None:
-    surging = _wave("relaxation", 150, 3000, 0, 0.02)
-    steady = 0.45 + 0.002 * np.random.default_rng(1).standard_normal(3000)
-    blocks = cycle_blocks(np.concatenate((steady, surging)), _whole(6000), SHORTEST)
-    lengths = np.array([b.stop - b.start for b in blocks])
-    assert lengths.max() < 2 * 150
-    assert len(blocks) > 35
-
-
 def test_without_cycles_the_rows_are_cut_evenly() -> None:
     segments = Segments.from_labels(np.repeat([1, 2], [2500, 500]), 3000)
     phi = np.random.default_rng(0).standard_normal(3000)

@@ -98,7 +98,7 @@ def test_short_segments_lose_rows_not_the_delay() -> None:
 def test_bad_dead_times_are_named(value: Any) -> None:
     phi = np.linspace(0, 1, 100)[:, None]
     with pytest.raises(InputError, match="dead_time_s"):
-        SparseLagRegressor(dead_time_s=value).fit(phi, phi[:, 0])
+        SparseLagRegressor(dead_time_s=value, n_bootstrap=0).fit(phi, phi[:, 0])
 
 
 @pytest.mark.parametrize("samples", [3, 8])
@@ -116,4 +116,6 @@ def test_a_dead_time_longer_than_the_segments_is_refused(surge: Callable[..., An
     record = surge("quadratic", 0.02, 2)
     labels = np.arange(record.phi.size) // 100
     with pytest.raises(InputError, match=r"dead_time_s.*segment"):
-        SparseLagRegressor(dead_time_s=2.0).fit(record.phi[:, None], record.psi_p, segments=labels)
+        SparseLagRegressor(dead_time_s=2.0, n_bootstrap=0).fit(
+            record.phi[:, None], record.psi_p, segments=labels
+        )

@@ -53,7 +53,7 @@ def hidden() -> list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]]:
     fits = []
     for seed in range(4):
         phi, psi_p = _record(seed, 300.0)
-        fits.append((phi, psi_p, SparseLagRegressor().fit(phi[:, None], psi_p)))
+        fits.append((phi, psi_p, SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)))
     return fits
 
 
@@ -77,7 +77,9 @@ def test_hidden_effect_in_short_segments() -> None:
         phi, psi_p = _record(seed, 300.0)
         labels = _in_stall(phi)
         rows = labels > 0
-        model = SparseLagRegressor().fit(phi[rows, None], psi_p[rows], segments=labels[rows])
+        model = SparseLagRegressor(n_bootstrap=0).fit(
+            phi[rows, None], psi_p[rows], segments=labels[rows]
+        )
         assert model.fit_state_ is FitState.MODEL_ERROR_DOMINATES
         assert len(model.terms_) <= 4
         at = np.linspace(0, 0.2, 20)
@@ -104,8 +106,8 @@ def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else(
 ) -> None:
     phi, psi_p, _ = hidden[0]
     library = partial(PolynomialLibrary, 3)
-    plain = SparseLagRegressor(library=library()).fit(phi[:, None], psi_p)
-    moved = SparseLagRegressor(library=library()).fit(phi[:, None] + 0.03, psi_p)
+    plain = SparseLagRegressor(library=library(), n_bootstrap=0).fit(phi[:, None], psi_p)
+    moved = SparseLagRegressor(library=library(), n_bootstrap=0).fit(phi[:, None] + 0.03, psi_p)
     assert plain.fit_state_ is moved.fit_state_ is FitState.MODEL_ERROR_DOMINATES
     assert plain.terms_ == moved.terms_
     assert plain.time_constant_s_ == pytest.approx(moved.time_constant_s_, rel=1e-6)
@@ -116,7 +118,7 @@ def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else(
 
 def test_a_kink_that_explains_nearly_all_is_taken() -> None:
     phi, psi_p = _record(0, 100.0, _kink)
-    model = SparseLagRegressor().fit(phi[:, None], psi_p)
+    model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
     assert model.fit_state_ is FitState.MODEL_ERROR_DOMINATES
     assert any("relu" in term for term in model.terms_)
     assert len(model.terms_) <= 4
@@ -126,7 +128,9 @@ def test_a_kink_that_explains_nearly_all_is_taken() -> None:
 
 def test_segments_too_short_for_a_test_function_are_no_success() -> None:
     phi, psi_p = _record(0, 600.0)
-    model = SparseLagRegressor().fit(phi[:, None], psi_p, segments=np.arange(2200) // 8)
+    model = SparseLagRegressor(n_bootstrap=0).fit(
+        phi[:, None], psi_p, segments=np.arange(2200) // 8
+    )
     assert model.fit_state_ in (FitState.NO_CONSISTENT_STRUCTURE, FitState.LAG_UNDETERMINED)
 
 

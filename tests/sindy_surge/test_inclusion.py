@@ -173,23 +173,6 @@ def test_nearly_dependent_columns_lose_no_digits(required: tuple[int, ...]) -> N
     assert decided >= 4
 
 
-def test_what_a_resample_lacks_it_does_not_choose() -> None:
-    columns, noise = _random(4, q=12)
-    blocks = _even_blocks(noise.size)
-    partial = {2: 7, 5: 12, 9: 20}
-    target = 5 * columns[:, 0] + noise
-    for term, block in partial.items():
-        only = np.zeros(noise.size)
-        only[blocks[block]] = 1.0
-        columns[:, term] *= only
-        target += 8 * columns[:, term]
-    found = _resampled(_equations(columns, target), blocks, n_resamples=400)
-    chance = 1 - (1 - 1 / N_BLOCKS) ** N_BLOCKS
-    for term in partial:
-        assert abs(found[term] - chance) < 4 * np.sqrt(chance * (1 - chance) / 400)
-    assert np.delete(found, [0, *partial]).max() < 0.1
-
-
 def test_many_hinges_do_not_hide_a_cubic() -> None:
     # A search that adds term by term starts with hinges here and never meets the cubic.
     rng = np.random.default_rng(2)

@@ -191,15 +191,6 @@ def test_errors_that_all_cycles_share_come_on_top() -> None:
     np.testing.assert_allclose(wider, level**2, rtol=1e-6)
 
 
-def test_a_library_without_powers_serves_too() -> None:
-    record = made(parabola, 0.02, 6)
-    waves = np.column_stack([np.cos(12.0 * k * record.phi) for k in range(4)])
-    columns = np.column_stack([average(record.stalled * v) for v in waves.T])
-    found = record.found(columns=columns, names=["a", "b", "c", "d"], degrees=[None] * 4)
-    assert found.state is FitState.OK
-    assert found.time_constant_s == pytest.approx(TAU_S, rel=0.1)
-
-
 def test_too_few_scored_rows_or_only_nuisances_give_no_lag() -> None:
     record = made(parabola, 0.015, 8)
     few = record.found(weight=np.where(np.cumsum(record.weight) < 15, record.weight, 0.0))

@@ -14,7 +14,7 @@ from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.export import RateFunction, python_source
 from sindy_surge.library import default_library
 from sindy_surge.summary import ModelSummary, interval95
-from sindy_surge.text import EquationParts, formula, pysindy_equations, write_equation
+from sindy_surge.text import EquationParts, formula, pysindy_equations, uncertain, write_equation
 
 QUADRATIC = EquationParts(
     ("1", "phi", "phi^2"), (0.35, 1.2, -1.9), (0.004, 0.03, 0.05), 0.018, 0.0002
@@ -33,6 +33,20 @@ def test_text_carries_units_signs_and_the_errors() -> None:
     assert text.startswith("0.01800(20) s · dψ'/dt + ψ' = 0.350(4) + 1.200(30) φ − 1.90(5) φ²")
     late = with_terms(("phi",), dead_time_s=0.002, dead_time_stderr_s=0.0001)
     assert "φ at t − 0.00200(10) s" in write_equation(late)
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (1.2049, 0.0412, "1.20(4)"),
+        (30.12, 1.2, "30.1(1.2)"),
+        (1.2e-8, 3e-10, "1.200(30)e-08"),
+        (0.25, 0.0, "0.25"),
+        (0.25, math.nan, "0.25"),
+    ],
+)
+def test_values_are_rounded_to_their_error(value: float, stderr: float, text: str) -> None:
+    assert uncertain(value, stderr) == text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The JSON of a diagnosis: the contract of DESIGN section 5 for every verdict, strict and whole."""
+"""The JSON of a diagnosis: the contract for every verdict, strict and whole."""
 
 from __future__ import annotations
 

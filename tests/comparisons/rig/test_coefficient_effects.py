@@ -16,7 +16,6 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 from comparisons.rig.coefficient_kernels import backlash, constant_lag
 from comparisons.rig.coefficient_plant import Plant, draw_plant
 from comparisons.rig.coefficient_runs import run_record
-from comparisons.rig.coefficient_signals import Excitation
 from comparisons.rig.coefficient_tests import (
     CoefficientRecord,
     CoefficientTest,
@@ -405,15 +404,13 @@ def test_constant_lag_is_exact_for_a_parabola(z: float) -> None:
     np.testing.assert_allclose(got, wanted, atol=1e-12 * max(size, 1.0))
 
 
-def small_plant(excitation: Excitation | None = None) -> Plant:
+def small_plant() -> Plant:
     return draw_plant(
         np.random.default_rng(5),
         n_records=1,
         duration_s=6.0,
         sample_period_s=PERIOD_S,
         degree=3,
-        excitation=excitation or Excitation(),
-        tau_s=(0.06, 0.2),
     )
 
 
@@ -433,6 +430,4 @@ def simulate_plant_of(seed: int, n_samples: int) -> Plant:
         duration_s=n_samples * 0.01,
         sample_period_s=0.01,
         degree=3,
-        excitation=Excitation(),
-        tau_s=(0.06, 0.2),
     )

@@ -80,8 +80,8 @@ def test_the_report_leads_with_the_answer_and_every_picture_says_its_numbers() -
     table.loc[[4, 7, 10], ["state", "reason"]] = ["failed", "singular <matrix>"]
     page = Page(render_study_report(table, spec()))
     best = page.words.index("classic_ml has the smallest |error of τ|")
-    # Once in the contents and once above the matrix.
-    assert best < page.words.rindex("Every method against every other")
+    # Once in the contents and once above the tables.
+    assert best < page.words.rindex("Methods")
     assert "36 cells of 3 methods on 12 records; 3 failed." in page.words
     assert "record.noise_percent 0, 1, 5" in page.words
     # All three failures of one method for one reason are one line.
