@@ -24,11 +24,9 @@ from surge_core.files import check_target
 from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
-    from classic_ml.readers import TestDescription
-    from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["add_parser", "print_reduction", "read_file", "reduce_file", "run"]
+__all__ = ["add_parser", "print_reduction", "run"]
 
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
@@ -76,7 +74,7 @@ def run(arguments: argparse.Namespace) -> None:
     check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
     check_target(arguments.out, SERIES_SUFFIXES)
     with options_named():
-        reduction = reduce_file(arguments.raw, arguments.test, reduction_settings(arguments))
+        reduction = _reduced(arguments.raw, arguments.test, reduction_settings(arguments))
     write_series(reduction.series, arguments.out)
     written = write_all([("report", arguments.report, lambda: _page(reduction))])
     print_reduction(reduction)
@@ -84,7 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
         print(line)
 
 
-def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction:
+def _reduced(raw: Path, test: Path, settings: ReductionSettings) -> Reduction:
     """Read and reduce a raw record, and show how far that is on a terminal.
 
     Parameters
@@ -99,30 +97,13 @@ def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction
     InputError
         When the record cannot be used.
     """
+    from classic_ml.readers import read_raw
     from classic_ml.reduction import STEPS, reduce_record
 
-    record, description = read_file(raw, test)
+    with shown_count("reading", unit="row") as read:
+        record, description = read_raw(raw, test, progress=read)
     with shown_count("reducing", unit="step", total=STEPS) as done:
         return reduce_record(record, description, settings, keep_probes=False, progress=done)
-
-
-def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
-    """Read a raw record, and show how far that is on a terminal.
-
-    Parameters
-    ----------
-    raw, test : path
-        As :func:`reduce_file` takes them.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    """
-    from classic_ml.readers import read_raw
-
-    with shown_count("reading", unit="row") as read:
-        return read_raw(raw, test, progress=read)
 
 
 def print_reduction(reduction: Reduction) -> None:
