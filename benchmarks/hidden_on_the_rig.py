@@ -153,7 +153,7 @@ def _copy_altered(folder: Path, hidden: str | None) -> None:
 
 def recovered(folder: Path) -> Row:
     """Return what the reduction and the diagnosis make of two files."""
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from classic_ml.reduction import reduce_record
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.uncertainty import fitted_parameters

@@ -218,7 +218,7 @@ def reduction_rows(options: argparse.Namespace) -> list[Row]:
     """Reduce counts to φ and ψ', beside the same equations in a script of pandas and scipy."""
     from script_reduction import read, reduce_by_script
 
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from classic_ml.reduction import reduce_record
     from comparisons.rig import simulate, write_run
 

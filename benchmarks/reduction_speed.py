@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
 from comparisons.rig import simulate, write_run

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators

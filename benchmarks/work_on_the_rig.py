@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from comparisons.harness.work_fit import fit_work
 from comparisons.rig import CASES, simulate, write_run
 

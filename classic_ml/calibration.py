@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from classic_ml.readers.test_description import (
+from classic_ml.description import (
     PLAUSIBLE_BIAS,
     PLAUSIBLE_BIAS_K,
     Converter,

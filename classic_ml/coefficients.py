@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from classic_ml.description import Compressor, TestDescription
 from classic_ml.flow import T_STANDARD_K, mach_from_corrected_flow
-from classic_ml.readers.test_description import Compressor, TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from classic_ml.readers.test_description import Compressor
+from classic_ml.description import Compressor
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 

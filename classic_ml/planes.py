@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from classic_ml.description import ProbePair, TestDescription
 from classic_ml.flow import pair_flow, physical_flow
-from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

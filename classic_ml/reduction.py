@@ -16,13 +16,13 @@ from classic_ml.calibration import (
 )
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
 from classic_ml.cycles import FEW_CYCLES, cycles_within, find_cycles
+from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filters import filter_channels, filter_entry, low_pass
 from classic_ml.free_run import extend_while_settled, free_run_rows
 from classic_ml.planes import local_flows, plane_averages
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
 from classic_ml.segments import (
@@ -102,7 +102,7 @@ def reduce_record(
     Parameters
     ----------
     record : Record
-        Counts and kelvin, as :func:`classic_ml.readers.read_raw` returns them.
+        Counts and kelvin, as :func:`classic_ml.io.read_raw` returns them.
     test : TestDescription
         The test they belong to.
     settings : ReductionSettings, optional

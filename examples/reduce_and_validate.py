@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators

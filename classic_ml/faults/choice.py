@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.calibration import near_stall_rows
+from classic_ml.description import TestDescription
 from classic_ml.faults.findings import (
     BEYOND_LIMITS,
     CLIPPED,
@@ -19,7 +20,6 @@ from classic_ml.faults.findings import (
 )
 from classic_ml.faults.probes import Agreement, compare_probes, disagreements, slow_pressures
 from classic_ml.intervals import bridged
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from surge_core.errors import InputError
 

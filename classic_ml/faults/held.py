@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from classic_ml.description import TestDescription
 from classic_ml.faults.findings import Finding
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

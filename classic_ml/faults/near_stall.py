@@ -13,11 +13,11 @@ import numpy as np
 
 from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient
+from classic_ml.description import ProbePair, TestDescription
 from classic_ml.faults.choice import choose_channels
 from classic_ml.faults.findings import Finding, marked_rows
 from classic_ml.flow import T_STANDARD_K, physical_flow
 from classic_ml.planes import local_flows, plane_averages, present_pairs
-from classic_ml.readers.test_description import ProbePair, TestDescription
 from classic_ml.records import LedgerEntry, Record
 from surge_core.errors import InputError
 

@@ -10,8 +10,8 @@ Where it is smaller, a slow signal stands still at its own peak too. One that is
 there two rows or more, and
 
 - arrives and leaves at full speed, many steps of the resolution away, as readings around the peak
-  of a smooth signal do not: one that stays within a step of its peak for L rows is no more than five
-  steps below it another (L - 1)/2 rows away;
+  of a smooth signal do not: one that stays within a step of its peak for L rows is no more than
+  five steps below it another (L - 1)/2 rows away;
 - has hardly any readings a few steps short of the extreme, where a slow signal has most;
 - and stands still like that nowhere else, as one does that is held, interpolated or coarse.
 """
@@ -34,12 +34,13 @@ LEAST_ROWS, LEAST_PLATEAUS, LONG_ROWS = 6, 2, 3
 LONG_PLATEAU_ROWS = 8
 # Bit-equal readings at the extreme for each of the eight steps short of it; and how differently the
 # signal gets there, which one that repeats itself exactly does not.
-PILE, WAYS, WAYS_OF_SINGLE_ROWS = 4.0, 3, 12
+PILE, WAYS, WAYS_OF_SINGLE_ROWS = 4.0, 6, 12
 # On either side of a plateau so many rows are looked at.
 REACH = 4
 # In steps of the resolution, and half a one, so that no rounding decides: readings within the
-# first are near the extreme; by the second a plateau is arrived at and left.
-NEAR_STEPS, RISE_STEPS = 8.5, 5.5
+# first are near the extreme, within the second next to it; by the third a plateau is arrived at
+# and left.
+NEAR_STEPS, NEXT_STEPS, RISE_STEPS = 8.5, 2.5, 5.5
 # Steps of the resolution that the second difference usually has, beyond which a channel is noisy.
 NOISY_STEPS = 2.5
 # A jump of so many times what the four rows before it moved is a dropout, or the step of a channel
@@ -96,34 +97,52 @@ def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
         rows = int(np.count_nonzero(at))
         if rows < LEAST_ROWS:
             continue
-        steps = np.abs(np.diff(values))
-        step = float(np.min(steps[steps > 0.0]))
-        near = int(np.count_nonzero(np.abs(values - level) <= NEAR_STEPS * step)) - rows
+        step = _resolution(values)
         runs = intervals_where(at)
         noisy = float(np.median(np.abs(np.diff(values, n=2)))) > NOISY_STEPS * step
         is_cut_off = _piled_up if noisy else _plateaus
-        if is_cut_off(values, runs, step, near):
+        if is_cut_off(values, runs, np.abs(values - level) / step):
             found.append(RangeEnd(level, upper, rows))
     return tuple(found)
 
 
-def _piled_up(values: FloatArray, runs: IntArray, step: float, near: int) -> bool:
-    """Return whether so many readings stand at the extreme of a noisy signal by no chance."""
+def _piled_up(values: FloatArray, runs: IntArray, off: FloatArray) -> bool:
+    """Return whether so many readings stand at the extreme of a noisy signal by no chance.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        The channel.
+    runs : ndarray of int, shape (m, 2)
+        The runs of rows at the extreme.
+    off : ndarray of shape (n,)
+        How far each reading is from it, in steps of the resolution.
+    """
+    led_to, cut_off = _led_to(values, runs), _cut_off(values, runs, _resolution(values))
+    if np.any(cut_off & (runs[:, 1] - runs[:, 0] >= LONG_PLATEAU_ROWS)):
+        return True
+    runs = runs[led_to]
     lengths = runs[:, 1] - runs[:, 0]
-    if PILE * near / NEAR_STEPS > lengths.sum():
+    rows = int(lengths.sum())
+    next_to_it = np.count_nonzero((off > 0.0) & (off <= NEXT_STEPS))
+    near = np.count_nonzero((off > 0.0) & (off <= NEAR_STEPS))
+    if rows < max(PILE * near / NEAR_STEPS, PILE * next_to_it / NEXT_STEPS):
         return False
-    inner = (runs[:, 0] > 0) & (runs[:, 1] < values.size)
-    before, behind = values[runs[inner, 0] - 1], values[runs[inner, 1]]
-    ways = np.unique(before + 1j * behind).size
-    longest = int(lengths.max())
-    fewest = WAYS if longest > 1 else WAYS_OF_SINGLE_ROWS
-    return longest >= LONG_PLATEAU_ROWS or ways >= fewest
+    ways = np.unique(values[runs[:, 0] - 1] + 1j * values[runs[:, 1]]).size
+    return ways >= (WAYS if np.any(lengths > 1) else WAYS_OF_SINGLE_ROWS)
 
 
-def _plateaus(values: FloatArray, runs: IntArray, step: float, near: int) -> bool:
-    """Return whether a signal of little noise is cut off where it stands at its extreme."""
-    if near >= np.sum(runs[:, 1] - runs[:, 0]):
+def _plateaus(values: FloatArray, runs: IntArray, off: FloatArray) -> bool:
+    """Return whether a signal of little noise is cut off where it stands at its extreme.
+
+    Parameters
+    ----------
+    values, runs, off
+        As :func:`_piled_up` takes them.
+    """
+    if np.count_nonzero(off <= NEAR_STEPS) >= 2 * np.sum(runs[:, 1] - runs[:, 0]):
         return False
+    step = _resolution(values)
     runs = runs[runs[:, 1] - runs[:, 0] >= 2]
     runs = runs[_cut_off(values, runs, step)]
     lengths = runs[:, 1] - runs[:, 0]
@@ -133,12 +152,30 @@ def _plateaus(values: FloatArray, runs: IntArray, step: float, near: int) -> boo
     return _plateaus_elsewhere(values, step) <= ELSEWHERE * len(runs)
 
 
+def _resolution(values: FloatArray) -> float:
+    """Return the least change from row to row that is one."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps[steps > 0.0]))
+
+
 def _plateaus_elsewhere(values: FloatArray, step: float) -> int:
     """Count the runs of equal readings between the extremes that look cut off."""
     runs = equal_runs(values, LONG_ROWS)
     level = values[runs[:, 0]]
     inner = (level > values.min()) & (level < values.max())
     return int(np.count_nonzero(_cut_off(values, runs[inner], step)))
+
+
+def _led_to(values: FloatArray, runs: IntArray) -> BoolArray:
+    """Return which runs no leap leads to or from, as it does where a channel drops out."""
+    inside, beside = _beside(values, runs)
+    led = np.ones(np.count_nonzero(inside), dtype=np.bool_)
+    for rows in beside:
+        jump = np.abs(values[rows[:, 0]] - values[runs[inside, 0]])
+        led &= jump <= LEAP * np.ptp(values[rows], axis=1)
+    out = np.zeros(len(runs), dtype=np.bool_)
+    out[inside] = led
+    return out
 
 
 def _cut_off(values: FloatArray, runs: IntArray, step: float) -> BoolArray:
@@ -153,22 +190,27 @@ def _cut_off(values: FloatArray, runs: IntArray, step: float) -> BoolArray:
     step : float
         The resolution.
     """
-    inside = (runs[:, 0] >= REACH) & (runs[:, 1] + REACH <= values.size)
+    inside, both = _beside(values, runs)
     start, stop = runs[inside].T
-    level = values[start]
     away = np.clip((stop - start - 1) // 2, 1, REACH) - 1
     good = np.ones(start.size, dtype=np.bool_)
     straight = np.ones(start.size, dtype=np.bool_)
-    reach = np.arange(REACH)
-    for rows in (start[:, None] - 1 - reach, stop[:, None] + reach):
+    for rows in both:
         beside = values[rows]
-        off = beside - level[:, None]
+        off = beside - values[start][:, None]
         jump = off[:, 0]
         good &= np.abs(off[np.arange(start.size), away]) > RISE_STEPS * step
-        good &= np.abs(jump) <= LEAP * np.ptp(beside, axis=1)
         slopes = np.diff(beside, axis=1)
         limit = STRAIGHT * np.abs(jump)[:, None]
         straight &= np.all(np.abs(slopes - jump[:, None]) <= limit, axis=1)
-    cut = np.zeros(len(runs), dtype=np.bool_)
-    cut[inside] = good & ~straight
+    cut = _led_to(values, runs)
+    cut[inside] &= good & ~straight
     return cut
+
+
+def _beside(values: FloatArray, runs: IntArray) -> tuple[BoolArray, tuple[IntArray, IntArray]]:
+    """Return which runs have rows enough on either side, and these, the nearest first."""
+    inside = (runs[:, 0] >= REACH) & (runs[:, 1] + REACH <= values.size)
+    start, stop = runs[inside].T
+    reach = np.arange(REACH)
+    return inside, (start[:, None] - 1 - reach, stop[:, None] + reach)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from classic_ml.description import TestDescription
 from classic_ml.faults.findings import Finding
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record, fault_name
 from surge_core.types import BoolArray, FloatArray
 

@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.calibration import probe_pressure_Pa
+from classic_ml.description import (
+    PressureChannel,
+    TemperatureChannel,
+    TestDescription,
+)
 from classic_ml.faults.findings import (
     BEYOND_LIMITS,
     CLIPPED,
@@ -20,11 +25,6 @@ from classic_ml.faults.held import check_held
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.spikes import spike_rows
 from classic_ml.intervals import equal_runs
-from classic_ml.readers.test_description import (
-    PressureChannel,
-    TemperatureChannel,
-    TestDescription,
-)
 from classic_ml.records import Channel, LedgerEntry, Record, fault_name
 from surge_core.types import FloatArray, IntArray
 

@@ -10,8 +10,8 @@ from classic_ml.coefficients import (
     rate_of_change,
     work_coefficient,
 )
+from classic_ml.description import TestDescription
 from classic_ml.intervals import bridged
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record
 from classic_ml.work.balance import EXIT_WEIGHT, delivered_power, exit_flow_at_inlet, flat_average
 from surge_core.types import FloatArray

@@ -215,8 +215,8 @@ def _missing(demo: _Demo, untouched: CoefficientSeries, true_tau_s: float) -> No
 
 def _test(demo: _Demo, case: str, seed: int, hide: str | None = None) -> tuple[RigRun, Reduction]:
     """Simulate one test and reduce it from its files, as a real record is."""
-    from classic_ml.readers import read_raw
-    from classic_ml.readers.series_files import write_series
+    from classic_ml.io import read_raw
+    from classic_ml.io.series import write_series
     from classic_ml.reduction import reduce_record
     from comparisons.rig import simulate, write_run
 
@@ -275,7 +275,7 @@ def _against_truth(title: str, comparison: Comparison, truth: Truth) -> list[str
 
 def _power_balance(raw: Path) -> WorkCharacteristic:
     """Fit ψ_QS to the power the blading delivers, as `sindy-surge work` does."""
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from comparisons.harness.work_fit import fit_work
 
     return fit_work(*read_raw(raw / "raw.csv", raw / "test.toml"))
@@ -284,6 +284,8 @@ def _power_balance(raw: Path) -> WorkCharacteristic:
 def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) -> str:
     import numpy as np
 
+    if not np.isfinite(power.time_constant_s):
+        return f"{title}, ψ_QS from the power balance: not stated. {power.fit_state.advice}"
     low, high = max(power.valid_phi[0], 0.0), min(power.valid_phi[1], WORK_TO_PHI)
     at = np.linspace(low, high, 50)
     off = np.max(np.abs(power.characteristic(at)[0] - np.interp(at, truth.phi, truth.quasi_steady)))

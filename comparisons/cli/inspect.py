@@ -60,9 +60,7 @@ def run(arguments: argparse.Namespace) -> None:
     InputError
         When the file cannot be opened, or an option contradicts another.
     """
-    from classic_ml.inspection import inspect_file
-    from classic_ml.inspection_draft import draft_test_toml
-    from classic_ml.inspection_with_test import match_test, preview
+    from classic_ml.inspect import draft_test_toml, inspect_file, match_test, preview
     from comparisons.show.inspection import inspect_document, inspect_text
 
     _check_draft(arguments)
@@ -77,7 +75,7 @@ def run(arguments: argparse.Namespace) -> None:
             begin("setting it beside the test")
             match = match_test(arguments.file, test, inspection)
             begin("reducing it")
-            reduction = preview(arguments.file, arguments.test, rows=inspection.rows)
+            reduction = preview(arguments.file, test, inspection)
     if test is None and {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
         remarks = (*remarks, _series_remark(arguments.file))
     found: dict[str, Any] = {"match": match, "reduction": reduction, "remarks": remarks}
@@ -119,7 +117,7 @@ def _check_draft(arguments: argparse.Namespace) -> None:
 
 def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
     """Return the description of the test, or why there is none: the file is shown anyway."""
-    from classic_ml.readers.test_toml import read_test_description
+    from classic_ml.io.description_file import read_test_description
 
     if arguments.test is None:
         return None, ()
@@ -130,7 +128,7 @@ def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
 
 
 def _series_remark(file: Path) -> str:
-    from classic_ml.readers.series_files import read_series
+    from classic_ml.io.series import read_series
 
     try:
         series = read_series(file)

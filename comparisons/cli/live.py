@@ -115,7 +115,7 @@ class _WithFormats(argparse.RawDescriptionHelpFormatter):
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.readers import read_test_description
+    from classic_ml.io import read_test_description
     from comparisons.live.monitor import Monitor
     from comparisons.live.page import Page
     from comparisons.live.pieces import Pieces, reduce_pieces
@@ -162,7 +162,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
     """Return where series and raw record go, or refuse what cannot be written."""
-    from classic_ml.readers.series_files import ledger_path
+    from classic_ml.io.series import ledger_path
     from surge_core.errors import InputError
     from surge_core.files import check_apart, check_target
 

@@ -19,7 +19,7 @@ from surge_core.files import to_strict_json
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
-    from classic_ml.order_selection import OrderTable
+    from classic_ml.orders import OrderTable
 
 __all__ = ["ORDERS_SCHEMA", "add_parser", "orders_document", "orders_text", "run"]
 
@@ -65,7 +65,7 @@ def orders_text(table: OrderTable) -> str:
     Parameters
     ----------
     table : OrderTable
-        From :func:`classic_ml.order_selection.select_order`.
+        From :func:`classic_ml.orders.select_order`.
     """
     from surge_core.rounding import round_to_error
 
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.order_selection import select_order
+    from classic_ml.orders import select_order
     from comparisons.harness.rows import stack_rows
 
     check_files(arguments.series, json=arguments.json)

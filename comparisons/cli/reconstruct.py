@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.readers.series_files import read_series
+    from classic_ml.io.series import read_series
     from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import (
         reconstruct_record,

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comparisons.cli.reduction_options import (
+    add_read_window,
     add_reduction_options,
     options_named,
+    read_window,
     reduction_settings,
 )
 from comparisons.cli.shared import (
@@ -51,6 +53,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
     )
+    add_read_window(parser)
     add_reduction_options(parser)
     parser.add_argument(
         "--report",
@@ -69,12 +72,13 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.readers.series_files import write_series
+    from classic_ml.io.series import write_series
 
     check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
     check_target(arguments.out, SERIES_SUFFIXES)
     with options_named():
-        reduction = _reduced(arguments.raw, arguments.test, reduction_settings(arguments))
+        settings, window = reduction_settings(arguments), read_window(arguments)
+        reduction = _reduced(arguments.raw, arguments.test, settings, window)
     write_series(reduction.series, arguments.out)
     written = write_all([("report", arguments.report, lambda: _page(reduction))])
     print_reduction(reduction)
@@ -82,26 +86,15 @@ def run(arguments: argparse.Namespace) -> None:
         print(line)
 
 
-def _reduced(raw: Path, test: Path, settings: ReductionSettings) -> Reduction:
-    """Read and reduce a raw record, and show how far that is on a terminal.
-
-    Parameters
-    ----------
-    raw, test : path
-        The record and its test.toml.
-    settings : ReductionSettings
-        The switches.
-
-    Raises
-    ------
-    InputError
-        When the record cannot be used.
-    """
-    from classic_ml.readers import read_raw
+def _reduced(
+    raw: Path, test: Path, settings: ReductionSettings, window: tuple[float, float] | None
+) -> Reduction:
+    """Read a raw record, or a window of it in seconds of its clock, and reduce it."""
+    from classic_ml.io import read_raw
     from classic_ml.reduction import STEPS, reduce_record
 
     with shown_count("reading", unit="row") as read:
-        record, description = read_raw(raw, test, progress=read)
+        record, description = read_raw(raw, test, window=window, progress=read)
     with shown_count("reducing", unit="step", total=STEPS) as done:
         return reduce_record(record, description, settings, keep_probes=False, progress=done)
 

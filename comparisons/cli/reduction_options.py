@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,13 @@ from surge_core.errors import InputError
 if TYPE_CHECKING:
     from classic_ml.reduction import ReductionSettings
 
-__all__ = ["add_reduction_options", "options_named", "reduction_settings"]
+__all__ = [
+    "add_read_window",
+    "add_reduction_options",
+    "options_named",
+    "read_window",
+    "reduction_settings",
+]
 
 # Option, the field of the settings behind it, and what argparse has to know.
 OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
@@ -60,7 +67,8 @@ OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {
             "type": number,
             "metavar": "LBM_S",
-            "help": "corrected flow below which the machine is in stall (default: test.toml's)",
+            "help": "corrected flow below which the machine is in stall (default: test.toml's, "
+            "else estimated from the record)",
         },
     ),
     (
@@ -95,6 +103,41 @@ def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGr
     """
     for option, _, details in OPTIONS:
         parser.add_argument(option, default=None, **details)
+
+
+def add_read_window(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Add the options that read a part of a file.
+
+    Parameters
+    ----------
+    parser : argparse parser or group
+        Where they go.
+    """
+    for option, end in (("--from-s", "start"), ("--to-s", "end")):
+        parser.add_argument(
+            option,
+            type=float,
+            default=None,
+            metavar="SECONDS",
+            help=f"{end} of the part of the file that is read, on its clock (default: all of it)",
+        )
+
+
+def read_window(arguments: argparse.Namespace) -> tuple[float, float] | None:
+    """Return the part of the file that is to be read; None for all of it.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With the options of :func:`add_read_window`.
+    """
+    if arguments.from_s is None and arguments.to_s is None:
+        return None
+    from_s = -math.inf if arguments.from_s is None else arguments.from_s
+    to_s = math.inf if arguments.to_s is None else arguments.to_s
+    if not from_s < to_s:
+        raise InputError("--to-s", expected=f"a time after {from_s:g} s", found=f"{to_s:g}")
+    return from_s, to_s
 
 
 def reduction_settings(arguments: argparse.Namespace) -> ReductionSettings:

@@ -99,7 +99,7 @@ def check_files(inputs: Iterable[Path | None], **targets: Path | None) -> None:
     InputError
         Naming the file.
     """
-    from classic_ml.readers.series_files import ledger_path
+    from classic_ml.io.series import ledger_path
 
     read = [path for path in inputs if path is not None]
     written = {name: path for name, path in targets.items() if path is not None}
@@ -121,7 +121,7 @@ def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
     InputError
         When one cannot be used, or is given twice.
     """
-    from classic_ml.readers.series_files import read_series
+    from classic_ml.io.series import read_series
     from comparisons.harness.rows import check_once
 
     records = [read_series(path) for path in paths]

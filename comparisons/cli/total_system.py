@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
-    from classic_ml.readers import TestDescription
+    from classic_ml.io import TestDescription
     from comparisons.total_system import Facility, TotalSystemFit
 
 __all__ = ["TOTAL_SYSTEM_SCHEMA", "add_parser", "run_total_system"]
@@ -97,7 +97,7 @@ def run_total_system(arguments: argparse.Namespace) -> None:
     InputError
         When an input cannot be used; the sentence names it.
     """
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from comparisons.total_system import (
         TotalSystemSettings,
         facility_toml,

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments : argparse.Namespace
         Of the command.
     """
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from comparisons.harness.work_fit import fit_work
     from comparisons.show.work_output import work_document, work_table
 

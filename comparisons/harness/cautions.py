@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from classic_ml.decimation import emptied_above_hz
+from classic_ml.emptied_band import emptied_above_hz
 from classic_ml.records import LedgerEntry
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import has_whole_run

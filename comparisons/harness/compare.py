@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
+from classic_ml.checks import CheckRow, coverage, input_correlation, residual_checks
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
 from comparisons.harness.cautions import (
@@ -255,7 +256,7 @@ def _checks(
         # simulates through, and it cannot be asked to sweep them.
         own = trusted_range(inputs.phi[scored]) if scored.any() else valid_phi
         return estimator.checks(own)
-    if hasattr(estimator, "one_step"):
+    if isinstance(estimator, LagRegressor):
         return residual_checks(estimator, rows.X, rows.measured, rows.labels, stated_phi=valid_phi)
     # The plain lag's prediction from a noisy row before it is never white: no noise model, no test
     # of one.

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.lag_model import LagRegressor
-from classic_ml.leverage import linearised_fit
+from classic_ml.lag_regressor import LagRegressor
 from comparisons.harness.fit_quality import rms
 from comparisons.results import FitRows
 from surge_core.fit_state import FitState
@@ -116,7 +115,7 @@ def drift_of(
     ).fit(rows.X, rows.measured, rows.labels)
     if model.fit_state_ is not FitState.CONVERGED:
         return None
-    fit = linearised_fit(model, rows.X, rows.measured, rows.labels)
+    fit = model.linearised(rows.X, rows.measured, rows.labels)
     slopes = [np.diff(fit.aside[p]) / rows.sample_period_s for p in fit.pieces]
     steepness = rms(np.concatenate(slopes))
     size = rms(fit.aside - np.mean(fit.aside))

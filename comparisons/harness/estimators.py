@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from classic_ml.characteristics import PiecewiseLinear
-from classic_ml.lag_model import LagRegressor
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs, has_whole_run
 from comparisons.results import ESTIMATOR_LABELS, FitRows, StructureChoice

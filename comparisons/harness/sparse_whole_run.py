@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.lag_model import LagRegressor
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import COMMON_CURVE_SHARE, COMMON_TAU_SHARE, WholeRunFit, check_rates
 from classic_ml.whole_run_rows import (

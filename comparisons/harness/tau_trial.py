@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import polynomial_basis
-from classic_ml.decimation import emptied_above_hz
+from classic_ml.emptied_band import emptied_above_hz
 from comparisons.harness.fit_quality import block_errors, paired_difference, rms
 from comparisons.results import Comparison, FitRows, TauEstimate, TauTrial
 from surge_core.errors import InputError

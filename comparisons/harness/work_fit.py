@@ -15,7 +15,7 @@ from comparisons.harness.cautions import unknown_work
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
-    from classic_ml.readers import TestDescription
+    from classic_ml.io import TestDescription
     from classic_ml.records import Record
 
 __all__ = ["fit_work"]
@@ -39,7 +39,7 @@ def fit_work(
     Parameters
     ----------
     record : Record
-        Counts and kelvin, as :func:`classic_ml.readers.read_raw` returns them.
+        Counts and kelvin, as :func:`classic_ml.io.read_raw` returns them.
     test : TestDescription
         The test they belong to.
     breakpoints : tuple of float, optional

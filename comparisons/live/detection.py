@@ -15,7 +15,7 @@ import numpy as np
 
 from classic_ml.cycles import DEEP_SHARE, LEAST_SWING
 from classic_ml.flow import LBM_KG
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.segments import SHORTEST_S
 from comparisons.live.operating_point import OperatingPoints, low_pass_delay_s
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from surge_core.errors import InputError

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, near_stall_shifts
 from comparisons.live.detection import Sighting, SurgeDetector

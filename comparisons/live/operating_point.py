@@ -14,8 +14,8 @@ import numpy as np
 from classic_ml.calibration import calibrate, match_near_stall
 from classic_ml.coefficients import coefficients
 from classic_ml.filters import filter_channels, phase_delay_s
+from classic_ml.io import TestDescription
 from classic_ml.planes import local_flows, plane_averages
-from classic_ml.readers import TestDescription
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from classic_ml import write_series
-from classic_ml.readers import TestDescription, read_raw, read_test_description
+from classic_ml.io import TestDescription, read_raw, read_test_description
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import Reduction, ReductionSettings, near_stall_shifts, reduce_record
 from surge_core.errors import InputError

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Protocol
 
-from classic_ml.readers import TestDescription
+from classic_ml.io import TestDescription
 from classic_ml.records import Dropped, LedgerEntry
 from comparisons.live.feeds import Closed, Feed, Opened
 from comparisons.live.lines import Lines, RowOrder, Run

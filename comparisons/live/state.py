@@ -187,9 +187,17 @@ def status_line(state: LiveState) -> str:
         The moment.
     """
     values = dict(field_rows(state))
-    names = ("clock", "machine", "corrected flow", "φ", "ψ'", "surge cycles")
-    words = "  ".join(f"{name} {values[name]}" for name in names)
-    return f"{words}  τ {values['time constant τ']}  {state.feed}"
+    # What matters most comes first: a narrow terminal cuts the end.
+    words = (
+        values["clock"],
+        state.machine,
+        f"φ {values['φ']}",
+        "ψ' " + values["ψ'"],
+        f"{state.n_cycles} cycles",
+        f"τ {values['time constant τ']}",
+        state.feed,
+    )
+    return "  ".join(words)
 
 
 def page_document(state: LiveState) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml import LagRegressor, PiecewiseLinear
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import psi_breakpoints

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
-from classic_ml.residual_checks import CheckRow
+from classic_ml.checks import CheckRow
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
 from comparisons.results.caution import Caution, texts_of

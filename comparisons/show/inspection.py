@@ -8,8 +8,14 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from classic_ml.inspection import ChannelFacts, ClockFacts, Inspection
-    from classic_ml.inspection_with_test import ChannelMatch, ReductionPreview, TestMatch
+    from classic_ml.inspect import (
+        ChannelFacts,
+        ChannelMatch,
+        ClockFacts,
+        Inspection,
+        ReductionPreview,
+        TestMatch,
+    )
 
 __all__ = ["INSPECT_SCHEMA", "inspect_document", "inspect_text"]
 
@@ -17,6 +23,8 @@ INSPECT_SCHEMA = "sindy-surge/inspect/1"
 # Beyond this share of the facility's reading the near-stall match refuses a channel.
 FAR_OFF = 0.2
 MOST_LEFT_ASIDE = 12
+# Where the machine surges is shown if it is less than so much of the record.
+SURGING_SHARE = 0.8
 
 
 def inspect_text(
@@ -71,6 +79,7 @@ def inspect_document(
         "left_aside": dict(inspection.left_aside),
         "other_groups": dict(inspection.other_groups),
         "sampled_apart": inspection.sampled_apart,
+        "surges_s": None if inspection.surges_s is None else list(inspection.surges_s),
         "remarks": list(remarks),
         "test": None if match is None else _match_document(match),
         "reduction": None if reduction is None else asdict(reduction),
@@ -87,6 +96,7 @@ def _file_text(inspection: Inspection) -> str:
     lines = [f"{inspection.source}: {inspection.rows} rows, {n} columns"]
     clock = inspection.clock
     lines.append("clock: no column looks like one" if clock is None else _clock_text(clock))
+    lines += _surge_text(inspection)
     width = max([len("column"), *(len(c.name) for c in inspection.channels)])
     units = max([len("unit"), *(len(c.unit) for c in inspection.channels)])
     head = "".join(f"{word:>12s}" for word in ("minimum", "mean", "maximum"))
@@ -142,9 +152,21 @@ def _clock_text(clock: ClockFacts) -> str:
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
 
 
+def _surge_text(inspection: Inspection) -> Iterator[str]:
+    """Yield where the machine surges, if that is a part of the record only."""
+    if inspection.surges_s is None or inspection.clock is None:
+        return
+    from_s, to_s = inspection.surges_s
+    if to_s - from_s < SURGING_SHARE * (inspection.clock.last_s - inspection.clock.first_s):
+        yield (
+            f"surge: the channels swing from {from_s:.6g} to {to_s:.6g} s; a part of a long record "
+            "is read with --from-s and --to-s, or [window] of test.toml"
+        )
+
+
 def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
     from classic_ml.faults.held import times_held
-    from classic_ml.inspection import is_still
+    from classic_ml.inspect import is_still
 
     notes = []
     if channel.not_finite == channel.rows:

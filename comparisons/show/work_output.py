@@ -69,8 +69,11 @@ def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
         The breakpoints were searched: then the errors do not say all.
     """
     low, high = fit.valid_phi
-    if not math.isfinite(high):
-        return f"ψ_QS is not stated: {fit.n_cycles} cycles. {fit.fit_state.advice}\n{fit.entry.did}"
+    if not math.isfinite(fit.time_constant_s):
+        return (
+            f"ψ_QS is not stated, nor τ: {fit.n_cycles} cycles, {fit.n_scored} rows. "
+            f"{fit.fit_state.advice}\n{fit.entry.did}"
+        )
     lines = [
         f"work characteristic ψ_QS from {fit.n_scored} rows in {fit.n_cycles} cycles, φ "
         f"{low:.3f} to {high:.3f}, pieces meeting at φ "

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from classic_ml.readers.series_files import read_series
+from classic_ml.io.series import read_series
 from classic_ml.series import CoefficientSeries
 from comparisons.study.design import Point
 from comparisons.study.spec import Scalar
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
-    from classic_ml.readers.test_description import TestDescription
+    from classic_ml.description import TestDescription
     from classic_ml.records import Record
 
 __all__ = ["FIT_DEFAULTS", "Made", "make_record", "prepare"]
@@ -125,7 +125,7 @@ def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
 
 
 def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
     from comparisons.rig import SensorSettings, simulate, write_run
     from comparisons.rig.cases import find_case
 
@@ -153,7 +153,7 @@ def _part(settings: dict[str, Any], head: str) -> dict[str, Any]:
 
 
 def _files(_: int, given: Mapping[str, Scalar]) -> Made:
-    from classic_ml.readers import read_raw
+    from classic_ml.io import read_raw
 
     path = Path(str(given["path"]))
     nan = float("nan")

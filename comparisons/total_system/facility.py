@@ -7,9 +7,8 @@ from typing import Annotated, TypeAlias
 
 from pydantic import Field, model_validator
 
-from classic_ml.readers.toml_file import load_toml
 from surge_core.errors import InputError
-from surge_core.models import Table, validated
+from surge_core.models import Table, read_toml, validated
 
 __all__ = ["Facility", "facility_toml", "read_facility"]
 
@@ -157,7 +156,7 @@ def read_facility(path: str | Path) -> Facility:
     InputError
         Naming the file, and every key that is missing, not possible or not known.
     """
-    data = load_toml(Path(path), "a facility description (.toml)")
+    data = read_toml(Path(path), "a facility description (.toml)")
     return validated(Facility, data, str(path))
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
+from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
 from classic_ml.flow import corrected_from_physical, physical_flow
-from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.total_system.model import STATES, TotalSystemModel

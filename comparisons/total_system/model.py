@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from classic_ml.description import TestDescription
 from classic_ml.flow import T_STANDARD_K
-from classic_ml.readers.test_description import TestDescription
 from comparisons.total_system.facility import Facility
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.description import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.harness.estimators import default_estimators

@@ -10,15 +10,16 @@ from raw_data import first_order, make_test
 
 from classic_ml.calibration import (
     calibrate,
-    calibrate_and_match,
     check_facing,
     invert_thermocouples,
     match_near_stall,
+    near_stall_match,
     near_stall_rows,
     pressure_from_counts,
     volts,
 )
 from classic_ml.records import Channel, Record
+from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
 
 
@@ -84,40 +85,30 @@ def test_calibration_is_the_equation_of_each_channel_to_the_last_bit(loaded) -> 
 
 
 @pytest.mark.parametrize("match", ["pair", "forward", "none"])
-def test_one_pass_gives_what_the_steps_give(match: str) -> None:
-    made = make_test(seconds=0.6, bias_Pa=300.0, noise_counts=1.0)
-    columns = {**made.columns, "T25_A": made.columns["T25_A"] + 3.0}
-    record, test = dataclasses.replace(made, columns=columns).load()
-    # A fault in some of the near-stall rows, and one in all of them.
-    some = np.zeros(record.n_samples)
-    some[50:90] = 1.0
-    marks = [Channel("fault_T25_A", some, "1"), Channel("fault_T31_B", some + 1.0, "1")]
-    record = record.after(record.history[-1], add=marks)
-    one = calibrate_and_match(record, test, match)
-    calibrated = calibrate(record, test)
-    check_facing(calibrated, test)
-    other = match_near_stall(calibrated, test, match)
-    assert one.history == other.history
-    assert list(one.channels) == list(other.channels)
-    for name in one.channels:
-        np.testing.assert_array_equal(one[name], other[name])
-        assert one.channel(name).unit == other.channel(name).unit
-
-
-def test_one_pass_refuses_what_the_steps_refuse(loaded) -> None:
+def test_the_shifts_may_be_added_while_calibrating(loaded, match: str) -> None:
     _, record, test = loaded
+    plain = calibrate(record, test)
+    shifts, entry = near_stall_match(plain, test, match)
+    at_once, after = calibrate(record, test, shifts), match_near_stall(plain, test, match)
+    assert after.history[-1] == entry
+    for name in test.channel_names:
+        np.testing.assert_allclose(at_once[name], after[name], rtol=1e-15)
+
+
+def test_a_reduction_refuses_what_the_steps_refuse() -> None:
+    record, test = make_test(seconds=1.0, noise_counts=1.0).load()
     names = ("P25_A_tip_forward", "P25_A_tip_aft")
     swapped = [Channel(a, record[b], "count") for a, b in (names, names[::-1])]
     with pytest.raises(InputError, match="pair P25_A_tip"):
-        calibrate_and_match(record.after(record.history[-1], add=swapped), test)
+        reduce_record(record.after(record.history[-1], add=swapped), test)
     hot = Channel("T25_A", 1.8 * record["T25_A"], "K")
     with pytest.raises(InputError, match="channel T25_A: expected about 255 K"):
-        calibrate_and_match(record.after(record.history[-1], add=[hot]), test)
+        reduce_record(record.after(record.history[-1], add=[hot]), test)
     with pytest.raises(InputError, match='expected the unit "count", found "Pa"'):
-        calibrate_and_match(calibrate(record, test), test)
+        reduce_record(calibrate(record, test), test)
     elsewhere = dataclasses.replace(test.near_stall, from_s=5.0, to_s=6.0)
     with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval"):
-        calibrate_and_match(record, dataclasses.replace(test, near_stall=elsewhere))
+        reduce_record(record, dataclasses.replace(test, near_stall=elsewhere))
 
 
 def test_a_wrong_unit_is_refused(loaded) -> None:

@@ -6,11 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
-from classic_ml.columns import workspace
-from classic_ml.columns.clock import CLOCK_TOLERANCE, NEAR_MEDIAN, uniform_period_s
+from classic_ml.clock import uniform_period_s
 from surge_core.errors import InputError
 
 CLOCK = np.arange(500) * 1e-3
@@ -50,53 +47,6 @@ def test_a_clock_printed_to_a_tenth_of_a_millisecond_is_uniform(
     clock = np.round(start_s + np.arange(3000) / rate, 4)
     assert np.ptp(np.diff(clock)) > 0.9e-4
     assert uniform_period_s(clock, "x") == pytest.approx(1 / rate, rel=1e-4)
-
-
-def is_uniform(clock: np.ndarray) -> bool:
-    """Tell by the median step, as the rule is meant, with the whole clock at hand."""
-    steps = np.diff(clock)
-    period = np.median(steps)
-    if np.any(steps <= 0.0):
-        return False
-    near = steps[np.abs(steps - period) < NEAR_MEDIAN * period]
-    period = np.mean(near if near.size else steps)
-    line = clock[0] + np.arange(clock.size) * (clock[-1] - clock[0]) / steps.size
-    off = np.maximum(np.abs(steps - period), np.abs(clock - line)[1:])
-    return bool(np.all(off <= CLOCK_TOLERANCE * period))
-
-
-@given(
-    seed=st.integers(0, 10**6),
-    jitter=st.floats(0.0, 0.12),
-    drift=st.floats(-0.002, 0.002),
-    gaps=st.integers(0, 2),
-    block=st.integers(1, 300),
-)
-@example(seed=212, jitter=0.0, drift=0.0, gaps=2, block=1)
-@settings(max_examples=300, deadline=None)
-def test_a_clock_is_judged_in_blocks_as_in_one_piece(
-    seed: int, jitter: float, drift: float, gaps: int, block: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    row = np.arange(rng.integers(2, 250), dtype=float)
-    clock = 1e-3 * (row + jitter * rng.uniform(-1.0, 1.0, row.size) + drift * row**2)
-    for _ in range(gaps * (rng.random() < 0.3)):
-        clock[rng.integers(1, row.size) :] += 1e-3 * rng.uniform(-1.5, 1.5)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workspace, "BLOCK_ROWS", block)
-        try:
-            period = uniform_period_s(clock, "x")
-        except InputError as error:
-            assert not is_uniform(clock)
-            refused = str(error)
-        else:
-            assert is_uniform(clock)
-            assert period == (clock[-1] - clock[0]) / (clock.size - 1)
-            return
-        patch.undo()
-        with pytest.raises(InputError) as whole:
-            uniform_period_s(clock, "x")
-        assert str(whole.value) == refused
 
 
 def test_a_clock_of_two_kinds_of_steps_in_turn_is_refused_in_words() -> None:

@@ -19,7 +19,6 @@ from classic_ml import LagRegressor
 from classic_ml.records import Dropped, LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
-from classic_ml.sheets import record_sheet, reduction_sheet, series_sheet
 from surge_core.display import Displayed, Field, Grid, Sheet
 
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)></style>&amp;"
@@ -154,7 +153,7 @@ def test_a_fit_that_holds_its_lag_or_has_none_says_so() -> None:
 def test_a_record_shows_its_channels_without_reading_them() -> None:
     arrays = {"P25": (np.arange(50.0), "Pa"), EVIL: (np.ones(50), "1")}
     record = Record.from_arrays(arrays, sample_rate_hz=200.0, start_s=3.0, source=EVIL)
-    sheet = record_sheet(record)
+    sheet = record._sheet()
     assert "50 at 200 Hz" in sheet.text()
     assert "3.000 to 3.245 s" in sheet.text()
     assert ("P25", "Pa") in sheet.grids[0].rows
@@ -175,7 +174,7 @@ def test_a_series_shows_ranges_with_units_and_folds_its_ledger() -> None:
         source="run.csv",
         history=(entry,),
     )
-    text = series_sheet(series).text()
+    text = series._sheet().text()
     for told in (
         "400 at 1000 Hz",
         "300 rows in 1 segment",
@@ -186,13 +185,13 @@ def test_a_series_shows_ranges_with_units_and_folds_its_ledger() -> None:
         "1 step; 1 thing left out, 1 flag",
     ):
         assert told in text
-    assert "<script" not in series_sheet(series).html()
-    assert "late" in series_sheet(series).html()
+    assert "<script" not in series._sheet().html()
+    assert "late" in series._sheet().html()
 
 
 def test_a_reduction_shows_its_switches_and_flags() -> None:
     reduction = reduce_record(*make_test(cells_lbm_s=8.0, noise_counts=1.5).load())
-    text = reduction_sheet(reduction).text()
+    text = reduction._sheet().text()
     assert "order 3 at 48 Hz, phase “zero”" in text
     from_s, to_s = reduction.window_s
     assert f"{from_s:.3f} to {to_s:.3f} s" in text

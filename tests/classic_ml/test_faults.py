@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
 from raw_data import RawTest, make_test
 
 from classic_ml.calibration import calibrate, match_near_stall
-from classic_ml.columns.workspace import blocks
-from classic_ml.faults import standstill
 from classic_ml.faults.choice import choose_channels
-from classic_ml.faults.marks import BEYOND_LIMITS, CLIPPED, STUCK
+from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, STUCK
 from classic_ml.faults.search import inspect_readings
-from classic_ml.readers import TestDescription
-from classic_ml.records import Channel, Record
+from classic_ml.io import TestDescription
+from classic_ml.records import Record
 from surge_core.errors import InputError
 
 Change = Callable[[np.ndarray], np.ndarray]
@@ -179,45 +175,6 @@ def test_a_short_gap_of_a_thermocouple_is_bridged(made: RawTest) -> None:
     inside = kept["T25_A"][900:906]
     ends = kept["T25_A"][899], kept["T25_A"][906]
     assert min(ends) <= inside.min() <= inside.max() <= max(ends)
-
-
-def led_in(record: Record, rows: int) -> Record:
-    """Put a quiet lead-in before a record: its steady rows over again, in any order."""
-    order = np.random.default_rng(0).integers(0, 200, rows)
-    channels = {
-        name: Channel(name, np.concatenate((c.values[order], c.values)), c.unit)
-        for name, c in record.channels.items()
-    }
-    start_s = record.start_s - rows / record.sample_rate_hz
-    return dataclasses.replace(record, channels=channels, start_s=start_s)
-
-
-@pytest.mark.parametrize("rows", [60_000, 300_000])
-def test_a_quiet_lead_in_changes_no_finding_and_costs_no_more_passes(
-    rows: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = make_test(seconds=4.0, noise_counts=0.5, cells_lbm_s=8.0)
-    plain, test = spoiled(made, PROBE, between(900, 990))
-    long = led_in(plain, rows)
-    calls: list[str] = []
-
-    def counted(name: str, do: Callable[..., Any], *arguments: Any) -> Any:
-        calls.append(name)
-        return do(*arguments)
-
-    for name in ("tally_steps", "find_runs"):
-        monkeypatch.setattr(standstill, name, partial(counted, name, getattr(standstill, name)))
-    short_marks = inspect_readings(plain, test)
-    n_short, n_blocks = len(calls), len(list(blocks(long.n_samples)))
-    marks = inspect_readings(long, test)
-    # Two passes over a channel, however many runs of equal codes are in it; one more to look for
-    # runs in one that is not made of codes.
-    assert n_short == 2 * len(test.channel_names) + len(test.temperatures)
-    assert len(calls) - n_short == n_blocks * n_short
-    assert marks.history[-1].flags == short_marks.history[-1].flags
-    assert len(marks.history[-1].flags) == 1
-    np.testing.assert_array_equal(marks[f"fault_{PROBE}"][rows:], short_marks[f"fault_{PROBE}"])
-    assert not marks[f"fault_{PROBE}"][:rows].any()
 
 
 def test_faults_that_touch_one_another_and_the_ends_are_all_marked(made: RawTest) -> None:

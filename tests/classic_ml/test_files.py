@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from comparison_data import made_series
 
-from classic_ml.readers.series_files import write_series
+from classic_ml.io.series import write_series
 from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target, replace_whole, write_whole
 
@@ -61,13 +61,13 @@ def test_a_netcdf_file_for_which_there_is_no_room_is_told_of(
 ) -> None:
     """HDF5 says so when it closes the file, in an error of its own kind."""
 
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise RuntimeError(
             "Can't decrement id ref count (unable to extend file properly, errno = 27, error "
             "message = 'File too large')"
         )
 
-    monkeypatch.setattr("classic_ml.readers.series_files._write_netcdf", full)
+    monkeypatch.setattr("xarray.Dataset.to_netcdf", full)
     with pytest.raises(OSError, match="File too large") as caught:
         write_series(made_series(n=200), tmp_path / "series.nc")
     assert caught.value.filename == str(tmp_path / "series.nc")

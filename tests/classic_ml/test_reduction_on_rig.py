@@ -12,7 +12,7 @@ import pytest
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.faults.search import inspect_readings
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Channel, Record
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run

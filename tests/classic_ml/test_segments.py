@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from classic_ml.columns.intervals import intervals_where, label_intervals, labelled
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from raw_data import LBM, surge_waves
 
-from classic_ml import segments
-from classic_ml.columns import workspace
 from classic_ml.cycles import deep_ones, find_cycles
 from classic_ml.free_run import near
+from classic_ml.intervals import bridged, label_intervals
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.segments import (
     cell_frequency_hz,
+    estimated_threshold_lbm_s,
     hub_tip_stall,
     in_stall_by_threshold,
     segment,
@@ -159,49 +158,6 @@ def test_intervals_are_numbered_in_order_and_short_ones_left_out() -> None:
 
 
 @given(
-    state=st.lists(st.booleans(), min_size=1, max_size=60).map(np.array),
-    block=st.integers(1, 20),
-    window=st.tuples(st.integers(0, 20), st.integers(1, 60)),
-)
-@settings(max_examples=200, deadline=None)
-def test_intervals_do_not_depend_on_blocks(
-    state: np.ndarray, block: int, window: tuple[int, int]
-) -> None:
-    rows = slice(min(window[0], state.size - 1), min(max(window), state.size))
-    inside = np.zeros(state.size + 2, dtype=bool)
-    inside[1:-1][rows] = state[rows]
-    expected = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workspace, "BLOCK_ROWS", block)
-        found = intervals_where(rows, lambda part: state[part])
-    np.testing.assert_array_equal(found, expected)
-    # The marks of some rows are those rows of the marks.
-    marks = labelled(found, slice(0, state.size))
-    assert marks.max() == len(found)
-    np.testing.assert_array_equal(marks > 0, inside[1:-1])
-    np.testing.assert_array_equal(labelled(found, rows), marks[rows])
-
-
-@given(
-    flow=st.lists(st.integers(0, 10), min_size=1, max_size=60).map(np.array),
-    half=st.integers(0, 4),
-    block=st.integers(1, 20),
-)
-@settings(max_examples=200, deadline=None)
-def test_the_state_is_carried_over_the_border_of_blocks(
-    flow: np.ndarray, half: int, block: int
-) -> None:
-    state, expected = bool(flow[0] < 5), []
-    for value in flow:
-        state = value < 5 - half or (state and value < 5 + half)
-        expected.append(state)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workspace, "BLOCK_ROWS", block)
-        found = in_stall_by_threshold(flow.astype(float), 5.0, float(half))
-    np.testing.assert_array_equal(found, expected)
-
-
-@given(
     rows=st.lists(st.booleans(), max_size=40).map(lambda v: np.array(v, dtype=bool)),
     before=st.integers(0, 50),
     behind=st.integers(0, 50),
@@ -331,5 +287,42 @@ def test_a_deep_rise_is_half_of_the_second_deepest() -> None:
     assert deep_ones(np.array([3.0])).tolist() == [True]
 
 
-def test_what_a_cycle_is_has_one_home() -> None:
-    assert not {"DEEP_SHARE", "LEAST_SWING"} & set(vars(segments))
+def test_the_threshold_is_estimated_from_the_shift_between_hub_and_tip() -> None:
+    """The flow at which the made-up machine leaves stall is 50 lbm/s."""
+    record = record_of(seconds=4.0)
+    window = window_rows(record, (1.0, 3.8))
+    threshold, entry = estimated_threshold_lbm_s(record, record["Wc25_kg_s"], window)
+    assert threshold == pytest.approx(50.0, abs=1.5)
+    assert entry.parameters["threshold_lbm_s"] == pytest.approx(threshold, abs=1e-3)
+    assert "estimated" in entry.did
+
+
+def test_without_a_shift_the_threshold_divides_the_two_levels_of_the_flow() -> None:
+    time_s = np.arange(4000) / RATE
+    high = (np.sin(2 * np.pi * np.maximum(time_s - 0.3, 0) / 0.14) > 0.5) & (time_s > 0.5)
+    noise = np.random.default_rng(3).normal(0.0, 2.0, time_s.size)
+    flow = np.where(time_s < 0.3, 112.0, np.where(high, 70.0, 10.0)) + noise
+    record = record_of(seconds=4.0, flow=np.where((time_s > 0.32) & (time_s < 0.36), -9.0, flow))
+    record = record.without(["Wc25_hub_kg_s"])
+    window = window_rows(record, (1.0, 3.8))
+    threshold, _ = estimated_threshold_lbm_s(record, record["Wc25_kg_s"], window)
+    assert threshold is not None
+    assert 20.0 < threshold < 60.0
+
+
+def test_a_record_that_never_recovers_has_no_threshold() -> None:
+    record = record_of()
+    flow = np.where(record.time_s < 0.25, 112.0, np.minimum(record["Wc25_kg_s"] / LBM, 45.0))
+    mild = record_of(flow=flow)
+    window = window_rows(mild, (1.0, 2.5))
+    for known in (mild, mild.without(["Wc25_hub_kg_s"])):
+        threshold, entry = estimated_threshold_lbm_s(known, known["Wc25_kg_s"], window)
+        assert threshold is None
+        assert "none" in entry.did
+
+
+def test_straight_lines_are_drawn_across_what_does_not_count() -> None:
+    values = np.array([9.0, 1.0, 7.0, 7.0, 4.0, 9.0])
+    known = np.array([False, True, False, False, True, False])
+    np.testing.assert_allclose(bridged(values, known), [1.0, 1.0, 2.0, 3.0, 4.0, 4.0])
+    assert bridged(values, np.zeros(6, dtype=bool)) is values

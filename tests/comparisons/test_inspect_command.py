@@ -11,12 +11,14 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 from raw_data import RawTest, make_test, to_toml, write_csv
 
-from classic_ml.inspection import Inspection, inspect_file
-from classic_ml.inspection_draft import draft_test_toml
-from classic_ml.readers.test_toml import read_test_description
+from classic_ml.inspect import Inspection, draft_test_toml, inspect_file
+from classic_ml.io import read_raw
+from classic_ml.io.description_file import read_test_description
 from comparisons.cli import main
+from surge_core.errors import InputError
 
 Columns = dict[str, np.ndarray]
 
@@ -75,8 +77,8 @@ def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
     assert (clock.gaps, clock.repeats, clock.steps_back) == (0, 0, 0)
 
 
-def test_columns_of_a_slower_logger_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_columns_of_a_slower_logger_are_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rng = np.random.default_rng(3)
     n = 1200
@@ -100,9 +102,6 @@ def test_columns_of_a_slower_logger_are_told(
     shown = capsys.readouterr().out
     assert "each value 2 times: held from a lower rate?" in shown
     assert shown.count("held from a lower rate?") == 2
-    monkeypatch.setattr("classic_ml.inspection.BLOCK_ROWS", 7)
-    again = inspect_file(tmp_path / "raw.csv")
-    assert [c.held_rows for c in again.channels] == [c.held_rows for c in found.channels]
 
 
 def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) -> None:
@@ -118,6 +117,60 @@ def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) 
     assert (clock.first_gap, clock.first_repeat, clock.first_step_back) == (101, 302, 1202)
     assert clock.jitter == pytest.approx(0.1, rel=1e-6)
     assert clock.rate_hz == pytest.approx(500.0, rel=1e-3)
+
+
+def test_a_file_that_is_looked_through_in_pieces_is_found_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(2)
+    time_s = np.arange(1000) / 100.0
+    time_s[500:] += 0.3
+    wave = np.sin(np.arange(1000) / 15.0) + 1e-3 * rng.standard_normal(1000)
+    columns = {
+        "t": time_s,
+        "nan": np.where(wave > 0.9, np.nan, wave),
+        "cut": np.minimum(wave, 0.8),
+        "pairs": np.repeat(np.cumsum(rng.standard_normal(500)), 2),
+    }
+    whole = inspected(tmp_path, columns)
+    facts = {channel.name: channel for channel in whole.channels}
+    assert facts["cut"].plateaus == ("maximum",)
+    assert facts["pairs"].held_rows == 2.0
+    monkeypatch.setattr("classic_ml.inspect.facts.SEARCHED_ROWS", 500)
+    monkeypatch.setattr("classic_ml.io.csv.BLOCK_BYTES", 4000)
+    pieces = inspect_file(tmp_path / "raw.csv")
+    for one, other in zip(whole.channels, pieces.channels, strict=True):
+        assert one.mean == pytest.approx(other.mean, rel=1e-12)
+        for name in ("rows", "not_finite", "first_not_finite", "minimum", "maximum"):
+            assert getattr(one, name) == getattr(other, name)
+        for name in ("at_minimum", "at_maximum", "plateaus", "held_rows"):
+            assert getattr(one, name) == getattr(other, name)
+    for found in (whole, pieces):
+        assert found.clock is not None
+        assert (found.clock.gaps, found.clock.first_gap) == (1, 501)
+        assert found.clock.rate_hz == pytest.approx(100.0)
+
+
+def test_the_part_of_a_long_record_that_surges_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A minute at near stall, ten seconds of surge with a pause of one, then quiet again."""
+    rng = np.random.default_rng(5)
+    time_s = np.arange(80_000) / 1000.0
+    surging = (time_s > 60.0) & (time_s < 70.0) & ~((time_s > 64.0) & (time_s < 65.0))
+    swing = surging * np.sin(2.0 * np.pi * 7.0 * time_s)
+    columns = {"time_s": time_s, "throttle": np.full(time_s.size, 31.5)}
+    for number in range(6):
+        noise = 0.02 * rng.standard_normal(time_s.size)
+        columns[f"P{number}"] = 14.7 + 0.001 * time_s + noise + (1.0 + 0.1 * number) * swing
+    found = inspected(tmp_path, columns)
+    assert found.surges_s is not None
+    assert found.surges_s == pytest.approx((60.0, 70.0), abs=0.6)
+    code, out, _ = run(capsys, tmp_path / "raw.csv")
+    assert code == 0
+    assert "surge: the channels swing from 59." in out
+    quiet = {name: values[:50_000] for name, values in columns.items()}
+    assert inspected(tmp_path, quiet).surges_s is None
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
@@ -150,7 +203,7 @@ def test_a_record_is_shown_with_its_test(
     assert 0.3 < found["reduction"]["window_s"][0] < found["reduction"]["window_s"][1] <= 3.0
 
 
-def test_what_does_not_fit_the_test_is_told(
+def test_what_does_not_fit_the_test_is_reported(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns = {n.replace("T25_A", "T25 A"): v for n, v in made.columns.items()}
@@ -201,7 +254,7 @@ def test_what_cannot_be_read_at_all_is_refused(
 ) -> None:
     (tmp_path / "raw.h5").write_bytes(b"no HDF5")
     for arguments, words in (
-        ([tmp_path / "raw.h5"], "bytes that begin like no such file"),
+        ([tmp_path / "raw.h5"], "expected an HDF5 file, found what cannot be read"),
         ([tmp_path / "none.csv"], "no such file"),
         ([tmp_path / "raw.h5", "--group", "a", "--test", "t.toml"], "--group: expected it without"),
     ):
@@ -334,3 +387,62 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     assert (two["kind"], two["unit"], two["plane"], two["rake"]) == ("temperature", "degF", 31, "B")
     assert (three["rake"], three["facing"], three["unit"]) == ("C", "aft", "kPa")
     assert "adc" not in found
+
+
+@pytest.fixture
+def two_groups(made: RawTest, tmp_path: Path) -> Path:
+    """Pressures at 1 kHz, thermocouples at 100 Hz."""
+
+    def channels(group: str, kind: str, every: int) -> list[Any]:
+        return [
+            ChannelObject(group, name, values[::every], {"wf_increment": every * 1e-3})
+            for name, values in made.columns.items()
+            if name.startswith(kind)
+        ]
+
+    path = tmp_path / "two.tdms"
+    with TdmsWriter(path) as writer:
+        writer.write_segment([*channels("fast", "P", 1), *channels("slow", "T", 10)])
+    made.write(tmp_path)
+    return path
+
+
+def test_groups_that_are_left_out_are_named_with_what_to_do(
+    two_groups: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = two_groups.parent
+    out, draft = folder / "found.json", folder / "draft.toml"
+    code, text, _ = run(capsys, two_groups, "--json", out, "--draft", draft)
+    assert code == 0
+    held = "4 channels of 51 values, 100 a second"
+    assert f"  slow: {held}" in text
+    found = json.loads(out.read_text("utf-8"))
+    assert found["other_groups"] == {"slow": held}
+    assert f"# slow: {held}" in draft.read_text("utf-8")
+    tomllib.loads(draft.read_text("utf-8"))
+    with pytest.raises(InputError, match=r"T25_A: .* in the group 'slow', 51 values.* resample"):
+        read_raw(two_groups, folder / "test.toml")
+    found_in_group = inspect_file(two_groups, group="slow")
+    assert (found_in_group.rows, found_in_group.other_groups) == (51, {})
+    assert {c.name for c in found_in_group.channels} == {
+        "time_s",
+        "T25_A",
+        "T25_B",
+        "T31_A",
+        "T31_B",
+    }
+
+
+def test_a_channel_cut_off_in_psia_is_found_as_in_counts(tmp_path: Path) -> None:
+    """Forty readings or more are bit-equal at the top, as codes and as the pressures of these."""
+    rng = np.random.default_rng(8)
+    time_s = np.arange(3000) / 1000.0
+    swing = 2300.0 + 1500.0 * np.sin(2.0 * np.pi * 8.0 * time_s) + 12.0 * rng.standard_normal(3000)
+    codes = np.clip(np.round(swing), 0.0, 3780.0)
+    assert np.count_nonzero(codes == codes.max()) >= 40
+    whole = np.round(swing)
+    for unit, of in (("count", lambda v: v), ("psia", lambda v: np.round(7.0 + v / 271.3, 4))):
+        columns = {"time_s": time_s, f"cut [{unit}]": of(codes), f"whole [{unit}]": of(whole)}
+        facts = {c.name: c for c in inspected(tmp_path, columns).channels}
+        assert facts[f"cut [{unit}]"].plateaus == ("maximum",), unit
+        assert facts[f"whole [{unit}]"].plateaus == (), unit

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from classic_ml import LagRegressor
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import compare_records

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs

@@ -12,7 +12,7 @@ from total_system_runs import TRUE_TAU_S, ideal, model_of, near_truth, settings,
 
 from classic_ml.records import Channel, LedgerEntry, Record
 from comparisons.cli import main
-from comparisons.rig import CASES, SensorSettings, simulate, write_run
+from comparisons.rig import CASES, write_run
 from comparisons.total_system import (
     TotalSystemState,
     facility_toml,
@@ -197,7 +197,7 @@ def test_a_record_that_cannot_be_used_is_refused() -> None:
 def raw(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Return the arguments that name a record of the rig."""
     folder = tmp_path_factory.mktemp("raw") / "90"
-    write_run(simulate("90", duration_s=2.0, sensors=SensorSettings.ideal()), folder)
+    write_run(ideal("90")[0], folder)
     return ["total-system", str(folder / "raw.csv"), "--test", str(folder / "test.toml")]
 
 

@@ -1,44 +1,51 @@
-"""The table itself: long enough, each row once, each with what a reader of it needs."""
+"""Each mistake of the table is refused in one sentence, flagged, or harmless."""
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mistake import HARMLESS, UNNOTICED
+from mistake import Mistake
+from mistake_checks import check, check_printable, check_sentence
 from mistake_desk import hand_in, run_in
-from mistakes import MISTAKES
+from mistakes import CLOCKS, FORMATS, MISTAKES, RAW_FILES, READINGS
 
 
-def test_the_table_is_long_and_names_each_mistake_once() -> None:
-    assert len(MISTAKES) >= 60
+def test_each_mistake_has_a_name_of_its_own() -> None:
     assert not [name for name, count in Counter(m.id for m in MISTAKES).items() if count > 1]
 
 
-def test_each_row_says_what_is_owed_and_why_nothing_is() -> None:
-    for row in MISTAKES:
-        assert row.says or row.outcome in (HARMLESS, UNNOTICED), row.id
-        assert row.why or row.outcome not in (HARMLESS, UNNOTICED), row.id
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda row: row.id)
+def test_a_mistake_is_answered(mistake: Mistake, clean: Path, tmp_path: Path) -> None:
+    check(mistake, hand_in(mistake, clean, tmp_path), clean, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "row",
-    [
-        next(m for m in MISTAKES if m.id == name)
-        for name in ("raw-nan", "toml-nested", "series-gap", "netcdf-noise")
-    ],
-    ids=lambda row: row.id,
-)
-def test_the_installed_command_refuses_as_the_function_does(
-    row: object, clean: Path, tmp_path: Path
+@pytest.mark.parametrize("row", [*RAW_FILES, *FORMATS, *CLOCKS, *READINGS[:3]], ids=lambda r: r.id)
+def test_inspect_shows_a_spoiled_file_or_refuses_it(
+    row: Mistake, clean: Path, tmp_path: Path
 ) -> None:
-    here = hand_in(row, clean, tmp_path)  # type: ignore[arg-type]
+    command = f"inspect {shlex.split(row.command)[1]} --test test.toml"
+    answer = hand_in(replace(row, command=command), clean, tmp_path)
+    check_printable(answer)
+    assert not answer.made
+    if answer.code == 0:
+        assert answer.err == ""
+        assert answer.out
+    else:
+        check_sentence(answer)
+
+
+def test_the_installed_command_refuses_as_the_function_does(clean: Path, tmp_path: Path) -> None:
+    row = next(m for m in MISTAKES if m.id == "raw-nan")
+    here = hand_in(row, clean, tmp_path)
     code = "import sys; from comparisons.cli.parser import main; sys.exit(main())"
     done = subprocess.run(
-        [sys.executable, "-c", code, *row.command.split()],  # type: ignore[attr-defined]
+        [sys.executable, "-c", code, *row.command.split()],
         cwd=tmp_path,
         capture_output=True,
         text=True,

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from raw_data import make_test
 
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Channel, FloatArray, Record
 from comparisons.rig import CASES, simulate, write_run
 

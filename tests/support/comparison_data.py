@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from lag_data import BETA, PERIOD_S, flow, lagged
 
+from classic_ml.checks import CheckRow
 from classic_ml.records import Dropped, LedgerEntry
-from classic_ml.residual_checks import CheckRow
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import block_errors, score_fit, trusted_range
 from comparisons.harness.rows import stack_rows

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from classic_ml import write_series
-from classic_ml.readers import TestDescription, read_raw, read_test_description
+from classic_ml.io import TestDescription, read_raw, read_test_description
 from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.live.feeds import Arrival, Closed, Feed, Opened
 from comparisons.live.monitor import Monitor

@@ -8,7 +8,6 @@ import json
 import os
 import shlex
 import shutil
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,13 +108,12 @@ def clean_files(folder: Path) -> Path:
     return folder
 
 
-def run_in(folder: Path, command: str, feed: str = "") -> Answer:
+def run_in(folder: Path, command: str) -> Answer:
     """Run a command of ``sindy-surge`` in a folder, in this process."""
     before = _contents(folder)
     out, err = io.StringIO(), io.StringIO()
     with (
         _working_in(folder),
-        _standard_input(folder / feed if feed else Path(os.devnull)),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
@@ -139,7 +137,7 @@ def hand_in(mistake: Mistake, clean: Path, folder: Path) -> Answer:
         if file.name not in ("reduced.csv", "reduced.ledger.json"):
             shutil.copy(file, folder / file.name)
     mistake.spoil(folder)
-    return run_in(folder, mistake.command, mistake.feed)
+    return run_in(folder, mistake.command)
 
 
 def ledger_of(folder: Path, name: str = "reduced") -> list[str]:
@@ -183,17 +181,6 @@ def _contents(folder: Path) -> dict[str, bytes]:
         for file in sorted(folder.rglob("*"))
         if file.is_file()
     }
-
-
-@contextlib.contextmanager
-def _standard_input(file: Path) -> Iterator[None]:
-    before = sys.stdin
-    with file.open(encoding="utf-8", errors="replace") as opened:
-        sys.stdin = opened
-        try:
-            yield
-        finally:
-            sys.stdin = before
 
 
 @contextlib.contextmanager

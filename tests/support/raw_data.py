@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 
 LBM = 0.45359237
@@ -230,6 +230,7 @@ def describe(channels: dict[str, Any], rate_hz: float) -> dict[str, Any]:
         },
         "planes": {"25": {"area_m2": AREAS[25]}, "31": {"area_m2": AREAS[31]}},
         "adc": {"bits": 12, "low_V": -5.0, "high_V": 5.0},
+        "segmentation": {"threshold_lbm_s": 50.0},
         "near_stall": {
             "from_s": 0.0,
             "to_s": 0.2,

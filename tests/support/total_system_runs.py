@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from classic_ml.readers import TestDescription, read_raw
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
 from comparisons.total_system import (
@@ -24,8 +25,9 @@ TRUE_TAU_S = 0.018
 
 @cache
 def ideal(case: str) -> tuple[RigRun, Record, TestDescription]:
-    """Two seconds of the rig with sensors that hide nothing."""
-    run = simulate(case, seed=3, duration_s=2.0, sensors=SensorSettings.ideal())
+    """Two seconds of the rig with sensors that hide nothing, but for a little noise."""
+    sensors = replace(SensorSettings.ideal(), noise_percent=0.02, thermocouple_noise_k=0.05)
+    run = simulate(case, seed=3, duration_s=2.0, sensors=sensors)
     with TemporaryDirectory() as folder:
         write_run(run, Path(folder) / "run")
         record, test = read_raw(Path(folder) / "run/raw.csv", Path(folder) / "run/test.toml")

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from classic_ml.readers.mat_elements import check_mat_elements
 from comparisons.missing_effect.systems.experiments import FEWEST_ROWS, Experiment
 from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError
@@ -260,7 +259,6 @@ def _numbers(file: Path, name: str, column: np.ndarray) -> FloatArray:
 
 def _read_mat(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArray]:
     from scipy.io import loadmat
-    from scipy.io.matlab import matfile_version
 
     with file.open("rb") as opened:
         head = opened.read(len(MATLAB_73))
@@ -272,8 +270,6 @@ def _read_mat(file: Path, wanted: tuple[str, ...] | None) -> dict[str, FloatArra
             remedy="save it in MATLAB with save(..., '-v7'), or export it as .csv",
         )
     with _parsed(file, "a MATLAB file"):
-        if matfile_version(str(file), appendmat=False)[0] == 1:
-            check_mat_elements(file)
         found = loadmat(str(file), appendmat=False)
     return _vectors(
         file, {k: np.asarray(v) for k, v in found.items() if not k.startswith("__")}, wanted

@@ -10,7 +10,7 @@ import pytest
 from live_records import LiveRecord, made_record
 from raw_data import make_test
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import near_stall_shifts, reduce_record
 from comparisons.live.detection import CycleCounter, Sighting, SurgeDetector
 from comparisons.live.operating_point import OperatingPoints, points_of

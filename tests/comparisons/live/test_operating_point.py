@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from live_records import LiveRecord
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import ReductionSettings, near_stall_shifts, reduce_record
 from classic_ml.segments import in_stall_by_threshold
 from classic_ml.whole_run import fit_whole_runs

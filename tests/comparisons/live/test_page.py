@@ -95,5 +95,5 @@ def test_a_port_that_is_taken_is_refused(page: Page) -> None:
 
 def test_the_line_of_a_terminal_says_the_same() -> None:
     line = status_line(STATE)
-    for words in ("surge, in stall", "22.0 lbm/s", "18.3 ± 1.2 ms, provisional", "receiving"):
+    for words in ("surge, in stall", "ψ' 1.500", "18.3 ± 1.2 ms, provisional", "receiving"):
         assert words in line

@@ -22,7 +22,7 @@ import pytest
 from made_diagnosis import Told
 from PIL import Image
 
-from classic_ml.readers.series_files import read_series, write_series
+from classic_ml.io.series import read_series, write_series
 from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
 from comparisons.missing_effect.base_terms import discovered_terms

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from classic_ml.readers.series_files import write_series
+from classic_ml.io.series import write_series
 from classic_ml.series import CoefficientSeries
 from comparisons.cli import main
 from comparisons.cli.saved_models import load_any_models

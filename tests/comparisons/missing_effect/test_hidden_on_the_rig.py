@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from classic_ml.filters import period_average
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from comparisons.cli import main

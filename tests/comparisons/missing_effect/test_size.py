@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from effect_data import CUBIC, hidden, series_of
 
-from classic_ml.readers import read_raw
+from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from comparisons.missing_effect import find_effect
 from comparisons.missing_effect.candidates import Bench

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from effect_data import series_of
 
-from classic_ml.readers.series_files import write_series
+from classic_ml.io.series import write_series
 from comparisons.cli import main
 from comparisons.rig.coefficient_tests import simulate_test
 

@@ -1,0 +1,30 @@
+"""What is in a file of channels, and what it is to a test.toml."""
+
+from __future__ import annotations
+
+from classic_ml.inspect.clock import ClockFacts
+from classic_ml.inspect.draft import draft_test_toml
+from classic_ml.inspect.facts import ChannelFacts, Inspection, inspect_file, is_still
+from classic_ml.inspect.match import (
+    ChannelMatch,
+    PairOrder,
+    ReductionPreview,
+    TestMatch,
+    match_test,
+    preview,
+)
+
+__all__ = [
+    "ChannelFacts",
+    "ChannelMatch",
+    "ClockFacts",
+    "Inspection",
+    "PairOrder",
+    "ReductionPreview",
+    "TestMatch",
+    "draft_test_toml",
+    "inspect_file",
+    "is_still",
+    "match_test",
+    "preview",
+]

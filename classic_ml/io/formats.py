@@ -1,0 +1,70 @@
+"""Which reader a file of raw records goes to, and the one place where its errors become ours."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from classic_ml.description import FileLayout
+from classic_ml.io.csv import open_csv
+from classic_ml.io.hdf5 import open_hdf5
+from classic_ml.io.mat import open_mat
+from classic_ml.io.netcdf import open_netcdf
+from classic_ml.io.parquet import open_parquet
+from classic_ml.io.table import RawFile, fault_of
+from classic_ml.io.tdms import open_tdms
+from surge_core.errors import InputError
+
+__all__ = ["open_stored"]
+
+_FORMATS = {
+    "a CSV table": (open_csv, (".csv",)),
+    "a MAT file": (open_mat, (".mat",)),
+    "a netCDF file": (open_netcdf, (".nc", ".nc4", ".netcdf")),
+    "an HDF5 file": (open_hdf5, (".h5", ".hdf5", ".hdf")),
+    "a TDMS file": (open_tdms, (".tdms",)),
+    "a Parquet file": (open_parquet, (".parquet", ".pq")),
+}
+
+
+def open_stored(
+    raw_path: str | os.PathLike[str], layout: FileLayout | None = None, *, lenient: bool = False
+) -> RawFile:
+    """Open a raw record as it is: columns, names and units of the file.
+
+    Parameters
+    ----------
+    raw_path : str or path
+        A file whose suffix names its format.
+    layout : FileLayout, optional
+        Where in the file the channels are, and which of its columns is the clock.
+    lenient : bool
+        Take a cell of text that is no number as NaN and a doubled name as another, to look at a
+        file that cannot be reduced.
+
+    Returns
+    -------
+    RawFile
+        Every column of numbers of the record's length.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, the suffix is unknown, the file is another format's or damaged,
+        or the package that reads it is missing.
+    """
+    file = Path(raw_path)
+    if not file.is_file():
+        found = "a folder" if file.is_dir() else "no such file"
+        raise InputError(str(file), expected="a raw record", found=found)
+    suffix = file.suffix.lower()
+    for what, (reader, suffixes) in _FORMATS.items():
+        if suffix in suffixes:
+            try:
+                return reader(file, layout or FileLayout(), lenient)
+            except Exception as error:
+                raise fault_of(error, str(file), what) from None
+    known = " or ".join(suffix for _, suffixes in _FORMATS.values() for suffix in suffixes)
+    raise InputError(
+        str(file), expected=f"a raw record ending in {known}", found=f"the suffix '{file.suffix}'"
+    )
