@@ -16,8 +16,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from classic_ml import LagRegressor
-from classic_ml.order_selection import select_order
-from classic_ml.residual_checks import residual_checks
+from classic_ml.checks import residual_checks
+from classic_ml.orders import select_order
 
 PERIOD_S = 1e-3
 TAU_S = 0.018

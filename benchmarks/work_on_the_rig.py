@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from classic_ml.readers import read_raw
-from comparisons.cli.work import fit_work
+from comparisons.harness.work_fit import fit_work
 from comparisons.rig import CASES, simulate, write_run
 
 AT = np.array([0.02, 0.05, 0.1])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from classic_ml.characteristics import PiecewiseLinear
-    from classic_ml.lag_model import LagRegressor
+    from classic_ml.lag_regressor import LagRegressor
     from classic_ml.readers.series_files import read_series, write_series
     from classic_ml.records import Record
     from classic_ml.series import CoefficientSeries
@@ -29,7 +29,7 @@ _HOMES = {
     "CoefficientSeries": "classic_ml.series",
     "FitState": "surge_core.fit_state",
     "InputError": "surge_core.errors",
-    "LagRegressor": "classic_ml.lag_model",
+    "LagRegressor": "classic_ml.lag_regressor",
     "PiecewiseLinear": "classic_ml.characteristics",
     "Record": "classic_ml.records",
     "read_series": "classic_ml.readers.series_files",

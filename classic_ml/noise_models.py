@@ -9,7 +9,7 @@ import numpy as np
 
 from surge_core.types import FloatArray
 
-__all__ = ["NOISE_KINDS", "MovingAverage", "NoiseKind"]
+__all__ = ["MAXIMUM_ORDER", "NOISE_KINDS", "MovingAverage", "NoiseKind"]
 
 NoiseKind = Literal["arx", "armax", "output-error"]
 NOISE_KINDS: tuple[NoiseKind, ...] = ("arx", "armax", "output-error")
@@ -65,13 +65,22 @@ class MovingAverage:
             return np.array([upper, [0.0, slope[1]]])
         return np.diag(slope)
 
+    @property
+    def largest_root(self) -> float:
+        """Largest modulus of the roots of C: how fast the filter 1/C forgets."""
+        if self.order < MAXIMUM_ORDER:
+            return float(np.max(np.abs(self.coefficients), initial=0.0))
+        c1, c2 = self.coefficients
+        # Of a complex pair c2 is the squared modulus.
+        return float(np.sqrt(c2) if c1**2 < 4.0 * c2 else 0.5 * (abs(c1) + np.sqrt(c1**2 - 4 * c2)))
+
     def whiten(self, rows: FloatArray) -> FloatArray:
         """Return C(q)⁻¹ rows, from rest.
 
         Parameters
         ----------
         rows : ndarray of shape (n,) or (n, p)
-            Equation errors of one run of rows.
+            Equation errors of one stretch of rows.
         """
         if self.order == 0 or rows.shape[0] == 0:
             return rows
@@ -92,20 +101,3 @@ class MovingAverage:
             for row in range(min(self.order - steps_back, n_rows)):
                 columns[row, column] = c[row + steps_back]
         return columns
-
-    def sensitivities(self, innovations: FloatArray) -> FloatArray:
-        """Return ∂e/∂ρ of the equations' errors, of shape (n, order): ∂e/∂c_j = -C⁻¹ e[k-j].
-
-        Parameters
-        ----------
-        innovations : ndarray of shape (order + n,)
-            The errors before the stretch, from the oldest on, then those of its equations.
-        """
-        n_rows = innovations.size - self.order
-        shifted = [
-            innovations[self.order - lag : self.order - lag + n_rows]
-            for lag in range(1, self.order + 1)
-        ]
-        if not shifted:
-            return np.zeros((n_rows, 0))
-        return np.asarray(-self.whiten(np.column_stack(shifted)) @ self.jacobian)

@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.characteristics import polynomial_basis, term_names
-from classic_ml.lag_model import LagRegressor
-from classic_ml.leverage import linearised_fit
-from classic_ml.residual_checks import (
+from classic_ml.checks import (
     CheckRow,
     coverage,
     input_correlation,
     leverage,
     normality,
 )
+from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, milliseconds
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
     WholeRunRows,
@@ -37,7 +37,7 @@ from classic_ml.whole_run_rows import (
     stacked_rows,
     whole_run_rows,
 )
-from surge_core.display import Displayed, Sheet
+from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold
@@ -92,7 +92,7 @@ class Ending(Protocol):
 
 @dataclass(frozen=True)
 class WholeRunFit(Displayed):
-    """A fitted lag model, with the attributes of an estimator (DESIGN section 5).
+    """A fitted lag model, with the attributes of an estimator.
 
     Parameters
     ----------
@@ -132,9 +132,26 @@ class WholeRunFit(Displayed):
     kept_: tuple[int, ...]
 
     def _sheet(self) -> Sheet:
-        from classic_ml.sheets import whole_run_sheet
-
-        return whole_run_sheet(self)
+        state = self.fit_state_
+        held = " (held)" if self.model_.time_constant_s is not None else ""
+        n_rows, n_runs = sum(row.phi.size for row in self.rows_), len(self.rows_)
+        tau = milliseconds(self.time_constant_s_, self.time_constant_stderr_s_)
+        fields = (
+            Field("equation", equation_with_errors(self)),
+            Field("state", state.advice, "good" if state is FitState.CONVERGED else "advice"),
+            Field("time constant τ", tau + held),
+            Field(
+                "fitted to",
+                f"{n_runs} run{'' if n_runs == 1 else 's'} of unfiltered signals, {n_rows} rows, "
+                "averaged over one period of the stall cells",
+            ),
+            Field(
+                "scored",
+                f"{self.n_scored_} rows in forward flow in stall; errors from {self.n_blocks_} "
+                "blocks, with those that all cycles share",
+            ),
+        )
+        return Sheet("WholeRunFit", fields, (characteristic_grid(self),))
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
@@ -169,7 +186,7 @@ class WholeRunFit(Displayed):
             return ()
         X, y, weight, labels = stacked_rows(self.rows_)
         X = X[:, self.kept_]
-        fit = linearised_fit(self.model_, X, y, labels, weight)
+        fit = self.model_.linearised(X, y, labels, weight)
         phi = np.concatenate([row.phi for row in self.rows_])[fit.rows]
         pieces = list(fit.pieces)
         return (

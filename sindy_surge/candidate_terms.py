@@ -1,4 +1,4 @@
-"""The candidate terms of a fit, and which of them its data can tell apart."""
+"""The candidate terms of a fit, and which of them its data can separate."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class CandidateTerms:
         chosen = default_library(X, degree=degree, knots=knots) if library is None else library
         self._library = fitted_library(copy.deepcopy(chosen), X, "library")
         n_terms = evaluated(self._library, X[:1], strict=False).shape[1]
-        self._input_names = tuple(input_names)
+        self.input_names = tuple(input_names)
         self._own_names = term_names(self._library, input_names, n_terms)
         if output_name in input_names:
             raise InputError(
@@ -72,7 +72,7 @@ class CandidateTerms:
                 found=f"{double[0]!r} twice",
                 remedy="rename the term or the column",
             )
-        self._extra: tuple[tuple[int, float], ...] = ()
+        self._extra: tuple[float, ...] = ()
         self.states: StateTerms | None = (
             None
             if psi_p is None
@@ -82,13 +82,8 @@ class CandidateTerms:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all terms; those that hold ψ' come last."""
-        extra = tuple(hinge_name(self._input_names[j], knot) for j, knot in self._extra)
+        extra = tuple(hinge_name(self.input_names[0], knot) for knot in self._extra)
         return self._own_names + extra + (() if self.states is None else tuple(self.states.names))
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return self._input_names
 
     @property
     def n_without_state(self) -> int:
@@ -103,21 +98,10 @@ class CandidateTerms:
         plain.states = self.states.physical()
         return plain
 
-    def with_hinges(self, extra: Sequence[tuple[int, float]]) -> CandidateTerms:
-        """Return a library with further hinges behind its terms of the inputs.
-
-        Parameters
-        ----------
-        extra : sequence of (int, float)
-            Input and knot of each.
-
-        Returns
-        -------
-        CandidateTerms
-            The longer library; they take the place of such added before.
-        """
+    def with_hinges(self, knots: Sequence[float]) -> CandidateTerms:
+        """Return a library with hinges of its first input behind its terms of the inputs."""
         longer = copy.copy(self)
-        longer._extra = tuple(extra)
+        longer._extra = tuple(knots)
         return longer
 
     def __call__(
@@ -138,8 +122,6 @@ class CandidateTerms:
             ψ' at the same rows; needed for the terms that hold it.
         wanted : sequence of int or None
             Positions of the terms, rising; None takes all, without ψ' all that do not hold it.
-        strict : bool
-            Refuse values that are not finite.
 
         Returns
         -------
@@ -159,7 +141,7 @@ class CandidateTerms:
         if inputs_alone:
             parts.append(evaluated(self._library, X, inputs_alone, self._own_names, strict=strict))
         extra = [self._extra[i - own] for i in wanted if own <= i < edge]
-        parts += [np.maximum(X[:, j] - knot, 0.0)[:, None] for j, knot in extra]
+        parts += [np.maximum(X[:, 0] - knot, 0.0)[:, None] for knot in extra]
         with_state = [i - edge for i in wanted if i >= edge]
         if with_state and self.states is not None and psi_p is not None:
             parts.append(self.states(X, psi_p)[:, with_state])
@@ -177,13 +159,6 @@ def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[
     ----------
     values : ndarray of shape (n_rows, n_terms)
         The terms over the data.
-    tolerance : float
-        Least share of a column's norm that must be new.
-
-    Returns
-    -------
-    ndarray of int
-        Indices of the columns kept.
     """
     norms = np.linalg.norm(values, axis=0)
     # The triangular factor holds all inner products in as many rows as there are terms.
@@ -211,16 +186,6 @@ def aliases_of(values: FloatArray, kept: NDArray[np.intp], names: Sequence[str])
     ----------
     values : ndarray of shape (n_rows, n_terms)
         The terms over the data.
-    kept : ndarray of int
-        Columns from `independent_columns`.
-    names : sequence of str
-        Names of the terms.
-
-    Returns
-    -------
-    dict of str to str
-        Name of each term left out, and the sum of others that it is on this data ("0" for a term
-        that is zero on every row), e.g. ``{"phi |phi|": "phi^2 - 2 phi^2[phi<0]"}``.
     """
     found = {}
     for j in range(values.shape[1]):

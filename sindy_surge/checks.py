@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sindy_surge.simulation import FreeModel
+from sindy_surge.identification import Identified
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from sindy_surge.identification import Identified
+from surge_core.validation import one_of, positive, whole_number
 
 __all__ = ["cautions_of", "check_parameters", "is_constant", "refuse_not_finite"]
 
@@ -25,57 +23,33 @@ _WIDE_GAP = 0.3
 def check_parameters(estimator: Any) -> None:
     """Refuse parameters of `SparseLagRegressor` that cannot be used.
 
-    Parameters
-    ----------
-    estimator : SparseLagRegressor
-        Its parameters are read.
-
     Raises
     ------
     InputError
         For the first that is wrong.
     """
-    period = estimator.sample_period_s
-    if not _is_number(period) or not period > 0:
-        raise InputError(
-            "sample_period_s", expected="a positive time in seconds", found=repr(period)
-        )
-    if estimator.hold not in ("first", "zero"):
-        raise InputError("hold", expected='"first" or "zero"', found=repr(estimator.hold))
+    positive("sample_period_s", estimator.sample_period_s)
+    one_of("hold", estimator.hold, ("first", "zero"))
+    for name, least in (("max_terms", 1), ("degree", 1), ("n_bootstrap", 0)):
+        whole_number(name, getattr(estimator, name), least, 1_000_000)
     knots = estimator.knots
     if knots is not None and not np.all(np.isfinite(np.asarray(knots, dtype=float))):
         raise InputError("knots", expected="finite values of φ", found=repr(knots))
-    for name, least in (("max_terms", 1), ("degree", 1), ("n_bootstrap", 0)):
-        value = getattr(estimator, name)
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not whole or value < least:
-            raise InputError(
-                name, expected=f"a whole number of at least {least}", found=repr(value)
-            )
     name = estimator.output_name
     if not isinstance(name, str) or not name.isidentifier():
         raise InputError(
             "output_name", expected='a name such as "psi_p" or "psi"', found=repr(name)
         )
     dead = estimator.dead_time_s
-    if dead not in ("auto", "fit") and not _is_number(dead):
+    number = isinstance(dead, (int, float, np.number)) and not isinstance(dead, bool)
+    if dead not in ("auto", "fit") and not (number and np.isfinite(dead)):
         raise InputError(
             "dead_time_s", expected='a time in seconds, "auto" or "fit"', found=repr(dead)
         )
 
 
-def _is_number(value: Any) -> bool:
-    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-    return number and bool(np.isfinite(value))
-
-
 def refuse_not_finite(X: Any, y: Any) -> None:
     """Name the first row that holds NaN or an infinite value.
-
-    Parameters
-    ----------
-    X, y : array-like
-        Inputs and ψ'; what is no array of floats is left to scikit-learn.
 
     Raises
     ------
@@ -96,7 +70,7 @@ def refuse_not_finite(X: Any, y: Any) -> None:
                 name,
                 expected="finite values",
                 found=f"{first} in row {row} ({int(bad.sum())} such values in all)",
-                remedy="leave those rows out and number the `segments` anew behind each",
+                remedy="leave those rows out and number the `segments` again behind each",
             )
 
 
@@ -118,21 +92,8 @@ def is_constant(values: FloatArray) -> bool:
 
 
 def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
-    """Say what a user should know before the numbers are used.
-
-    Parameters
-    ----------
-    found : Identified
-        The result of a search.
-    state : FitState
-        What became of the fit.
-
-    Returns
-    -------
-    tuple of str
-        Sentences.
-    """
-    problem = found.problem
+    """Say what a user should know before the numbers are used."""
+    problem, dead_time_s = found.problem, found.model.lag.dead_time_s
     sentences = [] if state is FitState.OK else [state.advice]
     lost = problem.segments.starts.size - int(np.count_nonzero(problem.usable.segments.lengths > 1))
     if lost:
@@ -140,10 +101,10 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
             f"{lost} of {problem.segments.starts.size} segments are too short for an equation and "
             "add nothing; join what belongs together, or lengthen them"
         )
-    if abs(found.dead_time_s) > 2 * found.dead_time_stderr_s > 0:
-        late, early = ("ψ'", "φ") if found.dead_time_s > 0 else ("φ", "ψ'")
+    if abs(dead_time_s) > 2 * found.dead_time_stderr_s > 0:
+        late, early = ("ψ'", "φ") if dead_time_s > 0 else ("φ", "ψ'")
         sentences.append(
-            f"{late} was measured {abs(found.dead_time_s) * 1e3:.3g} ms later than {early} "
+            f"{late} was measured {abs(dead_time_s) * 1e3:.3g} ms later than {early} "
             f"(standard error {found.dead_time_stderr_s * 1e3:.2g} ms): look for a sample of "
             "misalignment, or the wrong `hold`, which is half of one"
         )
@@ -152,11 +113,11 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
             f"a kink sits at {knot.knot:g} (standard error {knot.stderr:.2g}), between the knots "
             "of the library; a hinge was added there, and the errors allow for it"
         )
-    gain = _gain_of_state(found)
+    gain, lag = problem.mean_gain(found.model), found.model.lag
     if gain != 0.0:
         sentences.append(
             "the structure holds ψ', and τ is that of the equation as written; about the mean "
-            f"point of the record the lag is {found.time_constant_s / (1 - gain) * 1e3:.3g} ms, "
+            f"point of the record the lag is {lag.tau_s / (1 - gain) * 1e3:.3g} ms, "
             "which other powers of ψ' share"
         )
     if problem.noise.colour.size and state is not FitState.MODEL_ERROR_DOMINATES:
@@ -171,20 +132,3 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
             "large against the signals"
         )
     return tuple(sentences)
-
-
-def _gain_of_state(found: Identified) -> float:
-    """Return ∂(Σ β_i s_i)/∂ψ' at the mean point of the record; 0 if no term holds ψ'."""
-    problem = found.problem
-    model = FreeModel(
-        problem.terms,
-        found.selected,
-        found.coefficients,
-        found.time_constant_s,
-        found.dead_time_s,
-        problem.sample_period_s,
-        problem.hold,
-        (float(problem.output.min()), float(problem.output.max())),
-    )
-    middle = problem.inputs.mean(axis=0, keepdims=True)
-    return float(model.gain(middle, np.array([problem.output.mean()]))[0])

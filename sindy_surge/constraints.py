@@ -37,8 +37,6 @@ class Constraints:
 
         Parameters
         ----------
-        support : sequence of int
-            Positions of its terms.
         coefficients : ndarray of shape (n_support,)
             Their coefficients.
 
@@ -60,17 +58,6 @@ def constraints_of(
     wishes : mapping of str to str, or None
         For the name of a term one or two of "required", "forbidden", "positive", "negative",
         separated by a space.
-    names : sequence of str
-        Names of all terms of the library.
-    usable : ndarray of int
-        The terms of the library that the data can tell apart.
-
-    Returns
-    -------
-    columns : ndarray of int
-        The usable terms that are not forbidden.
-    constraints : Constraints
-        What is asked of them.
 
     Raises
     ------
@@ -88,7 +75,7 @@ def constraints_of(
             if name not in position:
                 raise InputError(
                     "constraints",
-                    expected=f"{name!r} to be told apart from the other terms by the data",
+                    expected=f"{name!r} to be separable from the other terms by the data",
                     found="a term that is zero or a sum of others over this record",
                     remedy="forbid one of those, or leave the requirement out",
                 )

@@ -51,21 +51,12 @@ def features(
 
     Parameters
     ----------
-    problem : LagProblem
-        Supplies the terms.
     inputs : ndarray of shape (n_rows, n_inputs)
         Where to evaluate.
     blur : ndarray of shape (n_inputs,)
         Standard deviation s of the noise left in each input.
-    support : sequence of int
-        Positions among the usable terms, rising.
     state : ndarray of shape (n_rows,) or None
         ψ' at the times when the inputs act; needed for the terms that hold it.
-
-    Returns
-    -------
-    Features
-        Values and slopes of those terms.
     """
     n_rows, n_inputs = inputs.shape
     least = _SMALL_STEP * np.ptp(problem.inputs, axis=0)

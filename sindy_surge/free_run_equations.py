@@ -7,17 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from sindy_surge.covariance import block_slices
-from sindy_surge.free_run import Hold, HoldCoefficients, Segments, hold_coefficients, simulate
-from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
-from sindy_surge.sparse_paths import Support
+from sindy_surge.free_run import simulate
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.segments import Segments, block_slices
+from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["FreeRunEquations", "FreeRunFit"]
 
 
 _SHORTEST_SAMPLES = 0.1
-# A lag three times the longest run cannot be told from an integrator.
+# A lag three times the longest run looks like an integrator.
 _LONGEST_RUNS = 3.0
 _SCAN_POINTS = 32
 _MOST_STEPS = 10
@@ -114,11 +114,6 @@ class FreeRunEquations:
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Fit some terms and τ.
 
-        Parameters
-        ----------
-        support : tuple of int
-            Positions of the terms.
-
         Returns
         -------
         parameters : ndarray of shape (n_support + 1,)
@@ -132,18 +127,7 @@ class FreeRunEquations:
         return found.parameters, found.design, found.residual
 
     def solve(self, support: Support) -> FreeRunFit:
-        """Fit some terms and τ, and keep all that goes with it.
-
-        Parameters
-        ----------
-        support : tuple of int
-            Positions of the terms.
-
-        Returns
-        -------
-        FreeRunFit
-            The fit.
-        """
+        """Fit some terms and τ, and keep all that goes with it."""
         values = self._values(support)
         tau = self._end(values, self._scanned(support))
         solution, joint, residual, initial = self._at(values, tau)
@@ -179,18 +163,7 @@ class FreeRunEquations:
         return np.where(own, left, 0.0)
 
     def linear(self, about: Support) -> LinearProblem:
-        """Return the regression on all terms about one fit, nuisances and τ projected out.
-
-        Parameters
-        ----------
-        about : tuple of int
-            The structure about whose fit to linearise.
-
-        Returns
-        -------
-        LinearProblem
-            For the optimizers.
-        """
+        """Return the regression on all terms about one fit, nuisances and τ projected out."""
         fit = self.solve(about)
         n = self.nuisance.shape[1]
         stacked = self._stacked(self._hold(fit.parameters[-1]), self._all_values)
@@ -207,11 +180,6 @@ class FreeRunEquations:
             Number of the cycle of each row.
         time_constant_s : float
             τ in seconds: no cycle is cut into parts of fewer than two of it.
-
-        Returns
-        -------
-        list of ndarray of int
-            A short cycle whole, a long stretch in parts.
         """
         numbers = self.run * (int(np.ptp(cycles)) + 1) + (cycles - cycles.min())[self.scored]
         within = Segments.from_labels(numbers, self.scored.size)
@@ -225,8 +193,8 @@ class FreeRunEquations:
     def _values(self, support: Support) -> FloatArray:
         return np.column_stack((self.columns[:, list(support)], self.nuisance))
 
-    def _hold(self, tau: float) -> HoldCoefficients:
-        return hold_coefficients(tau, self.sample_period_s, self.hold)
+    def _hold(self, tau: float) -> FirstOrderLag:
+        return FirstOrderLag(tau, self.sample_period_s, self.hold)
 
     def _sums(self, values: FloatArray) -> FloatArray:
         """Sum scored rows over each run; 0 for runs without any."""
@@ -235,20 +203,20 @@ class FreeRunEquations:
         sums[self.run[firsts]] = np.add.reduceat(values, firsts, axis=0)
         return sums
 
-    def _decay(self, lag: HoldCoefficients) -> tuple[FloatArray, FloatArray]:
+    def _decay(self, lag: FirstOrderLag) -> tuple[FloatArray, FloatArray]:
         """Return what a start of unit norm leaves at the scored rows, and the norm of each run."""
         offsets = self.runs.offsets()[self.scored].astype(float)
-        decay = lag.pole**offsets * np.sqrt(self.weight[self.scored])
+        decay = lag.a**offsets * np.sqrt(self.weight[self.scored])
         power = self._sums(decay**2)
         norms = np.sqrt(np.where(power > 0, power, 1.0))
         return decay / norms[self.run], norms
 
-    def _stacked(self, lag: HoldCoefficients, values: FloatArray) -> FloatArray:
+    def _stacked(self, lag: FirstOrderLag, values: FloatArray) -> FloatArray:
         """Return the columns behind the lag, and last ψ', at the scored rows without starts."""
         every = np.column_stack((simulate(values, self.runs, lag), self.output))
         return self._without_starts(every[self.scored], lag)
 
-    def _without_starts(self, rows: FloatArray, lag: HoldCoefficients) -> FloatArray:
+    def _without_starts(self, rows: FloatArray, lag: FirstOrderLag) -> FloatArray:
         decay, _ = self._decay(lag)
         weighted = rows * np.sqrt(self.weight[self.scored])[:, None]
         return weighted - decay[:, None] * self._sums(decay[:, None] * weighted)[self.run]

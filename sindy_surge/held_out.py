@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from sindy_surge.constraints import Constraints
-from sindy_surge.covariance import jackknife_covariance, leave_out_moves
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import jackknife_covariance, leave_out_moves, unit_norms
+from sindy_surge.linear_problem import Support
 from sindy_surge.preparation import Prepared
+from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import Support, proposals
+from sindy_surge.sparse_paths import proposals
 from sindy_surge.trials import (
     FEWEST_BLOCKS,
     Block,
@@ -24,8 +26,7 @@ from sindy_surge.trials import (
     polynomial_ladder,
     special_structures,
 )
-from sindy_surge.weak_equations import WeakEquations, blocks_for
-from sindy_surge.weak_form import MIN_HALF_WIDTH
+from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
 from surge_core.types import FloatArray
 
 __all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out", "with_held_out"]
@@ -51,8 +52,6 @@ def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
 
     Parameters
     ----------
-    prepared : Prepared
-        With the excess of the fit of all terms, and the colour of its rest.
     consistent : bool
         Whether a structure stands against all others.
 
@@ -119,12 +118,6 @@ def select_by_held_out(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
-        What proposes the other structures, on the weak equations.
-    max_terms : int
-        Largest structure considered.
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
     constraints : Constraints or None
@@ -166,35 +159,21 @@ def select_by_held_out(
 
 
 def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
+    """Return the blocks to leave out, each scored on the equations centred in it."""
     centres, reach = weak.centres, weak.half_width
-    return [
-        Block(
-            np.flatnonzero((centres > rows.start - reach) & (centres < rows.stop - 1 + reach)),
-            inside,
-        )
-        for rows, inside in blocks_for(problem, weak)
-    ]
+    blocks = []
+    for rows in block_slices(problem.segments, 2 * reach + 1):
+        own = np.flatnonzero((centres >= rows.start) & (centres < rows.stop))
+        touched = (centres > rows.start - reach) & (centres < rows.stop - 1 + reach)
+        if own.size:
+            blocks.append(Block(np.flatnonzero(touched), own))
+    return blocks
 
 
 def with_held_out(
     path: Sequence[PathRow], fit: HeldOutFit, names: Sequence[str]
 ) -> tuple[PathRow, ...]:
-    """Add the structures tried on rows left out to the table of structures.
-
-    Parameters
-    ----------
-    path : sequence of PathRow
-        The table so far; nothing in it stays chosen.
-    fit : HeldOutFit
-        The structures tried, and the one chosen.
-    names : sequence of str
-        Names of the usable terms.
-
-    Returns
-    -------
-    tuple of PathRow
-        By size, and within a size by held-out error.
-    """
+    """Add the structures tried on rows left out to the table of structures."""
     rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
     for support, (rms, tau) in fit.tried.items():
         terms = tuple(names[i] for i in support)
@@ -226,7 +205,7 @@ def _finished(
     values = problem.late(problem.terms(problem.inputs, wanted=wanted))
     forcing = values @ parameters[:-1]
     rest = problem.output - simulate(forcing, problem.segments, lag)
-    decay = lag.pole ** problem.segments.offsets().astype(float)
+    decay = lag.a ** problem.segments.offsets().astype(float)
     starts = problem.segments.starts
     initial = np.add.reduceat(decay * rest, starts) / np.add.reduceat(decay**2, starts)
     return HeldOutFit(support, tau, parameters[:-1], covariance, initial, trials.tried())
@@ -238,8 +217,7 @@ def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
     Cycles that repeat an error agree about it, and their scatter says nothing of its size. The
     information is that of one cycle, however many there are.
     """
-    norms = np.linalg.norm(design, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(design)
     scaled = design / norms
     bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
     total = float(residual @ residual) / _EQUATIONS_IN_CYCLE

@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
-from sindy_surge.covariance import sandwich
-from sindy_surge.cycles import cycle_blocks
-from sindy_surge.free_run import Segments
+from sindy_surge.free_model import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
-from sindy_surge.held_out_run import held_out_rms
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
@@ -25,17 +22,18 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.linear_problem import Support
+from sindy_surge.noise import autoregression
 from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
+from sindy_surge.segments import cycle_blocks
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
-from sindy_surge.simulation import FreeModel
-from sindy_surge.sparse_paths import Support, support_chi2
 from sindy_surge.state_powers import choose_power
-from sindy_surge.weak_form import WeakLag
-from sindy_surge.whitening import NoiseLevels, autoregression
+from sindy_surge.uncertainty import held_out_rms, sandwich
+from sindy_surge.weak import WeakLag
 from surge_core.fit_state import FitState
-from surge_core.types import FloatArray, IndexArray
+from surge_core.types import FloatArray
 
-__all__ = ["Choices", "Identified", "identify", "silent_problem"]
+__all__ = ["Choices", "Identified", "identify"]
 
 
 # Blocks of cycles are left out and drawn whole; none is shorter than this many rows.
@@ -84,12 +82,10 @@ class Identified:
     ----------
     problem : LagProblem
         The data with noise levels and dead time, and the library searched.
-    selected : ndarray of int of shape (n_terms,)
-        Positions of the terms in the library.
-    coefficients : ndarray of shape (n_terms,)
-        β, those of terms with ψ' in the library's own units.
-    time_constant_s, dead_time_s, dead_time_stderr_s : float
-        τ and the dead time in seconds, with its standard error (0 if it was not fitted).
+    model : FreeModel
+        Terms, β (those of terms with ψ' in the library's own units), τ and dead time.
+    dead_time_stderr_s : float
+        Standard error of the dead time in seconds; 0 if it was not fitted.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
         Of β and, last, τ.
     initial : ndarray of shape (n_segments,)
@@ -109,10 +105,7 @@ class Identified:
     """
 
     problem: LagProblem
-    selected: IndexArray
-    coefficients: FloatArray
-    time_constant_s: float
-    dead_time_s: float
+    model: FreeModel
     dead_time_stderr_s: float
     covariance: FloatArray
     initial: FloatArray
@@ -123,70 +116,28 @@ class Identified:
     weak: WeakLag | None
     knots: tuple[MovedKnot, ...]
 
+    def fit_state(self) -> FitState:
+        """Return what became of the fit, by the τ that it gave and its error.
 
-def silent_problem(
-    X: FloatArray,
-    y: FloatArray,
-    segments: Segments,
-    sample_period_s: float,
-    hold: Any,
-    terms: CandidateTerms,
-    columns: IndexArray,
-) -> LagProblem:
-    """Return the problem before anything is known of its noise.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        Inputs.
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the terms run between two samples.
-    terms : CandidateTerms
-        The library.
-    columns : ndarray of int
-        Its terms without ψ' that the data can tell apart.
-
-    Returns
-    -------
-    LagProblem
-        With all terms that hold ψ' behind them.
-    """
-    with_state = np.arange(terms.n_without_state, len(terms.names))
-    return LagProblem(
-        X,
-        y,
-        segments,
-        sample_period_s,
-        hold,
-        terms,
-        np.concatenate((columns, with_state)).astype(np.intp),
-        NoiseLevels(1.0, np.zeros(X.shape[1]), np.empty(0)),
-    )
+        About the middle of ψ': with terms in ψ' the τ of the equation as written may be anything.
+        """
+        tau, period_s = self.model.lag.tau_s, self.problem.sample_period_s
+        error = float(np.sqrt(self.covariance[-1, -1]))
+        # A held input shows the lag only through the pole e^(-h/τ), which is soon next to nothing.
+        pole = float(np.exp(-period_s / tau))
+        hidden = self.problem.hold == "zero" and pole < 3 * pole * period_s / tau**2 * error
+        if tau < period_s / 20 or (hidden and tau < period_s):
+            return FitState.LAG_BELOW_RESOLUTION
+        # The error of τ then includes that of the model, and longer segments are no remedy.
+        if self.state is FitState.MODEL_ERROR_DOMINATES:
+            return self.state
+        if not error < tau or tau > 0.99 * self.problem.longest_lag_s:
+            return FitState.LAG_UNDETERMINED
+        return self.state
 
 
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
-    """Search the structure of a record and estimate its parameters.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    choices : Choices
-        What the user decides.
-    input_names : sequence of str
-        Names of the inputs.
-
-    Returns
-    -------
-    Identified
-        The structure.
-    """
+    """Search the structure of a record and estimate its parameters."""
     search = _searched(problem, choices, input_names)
     if choices.dead_time == "auto" and search.prepared.problem.dead_time.fitted:
         search = _simpler(search, _searched(problem, _on_time(choices, search), input_names))
@@ -281,7 +232,7 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
     knots = moved_knots(problem, fit, search.constraints.required)
     if not knots:
         return search
-    wide, _ = with_hinges(search.whole, [(moved.column, moved.knot) for moved in knots])
+    wide, _ = with_hinges(search.whole, [moved.knot for moved in knots])
     if choices.dead_time == "auto" and not problem.dead_time.fitted:
         choices = replace(choices, dead_time=0.0)
     again = _searched(wide, choices, input_names, knots)
@@ -296,11 +247,9 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     power = choose_power(*_colour_again(prepared.problem, found.fit))
     problem, fit = power.problem, power.fit
     rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
-    blocks = cycle_blocks(
-        problem.inputs[:, 0], problem.segments, problem.sample_period_s, _SHORTEST_BLOCK
-    )
+    blocks = cycle_blocks(problem.inputs[:, 0], problem.segments, _SHORTEST_BLOCK)
     runs = {
-        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks).rms
+        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks)
         for support, one in found.fits.items()
         if one.converged
     }
@@ -319,7 +268,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
             rng=np.random.default_rng(choices.seed),
             required=search.constraints.required,
         )
-        inclusion = dict(zip(names, shares.terms.tolist(), strict=True))
+        inclusion = dict(zip(names, shares.tolist(), strict=True))
     covariance = _covariance(problem, fit, search.knots)
     dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.dead_time.fitted else 0.0
     wanted = [*range(len(fit.support)), -1]
@@ -339,10 +288,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         state = FitState.OK
     return Identified(
         problem,
-        problem.columns[list(fit.support)],
-        fit.coefficients,
-        fit.time_constant_s,
-        fit.dead_time_s,
+        problem.model(fit.support, fit.coefficients, fit.time_constant_s, fit.dead_time_s),
         dead_time_stderr,
         covariance,
         _of_segments(problem, fit.initial),
@@ -358,7 +304,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
 def _explains(equations: WhiteEquations, support: Support) -> bool:
     """Return whether a structure is worth its terms against none at all."""
     linear = equations.compressed()
-    gain = support_chi2(linear, ()) - support_chi2(linear, support)
+    gain = linear.chi2(()) - linear.chi2(support)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
     return gain / linear.variance > penalty * len(support)
 
@@ -387,19 +333,10 @@ def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) 
     """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
     if weak is None or not problem.holds_state(fit.support):
         return False
-    model = FreeModel(
-        problem.terms,
-        problem.columns[list(fit.support)],
-        fit.coefficients,
-        fit.time_constant_s,
-        fit.dead_time_s,
-        problem.sample_period_s,
-        problem.hold,
-        (float(problem.output.min()), float(problem.output.max())),
+    model = problem.model(
+        fit.support, fit.coefficients, fit.time_constant_s, problem.dead_time.seconds
     )
-    middle = problem.inputs.mean(axis=0, keepdims=True)
-    gain = float(model.gain(middle, np.array([problem.output.mean()]))[0])
-    local = fit.time_constant_s / (1.0 - gain)
+    local = fit.time_constant_s / (1.0 - problem.mean_gain(model))
     low, high = sorted((weak.reverse_s, weak.forward_s))
     return not low / _FAR_FROM_WEAK < local < high * _FAR_FROM_WEAK
 
@@ -454,10 +391,9 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
         return None
     return Identified(
         problem,
-        problem.columns[list(fit.support)],
-        fit.coefficients,
-        fit.time_constant_s,
-        problem.dead_time.seconds,
+        problem.model(
+            fit.support, fit.coefficients, fit.time_constant_s, problem.dead_time.seconds
+        ),
         0.0,
         fit.covariance,
         fit.initial,

@@ -8,19 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sindy_surge.lag_equations import Point
 from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.selection import information_penalty
-from sindy_surge.sparse_paths import Support, beam_search, support_chi2
+from sindy_surge.sparse_paths import beam_search
 from surge_core.types import FloatArray
 
 __all__ = ["MovedKnot", "knot_columns", "moved_knots", "with_hinges"]
 
-Hinge = tuple[int, float]
-
-# Knots tried over the range of an input; between two of them a hinge is placed to within a
+# Knots tried over the range of φ; between two of them a hinge is placed to within a
 # fiftieth of the range, from where its χ² is a parabola.
 _TRIED = 50
 # Structures with a free knot stay this small: four terms and a knot or two follow any kink.
@@ -39,15 +36,12 @@ class MovedKnot:
 
     Parameters
     ----------
-    column : int
-        Input it belongs to.
     knot : float
         Where it bends, rounded within its standard error.
     stderr : float
         Standard error of the knot.
     """
 
-    column: int
     knot: float
     stderr: float
 
@@ -61,55 +55,38 @@ def moved_knots(
     pays for each twice, for the term and for its knot. The best one is fitted by itself while
     its knots move.
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The best structure on the grid.
-    required : tuple of int
-        Terms that every structure holds.
-
     Returns
     -------
     tuple of MovedKnot
-        The hinges to be added to the library; empty if none is worth it.
+        The hinges to be added to the library; empty if none is worth it, or with several inputs.
     """
-    fine = _fine_grid(problem)
-    if not fine:
+    if problem.inputs.shape[1] > 1:
         return ()
+    low, high = np.quantile(problem.inputs, [0.02, 0.98])
+    fine = np.linspace(low, high, _TRIED + 2)[1:-1].tolist()
     wide, place = with_hinges(problem, fine)
-    own = tuple(sorted(place[i] for i in fit.support))
-    linear = white_equations(
-        wide, replace(fit, support=own, point=_ordered(fit, place))
-    ).compressed()
-    n_old = problem.columns.size
-    penalty = information_penalty(linear.n_equations, n_old)
+    own = tuple(place[i] for i in fit.support)
+    linear = white_equations(wide, replace(fit, support=own)).compressed()
+    penalty = information_penalty(linear.n_equations, problem.columns.size)
     first = problem.n_without_state
     new = set(range(first, first + len(fine)))
     best = _best(linear, own, new, penalty, tuple(place[i] for i in required))
     if best is None:
         return ()
-    weights = np.abs(np.linalg.lstsq(linear.columns[:, list(best)], linear.target)[0])
-    weights = weights / linear.norms[list(best)]
     back = {position: i for i, position in place.items()}
-    terms = [
-        _Term(None if i in new else back[i], fine[i - first] if i in new else None, float(weight))
-        for i, weight in zip(best, weights, strict=True)
-    ]
-    variance = linear.variance
-    trials = [_placed(problem, fit, trial) for trial in (terms, _merged(problem, terms))]
+    kept = [back[i] for i in best if i not in new]
+    free = [fine[i - first] for i in best if i in new]
     # A kink between two knots needs both of their hinges, or one of its own.
-    return min(trials, key=lambda t: t.chi2 / variance + penalty * t.price).knots
-
-
-@dataclass(frozen=True)
-class _Term:
-    """A term of a trial: by its position among the usable ones, or a hinge free to move."""
-
-    position: int | None
-    hinge: Hinge | None
-    weight: float
+    grid = _knots_of(problem)
+    weights = dict(zip(best, np.abs(linear.coefficients(best)).tolist(), strict=True))
+    kinks = [(grid[i], weights[place[i]]) for i in kept if i in grid]
+    kinks += [(fine[i - first], weights[i]) for i in best if i in new]
+    joined = _joined(sorted(kinks), _NEIGHBOURS * float(np.ptp(problem.inputs)))
+    trials = [
+        _placed(problem, fit, kept, free),
+        _placed(problem, fit, [i for i in kept if i not in grid], joined),
+    ]
+    return min(trials, key=lambda t: t.chi2 / linear.variance + penalty * t.price).knots
 
 
 @dataclass(frozen=True)
@@ -121,34 +98,23 @@ class _Trial:
     price: int
 
 
-def _merged(problem: LagProblem, terms: Sequence[_Term]) -> list[_Term]:
-    """Put one free hinge in the place of neighbours, where they balance."""
-    grid = _knots_of(problem)
-    span = float(np.ptp(problem.inputs))
-    kinks: list[tuple[float, float]] = []
-    others: list[_Term] = []
-    for term in terms:
-        knot = term.hinge[1] if term.hinge else grid.get(term.position)
-        if knot is None:
-            others.append(term)
-        else:
-            kinks.append((knot, term.weight))
+def _joined(kinks: list[tuple[float, float]], reach: float) -> list[float]:
+    """Put one free hinge in the place of neighbours (knot, weight), where they balance."""
     groups: list[list[tuple[float, float]]] = []
-    for kink in sorted(kinks):
-        if groups and kink[0] - groups[-1][-1][0] < _NEIGHBOURS * span:
+    for kink in kinks:
+        if groups and kink[0] - groups[-1][-1][0] < reach:
             groups[-1].append(kink)
         else:
             groups.append([kink])
-    for group in groups[:_MOST_MOVED]:
-        total = sum(weight for _, weight in group)
-        middle = sum(knot * weight for knot, weight in group) / total
-        others.append(_Term(None, (0, middle), total))
-    return others
+    return [
+        sum(knot * weight for knot, weight in group) / sum(weight for _, weight in group)
+        for group in groups[:_MOST_MOVED]
+    ]
 
 
-def _knots_of(problem: LagProblem) -> dict[int | None, float]:
+def _knots_of(problem: LagProblem) -> dict[int, float]:
     """Return the knots of the library's hinges by position among the usable terms."""
-    found: dict[int | None, float] = {}
+    found = {}
     for position, column in enumerate(problem.columns):
         match = re.fullmatch(r"relu\(\w+?(?:([+-])([\d.e-]+))?\)", problem.terms.names[column])
         if match:
@@ -157,23 +123,8 @@ def _knots_of(problem: LagProblem) -> dict[int | None, float]:
     return found
 
 
-def _fine_grid(problem: LagProblem) -> list[Hinge]:
-    grid: list[Hinge] = []
-    for j, phi in enumerate(problem.inputs.T):
-        low, high = np.quantile(phi, [0.02, 0.98])
-        grid += [(j, float(knot)) for knot in np.linspace(low, high, _TRIED + 2)[1:-1]]
-    return grid if problem.inputs.shape[1] == 1 else []
-
-
-def with_hinges(problem: LagProblem, hinges: Sequence[Hinge]) -> tuple[LagProblem, dict[int, int]]:
+def with_hinges(problem: LagProblem, knots: Sequence[float]) -> tuple[LagProblem, dict[int, int]]:
     """Widen the library of a problem by hinges.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    hinges : sequence of (int, float)
-        Input and knot of each.
 
     Returns
     -------
@@ -182,65 +133,54 @@ def with_hinges(problem: LagProblem, hinges: Sequence[Hinge]) -> tuple[LagProble
     place : dict of int to int
         New position of every usable term.
     """
-    terms = problem.terms.with_hinges(hinges)
-    edge, n_new = problem.terms.n_without_state, len(hinges)
-    grown = terms.n_without_state - edge
-    without, with_state = (
-        problem.columns[problem.columns < edge],
-        problem.columns[problem.columns >= edge],
-    )
+    terms = problem.terms.with_hinges(knots)
+    edge, n_new = problem.terms.n_without_state, len(knots)
+    without = problem.columns[problem.columns < edge]
     added = np.arange(terms.n_without_state - n_new, terms.n_without_state)
-    columns = np.concatenate((without, added, with_state + grown)).astype(np.intp)
+    with_state = problem.columns[problem.columns >= edge] + terms.n_without_state - edge
+    columns = np.concatenate((without, added, with_state)).astype(np.intp)
     place = {i: i if i < without.size else i + n_new for i in range(problem.columns.size)}
     return replace(problem, terms=terms, columns=columns), place
-
-
-def _ordered(fit: StructureFit, place: dict[int, int]) -> Point:
-    order = np.argsort([place[i] for i in fit.support])
-    return replace(fit.point, coefficients=fit.point.coefficients[order])
 
 
 def _best(
     linear: LinearProblem, own: Support, new: set[int], penalty: float, required: Support
 ) -> Support | None:
     """Return the best structure with at most two free knots, if it beats `own`."""
-    variance = linear.variance
-    limit = support_chi2(linear, own) / variance + penalty * len(own)
+    limit = linear.score(own, penalty)
     best: Support | None = None
     for size, ranked in beam_search(linear, _LARGEST, _WIDTH, required).items():
         for chi2, support in ranked[:_LOOKED_AT]:
             free = sum(i in new for i in support)
-            score = chi2 / variance + penalty * (size + free)
+            score = chi2 / linear.variance + penalty * (size + free)
             if 1 <= free <= _MOST_MOVED and score < limit:
                 best, limit = support, score
     return best
 
 
-def _placed(problem: LagProblem, near: StructureFit, terms: Sequence[_Term]) -> _Trial:
+def _placed(
+    problem: LagProblem, near: StructureFit, kept: Sequence[int], start: Sequence[float]
+) -> _Trial:
     """Move each free knot to the least χ² of the structure's own fit, one after the other."""
     from scipy.optimize import minimize_scalar
 
-    kept = [term.position for term in terms if term.position is not None]
-    hinges = [term.hinge for term in terms if term.hinge is not None]
     step = float(np.ptp(problem.inputs)) / _TRIED
-    knots = [knot for _, knot in hinges]
+    knots = list(start)
     first = problem.n_without_state
 
     def chi2(values: Sequence[float]) -> float:
-        here = [(j, value) for (j, _), value in zip(hinges, values, strict=True)]
-        wide, place = with_hinges(problem, here)
-        support = tuple(sorted({place[i] for i in kept} | set(range(first, first + len(here)))))
+        wide, place = with_hinges(problem, values)
+        support = tuple(sorted({place[i] for i in kept} | set(range(first, first + len(values)))))
         if wide.holds_state(support):
             return float("inf")
         return fit_structure(wide, support, near.time_constant_s, max_steps=3).chi2
 
     found: list[MovedKnot] = []
-    for number, (column, _) in enumerate(hinges):
+    for number, middle in enumerate(start):
 
         def along(value: float, number: int = number) -> float:
             return chi2([*knots[:number], value, *knots[number + 1 :]])
 
-        middle = knots[number]
         result = minimize_scalar(
             along,
             bounds=(middle - 2 * step, middle + 2 * step),
@@ -252,30 +192,18 @@ def _placed(problem: LagProblem, near: StructureFit, terms: Sequence[_Term]) -> 
         curvature = along(centre + width) + along(centre - width) - 2 * float(result.fun)
         stderr = float(np.sqrt(2 * width**2 / curvature)) if curvature > 0 else step
         knots[number] = _round_within(centre, stderr)
-        found.append(MovedKnot(column, knots[number], stderr))
-    return _Trial(tuple(found), chi2(knots), len(terms) + len(hinges))
+        found.append(MovedKnot(knots[number], stderr))
+    return _Trial(tuple(found), chi2(knots), len(kept) + 2 * len(knots))
 
 
 def _round_within(value: float, stderr: float) -> float:
     """Return the number with the fewest decimals within one standard error."""
-    for digits in range(-3, 12):
-        rounded = round(value, digits)
-        if abs(rounded - value) <= stderr:
-            return rounded
-    return value
+    shorter = (round(value, digits) for digits in range(-3, 12))
+    return next((one for one in shorter if abs(one - value) <= stderr), value)
 
 
 def knot_columns(problem: LagProblem, fit: StructureFit, knots: Sequence[MovedKnot]) -> FloatArray:
     """Return the whitened derivatives of a fit with respect to its moved knots.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data; the hinges are the last of its terms of the inputs.
-    fit : StructureFit
-        The fit.
-    knots : sequence of MovedKnot
-        All hinges that were added to the library.
 
     Returns
     -------
@@ -291,9 +219,9 @@ def knot_columns(problem: LagProblem, fit: StructureFit, knots: Sequence[MovedKn
         width = max(moved.stderr, 1e-6 * float(np.ptp(problem.inputs)))
         sides = []
         for side in (width, -width):
-            hinges = [(k.column, k.knot + side * (i == number)) for i, k in enumerate(knots)]
-            terms = problem.terms.with_hinges(hinges)
-            there = white_equations(replace(problem, terms=terms), fit)
-            sides.append(there.columns[:, first + number])
+            there = [k.knot + side * (i == number) for i, k in enumerate(knots)]
+            terms = problem.terms.with_hinges(there)
+            whole = white_equations(replace(problem, terms=terms), fit)
+            sides.append(whole.columns[:, first + number])
         columns.append(beta * (sides[0] - sides[1]) / (2 * width))
     return np.column_stack(columns) if columns else np.empty((fit.residual.size, 0))

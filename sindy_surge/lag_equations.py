@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sindy_surge.features import features
-from sindy_surge.free_run import LagTaps, Segments, run_lag, tap_sensitivities
+from sindy_surge.free_run import DelayedLag, run_lag
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.whitening import Whitener
+from sindy_surge.noise import Whitener
+from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
 
 __all__ = [
@@ -66,17 +67,10 @@ def start_point(problem: LagProblem, tau_s: float, coefficients: FloatArray) -> 
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
     tau_s : float
         τ in seconds.
     coefficients : ndarray of shape (n_support,)
         β.
-
-    Returns
-    -------
-    Point
-        Without a simulated ψ' yet.
     """
     first = problem.usable.rows[problem.usable.segments.starts]
     return Point(
@@ -138,22 +132,6 @@ def equations_about(
 
     With e the error of the free run and D n the noise of φ in ψ'_QS, A e = A v - B D n. A is
     the recursion of the lag, linearised about the simulated ψ' where terms hold ψ'.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    support : tuple of int
-        Positions of the terms in the model.
-    point : Point
-        Where.
-    whole : bool
-        Evaluate the whole library, terms with ψ' too, even where the model has none.
-
-    Returns
-    -------
-    Equations
-        Not yet whitened.
     """
     usable = problem.usable
     later, at = usable.later, usable.rows[usable.later]
@@ -179,19 +157,12 @@ def equations_about(
     initial[usable.segments.lengths > 1] += pull
     if not problem.holds_state(support):
         state = run_lag(_drive(problem, taps, forcing), usable.segments, taps.pole, initial)
-    by_tau, by_dead_time = tap_sensitivities(
-        point.time_constant_s,
-        problem.sample_period_s,
-        problem.hold,
-        point.dead_time_s,
-        problem.shift_of(point.dead_time_s),
-    )
     return Equations(
         whitener,
         residual,
         # The simulated ψ', not the measured one: noise in the sensitivity would bias τ.
-        by_tau.pole * state[later - 1] + by_tau.drive(forcing, at),
-        by_dead_time.drive(forcing, at) + _late_state(problem, run, point, taps),
+        taps.pole_slope * state[later - 1] + taps.drive(forcing, at, by=1),
+        taps.drive(forcing, at, by=2) + _late_state(problem, run, point, taps),
         bend_column,
         taps.drive(run.values, at),
         slopes,
@@ -204,15 +175,6 @@ def equations_about(
 
 def free_run(problem: LagProblem, support: tuple[int, ...], point: Point) -> FloatArray:
     """Return the simulated ψ' of a structure at one point.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    support : tuple of int
-        Positions of the terms in the model.
-    point : Point
-        Its parameters; of the inputs its estimated noise is taken off.
 
     Returns
     -------
@@ -242,7 +204,9 @@ class _Run:
         return 0.0 if self.gain is None else float(self.gain.max())
 
 
-def _late_state(problem: LagProblem, run: _Run, point: Point, taps: LagTaps) -> FloatArray | float:
+def _late_state(
+    problem: LagProblem, run: _Run, point: Point, taps: DelayedLag
+) -> FloatArray | float:
     """Return what a later dead time changes through ψ' in the terms, which act on time."""
     if run.gain is None or not problem.dead_time.fitted:
         return 0.0
@@ -255,7 +219,7 @@ def _late_state(problem: LagProblem, run: _Run, point: Point, taps: LagTaps) -> 
 
 
 def _free_run(
-    problem: LagProblem, support: tuple[int, ...], point: Point, taps: LagTaps, whole: bool
+    problem: LagProblem, support: tuple[int, ...], point: Point, taps: DelayedLag, whole: bool
 ) -> _Run:
     inputs = problem.inputs - point.input_noise
     n_equations = problem.usable.later.size
@@ -290,7 +254,7 @@ def _state_run(
     problem: LagProblem,
     support: tuple[int, ...],
     point: Point,
-    taps: LagTaps,
+    taps: DelayedLag,
     inputs: FloatArray,
 ) -> _Run:
     """Run a model whose terms hold ψ': x[k] = a x[k-1] + Σ taps f(φ, x), by Newton's method.
@@ -328,10 +292,11 @@ def _state_run(
 
 
 def _recursion(
-    problem: LagProblem, taps: LagTaps, gain: FloatArray, point: Point
+    problem: LagProblem, taps: DelayedLag, gain: FloatArray, point: Point
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weights of e[k] and -e[k-1] where ∂(terms)/∂ψ' = gain."""
-    _, now, before = problem.hold_at(point.time_constant_s)
+    lag = problem.hold_at(point.time_constant_s)
+    now, before = lag.gain_now, lag.gain_before
     late = round(point.dead_time_s / problem.sample_period_s)
     rows = problem.usable.rows[problem.usable.later] - late
     rows = np.clip(rows, 1, gain.size - 1)
@@ -344,7 +309,7 @@ def _recursion(
 
 def _newton_step(
     problem: LagProblem,
-    taps: LagTaps,
+    taps: DelayedLag,
     forcing: FloatArray,
     state: FloatArray,
     initial: FloatArray,
@@ -366,7 +331,7 @@ def _newton_step(
     return np.asarray(solve_banded((1, 0), band, target))
 
 
-def _drive(problem: LagProblem, taps: LagTaps, forcing: FloatArray) -> FloatArray:
+def _drive(problem: LagProblem, taps: DelayedLag, forcing: FloatArray) -> FloatArray:
     """Return the drive at every usable row; the first of each run has none."""
     usable = problem.usable
     drive = np.zeros(usable.rows.size)
@@ -411,15 +376,6 @@ def noise_in_inputs(problem: LagProblem, eq: Equations, point: Point) -> FloatAr
     Five standard deviations at most: a structure that is far off blames more on its inputs than
     any noise can do, and the terms would be evaluated outside their range.
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    eq : Equations
-        The equations about `point`.
-    point : Point
-        Supplies τ and the dead time.
-
     Returns
     -------
     ndarray of shape (n_rows, n_inputs)
@@ -428,7 +384,7 @@ def noise_in_inputs(problem: LagProblem, eq: Equations, point: Point) -> FloatAr
     taps = problem.taps_at(point.time_constant_s, point.dead_time_s)
     at = problem.usable.rows[problem.usable.later]
     back = np.zeros(problem.output.size)
-    for number, tap in enumerate(taps.taps):
+    for number, tap in enumerate(taps.weights[0]):
         back[at - taps.shift - number] += tap * eq.weighted
     levels = problem.noise.inputs
     return np.clip((-(levels[:, None] ** 2) * eq.slopes * back).T, -5 * levels, 5 * levels)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sindy_surge.features import features
-from sindy_surge.free_run import Segments, run_lag
+from sindy_surge.free_run import run_lag
 from sindy_surge.lag_equations import (
     Equations,
     Point,
@@ -18,6 +18,7 @@ from sindy_surge.lag_equations import (
 )
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
+from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
 
 __all__ = [
@@ -124,23 +125,12 @@ def fit_structure(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
-    support : tuple of int
-        Positions of the terms within the usable columns.
     tau_s : float
         Start value of τ in seconds.
     beta : ndarray of shape (n_support,) or None
         Start values of the coefficients; None solves for them first (terms without ψ' only).
-    max_steps : int
-        Most Gauss-Newton steps.
     near : StructureFit or None
         A fit of the same problem to start from: its dead time and its simulated ψ'.
-
-    Returns
-    -------
-    StructureFit
-        The fit; `converged` says whether it ended by itself.
     """
     tau = _bounded(problem, tau_s)
     if beta is None:
@@ -213,17 +203,8 @@ def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
 
     Parameters
     ----------
-    problem : LagProblem
-        Supplies the bounds.
-    point : Point
-        Where the step begins.
     change : ndarray of shape (n_parameters,)
         The step, in the order of `StructureFit.sensitivity`.
-
-    Returns
-    -------
-    Point
-        With the same estimated noise of the inputs.
     """
     size = point.coefficients.size
     move = dict(zip(_nuisances(problem), change[size:].tolist(), strict=True))
@@ -243,7 +224,7 @@ def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
 
 
 def _with_renewed_noise(problem: LagProblem, point: Point, eq: Equations, share: float) -> Point:
-    """Estimate the noise of φ anew, and take that share of the new estimate."""
+    """Estimate the noise of φ again, and take that share of the new estimate."""
     noise_part = share * noise_in_inputs(problem, eq, point)
     noise_part += (1 - share) * point.input_noise
     variance = problem.noise.inputs**2 - np.mean(noise_part**2, axis=0)
@@ -256,13 +237,6 @@ def information(problem: LagProblem, fit: StructureFit) -> FloatArray:
     The whitened derivatives alone hold the estimated noise of φ still. It moves with the
     parameters, so that less is known of them: at 5 % noise the errors of a reverse-flow branch
     came out a quarter too small.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The fit.
 
     Returns
     -------
@@ -339,20 +313,7 @@ class WhiteEquations:
 
 
 def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
-    """Set up the whitened equations of the whole library about one fit.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The fit about which to linearise: its τ, its slopes and its estimate of the input noise.
-
-    Returns
-    -------
-    WhiteEquations
-        One column for each usable term.
-    """
+    """Set up the whitened equations of the whole library about one fit."""
     eq = equations_about(problem, fit.support, fit.point, whole=True)
     target = eq.residual + eq.raw_columns[:, list(fit.support)] @ fit.coefficients
     nuisances = [getattr(eq, name) for name in reversed(_nuisances(problem))]
@@ -369,20 +330,7 @@ def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
 
 
 def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
-    """Set up the regression on the whole library about one fit, whitened and compressed.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        See `white_equations`.
-
-    Returns
-    -------
-    LinearProblem
-        Whitened and compressed.
-    """
+    """Set up the regression on the whole library about one fit, whitened and compressed."""
     return white_equations(problem, fit).compressed()
 
 
@@ -393,8 +341,6 @@ def output_error(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
     values : ndarray of shape (n_rows, n_terms)
         Terms at the measured inputs.
     tau : float
@@ -430,8 +376,6 @@ def scan_lag(problem: LagProblem, extra_s: tuple[float, ...] = ()) -> float:
 
     Parameters
     ----------
-    problem : LagProblem
-        The data.
     extra_s : tuple of float
         Further values to try, in seconds (the weak form's).
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.free_run import (
-    Hold,
-    HoldCoefficients,
-    LagTaps,
-    Segments,
-    hold_coefficients,
-    lag_taps,
-)
-from sindy_surge.whitening import NoiseLevels
+from sindy_surge.free_model import FreeModel
+from sindy_surge.free_run import DelayedLag
+from sindy_surge.noise import NoiseLevels
+from sindy_surge.segments import Segments
+from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["DeadTime", "LagProblem", "UsableRows"]
@@ -85,7 +82,7 @@ class LagProblem:
     terms : CandidateTerms
         The library.
     columns : ndarray of int of shape (n_columns,)
-        The terms of the library that this data can tell apart, those with ψ' last.
+        The terms of the library that this data can separate, those with ψ' last.
     noise : NoiseLevels
         The measurement noise.
     dead_time : DeadTime
@@ -104,7 +101,7 @@ class LagProblem:
 
     @property
     def longest_lag_s(self) -> float:
-        """A lag three times the longest segment cannot be told from an integrator."""
+        """A lag three times the longest segment looks like an integrator."""
         return 3.0 * float(self.segments.lengths.max()) * self.sample_period_s
 
     @property
@@ -121,25 +118,14 @@ class LagProblem:
         """Return whether a structure has a term that holds ψ'."""
         return any(i >= self.n_without_state for i in support)
 
-    def hold_at(self, time_constant_s: float) -> HoldCoefficients:
+    def hold_at(self, time_constant_s: float) -> FirstOrderLag:
         """Return the discrete lag for one τ, without dead time."""
-        return hold_coefficients(time_constant_s, self.sample_period_s, self.hold)
+        return FirstOrderLag(time_constant_s, self.sample_period_s, self.hold)
 
-    def taps_at(self, time_constant_s: float, dead_time_s: float) -> LagTaps:
+    def taps_at(self, time_constant_s: float, dead_time_s: float) -> DelayedLag:
         """Return the discrete lag for one τ and dead time."""
-        return lag_taps(
-            time_constant_s,
-            self.sample_period_s,
-            self.hold,
-            dead_time_s,
-            self.shift_of(dead_time_s),
-        )
-
-    def shift_of(self, dead_time_s: float) -> int | None:
-        """Return the whole samples of a fitted dead time; None where it is given."""
-        if not self.dead_time.fitted:
-            return None
-        return int(np.floor(dead_time_s / self.sample_period_s))
+        lag = FirstOrderLag(time_constant_s, self.sample_period_s, self.hold, dead_time_s)
+        return DelayedLag.of(lag, self.dead_time.fitted)
 
     @cached_property
     def dead_time_range_s(self) -> tuple[float, float]:
@@ -148,10 +134,10 @@ class LagProblem:
             return self.dead_time.seconds, self.dead_time.seconds
         whole = self._whole_samples()
         period = self.sample_period_s
-        return (whole - 1) * period, (whole + 2 - 1e-9) * period
+        return (whole - 1) * period, (whole + 2 - 1e-6) * period
 
     def _whole_samples(self) -> int:
-        return int(np.floor(self.dead_time.seconds / self.sample_period_s + 1e-12))
+        return int(np.floor(self.dead_time.seconds / self.sample_period_s + 1e-9))
 
     @cached_property
     def usable(self) -> UsableRows:
@@ -161,7 +147,7 @@ class LagProblem:
             first, last, taps = whole - 1, whole + 1, 3
         else:
             first = last = whole
-            taps = self.taps_at(1.0, self.dead_time.seconds).taps.size
+            taps = self.taps_at(1.0, self.dead_time.seconds).weights.shape[1]
         before, after = max(0, last + taps - 2), max(0, -first)
         starts = self.segments.starts + before
         lengths = self.segments.stops - after - starts
@@ -186,20 +172,30 @@ class LagProblem:
         ----------
         values : ndarray of shape (n_rows,) or (n_rows, n_columns)
             Signals of the record.
-
-        Returns
-        -------
-        ndarray
-            The same shape; beyond a segment's ends its first or last value.
         """
         samples = self.dead_time.seconds / self.sample_period_s
         if samples == 0.0:
             return values
         whole = int(np.floor(samples))
         part = samples - whole
-        low = np.repeat(self.segments.starts, self.segments.lengths)
-        high = np.repeat(self.segments.stops, self.segments.lengths) - 1
         at = np.arange(self.output.size) - whole
-        result: FloatArray = (1 - part) * values[np.clip(at, low, high)]
-        result += part * values[np.clip(at - 1, low, high)]
+        result: FloatArray = (1 - part) * values[self.segments.within(at)]
+        result += part * values[self.segments.within(at - 1)]
         return result
+
+    def model(
+        self, support: Sequence[int], coefficients: FloatArray, tau_s: float, dead_time_s: float
+    ) -> FreeModel:
+        """Return a structure with its numbers as a model that runs by itself."""
+        return FreeModel(
+            self.terms,
+            self.columns[list(support)],
+            coefficients,
+            FirstOrderLag(tau_s, self.sample_period_s, self.hold, dead_time_s),
+            (float(self.output.min()), float(self.output.max())),
+        )
+
+    def mean_gain(self, model: FreeModel) -> float:
+        """Return ∂(Σ β_i s_i)/∂ψ' at the mean point of the record; 0 if no term holds ψ'."""
+        middle = self.inputs.mean(axis=0, keepdims=True)
+        return float(model.gain(middle, np.array([self.output.mean()]))[0])

@@ -1,25 +1,20 @@
-"""The candidate terms of ψ'_QS: a pysindy library over φ, in physical units."""
+"""The default candidate terms of ψ'_QS: powers, kinks, the reverse-flow branch, exponentials."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pysindy.feature_library import ConcatLibrary, PolynomialLibrary
-from pysindy.feature_library.base import BaseFeatureLibrary, x_sequence_or_item
-from pysindy.utils import AxesArray
 
-from sindy_surge.free_run import Segments
-from sindy_surge.whitening import difference_noise
-from surge_core.errors import InputError
+from sindy_surge.noise import difference_noise
+from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
 
 __all__ = [
-    "Powers",
     "StallLibrary",
-    "StallTerms",
     "default_knots",
     "default_library",
     "hinge_name",
@@ -27,12 +22,110 @@ __all__ = [
 ]
 
 
-# More polynomial terms than this cannot be told apart on a record of a few thousand rows.
+# No record of a few thousand rows separates more polynomial terms than this.
 _MAX_POLYNOMIAL_TERMS = 70
 # Several inputs: the one-variable terms of each are added up to this number of inputs.
 _MAX_INPUTS_WITH_OWN_TERMS = 2
 _NOISE_REACH = 2.0
 _MOST_REACH = 0.05
+_FEWEST_TERMS = 15
+
+
+class StallLibrary:
+    """pysindy's polynomials, and terms of a compressor characteristic for each input on its own.
+
+    `relu(phi-k)` is a kink at k (max(φ - k, 0)); `phi^2[phi<0]` the reverse-flow branch; and
+    `exp(-phi/s)` the fall of the unstalled line. φ|φ| is left out: it equals
+    φ² - 2 φ²[φ<0], so it would be an exact alias. The fits evaluate the library hundreds of times,
+    a few terms at a time, hence plain arrays and chains of multiplications.
+
+    Parameters
+    ----------
+    degree : int
+        Highest total degree of the polynomials.
+    knots, scales : sequence of sequences of float
+        Knots of the hinges and decay scales of the exponentials, one sequence for each input;
+        empty for polynomials alone.
+    """
+
+    def __init__(
+        self,
+        degree: int,
+        knots: Sequence[Sequence[float]] = (),
+        scales: Sequence[Sequence[float]] = (),
+    ) -> None:
+        self.degree = degree
+        self.knots = knots
+        self.scales = scales
+
+    def fit(self, X: FloatArray, y: Any = None) -> StallLibrary:
+        """List the terms for so many inputs."""
+        from pysindy.feature_library import PolynomialLibrary
+
+        self._polynomials = PolynomialLibrary(degree=self.degree).fit(np.zeros((2, X.shape[1])))
+        self._powers: NDArray[np.int64] = self._polynomials.powers_
+        self._special: list[tuple[int, str, float]] = []
+        for j, (knots, scales) in enumerate(zip(self.knots, self.scales, strict=True)):
+            self._special += [(j, "hinge", float(k)) for k in knots]
+            self._special.append((j, "reverse", 0.0))
+            self._special += [(j, "fall", float(s)) for s in scales]
+        return self
+
+    def transform(self, X: FloatArray) -> FloatArray:
+        """Evaluate all terms."""
+        return self.columns_at(X, range(len(self._powers) + len(self._special)))
+
+    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
+        """Evaluate the terms at some positions: (n_rows, n_inputs) to (n_rows, n_wanted)."""
+        columns = np.ones((x.shape[0], len(wanted)), order="F")
+        # Chains of multiplications: numpy's power takes ten times as long.
+        chain: dict[tuple[int, int], FloatArray] = {}
+        for number, position in enumerate(wanted):
+            if position < len(self._powers):
+                exponents = self._powers[position]
+                for column in np.flatnonzero(exponents):
+                    own = _chained(x, int(column), int(exponents[column]), chain)
+                    columns[:, number] *= own
+                continue
+            j, kind, value = self._special[position - len(self._powers)]
+            if kind == "hinge":
+                columns[:, number] = np.maximum(x[:, j] - value, 0.0)
+            elif kind == "reverse":
+                columns[:, number] = np.square(np.minimum(x[:, j], 0.0))
+            else:
+                columns[:, number] = np.exp(-x[:, j] / value)
+        return columns
+
+    def get_feature_names(self, input_features: Sequence[str]) -> list[str]:
+        """Return the names, e.g. ``phi^2`` or ``relu(phi-0.05)``."""
+        names: list[str] = self._polynomials.get_feature_names(list(input_features))
+        for j, kind, value in self._special:
+            name = input_features[j]
+            if kind == "hinge":
+                names.append(hinge_name(name, value))
+            else:
+                fall = f"exp(-{name}/{value:.12g})"
+                names.append(fall if kind == "fall" else f"{name}^2[{name}<0]")
+        return names
+
+
+def _chained(
+    x: FloatArray, j: int, power: int, chain: dict[tuple[int, int], FloatArray]
+) -> FloatArray:
+    if (j, power) not in chain:
+        chain[j, power] = (
+            np.ascontiguousarray(x[:, j])
+            if power == 1
+            else _chained(x, j, power - 1, chain) * _chained(x, j, 1, chain)
+        )
+    return chain[j, power]
+
+
+def hinge_name(name: str, knot: float) -> str:
+    """Return the name of max(φ - k, 0), e.g. ``relu(phi-0.05)``."""
+    if knot == 0:
+        return f"relu({name})"
+    return f"relu({name}{'-' if knot > 0 else '+'}{abs(knot):.12g})"
 
 
 def default_knots(phi: FloatArray, noise: float = 0.0) -> tuple[float, ...]:
@@ -77,173 +170,9 @@ def _round_step(phi: FloatArray) -> float:
     return float(max(m * decade for m in (1.0, 2.5, 5.0) if m * decade <= target))
 
 
-class Powers(PolynomialLibrary):
-    """pysindy's polynomials, evaluated on plain arrays.
-
-    The fits evaluate the library hundreds of times, and pysindy's array type costs a third of a
-    millisecond for each term, whatever the number of rows.
-    """
-
-    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
-        """Evaluate some of the terms.
-
-        Parameters
-        ----------
-        x : ndarray of shape (n_rows, n_inputs)
-            The inputs.
-        wanted : sequence of int
-            Positions of the terms.
-
-        Returns
-        -------
-        ndarray of shape (n_rows, n_wanted)
-            The terms.
-        """
-        return _products(x, self.powers_[list(wanted)])
-
-    @x_sequence_or_item
-    def transform(self, x_full: Any) -> list[Any]:
-        """Evaluate the powers and products."""
-        return [
-            AxesArray(_products(np.asarray(x), self.powers_), {"ax_sample": 0, "ax_coord": 1})
-            for x in x_full
-        ]
-
-
-def _products(x: FloatArray, powers: NDArray[np.int64]) -> FloatArray:
-    columns = np.ones((x.shape[0], len(powers)), order="F")
-    # Chains of multiplications: numpy's power takes ten times as long.
-    chain: dict[tuple[int, int], FloatArray] = {}
-    for number, exponents in enumerate(powers):
-        for j in np.flatnonzero(exponents):
-            columns[:, number] *= _chained(x, int(j), int(exponents[j]), chain)
-    return columns
-
-
-def _chained(
-    x: FloatArray, j: int, power: int, chain: dict[tuple[int, int], FloatArray]
-) -> FloatArray:
-    if (j, power) not in chain:
-        chain[j, power] = (
-            np.ascontiguousarray(x[:, j])
-            if power == 1
-            else _chained(x, j, power - 1, chain) * _chained(x, j, 1, chain)
-        )
-    return chain[j, power]
-
-
-class StallTerms(BaseFeatureLibrary):
-    """Non-polynomial terms of a compressor characteristic, for each input on its own.
-
-    `relu(phi-k)` is a kink at k (max(φ - k, 0)); `phi^2[phi<0]` the reverse-flow branch; and
-    `exp(-phi/s)` the fall of the unstalled line. φ|φ| is left out: it equals
-    φ² - 2 φ²[φ<0], so it would be an exact alias.
-
-    Parameters
-    ----------
-    knots : sequence of sequences of float
-        Knots of the hinges, one sequence for each input.
-    scales : sequence of sequences of float
-        Decay scales of the exponentials, one sequence for each input.
-    """
-
-    def __init__(self, knots: Any, scales: Any) -> None:
-        self.knots = knots
-        self.scales = scales
-
-    @x_sequence_or_item
-    def fit(self, x_full: Any, y: Any = None) -> StallTerms:
-        """Count the output features."""
-        self.n_features_in_ = x_full[0].shape[-1]
-        if len(self.knots) != self.n_features_in_ or len(self.scales) != self.n_features_in_:
-            raise InputError(
-                "StallTerms",
-                expected=f"knots and scales for each of {self.n_features_in_} inputs",
-                found=f"{len(self.knots)} and {len(self.scales)}",
-            )
-        self._plan: list[tuple[int, str, float]] = []
-        for j, (knots, scales) in enumerate(zip(self.knots, self.scales, strict=True)):
-            self._plan += [(j, "hinge", float(k)) for k in knots]
-            self._plan.append((j, "reverse", 0.0))
-            self._plan += [(j, "fall", float(s)) for s in scales]
-        self.n_output_features_ = len(self._plan)
-        return self
-
-    @x_sequence_or_item
-    def transform(self, x_full: Any) -> list[Any]:
-        """Evaluate the terms."""
-        return [
-            AxesArray(self._columns(np.asarray(x)), {"ax_sample": 0, "ax_coord": 1}) for x in x_full
-        ]
-
-    def _columns(self, x: FloatArray) -> FloatArray:
-        return self.columns_at(x, range(self.n_output_features_))
-
-    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
-        """Evaluate some of the terms; see `Powers.columns_at`."""
-        columns = np.empty((x.shape[0], len(wanted)), order="F")
-        for number, position in enumerate(wanted):
-            j, kind, value = self._plan[position]
-            phi = x[:, j]
-            if kind == "hinge":
-                columns[:, number] = np.maximum(phi - value, 0.0)
-            elif kind == "reverse":
-                columns[:, number] = np.square(np.minimum(phi, 0.0))
-            else:
-                columns[:, number] = np.exp(-phi / value)
-        return columns
-
-    def get_feature_names(self, input_features: Any = None) -> list[str]:
-        """Return the names, e.g. ``relu(phi-0.05)``."""
-        if input_features is None:
-            input_features = [f"x{j}" for j in range(self.n_features_in_)]
-        names = []
-        for name, knots, scales in zip(input_features, self.knots, self.scales, strict=True):
-            names += [hinge_name(name, k) for k in knots]
-            names.append(f"{name}^2[{name}<0]")
-            names += [f"exp(-{name}/{s:.12g})" for s in scales]
-        return names
-
-
-class StallLibrary(ConcatLibrary):
-    """Polynomials and `StallTerms` side by side, with any of their terms alone."""
-
-    def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
-        """Evaluate some of the terms; see `Powers.columns_at`."""
-        powers, special = self.libraries
-        edge = powers.n_output_features_
-        order = np.argsort([position >= edge for position in wanted], kind="stable")
-        first = [wanted[i] for i in order if wanted[i] < edge]
-        second = [wanted[i] - edge for i in order if wanted[i] >= edge]
-        columns = np.empty((x.shape[0], len(wanted)), order="F")
-        columns[:, order[: len(first)]] = powers.columns_at(x, first)
-        columns[:, order[len(first) :]] = special.columns_at(x, second)
-        return columns
-
-
-def hinge_name(name: str, knot: float) -> str:
-    """Return the name of max(φ - k, 0), e.g. ``relu(phi-0.05)``.
-
-    Parameters
-    ----------
-    name : str
-        Name of the input.
-    knot : float
-        k.
-
-    Returns
-    -------
-    str
-        The name.
-    """
-    if knot == 0:
-        return f"relu({name})"
-    return f"relu({name}{'-' if knot > 0 else '+'}{abs(knot):.12g})"
-
-
 def default_library(
     X: FloatArray, *, degree: int = 5, knots: ArrayLike | None = None
-) -> BaseFeatureLibrary:
+) -> StallLibrary:
     """Build the library of candidate terms that suits the range of the data.
 
     Parameters
@@ -258,16 +187,15 @@ def default_library(
 
     Returns
     -------
-    pysindy.feature_library.base.BaseFeatureLibrary
+    StallLibrary
         Polynomials, hinges, the reverse-flow branch and exponentials: at least 15 terms for one
         input.
     """
     n_inputs = X.shape[1]
-    while degree > 1 and _n_polynomials(n_inputs, degree) > _MAX_POLYNOMIAL_TERMS:
+    while degree > 1 and comb(n_inputs + degree, degree) > _MAX_POLYNOMIAL_TERMS:
         degree -= 1
-    polynomials = Powers(degree=degree, include_bias=True)
     if n_inputs > _MAX_INPUTS_WITH_OWN_TERMS:
-        return polynomials
+        return StallLibrary(degree)
     each_knots, each_scales = [], []
     for phi in X.T:
         step = _round_step(phi)
@@ -280,13 +208,13 @@ def default_library(
         scales = (step, 2 * step) if step else (0.05, 0.1)
         # exp overflows for a range far below zero compared with its own width.
         each_scales.append(tuple(s for s in scales if -float(np.min(phi)) / s < 50))
-        missing = 15 - (degree + 2 + len(each_knots[-1]) + len(each_scales[-1]))
+        missing = _FEWEST_TERMS - (degree + 2 + len(each_knots[-1]) + len(each_scales[-1]))
         if missing > 0 and knots is None:
             each_knots[-1] = _finer(each_knots[-1], phi, missing)
-    return StallLibrary([polynomials, StallTerms(each_knots, each_scales)])
+    return StallLibrary(degree, each_knots, each_scales)
 
 
-def piecewise_linear_library(X: FloatArray) -> BaseFeatureLibrary:
+def piecewise_linear_library(X: FloatArray) -> StallLibrary:
     """Build the library of piecewise-linear characteristics, as in Fig 22 of the paper.
 
     Parameters
@@ -296,11 +224,11 @@ def piecewise_linear_library(X: FloatArray) -> BaseFeatureLibrary:
 
     Returns
     -------
-    pysindy.feature_library.base.BaseFeatureLibrary
+    StallLibrary
         1, the inputs, their hinges and the reverse-flow branch.
     """
     knots = [default_knots(phi) for phi in X.T]
-    return StallLibrary([Powers(degree=1), StallTerms(knots, [() for _ in knots])])
+    return StallLibrary(1, knots, [() for _ in knots])
 
 
 def _finer(knots: tuple[float, ...], phi: FloatArray, missing: int) -> tuple[float, ...]:
@@ -315,9 +243,3 @@ def _finer(knots: tuple[float, ...], phi: FloatArray, missing: int) -> tuple[flo
         extra = [k for k in dict.fromkeys(grid) if k not in knots][:missing]
         n += 1
     return tuple(sorted({*knots, *extra}))
-
-
-def _n_polynomials(n_inputs: int, degree: int) -> int:
-    from math import comb
-
-    return comb(n_inputs + degree, degree)

@@ -26,17 +26,8 @@ def fitted_library(library: Any, X: FloatArray, where: str) -> Evaluator:
 
     Parameters
     ----------
-    library : object
-        With `fit` and `transform`.
     X : ndarray of shape (n_rows, n_inputs)
         What to fit it to.
-    where : str
-        Parameter to name in the error.
-
-    Returns
-    -------
-    object
-        The fitted library.
     """
     for method in ("fit", "transform"):
         if not hasattr(library, method):
@@ -61,16 +52,10 @@ def evaluated(
 
     Parameters
     ----------
-    library : object
-        A fitted library.
     X : ndarray of shape (n_rows, n_inputs)
         Its inputs.
     wanted : sequence of int or None
         Positions of the terms; None for all of them.
-    names : sequence of str
-        Names of all terms, for the error.
-    strict : bool
-        Refuse values that are not finite.
 
     Returns
     -------
@@ -110,22 +95,7 @@ def evaluated(
 
 
 def term_names(library: Any, input_names: list[str], n_terms: int) -> tuple[str, ...]:
-    """Return the names of a library's terms.
-
-    Parameters
-    ----------
-    library : object
-        A fitted library.
-    input_names : list of str
-        Names of its inputs.
-    n_terms : int
-        Number of its terms, for one that knows no names.
-
-    Returns
-    -------
-    tuple of str
-        pysindy's or scikit-learn's own names, else ``s0``, ``s1``, …
-    """
+    """Return the names of a library's terms."""
     if hasattr(library, "get_feature_names"):
         names = library.get_feature_names(input_names)
     elif hasattr(library, "get_feature_names_out"):

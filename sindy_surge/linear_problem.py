@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sindy_surge.leave_out import unit_norms
 from surge_core.types import FloatArray
 
-__all__ = ["LinearProblem", "least_squares", "without_nuisances"]
+__all__ = ["LinearProblem", "Support", "least_squares", "without_nuisances"]
+
+Support = tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -45,9 +48,30 @@ class LinearProblem:
         freedom = max(self.n_equations - self.columns.shape[1] - 1, 1)
         return float(max(self.outside / freedom, 1.0))
 
+    def chi2(self, support: Support) -> float:
+        """Return χ² of the regression on some terms, with the part that no term explains."""
+        total = float(self.target @ self.target)
+        if support:
+            basis, _ = np.linalg.qr(self.columns[:, list(support)])
+            total -= float(np.sum((basis.T @ self.target) ** 2))
+        return max(total, 0.0) + self.outside
+
+    def score(self, support: Support, penalty: float) -> float:
+        """Return χ² in units of the variance that all terms leave, and what the terms cost."""
+        return self.chi2(support) / self.variance + penalty * len(support)
+
+    def coefficients(self, support: Support) -> FloatArray:
+        """Return the coefficients of some terms, in units of the columns before scaling."""
+        chosen = list(support)
+        solution = np.linalg.lstsq(self.columns[:, chosen], self.target, rcond=1e-12)[0]
+        return np.asarray(solution / self.norms[chosen])
+
 
 def without_nuisances(
-    nuisances: FloatArray, columns: FloatArray, target: FloatArray
+    nuisances: FloatArray,
+    columns: FloatArray,
+    target: FloatArray,
+    n_equations: int | None = None,
 ) -> LinearProblem:
     """Project out what is estimated beside the terms, and compress by QR.
 
@@ -59,6 +83,8 @@ def without_nuisances(
         Every usable term.
     target : ndarray of shape (n_rows,)
         What the terms have to explain.
+    n_equations : int or None
+        Number of equations that the rows stand for; None takes one each.
 
     Returns
     -------
@@ -67,8 +93,7 @@ def without_nuisances(
     """
     n = nuisances.shape[1]
     stacked = np.column_stack((nuisances, columns, target))
-    norms = np.linalg.norm(stacked, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(stacked)
     triangle: FloatArray = np.asarray(np.linalg.qr(stacked / norms, mode="r"))
     terms, goal = triangle[n:, n:-1], triangle[n:, -1] * norms[-1]
     rank = min(terms.shape)
@@ -76,7 +101,8 @@ def without_nuisances(
     left = np.linalg.norm(terms, axis=0)
     left[left < 1e-12] = 1.0
     outside = float(goal[rank:] @ goal[rank:])
-    return LinearProblem(terms[:rank] / left, goal[:rank], norms[n:-1] * left, outside, target.size)
+    count = target.size if n_equations is None else n_equations
+    return LinearProblem(terms[:rank] / left, goal[:rank], norms[n:-1] * left, outside, count)
 
 
 def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
@@ -92,9 +118,8 @@ def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray of shape (n_columns,)
-        The coefficients, of least norm where columns cannot be told apart.
+        The coefficients, of least norm where columns are dependent.
     """
-    norms = np.linalg.norm(design, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(design)
     solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
     return solution

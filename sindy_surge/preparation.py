@@ -7,8 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from sindy_surge.covariance import sandwich
-from sindy_surge.cycles import surge_period_s
 from sindy_surge.features import features
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_equations import equations_about, start_point
@@ -20,10 +18,13 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
-from sindy_surge.sparse_paths import Support, beam_search
-from sindy_surge.weak_form import WeakLag, compensated_lag, weak_lag
-from sindy_surge.whitening import NoiseLevels, autoregression, difference_noise, refine_noise
+from sindy_surge.leave_out import unit_norms
+from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
+from sindy_surge.segments import surge_period_s
+from sindy_surge.sparse_paths import beam_search
+from sindy_surge.uncertainty import sandwich
+from sindy_surge.weak import WeakEquations, WeakLag, weak_lag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -76,17 +77,8 @@ def prepare(
 
     Parameters
     ----------
-    problem : LagProblem
-        The data; its noise levels and dead time are replaced.
     dead_time : float, "fit" or "auto"
         The dead time in seconds, or whether to fit it: always, or where it shows.
-    required : tuple of int
-        Terms that must not be dropped, however many there are.
-
-    Returns
-    -------
-    Prepared
-        With noise levels, and their colour if the whitened residual has any.
     """
     given = 0.0 if isinstance(dead_time, str) else float(dead_time)
     problem = problem.with_dead_time(given, False)
@@ -143,18 +135,11 @@ def _weak(problem: LagProblem) -> WeakLag | None:
 
 
 def _surge_period_s(problem: LagProblem) -> float | None:
-    return surge_period_s(problem.inputs, problem.segments, problem.sample_period_s)
+    return surge_period_s(problem.inputs[:, 0], problem.segments, problem.sample_period_s)
 
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     """Estimate τ of a structure in the weak form: forward, reverse, and with the noise taken off.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data, with noise levels and dead time.
-    support : tuple of int
-        Positions of the terms; those with ψ' are left out, for the weak form has no simulated ψ'.
 
     Returns
     -------
@@ -174,16 +159,12 @@ def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     if weak is None or problem.noise.colour.size or problem.holds_state(support):
         # What would be taken off is the noise of white signals, of a model without ψ' in its terms.
         return weak
-    compensated = compensated_lag(
-        problem.output,
-        values,
-        np.stack([problem.late(slope) for slope in found.slopes]),
-        problem.segments,
-        round(weak.half_width_s / problem.sample_period_s),
-        problem.sample_period_s,
-        problem.noise.output,
-        problem.noise.inputs,
+    width = round(weak.half_width_s / problem.sample_period_s)
+    equations = WeakEquations.integrate(
+        problem.output, values, problem.segments, width, problem.sample_period_s
     )
+    slopes = np.stack([problem.late(slope) for slope in found.slopes])
+    compensated = equations.compensated_lag(slopes, problem.noise.output, problem.noise.inputs)
     return replace(weak, compensated_s=compensated)
 
 
@@ -282,8 +263,7 @@ def _screened(problem: LagProblem, tau: float, required: tuple[int, ...]) -> Lag
         return problem
     values = problem.terms(problem.inputs)[:, problem.columns[:n_inputs_terms]]
     columns = simulate(problem.late(values), problem.segments, problem.hold_at(tau))
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(columns)
     plain = LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
     always = tuple(i for i in required if i < n_inputs_terms)
     ranked = beam_search(plain, max(most, len(always)), width=1, required=always)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,20 +12,25 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sindy_surge.checks import check_parameters, is_constant, refuse_not_finite
-from sindy_surge.display import FittedDisplay
-from sindy_surge.equations import EquationParts, pysindy_equations, write_equation
-from sindy_surge.export import RateFunction, SelectedTerms, python_source
-from sindy_surge.free_run import Hold, Segments
+from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
+from sindy_surge.checks import cautions_of, check_parameters, is_constant, refuse_not_finite
+from sindy_surge.export import RateFunction, python_source
+from sindy_surge.free_model import FreeModel
+from sindy_surge.identification import Choices, identify
+from sindy_surge.lag_problem import LagProblem
+from sindy_surge.leave_out import unit_norms
+from sindy_surge.noise import NoiseLevels
 from sindy_surge.preparation import DeadTimeChoice
-from sindy_surge.simulation import FreeModel
+from sindy_surge.segments import Segments
+from sindy_surge.state_terms import physical_form
 from sindy_surge.summary import ModelSummary
+from sindy_surge.text import EquationParts, pysindy_equations, write_equation
+from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from sindy_surge.identification import Identified
+from surge_core.validation import one_of
 
 __all__ = ["SparseLagRegressor"]
 
@@ -124,11 +130,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Least and greatest value of each input: where the characteristic is more than a guess.
     n_features_in_ : int
         Number of inputs.
-
-    See Also
-    --------
-    sindy_surge.selection.select_structure : How the terms are chosen.
-    sindy_surge.held_out.select_by_held_out : How, where model error dominates.
     """
 
     def __init__(
@@ -196,9 +197,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         )
         y_checked = y_checked.astype(np.float64)
         runs = Segments.from_labels(segments, X_checked.shape[0])
-        from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
-
-        self._input_names = self._names_of_inputs()
+        alone = ["phi"] if self.n_features_in_ == 1 else None
+        plain = alone or [f"x{j}" for j in range(self.n_features_in_)]
+        self._input_names = [str(name) for name in getattr(self, "feature_names_in_", plain)]
         self._candidates = CandidateTerms(
             self.library,
             X_checked,
@@ -223,21 +224,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             self._fit_lag(X_checked, y_checked, runs, columns)
         return self
 
-    def _names_of_inputs(self) -> list[str]:
-        if hasattr(self, "feature_names_in_"):
-            return [str(name) for name in self.feature_names_in_]
-        if self.n_features_in_ == 1:
-            return ["phi"]
-        return [f"x{j}" for j in range(self.n_features_in_)]
-
     def _fit_lag(
         self, X: FloatArray, y: FloatArray, runs: Segments, columns: NDArray[np.intp]
     ) -> None:
-        from sindy_surge.checks import cautions_of
-        from sindy_surge.identification import Choices, identify, silent_problem
-        from sindy_surge.state_terms import physical_form
-
-        period = float(self.sample_period_s)
         choices = Choices(
             self.optimizer,
             int(self.max_terms),
@@ -246,32 +235,25 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             int(self.n_bootstrap),
             self.random_state,
         )
-        problem = silent_problem(X, y, runs, period, self.hold, self._candidates, columns)
+        terms, period = self._candidates, float(self.sample_period_s)
+        with_state = np.arange(terms.n_without_state, len(terms.names))
+        usable = np.concatenate((columns, with_state)).astype(np.intp)
+        silent = NoiseLevels(1.0, np.zeros(X.shape[1]), np.empty(0))
+        problem = LagProblem(X, y, runs, period, self.hold, terms, usable, silent)
         found = identify(problem, choices, self._input_names)
-        noise = found.problem.noise
+        noise, self._model = found.problem.noise, found.model
         self._candidates = found.problem.terms
-        self._selected = found.selected
         self.weak_form_, self.path_, self.rivals_ = found.weak, found.path, found.rivals
         self.inclusion_probability_ = found.inclusion
         self.noise_: tuple[float, FloatArray] | None = (noise.output, noise.inputs)
-        self.dead_time_s_ = found.dead_time_s
+        self.dead_time_s_ = found.model.lag.dead_time_s
         self.dead_time_stderr_s_ = found.dead_time_stderr_s
         self.initial_states_ = found.initial
-        self._model = FreeModel(
-            found.problem.terms,
-            found.selected,
-            found.coefficients,
-            found.time_constant_s,
-            found.dead_time_s,
-            period,
-            self.hold,
-            (float(y.min()), float(y.max())),
-        )
         names = self.candidate_terms_ = self._candidates.names
         form = physical_form(
-            [names[i] for i in found.selected],
-            found.coefficients,
-            found.time_constant_s,
+            [names[i] for i in found.model.selected],
+            found.model.coefficients,
+            found.model.lag.tau_s,
             found.covariance,
             self._candidates.states,
             self._input_names,
@@ -281,24 +263,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.joint_covariance_ = form.covariance
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
-        # About the middle of ψ': with terms in ψ' the τ of the equation as written may be anything.
-        stderr = float(np.sqrt(found.covariance[-1, -1]))
-        self.fit_state_ = self._state(found, stderr)
+        self.fit_state_ = found.fit_state()
         self.cautions_ = cautions_of(found, self.fit_state_)
-
-    def _state(self, found: Identified, error: float) -> FitState:
-        tau, otherwise = found.time_constant_s, found.state
-        # A held input shows the lag only through the pole e^(-h/τ), which is soon next to nothing.
-        pole_error = np.exp(-self.sample_period_s / tau) * self.sample_period_s / tau**2 * error
-        hidden = self.hold == "zero" and np.exp(-self.sample_period_s / tau) < 3 * pole_error
-        if tau < self.sample_period_s / 20 or (hidden and tau < self.sample_period_s):
-            return FitState.LAG_BELOW_RESOLUTION
-        # The error of τ then includes that of the model, and longer segments are no remedy.
-        if otherwise is FitState.MODEL_ERROR_DOMINATES:
-            return otherwise
-        if not error < tau or tau > 0.99 * found.problem.longest_lag_s:
-            return FitState.LAG_UNDETERMINED
-        return otherwise
 
     def _fit_static(
         self,
@@ -309,16 +275,14 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         columns: NDArray[np.intp] | None = None,
     ) -> None:
         """Fit ψ' = ψ'_QS(φ) with coefficients of least norm, each on its unit-size term."""
-        norms = np.linalg.norm(values, axis=0)
-        norms[norms == 0] = 1.0
+        norms = unit_norms(values)
         solution = np.linalg.lstsq(values / norms, y, rcond=1e-10)[0]
         kept = np.flatnonzero(np.abs(solution) > 1e-10 * max(np.abs(solution).max(), 1e-300))
-        self._selected = kept if columns is None else columns[kept]
-        self.terms_ = tuple(self.candidate_terms_[i] for i in self._selected)
+        selected = kept if columns is None else columns[kept]
+        self.terms_ = tuple(self.candidate_terms_[i] for i in selected)
         self.coef_ = (solution / norms)[kept]
-        size = kept.size
-        self.joint_covariance_ = np.full((size + 1, size + 1), np.nan)
-        self.covariance_ = np.full((size, size), np.nan)
+        self.joint_covariance_ = np.full((kept.size + 1, kept.size + 1), np.nan)
+        self.covariance_ = self.joint_covariance_[:-1, :-1]
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
         self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
@@ -328,12 +292,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.cautions_ = (state.advice,)
         self._model = FreeModel(
             self._candidates,
-            self._selected,
+            selected,
             self.coef_,
-            float("nan"),
-            0.0,
-            float(self.sample_period_s),
-            self.hold,
+            FirstOrderLag(float("nan"), float(self.sample_period_s), self.hold),
             (float(y.min()), float(y.max())),
         )
 
@@ -381,15 +342,12 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """Return the model as `terms_` and `coef_` state it."""
         physical = self._candidates.physical()
         names = physical.names
-        return FreeModel(
-            physical,
-            np.array([names.index(term) for term in self.terms_], dtype=np.intp),
-            self.coef_,
-            self.time_constant_s_,
-            self.dead_time_s_,
-            float(self.sample_period_s),
-            self.hold,
-            self._model.seen,
+        return replace(
+            self._model,
+            terms=physical,
+            selected=np.array([names.index(term) for term in self.terms_], dtype=np.intp),
+            coefficients=self.coef_,
+            lag=replace(self._model.lag, tau_s=self.time_constant_s_),
         )
 
     def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
@@ -458,10 +416,10 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             The equation.
         """
         check_is_fitted(self)
-        if style not in ("text", "latex", "python"):
-            raise InputError("style", expected='"text", "latex" or "python"', found=repr(style))
+        one_of("style", style, ("text", "latex", "python"))
         if style == "python":
-            return python_source(self._parts(), self._term_values(), self.feature_range_)
+            values = self._physical_model().values
+            return python_source(self._parts(), values, self.feature_range_)
         return write_equation(self._parts(), style)
 
     def equations(self, precision: int = 3) -> list[str]:
@@ -499,7 +457,9 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For a static fit.
         """
         check_is_fitted(self)
-        return RateFunction(self._parts(), self._term_values())
+        parts = self._parts()
+        parts.rate_or_refuse()
+        return RateFunction(parts, self._physical_model().values)
 
     def _parts(self) -> EquationParts:
         return EquationParts(
@@ -514,11 +474,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             output_name=self.output_name,
         )
 
-    def _term_values(self) -> SelectedTerms:
-        model = self._physical_model()
-        return SelectedTerms(model.terms, tuple(model.selected.tolist()))
-
-    def _summary(self) -> ModelSummary | None:
+    def _sheet(self) -> Sheet | None:
         if not hasattr(self, "fit_state_"):
             return None
         searched = bool(self.path_) and self.fit_state_ is not FitState.MODEL_ERROR_DOMINATES
@@ -535,7 +491,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             path=self.path_,
             input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
-        )
+        ).sheet()
 
     def __sklearn_tags__(self) -> Any:
         """State that a free run over rows without time order fits them poorly."""

@@ -15,9 +15,9 @@ from sindy_surge.lag_fit import (
     linearise,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.preparation import Prepared
-from sindy_surge.sparse_paths import Support, beam_search, proposals, support_chi2
+from sindy_surge.sparse_paths import beam_search, proposals
 from sindy_surge.state_terms import PhysicalForm, physical_form
 from surge_core.types import FloatArray
 
@@ -104,20 +104,7 @@ class Selection:
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:
-    """Return what one more term must gain in χ²: ln N + 2 γ ln p.
-
-    Parameters
-    ----------
-    n_equations : int
-        Number of equations N.
-    n_terms : int
-        Number of candidates p.
-
-    Returns
-    -------
-    float
-        The penalty of one term.
-    """
+    """Return what one more term must gain in χ²: ln N + 2 γ ln p."""
     return float(np.log(max(n_equations, 2)) + 2 * _GAMMA * np.log(max(n_terms, 2)))
 
 
@@ -138,7 +125,7 @@ class _Search:
 
     def fit(self, support: Support, about: LinearProblem) -> StructureFit:
         if support not in self.fits:
-            beta = _coefficients(about, support)
+            beta = about.coefficients(support)
             start = self.rich
             self.fits[support] = fit_structure(
                 self.problem, support, start.time_constant_s, beta, near=start
@@ -167,7 +154,7 @@ class _Search:
         linear = linearise(self.problem, fit)
         penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
         variance, size = linear.variance, len(support)
-        own = support_chi2(linear, support) / variance + penalty * size
+        own = linear.chi2(support) / variance + penalty * size
         self.scores[support], self.variances[support] = own, variance
         beaten: list[tuple[float, Support]] = []
         required = self.constraints.required
@@ -180,7 +167,7 @@ class _Search:
             for chi2, other in ranked[:_COMPARED]:
                 score = chi2 / variance + penalty * other_size
                 better = score < own - margin and other != support
-                if better and self.signs_allowed(other, _coefficients(linear, other)):
+                if better and self.signs_allowed(other, linear.coefficients(other)):
                     beaten.append((score, other))
         return [other for _, other in sorted(beaten)]
 
@@ -207,12 +194,6 @@ def _physical(problem: LagProblem, support: Support, coefficients: FloatArray) -
     return physical_form(names, coefficients, 1.0, none, terms.states, terms.input_names)
 
 
-def _coefficients(linear: LinearProblem, support: Support) -> FloatArray:
-    chosen = list(support)
-    solution = np.linalg.lstsq(linear.columns[:, chosen], linear.target, rcond=1e-12)[0]
-    return np.asarray(solution / linear.norms[chosen])
-
-
 def select_structure(
     prepared: Prepared,
     optimizer: Any,
@@ -233,23 +214,8 @@ def select_structure(
 
     Parameters
     ----------
-    prepared : Prepared
-        From `prepare`.
-    optimizer : str or pysindy optimizer
-        See `sindy_surge.sparse_paths.proposed_supports`.
-    max_terms : int
-        Largest structure considered.
-    names : sequence of str
-        Names of the usable terms, for the table.
     degrees : sequence of int or None
         Their degrees; None for those that are no polynomials of the inputs. For the tie rule.
-    constraints : Constraints
-        What is known of the terms beforehand.
-
-    Returns
-    -------
-    Selection
-        The choice and the table.
     """
     problem, rich = prepared.problem, prepared.rich
     about = linearise(problem, rich)
@@ -261,7 +227,7 @@ def select_structure(
         max_terms,
         constraints,
     )
-    rough = {s: support_chi2(about, s) / about.variance + penalty * len(s) for s in proposed}
+    rough = {s: about.score(s, penalty) for s in proposed}
     seeds = _seeds(problem, proposed, rough)
     search = _Search(problem, rich, max_terms, constraints, degrees, seeds)
     _run(search, about, rough)
@@ -282,7 +248,7 @@ def _allowed(
         return proposed
 
     def good(support: Support) -> bool:
-        return _signs_allowed(problem, constraints, support, _coefficients(about, support))
+        return _signs_allowed(problem, constraints, support, about.coefficients(support))
 
     found = {s for s in proposed if good(s)}
     for ranked in beam_search(about, max_terms, required=constraints.required).values():
@@ -349,13 +315,13 @@ def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Su
     """
     linear = linearise(search.problem, fit)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
-    own = support_chi2(linear, support) / linear.variance + penalty * len(support)
+    own = linear.score(support, penalty)
     smaller: list[tuple[float, Support]] = []
     equal: list[tuple[float, Support]] = []
     required = search.constraints.required
     for size, ranked in beam_search(linear, len(support), required=required).items():
         for chi2, other in ranked[:_COMPARED]:
-            if not search.signs_allowed(other, _coefficients(linear, other)):
+            if not search.signs_allowed(other, linear.coefficients(other)):
                 continue
             score = chi2 / linear.variance + penalty * size
             if size < len(support) and score < own + _MISJUDGED:
@@ -401,7 +367,7 @@ def _table(
                 len(support),
                 tuple(names[i] for i in support),
                 search.scores[support] if fit else rough[support],
-                fit.chi2 if fit else support_chi2(about, support),
+                fit.chi2 if fit else about.chi2(support),
                 fit.time_constant_s if fit else float("nan"),
                 fit is not None,
                 support in search.consistent,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -19,11 +19,8 @@ __all__ = [
     "beam_search",
     "proposals",
     "proposed_supports",
-    "support_chi2",
     "without_required",
 ]
-
-Support = tuple[int, ...]
 
 OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
 
@@ -35,47 +32,11 @@ _ENSEMBLE_THRESHOLDS = 8
 _ENSEMBLE_MODELS = 20
 
 
-def support_chi2(linear: LinearProblem, support: Support) -> float:
-    """Return χ² of the regression on some terms.
-
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression.
-    support : tuple of int
-        Positions of the terms.
-
-    Returns
-    -------
-    float
-        χ², with the part that no term explains.
-    """
-    total = float(linear.target @ linear.target)
-    if support:
-        basis, _ = np.linalg.qr(linear.columns[:, list(support)])
-        total -= float(np.sum((basis.T @ linear.target) ** 2))
-    return max(total, 0.0) + linear.outside
-
-
 def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
     """Run a pysindy optimizer on the compressed problem and collect the supports on its path.
 
     The columns have unit norm and the ridge is switched off for the optimizers called by name:
     it would swamp columns this small, and a raw threshold would never prune.
-
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression.
-    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
-        An instance is deep-copied, fitted once, and its history and result are the path.
-    max_terms : int
-        Largest support returned.
-
-    Returns
-    -------
-    list of tuple of int
-        Distinct supports, smallest first.
 
     Raises
     ------
@@ -98,22 +59,6 @@ def proposals(
 
     A path that drops or adds one term at a time never returns from a wrong turn: one
     exponential that stands in for a parabola keeps backward elimination off the truth.
-
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression.
-    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
-        See `proposed_supports`.
-    max_terms : int
-        Largest support returned.
-    required : tuple of int
-        Terms that every support holds.
-
-    Returns
-    -------
-    list of tuple of int
-        Distinct supports, smallest first.
     """
     rest, free = without_required(linear, required)
     room = max_terms - len(required)
@@ -129,22 +74,7 @@ def proposals(
 def without_required(
     linear: LinearProblem, required: Support
 ) -> tuple[LinearProblem, tuple[int, ...]]:
-    """Project terms that are always in out of a regression.
-
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression.
-    required : tuple of int
-        Positions of those terms.
-
-    Returns
-    -------
-    rest : LinearProblem
-        The regression of what they leave on the other terms, scaled to unit norm again.
-    free : tuple of int
-        Positions of the other terms in `linear`.
-    """
+    """Project terms that are always in out of a regression."""
     n_terms = linear.columns.shape[1]
     free = tuple(i for i in range(n_terms) if i not in required)
     if not required:
@@ -259,26 +189,10 @@ def beam_search(
     """Find the best supports of every size by adding terms to the best of one size less.
 
     With about 20 terms it is exhaustive up to three.
-
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression.
-    max_terms : int
-        Largest size.
-    width : int
-        Supports kept of each size.
-    required : tuple of int
-        Terms that every support holds.
-
-    Returns
-    -------
-    dict
-        Size to a list of (χ², support), best first.
     """
     if required:
         rest, free = without_required(linear, required)
-        result = {len(required): [(support_chi2(rest, ()), required)]}
+        result = {len(required): [(rest.chi2(()), required)]}
         for size, ranked in beam_search(rest, max_terms - len(required), width).items():
             result[size + len(required)] = [
                 (chi2, tuple(sorted((*required, *(free[i] for i in support)))))

@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sindy_surge.candidate_terms import independent_columns
-from sindy_surge.covariance import jackknife_covariance, leave_out_moves
-from sindy_surge.free_run import Hold, Segments
 from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import HeldOutFit, with_held_out
-from sindy_surge.linear_problem import least_squares
+from sindy_surge.leave_out import jackknife_covariance, leave_out_moves
+from sindy_surge.linear_problem import Support, least_squares
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import Support, proposals
+from sindy_surge.sparse_paths import proposals
 from sindy_surge.trials import (
     Block,
     Trials,
@@ -31,7 +29,6 @@ from sindy_surge.trials import (
     polynomial_ladder,
     special_structures,
 )
-from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray, IndexArray
 
@@ -41,7 +38,7 @@ __all__ = ["SparseRun", "select_on_free_run"]
 # On 169 records of the simulated rig, whose truth is a parabola, the best of some 18 structures off
 # the ladder left 0.77 to 0.99 of the ladder's held-out error: by luck, and by learning what comes
 # again in every cycle. With a kink in the true curve 7 of 22 left less than 0.7; the others could
-# not be told from a polynomial.
+# not be separated from a polynomial.
 _SHARE_LEFT = 0.7
 # A cycle that alone reaches part of the range of φ cannot be foretold by the others: its error
 # would decide the mean of twenty.
@@ -71,7 +68,7 @@ class SparseRun:
         β in physical units.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
         Of β and, last, τ: a jackknife over cycles, what all cycles share and, off the ladder,
-        what structures differ by that cannot be told from the chosen one.
+        what structures differ by that the data cannot separate from the chosen one.
     initial : ndarray of shape (n_runs,)
         State at the first row of each run.
     residual_rms : float
@@ -102,52 +99,32 @@ class SparseRun:
 
 
 def select_on_free_run(
-    columns: FloatArray,
+    equations: FreeRunEquations,
     names: Sequence[str],
     degrees: Sequence[int | None],
-    nuisance: FloatArray,
-    output: FloatArray,
-    weight: FloatArray,
-    runs: ArrayLike,
-    cycles: ArrayLike,
-    sample_period_s: float,
+    cycles: IndexArray,
     *,
-    hold: Hold = "first",
     optimizer: Any = "SSR",
     max_terms: int = 6,
     common_tau_share: float = 0.0,
     common_curve_share: float = 0.0,
 ) -> SparseRun:
-    """Choose the terms of ψ'_QS on free runs by cycles left out, and fit them.
+    """Choose terms by cycles left out, and fit them on free runs.
 
-    Complete polynomials are raised from a parabola to a cubic, or lowered to a straight line, if
-    that lowers the error on cycles left out by more than one standard error of the paired
-    differences. Of the structures that a pysindy optimizer and the best subsets propose, one
-    that is no larger than a cubic is taken only if it leaves less than 0.7 of that error; of
-    several the best.
+    Complete polynomials are climbed as long as the error on cycles left out falls by more than
+    one standard error of the paired differences, from the parabola upwards; a structure off the
+    ladder is taken only if it leaves less than 0.7 of that error.
 
     Parameters
     ----------
-    columns : ndarray of shape (n_rows, n_columns)
-        The candidate terms.
+    equations : FreeRunEquations
+        The candidate terms, what is in every structure, ψ' and which rows are scored.
     names : sequence of str
-        Their names.
+        Names of the candidate terms.
     degrees : sequence of int or None
         Total degree of each; None for a term that is no polynomial.
-    nuisance : ndarray of shape (n_rows, n_nuisances)
-        Columns that are in every structure and not on trial.
-    output : ndarray of shape (n_rows,)
-        ψ'.
-    weight : ndarray of shape (n_rows,)
-        Weight of each squared error; rows of weight 0 are simulated through.
-    runs : array-like of int of shape (n_rows,)
-        Number of the run of each row; each run has a start of its own.
-    cycles : array-like of int of shape (n_rows,)
+    cycles : ndarray of int of shape (n_rows,)
         Number of the cycle of each row: what is left out together.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the columns run between two samples.
     optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
         What proposes the structures off the ladder.
     max_terms : int
@@ -160,31 +137,19 @@ def select_on_free_run(
     -------
     SparseRun
         The terms with τ, β and their covariance.
-
-    Raises
-    ------
-    InputError
-        When the arrays do not belong together.
     """
-    _check(columns, names, degrees, nuisance, output, weight)
-    segments = Segments.from_labels(runs, output.size)
-    cycle = np.asarray(cycles, dtype=np.intp)
-    if cycle.shape != output.shape:
-        raise InputError(
-            "cycles", expected=f"one label for each of {output.size} rows", found=f"{cycle.shape}"
-        )
-    equations = FreeRunEquations(columns, nuisance, output, weight, segments, sample_period_s, hold)
+    columns, starts = equations.columns, equations.runs.starts
     most = min(max_terms, columns.shape[1])
-    needed = _ROWS_A_PARAMETER * (most + nuisance.shape[1] + segments.starts.size + 1)
+    needed = _ROWS_A_PARAMETER * (most + equations.nuisance.shape[1] + starts.size + 1)
     if equations.scored.size < needed:
-        return _nothing(segments.starts.size)
-    # τ of the simplest terms tells what can be told apart, and how long errors hang together.
+        return _nothing(starts.size)
+    # τ of the simplest terms says what can be separated, and how long errors hang together.
     pilot_s = float(equations.fit(tuple(range(min(_SIMPLEST, most))))[0][-1])
     usable = independent_columns(equations.simulated(pilot_s))
     if not usable.size:
-        return _nothing(segments.starts.size)
+        return _nothing(starts.size)
     equations = replace(equations, columns=columns[:, usable])
-    blocks = equations.blocks(cycle, pilot_s)
+    blocks = equations.blocks(cycles, pilot_s)
     trials = Trials(equations, [Block(rows, rows) for rows in blocks], _MOST_LEVERAGE)
     chosen, rivals = _chosen(equations, trials, [degrees[i] for i in usable], optimizer, most)
     fit = equations.solve(chosen)
@@ -205,36 +170,6 @@ def select_on_free_run(
         with_held_out((), found, kept),
         _state(equations, tau, float(np.sqrt(covariance[-1, -1]))),
     )
-
-
-def _check(
-    columns: FloatArray,
-    names: Sequence[str],
-    degrees: Sequence[int | None],
-    nuisance: FloatArray,
-    output: FloatArray,
-    weight: FloatArray,
-) -> None:
-    n = output.size
-    shapes = (columns.shape[:1], nuisance.shape[:1], weight.shape)
-    if any(shape != (n,) for shape in shapes) or columns.ndim != 2 or nuisance.ndim != 2:
-        raise InputError(
-            "columns, nuisance, weight",
-            expected=f"one row for each of the {n} of ψ'",
-            found=f"{columns.shape}, {nuisance.shape} and {weight.shape}",
-        )
-    if not len(names) == len(degrees) == columns.shape[1] > 0:
-        raise InputError(
-            "names, degrees",
-            expected=f"one for each of the {columns.shape[1]} columns",
-            found=f"{len(names)} and {len(degrees)}",
-        )
-    arrays = {"columns": columns, "nuisance": nuisance, "output": output, "weight": weight}
-    for name, values in arrays.items():
-        if not np.all(np.isfinite(values)):
-            raise InputError(name, expected="finite values", found="NaN or infinite ones")
-    if np.any(weight < 0):
-        raise InputError("weight", expected="values of at least 0", found=f"{weight.min():g}")
 
 
 def _nothing(n_runs: int) -> SparseRun:
@@ -259,7 +194,7 @@ def _chosen(
     optimizer: Any,
     max_terms: int,
 ) -> tuple[Support, list[Support]]:
-    """Return the structure, and those off the ladder that cannot be told from it."""
+    """Return the structure, and those off the ladder that the data cannot separate from it."""
     ladder, start = polynomial_ladder(degrees, max_terms), _START
     if not ladder:
         about = tuple(range(min(_SIMPLEST, len(degrees))))
@@ -276,7 +211,7 @@ def _chosen(
 
 
 def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
-    """Return the jackknife over cycles, in which the nuisances are estimated anew as well."""
+    """Return the jackknife over cycles, in which the nuisances are estimated again as well."""
     moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = fit.parameters.size - 1
     return jackknife_covariance(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
@@ -285,7 +220,7 @@ def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
 def _spread(
     equations: FreeRunEquations, fit: FreeRunFit, chosen: Support, rivals: Sequence[Support]
 ) -> FloatArray:
-    """Return what the choice among structures adds that the data cannot tell apart.
+    """Return what the choice among structures adds that the data cannot separate.
 
     The mean square of what the curve and τ of each differ by; the curves as far as the terms
     that were chosen can follow.

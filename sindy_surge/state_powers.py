@@ -8,8 +8,7 @@ import numpy as np
 
 from sindy_surge.lag_fit import StructureFit, fit_structure, linearise
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import least_squares
-from sindy_surge.sparse_paths import Support
+from sindy_surge.linear_problem import Support, least_squares
 from sindy_surge.state_terms import ProductStateTerms
 
 __all__ = ["PowerChoice", "choose_power"]
@@ -43,18 +42,6 @@ def choose_power(problem: LagProblem, fit: StructureFit) -> PowerChoice:
     About its centre c, ψ'³ is 3c ψ'² - 3c² ψ' + c³ and a small cubic rest: the search in
     z = (ψ' - c)/s finds z² for either. The two models part only in the rest, and in τ, for
     each leaves another share of ψ' to the lag.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data.
-    fit : StructureFit
-        The structure found.
-
-    Returns
-    -------
-    PowerChoice
-        Unchanged unless the structure holds exactly one of the two, centred.
     """
     states = problem.terms.states
     same = PowerChoice(problem, fit, None)

@@ -146,19 +146,10 @@ def state_terms(
 
     Parameters
     ----------
-    choice : bool or library
-        True for powers and products of ψ', False for none, else a pysindy library or
-        scikit-learn transformer over (ψ', inputs).
     X : ndarray of shape (n_rows, n_inputs)
         The inputs.
     psi_p : ndarray of shape (n_rows,)
         ψ' at the same rows.
-    input_names : sequence of str
-        Names of the inputs.
-    output_name : str
-        Name of ψ'.
-    known : sequence of str
-        Names of the terms without ψ': z is centred only if what centring adds is among them.
 
     Returns
     -------
@@ -249,8 +240,6 @@ def physical_form(
 
     Parameters
     ----------
-    names : sequence of str
-        Names of the terms.
     coefficients : ndarray of shape (n_terms,)
         Their coefficients, those of terms with ψ' in z.
     time_constant_s : float
@@ -259,13 +248,6 @@ def physical_form(
         Of the coefficients and, last, τ.
     states : StateTerms or None
         The terms with ψ'.
-    input_names : sequence of str
-        Names of the inputs.
-
-    Returns
-    -------
-    PhysicalForm
-        The same model.
     """
     own = set(names) & set(states.names) if isinstance(states, ProductStateTerms) else set()
     if not own or not isinstance(states, ProductStateTerms):

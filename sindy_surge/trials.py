@@ -8,9 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from sindy_surge.covariance import leave_out_moves
-from sindy_surge.linear_problem import LinearProblem
-from sindy_surge.sparse_paths import Support, support_chi2
+from sindy_surge.leave_out import leave_out_moves, unit_norms
+from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
@@ -118,8 +117,7 @@ class Trials:
 
 def _leverage(design: FloatArray, rows: IndexArray) -> float:
     """Return the largest share of the information on any parameter that some rows hold."""
-    norms = np.linalg.norm(design, axis=0)
-    norms[norms == 0] = 1.0
+    norms = unit_norms(design)
     basis, values, _ = np.linalg.svd(design / norms, full_matrices=False)
     within = basis[np.ix_(rows, values > 1e-10 * values[0])]
     return float(np.linalg.norm(within, 2) ** 2)
@@ -132,8 +130,6 @@ def polynomial_ladder(degrees: Sequence[int | None], max_terms: int) -> list[Sup
     ----------
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
-    max_terms : int
-        Largest structure considered.
 
     Returns
     -------
@@ -151,45 +147,15 @@ def polynomial_ladder(degrees: Sequence[int | None], max_terms: int) -> list[Sup
 
 
 def best_of_each_size(linear: LinearProblem, proposed: list[Support]) -> list[Support]:
-    """Return the structure of least χ² of every size, smallest first.
-
-    Parameters
-    ----------
-    linear : LinearProblem
-        The regression.
-    proposed : list of tuple of int
-        Structures to choose from.
-
-    Returns
-    -------
-    list of tuple of int
-        One of each size.
-    """
+    """Return the structure of least χ² of every size, smallest first."""
     best: dict[int, Support] = {}
-    for support in sorted(proposed, key=lambda s: support_chi2(linear, s)):
+    for support in sorted(proposed, key=linear.chi2):
         best.setdefault(len(support), support)
     return [best[size] for size in sorted(best)]
 
 
 def climb(trials: Trials, ladder: list[Support], start: int = 0) -> Support:
-    """Go up a ladder of structures as long as that pays on what is left out, else down.
-
-    Parameters
-    ----------
-    trials : Trials
-        Held-out errors.
-    ladder : list of tuple of int
-        Structures, each within the next.
-    start : int
-        Rung to start from.
-
-    Returns
-    -------
-    tuple of int
-        The rung above which none gains more than one standard error of the paired differences.
-        A rung that does not pay is passed over when a higher one does. Below the start a rung is
-        taken by the same rule, if none above it was.
-    """
+    """Go up a ladder of structures as long as that pays on what is left out, else down."""
     chosen = ladder[start]
     for rung in ladder[start + 1 :]:
         if pays(trials, chosen, rung):
@@ -202,20 +168,7 @@ def climb(trials: Trials, ladder: list[Support], start: int = 0) -> Support:
 
 
 def pays(trials: Trials, one: Support, other: Support) -> bool:
-    """Tell whether the other leaves less by more than a standard error of the differences.
-
-    Parameters
-    ----------
-    trials : Trials
-        Held-out errors.
-    one, other : tuple of int
-        Structures.
-
-    Returns
-    -------
-    bool
-        False also where fewer than three blocks are scored for both.
-    """
+    """Tell whether the other leaves less by more than a standard error of the differences."""
     before, after = trials.pair(one, other)
     gain = before - after
     if gain.size < FEWEST_BLOCKS:
@@ -231,31 +184,10 @@ def special_structures(
     ladder: list[Support],
     share_left: float,
 ) -> dict[Support, float]:
-    """Return the structures off the ladder, and no larger, that leave little of the error.
-
-    Parameters
-    ----------
-    trials : Trials
-        Held-out errors.
-    linear : LinearProblem
-        The regression that ranks the structures.
-    proposed : list of tuple of int
-        Structures to choose from.
-    chosen : tuple of int
-        What the ladder gave.
-    ladder : list of tuple of int
-        Its rungs.
-    share_left : float
-        Most of the held-out mean square error of the ladder's choice that may be left.
-
-    Returns
-    -------
-    dict
-        Structure to the share it leaves.
-    """
+    """Return the structures off the ladder, and no larger, that leave little of the error."""
     largest = max(len(rung) for rung in ladder)
     others = [s for s in proposed if s not in ladder and len(s) <= largest]
-    others = sorted(others, key=lambda s: support_chi2(linear, s))[:_MOST_SPECIAL]
+    others = sorted(others, key=linear.chi2)[:_MOST_SPECIAL]
     shares = {s: _share(trials, s, chosen) for s in others}
     return {s: share for s, share in shares.items() if share < share_left}
 

@@ -41,7 +41,7 @@ class Field:
     label : str
         What it is.
     value : str or tuple of str
-        What is told of it, with its unit, in one line or several.
+        What it is, with its unit, in one line or several.
     tone : {"plain", "good", "advice"}
         How it is set: a state that ended well, or one that asks for something.
     """

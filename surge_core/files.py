@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from surge_core.errors import InputError
 
-__all__ = ["check_apart", "check_target", "replace_whole", "write_whole"]
+__all__ = ["check_apart", "check_target", "replace_whole", "to_strict_json", "write_whole"]
 
 
 def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
@@ -99,7 +102,7 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
         if error.filename not in (None, str(temporary)):
             raise
-        # Nobody but us knows the neighbour, and some libraries name no file at all.
+        # The name of the neighbour says nothing to a user, and some libraries name no file at all.
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -138,3 +141,24 @@ def write_whole(path: Path, text: str) -> None:
         Its content, written as UTF-8.
     """
     replace_whole(path, lambda temporary: temporary.write_text(text, "utf-8"))
+
+
+def to_strict_json(document: dict[str, Any]) -> str:
+    """Return JSON in which a number that is not finite is null: JSON has no NaN.
+
+    Parameters
+    ----------
+    document : dict
+        Of plain types.
+    """
+    return json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ Hold = Literal["zero", "first"]
 
 @dataclass(frozen=True)
 class FirstOrderLag:
-    """τ dx/dt + x = f sampled with period h: ``x[k] = a x[k-1] + now f[k] + before f[k-1]``.
+    """τ dx/dt + x = f sampled with period h: ``x[k] = a x[k-1] + Σ_i taps[i] f[k-m-i]``.
 
     Parameters
     ----------
@@ -33,10 +34,11 @@ class FirstOrderLag:
 
     Notes
     -----
-    a = exp(-h/τ) (paper, Eq 10). Zero hold: ``now = 0``, ``before = 1 - a`` (Eq 11). First hold:
-    with r = (1 - a) τ/h, ``now = 1 - r`` and ``before = r - a``, the exact response to a ramp.
-    The derivatives are with respect to log τ, in which the fit works. With a dead time of
-    m + δ samples, 0 <= δ < 1, three samples f[k-m], f[k-m-1], f[k-m-2] act in place of two.
+    a = exp(-h/τ) (paper, Eq 10). Without dead time two samples act. Zero hold: f[k] by 0, f[k-1]
+    by 1 - a (Eq 11). First hold, with r = (1 - a) τ/h: f[k] by 1 - r, f[k-1] by r - a, the exact
+    response to a ramp. With a dead time of m + δ samples, 0 <= δ < 1, f[k-m], f[k-m-1] and
+    f[k-m-2] act. Derivatives are with respect to log τ, in which a fit works, and to the dead time
+    in samples.
     """
 
     tau_s: float
@@ -55,62 +57,26 @@ class FirstOrderLag:
         return float(np.exp(-self.ratio))
 
     @property
-    def gain_now(self) -> float:
-        """Weight of f[k] in x[k]."""
-        return 0.0 if self.hold == "zero" else 1.0 - self._ramp
-
-    @property
-    def gain_before(self) -> float:
-        """Weight of f[k-1] in x[k]."""
-        # expm1 keeps the digits that 1 - a loses when τ is much longer than h.
-        return -float(np.expm1(-self.ratio)) if self.hold == "zero" else self._ramp - self.a
-
-    @property
     def d_a(self) -> float:
         """Derivative of the pole with respect to log τ."""
         return self.a * self.ratio
 
     @property
-    def d_gain_now(self) -> float:
-        """Derivative of ``gain_now`` with respect to log τ."""
-        return 0.0 if self.hold == "zero" else self.a - self._ramp
+    def gain_now(self) -> float:
+        """Weight of f[k] in x[k]; without dead time."""
+        return float(self.taps[0, 0])
 
     @property
-    def d_gain_before(self) -> float:
-        """Derivative of ``gain_before`` with respect to log τ."""
-        return -self.d_a if self.hold == "zero" else self._ramp - self.a - self.d_a
-
-    @property
-    def _ramp(self) -> float:
-        return -float(np.expm1(-self.ratio)) / self.ratio
-
-    def drive(self, quasi_steady: FloatArray) -> FloatArray:
-        """Return ``now f[k] + before f[k-1]`` for k = 1 … n-1.
-
-        Parameters
-        ----------
-        quasi_steady : ndarray of shape (n,) or (n, p)
-            Samples of f.
-
-        Returns
-        -------
-        ndarray of shape (n - 1,) or (n - 1, p)
-        """
-        if self.dead_time_s > 0.0:
-            taps, n = self.taps[0], quasi_steady.shape[0]
-            late = [
-                quasi_steady[np.maximum(np.arange(1, n) - self.whole_samples - back, 0)]
-                for back in range(3)
-            ]
-            return np.asarray(taps[0] * late[0] + taps[1] * late[1] + taps[2] * late[2])
-        return self.gain_now * quasi_steady[1:] + self.gain_before * quasi_steady[:-1]
+    def gain_before(self) -> float:
+        """Weight of f[k-1] in x[k]; without dead time."""
+        return float(self.taps[0, 1])
 
     @property
     def whole_samples(self) -> int:
         """Whole samples m of the dead time."""
         return int(np.floor(self.dead_time_s / self.sample_period_s + 1e-9))
 
-    @property
+    @cached_property
     def taps(self) -> FloatArray:
         """Weights of f[k-m], f[k-m-1], f[k-m-2] in x[k], of shape (3, 3).
 
@@ -120,8 +86,9 @@ class FirstOrderLag:
         late = max(self.dead_time_s / self.sample_period_s - self.whole_samples, 0.0)
         r, a, rest = self.ratio, self.a, 1.0 - late
         e = float(np.exp(-r * rest))
+        # expm1 keeps the digits that 1 - a loses when τ is much longer than h.
         begun = -float(np.expm1(-r * rest))
-        ended = -a * float(np.expm1(r * late)) if late > 0.0 else 0.0
+        ended = e * float(np.expm1(-r * late))
         if self.hold == "zero":
             return np.array(
                 [
@@ -142,9 +109,29 @@ class FirstOrderLag:
             ]
         )
 
-    def d_drive(self, quasi_steady: FloatArray) -> FloatArray:
-        """Return the derivative of :meth:`drive` with respect to log τ."""
-        return self.d_gain_now * quasi_steady[1:] + self.d_gain_before * quasi_steady[:-1]
+    def drive(self, quasi_steady: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return ``Σ_i taps[i] f[k-m-i]`` for k = 1 … n-1.
+
+        Parameters
+        ----------
+        quasi_steady : ndarray of shape (n,) or (n, p)
+            Samples of f.
+        derivative : {0, 1, 2}
+            The drive itself, or its derivative with respect to log τ or to the dead time in
+            samples, both for the f that is given.
+
+        Returns
+        -------
+        ndarray of shape (n - 1,) or (n - 1, p)
+        """
+        taps, m, n = self.taps[derivative], self.whole_samples, quasi_steady.shape[0]
+        if self.dead_time_s == 0.0 and derivative < 2:
+            before = taps[1] * quasi_steady[:-1]
+            both = before if self.hold == "zero" else before + taps[0] * quasi_steady[1:]
+            return np.asarray(both)
+        rows = np.arange(1, n) - m
+        late = [quasi_steady[np.maximum(rows - back, 0)] for back in range(3)]
+        return np.asarray(taps[0] * late[0] + taps[1] * late[1] + taps[2] * late[2])
 
     def respond(self, quasi_steady: FloatArray, start: FloatArray | float) -> FloatArray:
         """Return the state x for the input f, in O(n).
@@ -162,21 +149,33 @@ class FirstOrderLag:
         """
         return self.accumulate(self.drive(quasi_steady), start)
 
-    def d_respond(self, quasi_steady: FloatArray, state: FloatArray) -> FloatArray:
-        """Return dx/d(log τ) for the state x that :meth:`respond` gave, its start held fixed."""
-        forcing = self.d_a * state[:-1] + self.d_drive(quasi_steady)
+    def d_respond(
+        self, quasi_steady: FloatArray, state: FloatArray, derivative: int = 1
+    ) -> FloatArray:
+        """Return the derivative of the state x that :meth:`respond` gave, its start held fixed.
+
+        Parameters
+        ----------
+        quasi_steady, state : ndarray of shape (n,) or (n, p)
+            Samples of f, and the state.
+        derivative : {1, 2}
+            With respect to log τ, or to the dead time in samples.
+        """
+        forcing = self.drive(quasi_steady, derivative)
+        if derivative == 1:
+            forcing = forcing + self.d_a * state[:-1]
         return self.accumulate(forcing, np.zeros_like(state[0]))
 
     def accumulate(self, drive: FloatArray, start: FloatArray | float) -> FloatArray:
         """Run ``x[k] = a x[k-1] + drive[k-1]`` from a start."""
         from scipy.signal import lfilter
 
-        first = np.broadcast_to(np.asarray(start, dtype=np.float64), drive.shape[1:])[None]
-        if drive.shape[0] == 0:
-            return np.array(first)
-        # lfilter's state is what is added to the next output: a times the state before it.
-        rest, _ = lfilter([1.0], [1.0, -self.a], drive, axis=0, zi=self.a * first)
-        return np.concatenate([first, rest])
+        x = np.empty((drive.shape[0] + 1, *drive.shape[1:]))
+        x[0] = start
+        if drive.shape[0] > 0:
+            # lfilter's state is what is added to the next output: a times the state before it.
+            x[1:], _ = lfilter([1.0], [1.0, -self.a], drive, axis=0, zi=self.a * x[:1])
+        return x
 
     def decay(self, n_samples: int) -> FloatArray:
         """Return a^k for k = 0 … n-1: what a start that is off by one adds."""

@@ -69,11 +69,15 @@ def bracketed(value: float, error: float) -> str:
     Returns
     -------
     str
-        E.g. ``"0.351(12)"``, ``"30.1(1.2)"``, ``"353(24)"``; without an error to speak of, the
-        value alone.
+        E.g. ``"0.351(12)"``, ``"30.1(1.2)"``, ``"353(24)"``, ``"1.20(3)e-08"``; without an error
+        to speak of, the value alone.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error >= SMALLEST_ERROR):
         return significant(value)
+    largest = max(abs(value), error)
+    if not PLAIN_RANGE[0] <= largest < PLAIN_RANGE[1]:
+        exponent = math.floor(math.log10(largest))
+        return f"{bracketed(value / 10.0**exponent, error / 10.0**exponent)}e{exponent:+03d}"
     decimals = decimals_for(error)
     rounded = _rounded_error(error)
     last_digits = rounded * 10.0**decimals if 0.0 < rounded < 1.0 else rounded

@@ -64,7 +64,7 @@ def flat_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> 
 
 
 def exit_flow_at_inlet(record: Record, test: TestDescription) -> FloatArray:
-    """Return W25 as plane 31 tells it, by the mass balance of what lies between.
+    """Return W25 as plane 31 shows it, by the mass balance of what lies between.
 
     The measured planes agree with this form: on the 90 % record W25 − W31 goes with dP31/dt by
     0.5 to 0.7 of V_c/(R T̄), and with the inertia term of Eq 5 not at all (−0.2 where 0.5 would
@@ -147,7 +147,6 @@ def delivered_power(
     inertia_per_m: float,
     mixing_phi: float = MIXING_PHI,
     smooth: Callable[[FloatArray], FloatArray] = _as_it_is,
-    flow_span_kg_s: float | None = None,
 ) -> FloatArray:
     """Return W25 ψ, which stays finite through zero flow (Eq 13 with W31 from the mass balance).
 
@@ -168,8 +167,6 @@ def delivered_power(
     smooth : callable
         Smooths I d²W25/dt² and what T̄ is made of: the second derivative of a noisy flow is most
         of the noise of ψ.
-    flow_span_kg_s : float, optional
-        Largest less least flow of the whole record, where these rows are a part of it.
 
     Returns
     -------
@@ -193,7 +190,7 @@ def delivered_power(
     mean_Pa_s = inlet_Pa_s + EXIT_WEIGHT * (exit_Pa_s + smooth(surge_Pa_s) - inlet_Pa_s)
     volume = machine.internal_volume_m3 / machine.gas_constant_J_kg_K
     credit = credit_of_storage(phi, mixing_phi)
-    span = float(np.ptp(flow_kg_s)) if flow_span_kg_s is None else flow_span_kg_s
+    span = float(np.ptp(flow_kg_s))
     divisor = np.where(phi > 0.0, np.maximum(smooth(flow_kg_s), 1e-3 * span), np.inf)
     delivered_K = exit_K
     stored = np.zeros_like(phi)

@@ -8,10 +8,10 @@ power and on W25 times the simulated response.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.coefficients import flow_coefficient
@@ -29,7 +29,8 @@ from classic_ml.work.balance import (
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag
-from surge_core.types import BoolArray, FloatArray
+from surge_core.leave_out import leave_out, scatter
+from surge_core.types import BoolArray, FloatArray, IntArray
 from surge_core.validation import positive
 
 __all__ = ["WorkCharacteristic", "fit_work_characteristic"]
@@ -39,7 +40,9 @@ SCORED_PHI = 0.01
 # Range of τ that is searched, in seconds, and the points of the first scan.
 SEARCHED_TAU_S = (0.003, 0.1)
 SCAN_POINTS = 16
-# Fewer cycles tell nothing of the scatter between them.
+# A τ within a hundredth of an end of its range ran into it.
+AT_BOUND = 0.01
+# Fewer cycles say nothing of the scatter between them.
 FEWEST_CYCLES = 4
 
 
@@ -50,7 +53,8 @@ class WorkCharacteristic:
     Parameters
     ----------
     time_constant_s, time_constant_stderr_s : float
-        τ and its standard error; the error is 0 where τ was given.
+        τ and its standard error; the error is 0 where τ was given. Not stated (nan), like the
+        curve, where the fit ended at a bound of its search or there are too few cycles.
     terms : tuple of str
         Names of the terms of Fig 22.
     coef : ndarray of shape (n_terms,)
@@ -114,7 +118,7 @@ class _Setup:
     rows: slice
     stalled: FloatArray
     scored: BoolArray
-    cycle: NDArray[np.int64]
+    cycle: IntArray
 
     def average(self, values: FloatArray) -> FloatArray:
         """Average over exactly one period, each column alike."""
@@ -151,7 +155,7 @@ class _Trio:
         beta = self.extrapolated(self.mean.theta, self.inlet.theta, self.other.theta)
         return np.concatenate([self.mean.theta[:1], beta[1 : 1 + n_terms]])
 
-    def moves(self, cycle: NDArray[np.int64], cycles: NDArray[np.int64]) -> FloatArray:
+    def moves(self, cycle: IntArray, cycles: IntArray) -> FloatArray:
         """Return how all of this moves when a cycle is left out, one cycle a row."""
         each = [_moves(fit, cycle, cycles) for fit in (self.mean, self.inlet, self.other)]
         beta = self.extrapolated(*each)
@@ -194,7 +198,7 @@ def fit_work_characteristic(
         would change enters the errors: a millisecond is worth 0.04 in the curve and 1.2 ms of τ;
         with τ given 0.06 at φ = 0.02 and 0.1, and 0.09 at 0.05.
     mixing_phi : float
-        Flow near which T31 stops telling what left the blading, see
+        Flow near which T31 stops showing what left the blading, see
         :func:`classic_ml.work.balance.credit_of_storage`. The errors do not contain it.
 
     Returns
@@ -232,8 +236,11 @@ def fit_work_characteristic(
     cycles = np.unique(setup.cycle[setup.scored])
     n_terms = len(breakpoints) + 2
     if cycles.size < FEWEST_CYCLES or np.count_nonzero(setup.scored) < 10 * n_terms:
-        return _refusal(setup, cycles.size, n_terms)
+        return _withheld(setup, int(cycles.size), math.nan, FitState.TOO_FEW_ROWS)
     trio = _trio(setup, time_constant_s)
+    if trio.mean.at_bound is not FitState.CONVERGED:
+        scatter_of_psi = _residual_std(setup, trio)
+        return _withheld(setup, int(cycles.size), scatter_of_psi, trio.mean.at_bound)
     misaligned = np.zeros(1 + n_terms)
     if pressure_delay_s is None:
         late = replace(setup, record=_delayed(record, record.sample_period_s))
@@ -368,10 +375,12 @@ def _fit(setup: _Setup, flow: FloatArray, time_constant_s: float | None) -> _Fit
         low, high = np.log(SEARCHED_TAU_S)
         grid = np.linspace(low, high, SCAN_POINTS)
         best = int(np.argmin([solved(x)[0] for x in grid]))
-        ends = {0: FitState.AT_LOWER_BOUND, SCAN_POINTS - 1: FitState.AT_UPPER_BOUND}
-        state = ends.get(best, state)
         bracket = (grid[max(best - 1, 0)], grid[min(best + 1, SCAN_POINTS - 1)])
         log_tau = float(minimize_scalar(lambda x: solved(x)[0], bounds=bracket).x)
+        if log_tau < low + AT_BOUND:
+            state = FitState.AT_LOWER_BOUND
+        elif log_tau > high - AT_BOUND:
+            state = FitState.AT_UPPER_BOUND
     else:
         log_tau = float(np.log(time_constant_s))
     _, coef, columns = solved(log_tau)
@@ -396,22 +405,16 @@ def _responses(setup: _Setup, inputs: FloatArray, flow: FloatArray, log_tau: flo
     return setup.average(powers)[setup.scored]
 
 
-def _moves(fit: _Fit, cycle: NDArray[np.int64], cycles: NDArray[np.int64]) -> FloatArray:
+def _moves(fit: _Fit, cycle: IntArray, cycles: IntArray) -> FloatArray:
     """Return by how much θ moves when each cycle's rows are left out, one cycle a row."""
-    scale = np.sqrt(np.einsum("ij,ij->j", fit.jacobian, fit.jacobian))
-    scale[scale == 0.0] = 1.0
-    columns = fit.jacobian / scale
-    moves = [
-        np.linalg.lstsq(columns[cycle != c], fit.residual[cycle != c], rcond=None)[0]
-        for c in cycles
-    ]
-    return np.asarray(np.asarray(moves) / scale, dtype=np.float64)
+    blocks = [np.flatnonzero(cycle == number) for number in cycles]
+    return leave_out(-fit.jacobian, fit.residual, blocks).moves
 
 
 def _result(
     setup: _Setup,
     trio: _Trio,
-    cycles: NDArray[np.int64],
+    cycles: IntArray,
     misaligned: FloatArray,
     *,
     given: bool,
@@ -419,15 +422,14 @@ def _result(
     n_terms = len(setup.breakpoints) + 2
     keep = slice(0, 1 + n_terms)
     moves = trio.moves(setup.cycle[setup.scored], cycles)[:, keep]
-    moves = moves - moves.mean(axis=0)
     planes = 0.5 * (trio.inlet.theta - trio.other.theta)[keep]
-    covariance = (cycles.size - 1) / cycles.size * moves.T @ moves
+    covariance = scatter(moves)
     covariance += np.outer(planes, planes) + np.outer(misaligned, misaligned)
     flow = _flow(setup)
     phi = _phi(setup, flow)[setup.scored]
     theta = trio.theta(n_terms)
     tau_s = float(np.exp(theta[0]))
-    scatter = float(np.sqrt(np.mean(trio.mean.residual**2)) / np.mean(flow[setup.scored]))
+    std = _residual_std(setup, trio)
     return WorkCharacteristic(
         tau_s,
         0.0 if given else tau_s * float(np.sqrt(covariance[0, 0])),
@@ -438,15 +440,20 @@ def _result(
         (float(np.percentile(phi, 5.0)), float(np.percentile(phi, 95.0))),
         int(np.count_nonzero(setup.scored)),
         int(cycles.size),
-        scatter,
+        std,
         trio.mean.at_bound,
-        _entry(setup, cycles.size, tau_s, scatter, given=given),
+        _entry(setup, cycles.size, tau_s, std, given=given),
     )
 
 
-def _refusal(setup: _Setup, n_cycles: int, n_terms: int) -> WorkCharacteristic:
-    """Answer a record with too little in it by a code, not by numbers."""
-    nan = float("nan")
+def _residual_std(setup: _Setup, trio: _Trio) -> float:
+    mean_flow = np.mean(_flow(setup)[setup.scored])
+    return float(np.sqrt(np.mean(trio.mean.residual**2)) / mean_flow)
+
+
+def _withheld(setup: _Setup, n_cycles: int, std: float, state: FitState) -> WorkCharacteristic:
+    """Answer a record that does not hold τ by a code, not by numbers."""
+    nan, n_terms = math.nan, len(setup.breakpoints) + 2
     return WorkCharacteristic(
         nan,
         nan,
@@ -457,9 +464,9 @@ def _refusal(setup: _Setup, n_cycles: int, n_terms: int) -> WorkCharacteristic:
         (nan, nan),
         int(np.count_nonzero(setup.scored)),
         n_cycles,
-        nan,
-        FitState.TOO_FEW_ROWS,
-        _entry(setup, n_cycles, nan, nan, given=False),
+        std,
+        state,
+        _entry(setup, n_cycles, nan, std, given=False),
     )
 
 

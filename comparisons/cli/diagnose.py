@@ -3,33 +3,41 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.progress import shown_over, shown_steps
+from comparisons.cli.shared import (
+    Commands,
+    add_series,
+    add_targets,
+    check_files,
+    command_line,
+    read_records,
+    whole,
+    write_all,
+)
 from surge_core.errors import InputError
+from surge_core.files import to_strict_json
+from surge_core.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.where import Where
 
-__all__ = ["add_diagnose_parser", "run_diagnose"]
+__all__ = ["add_parser", "run"]
 
-HIGHEST_DEGREE = 8
-DEFAULT_DEGREE = 2
+HIGHEST_DEGREE, DEFAULT_DEGREE = 8, 2
+# More is no missing effect any more but another model.
 MOST_EFFECTS = 3
-# With --model; `comparisons.missing_effect.systems.script` says the same of scripts.
-MOST_MODEL_EFFECTS = 6
+DEFAULT_MODEL_EFFECTS, MOST_MODEL_EFFECTS = 4, 6
+# Options that only the compressor's diagnosis knows.
+COMPRESSOR_OPTIONS = ("degree", "base", "limits", "separate", "save")
 
-_Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-
-def add_diagnose_parser(commands: _Commands) -> None:
-    """Add the sub-command.
+def add_parser(commands: Commands) -> None:
+    """Add the command.
 
     Parameters
     ----------
@@ -41,37 +49,23 @@ def add_diagnose_parser(commands: _Commands) -> None:
         help="find where a model and the records part, and name what is missing",
         description="Fit the lag model, find where its free run and the measurement part, name the "
         "physical effect that is missing, add it, and show on rows that were held out how far the "
-        "gap shrinks; or say that nothing is missing, that names cannot be told apart, or that "
-        "something is there without a name. Several records tell more than one: the last is never "
+        "gap shrinks; or say that nothing is missing, that several names fit alike, or that "
+        "something is there without a name. Several records show more than one: the last is never "
         "fitted. With --model the same is asked of a simulation model of your own, of any system: "
         "the file is executed, the records of --fit are fitted, and those of --check are only "
         "simulated.",
     )
+    add_series(parser, nargs="*")
     add = parser.add_argument
-    add("series", type=Path, nargs="*", metavar="SERIES", help="series (.csv or .nc)")
     add("--model", type=Path, metavar="model.py", help="your own model, a Python file; executed")
-    add(
-        "--fit",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="RECORD",
-        help="records for --model (.csv, .mat, .npz, .nc) that are fitted",
-    )
-    add(
-        "--check",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="RECORD",
-        help="records for --model that are only simulated",
-    )
-    add("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
-    add("--report", type=Path, metavar="FILE.html", help="write the report")
+    record: dict[str, Any] = {"type": Path, "nargs": "+", "default": [], "metavar": "RECORD"}
+    add("--fit", help="records for --model (.csv, .mat, .npz, .nc) that are fitted", **record)
+    add("--check", help="records for --model that are only simulated", **record)
+    add_targets(parser, "json", "report")
     add("--save", type=Path, metavar="MODEL", help="save the model with what was added")
     add(
         "--degree",
-        type=_whole(1, HIGHEST_DEGREE),
+        type=whole(1, HIGHEST_DEGREE),
         metavar="N",
         help=f"degree of the base characteristic (default: {DEFAULT_DEGREE})",
     )
@@ -90,75 +84,42 @@ def add_diagnose_parser(commands: _Commands) -> None:
     add(
         "--separate",
         action="store_true",
-        help="say which further measurement would tell the names of an alias set apart",
+        help="say which further measurement would separate the names of an alias set",
     )
     add(
         "--max-effects",
-        type=_whole(1, MOST_MODEL_EFFECTS),
+        type=whole(1, MOST_MODEL_EFFECTS),
         metavar="N",
-        help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model 4, "
-        f"at most {MOST_MODEL_EFFECTS})",
+        help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model "
+        f"{DEFAULT_MODEL_EFFECTS}, at most {MOST_MODEL_EFFECTS})",
     )
-    parser.set_defaults(run=run_diagnose, refuse=parser.error)
+    parser.set_defaults(run=run)
 
 
-def run_diagnose(arguments: argparse.Namespace) -> None:
-    """Run the command.
+def run(arguments: argparse.Namespace) -> None:
+    """Diagnose series of a compressor, or the records of a user's own model.
 
     Parameters
     ----------
     arguments : argparse.Namespace
-        What the parser of :func:`add_diagnose_parser` gave.
+        Of the command.
 
     Raises
     ------
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
-    from comparisons.cli.diagnose_model import check_ways, run_model_diagnosis
-
-    check_ways(arguments)
-    if arguments.model is not None:
-        run_model_diagnosis(arguments)
-        return
-    if (arguments.max_effects or 0) > MOST_EFFECTS:
-        arguments.refuse(
-            f"argument --max-effects: expected a whole number from 1 to {MOST_EFFECTS}: "
-            f"'{arguments.max_effects}'"
-        )
-    _run_lag_diagnosis(arguments)
-
-
-def _run_lag_diagnosis(arguments: argparse.Namespace) -> None:
-    from classic_ml.readers.series_files import read_series
-    from comparisons.harness.rows import check_once
-    from comparisons.missing_effect.terminal import diagnosis_text
-    from surge_core.files import write_whole
-
-    _check(arguments)
-    steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
-    with shown_steps(steps) as begin:
-        begin("reading")
-        records = [read_series(path) for path in arguments.series]
-        # The last record is held out whole: its double would be fitted.
-        check_once(records)
-        told = _diagnosed(arguments, records, begin)
-        begin("writing")
-        contents = _contents(arguments, told)
-        written = [(label, str(path)) for label, path, _ in contents]
-        for _, path, content in contents:
-            write_whole(path, content)
-        if arguments.save:
-            written.append(("model", _saved(told.diagnosis, arguments.save)))
-    text = diagnosis_text(
-        told.diagnosis, told.before, limits=told.limits, separation=told.separation
-    )
-    sys.stdout.write("\n".join([text, *told.remarks, "", *(f"{a}: {b}" for a, b in written)]))
-    sys.stdout.write("\n" if written else "")
+    if arguments.model is None:
+        _check_compressor(arguments)
+        lines = _compressor(arguments)
+    else:
+        _check_model(arguments)
+        lines = _model(arguments)
+    print("\n".join(lines))
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Found:
     """All that one run of the command found."""
 
     diagnosis: Diagnosis
@@ -170,30 +131,60 @@ class _Told:
     remarks: tuple[str, ...]
 
 
-def _diagnosed(
-    arguments: argparse.Namespace,
-    records: Sequence[CoefficientSeries],
-    begin: Callable[[str], None],
-) -> _Told:
+def _compressor(arguments: argparse.Namespace) -> list[str]:
+    """Diagnose series and return what is printed."""
+    from comparisons.missing_effect.document import diagnosis_document
+    from comparisons.missing_effect.terminal import diagnosis_text
+    from comparisons.show.diagnose_report import diagnosis_report
+
+    steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
+    with shown_steps(steps) as begin:
+        found = _diagnosed(arguments, begin)
+        more = {"limits": found.limits, "separation": found.separation}
+        begin("writing")
+
+        def document() -> str:
+            return to_strict_json(
+                diagnosis_document(
+                    found.diagnosis, found.before, found.limits, found.separation, base=found.base
+                )
+            )
+
+        def page() -> str:
+            ends = found.before, found.after
+            return diagnosis_report(found.diagnosis, *ends, **more, command=command_line())
+
+        written = write_all(
+            [("numbers", arguments.json, document), ("report", arguments.report, page)]
+        )
+        if arguments.save:
+            written.append(f"model: {_saved(found.diagnosis, arguments.save)}")
+    text = diagnosis_text(found.diagnosis, found.before, **more)
+    return [text, *found.remarks, *([""] if written else []), *written]
+
+
+def _diagnosed(arguments: argparse.Namespace, begin: Callable[[str], None]) -> _Found:
     from comparisons.missing_effect import diagnose
 
-    remarks = []
-    terms = None
-    degree = DEFAULT_DEGREE if arguments.degree is None else arguments.degree
+    begin("reading")
+    # Each once: the last record is held out whole, and its double would be fitted.
+    records = read_records(arguments.series)
+    remarks, terms = [], None
+    degree = arguments.degree or DEFAULT_DEGREE
     base: dict[str, Any] = {"source": "polynomial", "degree": degree}
     if arguments.base == "sindy":
         from comparisons.missing_effect.base_terms import discovered_terms
 
         begin("discovering terms")
-        found = discovered_terms(records)
-        terms = found.terms
-        base = {"source": "sindy", "dropped": list(found.dropped)}
-        if found.dropped:
-            names = ", ".join(found.dropped)
+        discovered = discovered_terms(records)
+        terms = discovered.terms
+        base = {"source": "sindy", "dropped": list(discovered.dropped)}
+        if discovered.dropped:
+            names = ", ".join(discovered.dropped)
             remarks.append(f"Left out of the base, since their form is not known here: {names}.")
     begin("trying effects")
-    most_effects = arguments.max_effects or MOST_EFFECTS
-    d = diagnose(records, degree, terms=terms, most_effects=most_effects)
+    most = arguments.max_effects or MOST_EFFECTS
+    d = diagnose(records, degree, terms=terms, most_effects=most)
     begin("looking where")
     before, why = _where(d, d.before)
     after, _ = _where(d, d.after) if d.missing else (before, "")
@@ -204,19 +195,18 @@ def _diagnosed(
         from comparisons.missing_effect.limits import planted_limits
 
         begin("planting effects")
-        limits = planted_limits(
-            d, progress=lambda rows: shown_over(rows, unit="effect", total=len(CATALOGUE))
-        )
+        n = len(CATALOGUE)
+        limits = planted_limits(d, progress=lambda r: shown_over(r, unit="effect", total=n))
     if arguments.separate:
         from comparisons.missing_effect.separate import separating_measurements
 
         begin("simulating measurements")
         separation = separating_measurements(d)
-    return _Told(d, before, after, limits, separation, base, tuple(remarks))
+    return _Found(d, before, after, limits, separation, base, tuple(remarks))
 
 
 def _where(d: Diagnosis, fit: Any) -> tuple[Where | None, str]:
-    """Return where a residual stands out, or why that cannot be told."""
+    """Return where a residual stands out, or why that is not known."""
     from comparisons.missing_effect.shown import where_of
 
     try:
@@ -225,72 +215,90 @@ def _where(d: Diagnosis, fit: Any) -> tuple[Where | None, str]:
         return None, str(error)
 
 
-def _contents(arguments: argparse.Namespace, told: _Told) -> list[tuple[str, Path, str]]:
-    """Make all that is written before anything is."""
-    from comparisons.missing_effect.document import diagnosis_document
-    from comparisons.show.json_output import to_strict_json
-
-    out = []
-    if arguments.json:
-        document = diagnosis_document(
-            told.diagnosis, told.before, told.limits, told.separation, base=told.base
-        )
-        out.append(("numbers", arguments.json, to_strict_json(document)))
-    if arguments.report:
-        from comparisons.show.diagnose_report import diagnosis_report
-
-        page = diagnosis_report(
-            told.diagnosis,
-            told.before,
-            told.after,
-            limits=told.limits,
-            separation=told.separation,
-            command=" ".join(["sindy-surge", *sys.argv[1:]]),
-        )
-        out.append(("report", arguments.report, page))
-    return out
-
-
 def _saved(d: Diagnosis, path: Path) -> str:
     """Save the model after; a verdict of which none can be made is no error of the user's."""
     from comparisons.missing_effect.extended_file import save_extended
-    from comparisons.missing_effect.extended_lag import ExtendedLag
+    from comparisons.missing_effect.extended_refit import value_of
 
     try:
-        model = ExtendedLag.from_fit(d)
+        model = value_of(d)
     except InputError as error:
         return f"not saved: {error}"
     save_extended({model.estimator: model}, path)
     return str(path)
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    """Refuse, before any work is done, options that contradict and targets that cannot be."""
-    from classic_ml.readers.series_files import ledger_path
-    from surge_core.files import check_apart, check_target
+def _model(arguments: argparse.Namespace) -> list[str]:
+    """Diagnose a user's own model, whose file is executed, and return what is printed."""
+    from comparisons.missing_effect.systems.diagnosis import diagnose_model
+    from comparisons.missing_effect.systems.files import load_model, read_experiment
+    from comparisons.missing_effect.systems.script import contents_of, steps_of
+    from comparisons.missing_effect.systems.terminal import system_text
+    from surge_core.files import write_whole
 
+    most = arguments.max_effects or DEFAULT_MODEL_EFFECTS
+    with shown_steps(steps_of(most) + 2) as begin:
+        begin("reading")
+        model = load_model(arguments.model)
+        fit = [read_experiment(path, model) for path in arguments.fit]
+        check = [read_experiment(path, model) for path in arguments.check]
+        found = diagnose_model(model, fit, check, most_effects=most, progress=begin)
+        begin("writing")
+        contents = contents_of(
+            {model.name: found}, command_line(), arguments.json, arguments.report
+        )
+        for _, path, content in contents:
+            write_whole(path, content)
+    written = [f"{label}: {path}" for label, path, _ in contents]
+    return [system_text(found), *([""] if written else []), *written]
+
+
+def _check_compressor(arguments: argparse.Namespace) -> None:
+    for option in ("fit", "check"):
+        if getattr(arguments, option):
+            raise InputError(f"--{option}", expected="a --model that it is for", found="no --model")
+    if not arguments.series:
+        raise InputError(
+            "diagnose",
+            expected="SERIES of a compressor, or --model model.py --fit RECORD…",
+            found="neither",
+        )
     if arguments.base == "sindy" and arguments.degree is not None:
         raise InputError(
             "--degree",
             expected="no degree with --base sindy, which finds the terms itself",
             found=f"{arguments.degree}",
         )
-    outputs = [path for path in (arguments.json, arguments.report, arguments.save) if path]
-    for path in outputs:
-        check_target(path, (".html", ".htm") if path is arguments.report else ())
-    check_apart([*arguments.series, *map(ledger_path, arguments.series)], outputs)
+    if (arguments.max_effects or 0) > MOST_EFFECTS:
+        raise InputError(
+            "--max-effects",
+            expected=f"a whole number from 1 to {MOST_EFFECTS}",
+            found=f"{arguments.max_effects}",
+        )
+    targets = {name: getattr(arguments, name) for name in ("json", "report", "save")}
+    check_files(arguments.series, **targets)
 
 
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"expected a whole number from {low} to {high}: '{text}'"
+def _check_model(arguments: argparse.Namespace) -> None:
+    if arguments.series:
+        raise InputError(
+            str(arguments.series[0]),
+            expected="records after --fit or --check with --model",
+            found="a record without an option",
+        )
+    for option in COMPRESSOR_OPTIONS:
+        if getattr(arguments, option):
+            raise InputError(
+                f"--{option}",
+                expected="no option of the compressor's diagnosis with --model",
+                found=f"--{option}",
             )
-        return value
-
-    return read
+    if not arguments.fit:
+        raise InputError("--fit", expected="at least one record with --model", found="none")
+    records = [*arguments.fit, *arguments.check]
+    resolved = [path.resolve() for path in records]
+    for number, path in enumerate(resolved):
+        if path in resolved[:number]:
+            # A check record that is fitted checks nothing.
+            raise InputError(str(records[number]), expected="each record once", found="twice")
+    check_files([arguments.model, *records], json=arguments.json, report=arguments.report)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from comparisons.cli.reduction_options import (
@@ -20,15 +20,9 @@ from comparisons.cli.reduction_options import (
 )
 
 if TYPE_CHECKING:
-    from classic_ml.readers import TestDescription
-    from classic_ml.reduction import ReductionSettings
-    from comparisons.live.display import Screen
-    from comparisons.live.ending import Result
-    from comparisons.live.feed import Feed
-    from comparisons.live.rows import Decoder, Tally
-    from comparisons.live.running_estimate import Estimator
+    from comparisons.live.feeds import Feed
+    from comparisons.live.pieces import Result
     from comparisons.live.session import Session
-    from comparisons.live.state import Event
 
 __all__ = ["add_live_parser"]
 
@@ -36,23 +30,20 @@ SERIES = (".csv", ".nc", ".nc4", ".netcdf")
 _BEHAVIOUR = """\
 While it runs, the operating point comes from pressures behind a causal low-pass (48 Hz, about 7 ms
 late) and is one row late; it is matched at near stall once the interval [near_stall] of test.toml
-has passed, and says so. Surge is told when the filtered flow at plane 25 has run backwards for
+has passed, and says so. Surge is reported when the filtered flow at plane 25 has run backwards for
 3 ms, some 12 ms after the machine itself on the simulated rig; a cycle when P31 has risen by 15 %
-of its mean behind its trough. The time constant is that of `reduce` and `compare` over the rows so
-far, made anew behind every cycle in a process of its own, and provisional.
+of its mean behind its trough. The time constant is that of `reduce` and `compare` over the last
+half minute, estimated again behind every cycle, and provisional.
 
-A feed may fall silent or break. Rows that were had already are dropped, rows out of order are put
-in order, what is no row is counted and left out. Where rows are missing the record goes on as a new
-piece, which is reduced by itself; one without a near-stall reading is matched by that of the piece
-before it, and its ledger says so. `reduce` does the same with the test.toml that lies beside its
-raw record (--raw), where the table [near_stall_shifts] holds the match. Whoever else connects to a
-socket is heard aside, and takes the place of a sender that has closed its connection, or has been
-silent for 5 s, with a header of this test alone.
+A feed may fall silent or break. Rows whose clock was had are dropped, what is no row is counted and
+left out. Where rows are missing the record goes on as a new piece, which is reduced by itself; one
+without a near-stall reading is matched by that of the piece before it, and its ledger says so.
+`reduce` does the same with the test.toml that lies beside its raw record (--raw), where the table
+[near_stall_shifts] holds the match.
 
 The run ends with the input, with the end mark of the format, after --timeout, or with Ctrl-C or
 SIGTERM; then the rows are reduced as `reduce` would with the same options. They are on disk all the
-time: after a crash, reduce that file; for a piece behind a gap copy the shifts that the ledger of
-the first one tells into [near_stall_shifts]."""
+time: after a crash, reduce that file."""
 
 
 def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -77,7 +68,7 @@ def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser
         type=_address,
         metavar="[HOST:]PORT",
         help="wait for a sender here, and again when it is gone (default host: 127.0.0.1; "
-        "whoever can reach another address can send)",
+        "on another address any machine that reaches it can send)",
     )
     source.add_argument(
         "--connect", type=_address, metavar="[HOST:]PORT", help="connect to a server that sends"
@@ -93,22 +84,11 @@ def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser
     )
     parser.add_argument("--raw", type=Path, metavar="FILE.csv", help="keep the raw record here")
     parser.add_argument(
-        "--format", choices=("csv", "binary"), default="csv", help="of the feed (default: csv)"
-    )
-    parser.add_argument(
         "--timeout",
         type=_seconds,
         default=math.inf,
         metavar="S",
         help="end the run after so long without a row (default: wait)",
-    )
-    parser.add_argument(
-        "--budget",
-        type=_milliseconds,
-        default=200.0,
-        metavar="MS",
-        help="from a row's arrival to its display (default: 200); where that cannot be kept, "
-        "updates of the display are skipped, never rows",
     )
     parser.add_argument(
         "--page", type=_port, metavar="PORT", help="show a page on 127.0.0.1 (0: any free port)"
@@ -117,7 +97,7 @@ def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser
         parser.add_argument_group(
             "options of `reduce`",
             "for the running estimate and for the series at the end; the state that is shown "
-            "during the run is told by test.toml alone",
+            "during the run follows test.toml alone",
         )
     )
     parser.add_argument("--no-estimate", action="store_true", help="without a running estimate")
@@ -126,55 +106,54 @@ def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser
 
 
 class _WithFormats(argparse.RawDescriptionHelpFormatter):
-    """Tell the formats of the feed below the options; they are put together only for that."""
+    """Show the format of the feed below the options; it is loaded only for that."""
 
     def format_help(self) -> str:
-        from comparisons.live.frames import FRAME_FORMAT
-        from comparisons.live.text_lines import TEXT_FORMAT
+        from comparisons.live.lines import TEXT_FORMAT
 
-        return f"{super().format_help()}\n{_BEHAVIOUR}\n\n{TEXT_FORMAT}\n\n{FRAME_FORMAT}\n"
+        return f"{super().format_help()}\n{_BEHAVIOUR}\n\n{TEXT_FORMAT}\n"
 
 
 def _run(arguments: argparse.Namespace) -> None:
     from classic_ml.readers import read_test_description
-    from comparisons.live.display import Display
-    from comparisons.live.ending import reduce_pieces
-    from comparisons.live.latency import LatencyMeter
+    from comparisons.live.monitor import Monitor
+    from comparisons.live.page import Page
+    from comparisons.live.pieces import Pieces, reduce_pieces
     from comparisons.live.session import Session
-    from comparisons.live.session_parts import SessionParts
+    from comparisons.live.terminal import Terminal
 
     out, raw = _targets(arguments)
     test = read_test_description(arguments.test)
     with options_named():
         settings = reduction_settings(arguments)
-    with ExitStack() as begun:
-        # What is begun is ended where the rest cannot begin; a session ends it itself.
-        estimator = _estimator(arguments, test, settings)
-        begun.callback(estimator.close)
-        feed = _feed(arguments)
-        begun.callback(feed.close)
-        screens, tell = _screens(arguments)
-        meter = LatencyMeter(1e-3 * arguments.budget)
-        display = Display(screens, meter)
-        begun.pop_all()
-    decoder = _decoder(arguments.format)
-    session = Session(
-        SessionParts(test, feed, decoder, raw, estimator, display, meter, tell, arguments.timeout)
-    )
-    try:
-        _say_where(session, screens)
+    with TemporaryDirectory() as scratch, ExitStack() as ends:
+        monitor = Monitor(test, settings, Path(scratch), estimates=not arguments.no_estimate)
+        terminal = None if arguments.quiet else Terminal(sys.stdout)
+        page = None if arguments.page is None else Page(arguments.page)
+        screens = [screen for screen in (page, terminal) if screen is not None]
+        for screen in screens:
+            ends.callback(screen.close)
+        session = Session(
+            test,
+            _feed(arguments),
+            Pieces(raw),
+            monitor,
+            screens,
+            terminal.tell if terminal is not None else lambda event: None,
+            arguments.timeout,
+        )
+        if page is not None:
+            session.say("page", page.address)
         with _stopped_by_signals(session):
             session.run()
-        session.show("reducing")
         with options_named():
-            results = reduce_pieces(session, arguments.test, out, settings)
-        session.sum_up()
+            results = reduce_pieces(
+                session.pieces.pieces, arguments.test, out, settings, session.entry()
+            )
         session.show("done")
-    finally:
-        display.close()
     _print_results(results, arguments.quiet)
     if arguments.raw is None and all(result.error is None for result in results):
-        session.discard()
+        session.pieces.discard()
     elif not arguments.quiet:
         for result in results:
             described = f" with {result.piece.test}" if result.piece.test else ""
@@ -202,61 +181,14 @@ def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
     return out, raw
 
 
-def _screens(arguments: argparse.Namespace) -> tuple[list[Screen], Callable[[Event], None]]:
-    """Return what shows the states, and what takes the events."""
-    from comparisons.live.page import Page
-    from comparisons.live.terminal import EventLines, TerminalScreen
-
-    screens: list[Screen] = [] if arguments.page is None else [Page(arguments.page)]
-    if arguments.quiet:
-        return screens, lambda event: None
-    if sys.stdout.isatty() and os.environ.get("TERM") != "dumb":
-        return [*screens, TerminalScreen(sys.stdout)], lambda event: None
-    lines = EventLines(sys.stdout)
-    return [*screens, lines], lines.tell
-
-
-def _say_where(session: Session, screens: list[Screen]) -> None:
-    from comparisons.live.page import Page
-
-    for screen in screens:
-        if isinstance(screen, Page):
-            session.say("page", screen.address)
-
-
 def _feed(arguments: argparse.Namespace) -> Feed:
-    from comparisons.live.feed import PipeFeed
-    from comparisons.live.sockets import CallingFeed, ListeningFeed
+    from comparisons.live.feeds import calling, listening, piped
 
-    if arguments.listen is not None:
-        return ListeningFeed.on_address(*arguments.listen)
     if arguments.connect is not None:
-        return CallingFeed(*arguments.connect)
-    if arguments.unix is not None:
-        return ListeningFeed.on_path(arguments.unix)
-    return PipeFeed(sys.stdin.fileno())
-
-
-def _decoder(name: str) -> Callable[[Tally], Decoder]:
-    from comparisons.live.frames import FrameDecoder
-    from comparisons.live.text_lines import TextDecoder
-
-    return TextDecoder if name == "csv" else FrameDecoder
-
-
-def _estimator(
-    arguments: argparse.Namespace, test: TestDescription, settings: ReductionSettings
-) -> Estimator:
-    """Return the running estimate, once all that takes time to load is loaded."""
-    from comparisons.live.columns import described_columns
-    from comparisons.live.monitor import warm_up
-    from comparisons.live.running_estimate import NoEstimate, RunningEstimate
-
-    columns = described_columns(test)
-    estimator = NoEstimate() if arguments.no_estimate else RunningEstimate(columns, settings)
-    warm_up(test)
-    estimator.begin()
-    return estimator
+        return calling(*arguments.connect)
+    if arguments.listen is not None or arguments.unix is not None:
+        return listening(arguments.listen or arguments.unix)
+    return piped(sys.stdin.fileno())
 
 
 @contextmanager
@@ -277,22 +209,22 @@ def _stopped_by_signals(session: Session) -> Iterator[None]:
 
 
 def _print_results(results: list[Result], quiet: bool) -> None:
-    from comparisons.cli.commands import print_reduction
+    from comparisons.cli.reduce import print_reduction
 
+    if quiet:
+        return
     for result in results:
-        piece = result.piece
-        if len(results) > 1 and not quiet:
-            print(f"piece {piece.number}, {piece.from_s:.3f} to {piece.to_s:.3f} s:")
+        if len(results) > 1:
+            print(f"piece {result.piece.number}, {result.piece.n_rows} rows:")
         if result.reduction is None:
-            if not quiet:
-                print(f"not reduced: {result.error}")
-        elif not quiet:
+            print(f"not reduced: {result.error}")
+        else:
             print_reduction(result.reduction)
             print(f"series: {result.series}")
 
 
 def _address(text: str) -> tuple[str, int]:
-    from comparisons.live.sockets import parse_address
+    from comparisons.live.feeds import parse_address
 
     try:
         return parse_address(text)
@@ -305,18 +237,10 @@ def _port(text: str) -> int:
 
 
 def _seconds(text: str) -> float:
-    return _positive(text, "seconds")
-
-
-def _milliseconds(text: str) -> float:
-    return _positive(text, "milliseconds")
-
-
-def _positive(text: str, unit: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"expected {unit} above 0, found {text!r}")
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, found {text!r}")
     return value

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from classic_ml.order_selection import OrderTable
+from comparisons.cli.shared import (
+    Commands,
+    add_series,
+    add_targets,
+    check_files,
+    read_records,
+    whole,
+    write_all,
+)
+from surge_core.files import to_strict_json
+from surge_core.progress import shown_over
 
-__all__ = ["ORDERS_SCHEMA", "add_orders_parser", "orders_document", "orders_text"]
+if TYPE_CHECKING:
+    from classic_ml.orders import OrderTable
+
+__all__ = ["ORDERS_SCHEMA", "add_parser", "orders_document", "orders_text", "run"]
 
 ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
 
 
-def add_orders_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the sub-command.
+def add_parser(commands: Commands) -> None:
+    """Add the command.
 
     Parameters
     ----------
@@ -31,15 +42,21 @@ def add_orders_parser(commands: argparse._SubParsersAction[argparse.ArgumentPars
         "whole-sample lag of φ and degree of the characteristic to the rows of a series, and rank "
         "them by BIC and by the later cycles.",
     )
-    parser.add_argument("series", type=Path, nargs="+", metavar="SERIES", help="series files")
-    parser.add_argument(
-        "--degrees", type=int, nargs="+", default=[1, 2, 3], metavar="N", help="(default: 1 2 3)"
-    )
-    parser.add_argument(
-        "--lags", type=int, nargs="+", default=[0, 1, 2], metavar="K", help="(default: 0 1 2)"
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all rows as JSON")
-    parser.set_defaults(run=_run)
+    add_series(parser)
+    for option, metavar, highest, default in (
+        ("--degrees", "N", 12, [1, 2, 3]),
+        ("--lags", "K", 10_000, [0, 1, 2]),
+    ):
+        parser.add_argument(
+            option,
+            type=whole(0, highest),
+            nargs="+",
+            default=default,
+            metavar=metavar,
+            help=f"(default: {' '.join(map(str, default))})",
+        )
+    add_targets(parser, "json")
+    parser.set_defaults(run=run)
 
 
 def orders_text(table: OrderTable) -> str:
@@ -48,7 +65,7 @@ def orders_text(table: OrderTable) -> str:
     Parameters
     ----------
     table : OrderTable
-        From :func:`classic_ml.order_selection.select_order`.
+        From :func:`classic_ml.orders.select_order`.
     """
     from surge_core.rounding import round_to_error
 
@@ -88,21 +105,19 @@ def orders_document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
     }
 
 
-def _run(arguments: argparse.Namespace) -> None:
-    from classic_ml.order_selection import select_order
-    from classic_ml.readers.series_files import read_series
-    from comparisons.harness.rows import check_once, stack_rows
-    from comparisons.show.json_output import to_strict_json
-    from surge_core.files import check_apart, check_target, write_whole
+def run(arguments: argparse.Namespace) -> None:
+    """Fit every combination and rank them.
 
-    if arguments.json:
-        check_target(arguments.json, ())
-        check_apart(arguments.series, [arguments.json])
-    from comparisons.cli.progress import shown_over
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    """
+    from classic_ml.orders import select_order
+    from comparisons.harness.rows import stack_rows
 
-    records = [read_series(path) for path in arguments.series]
-    check_once(records)
-    rows = stack_rows(records)
+    check_files(arguments.series, json=arguments.json)
+    rows = stack_rows(read_records(arguments.series))
     table = select_order(
         rows.X,
         rows.measured,
@@ -110,10 +125,11 @@ def _run(arguments: argparse.Namespace) -> None:
         sample_period_s=rows.sample_period_s,
         input_lags=tuple(arguments.lags),
         degrees=tuple(arguments.degrees),
-        progress=lambda candidates: shown_over(candidates, unit="model"),
+        progress=lambda candidates: shown_over(candidates, unit="model", words="fitting"),
     )
-    print(orders_text(table))
-    if arguments.json:
-        document = orders_document(table, [str(path) for path in arguments.series])
-        write_whole(arguments.json, to_strict_json(document))
-        print(f"numbers: {arguments.json}")
+    sources = [str(path) for path in arguments.series]
+    written = write_all(
+        [("numbers", arguments.json, lambda: to_strict_json(orders_document(table, sources)))]
+    )
+    for line in (orders_text(table), *written):
+        print(line)

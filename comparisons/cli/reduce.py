@@ -1,36 +1,98 @@
-"""What `sindy-surge reduce` does beside the reduction: progress, and the part that is drawn."""
+"""The command `sindy-surge reduce`: raw counts to φ, ψ' and ψ."""
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from comparisons.cli.reduction_options import (
+    add_reduction_options,
+    options_named,
+    reduction_settings,
+)
+from comparisons.cli.shared import (
+    Commands,
+    add_raw,
+    check_files,
+    command_line,
+    drawing,
+    write_all,
+)
+from surge_core.files import check_target
+from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
     from classic_ml.readers import TestDescription
     from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["excerpt", "read_file", "reduce_file"]
+__all__ = ["add_parser", "print_reduction", "read_file", "reduce_file", "run"]
 
+SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
 REPORT_ROWS = 100_000
 
 
-def reduce_file(raw: Path, test_path: Path, settings: ReductionSettings) -> Reduction:
-    """Reduce a raw record, and show how far it is on a terminal.
+def add_parser(commands: Commands) -> None:
+    """Add the command.
 
     Parameters
     ----------
-    raw, test_path : path
+    commands : argparse sub-parsers
+        Those of `sindy-surge`.
+    """
+    parser = commands.add_parser(
+        "reduce",
+        help="raw counts to φ, ψ' and ψ",
+        description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ "
+        "and the intervals to be fitted.",
+    )
+    add_raw(parser)
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
+    )
+    add_reduction_options(parser)
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help=f"report of the reduction; its pictures show at most {REPORT_ROWS} rows",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Reduce a raw record to a series file.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    """
+    from classic_ml.readers.series_files import write_series
+
+    check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
+    check_target(arguments.out, SERIES_SUFFIXES)
+    with options_named():
+        reduction = reduce_file(arguments.raw, arguments.test, reduction_settings(arguments))
+    write_series(reduction.series, arguments.out)
+    written = write_all([("report", arguments.report, lambda: _page(reduction))])
+    print_reduction(reduction)
+    for line in (f"series: {arguments.out}", *written):
+        print(line)
+
+
+def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction:
+    """Read and reduce a raw record, and show how far that is on a terminal.
+
+    Parameters
+    ----------
+    raw, test : path
         The record and its test.toml.
     settings : ReductionSettings
         The switches.
-
-    Returns
-    -------
-    Reduction
-        Without the readings of the single probes.
 
     Raises
     ------
@@ -38,27 +100,19 @@ def reduce_file(raw: Path, test_path: Path, settings: ReductionSettings) -> Redu
         When the record cannot be used.
     """
     from classic_ml.reduction import STEPS, reduce_record
-    from comparisons.cli.progress import shown_count
 
-    record, test = read_file(raw, test_path)
+    record, description = read_file(raw, test)
     with shown_count("reducing", unit="step", total=STEPS) as done:
-        return reduce_record(record, test, settings, keep_probes=False, progress=done)
+        return reduce_record(record, description, settings, keep_probes=False, progress=done)
 
 
-def read_file(raw: Path, test_path: Path) -> tuple[Record, TestDescription]:
-    """Read a raw record, and show how far it is on a terminal.
+def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
+    """Read a raw record, and show how far that is on a terminal.
 
     Parameters
     ----------
-    raw, test_path : path
+    raw, test : path
         As :func:`reduce_file` takes them.
-
-    Returns
-    -------
-    Record
-        The record.
-    TestDescription
-        Its test.
 
     Raises
     ------
@@ -66,27 +120,42 @@ def read_file(raw: Path, test_path: Path) -> tuple[Record, TestDescription]:
         When it cannot be read.
     """
     from classic_ml.readers import read_raw
-    from comparisons.cli.progress import shown_count
 
-    with shown_count("reading", unit="row", total=None) as read:
-        return read_raw(raw, test_path, progress=read)
+    with shown_count("reading", unit="row") as read:
+        return read_raw(raw, test, progress=read)
 
 
-def excerpt(reduction: Reduction) -> tuple[Reduction, str]:
-    """Return what of a long record is drawn: the beginning of its window, and before.
+def print_reduction(reduction: Reduction) -> None:
+    """Print the ledger of a reduction.
 
     Parameters
     ----------
     reduction : Reduction
         A reduced record.
-
-    Returns
-    -------
-    Reduction
-        The same of at most ``REPORT_ROWS`` rows; its ledger and its window are those of the whole.
-    str
-        Which part of the record it is, empty for the whole.
     """
+    for entry in reduction.record.history:
+        print(f"{entry.step}: {entry.did}")
+        for dropped in entry.dropped:
+            print(f"  left out {dropped.what} ({dropped.count}): {dropped.why}")
+        for flag in entry.flags:
+            print(f"  note: {flag}")
+
+
+def _page(reduction: Reduction) -> str:
+    from comparisons.show.report import ReportSection, render_report
+
+    drawn, part = _excerpt(reduction)
+    name = reduction.test.name
+    return render_report(
+        [ReportSection(title=f"{name}{part}", reduction=drawn)],
+        title=f"Reduction of {name}",
+        command=command_line(),
+        progress=drawing,
+    )
+
+
+def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
+    """Return what of a long record is drawn, the beginning of its window, and which part it is."""
     record, series = reduction.record, reduction.series
     if record.n_samples <= REPORT_ROWS:
         return reduction, ""
@@ -95,9 +164,5 @@ def excerpt(reduction: Reduction) -> tuple[Reduction, str]:
     rows = slice(start, start + REPORT_ROWS)
     part = record.part(rows)
     columns = {name: values[rows] for name, values in series.columns().items()}
-    words = f"{part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"
-    return replace(
-        reduction,
-        record=part,
-        series=replace(series, **columns),  # type: ignore[arg-type]
-    ), words
+    shown = replace(reduction, record=part, series=replace(series, **columns))  # type: ignore[arg-type]
+    return shown, f", {part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"

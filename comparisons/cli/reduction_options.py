@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from comparisons.cli.shared import number, whole
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
@@ -14,16 +15,74 @@ if TYPE_CHECKING:
 
 __all__ = ["add_reduction_options", "options_named", "reduction_settings"]
 
-OPTIONS = {
-    "filter_order": "--filter-order",
-    "cutoff_hz": "--cutoff",
-    "phase": "--phase",
-    "probes": "--probes",
-    "work_form": "--work-form",
-    "threshold_lbm_s": "--threshold",
-    "hysteresis_lbm_s": "--hysteresis",
-    "window_s": "--window",
-}
+# Option, the field of the settings behind it, and what argparse has to know.
+OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    (
+        "--filter-order",
+        "filter_order",
+        {"type": whole(1, 99), "metavar": "N", "help": "Butterworth order, 3 or 5 (default: 3)"},
+    ),
+    (
+        "--cutoff",
+        "cutoff_hz",
+        {"type": number, "metavar": "HZ", "help": "filter cut-off (default: 48)"},
+    ),
+    (
+        "--phase",
+        "phase",
+        {"choices": ("zero", "causal", "none"), "help": "filter direction (default: zero)"},
+    ),
+    (
+        "--probes",
+        "probes",
+        {"choices": ("all", "tip", "hub"), "help": "probes that are averaged (default: all)"},
+    ),
+    (
+        "--invert-thermocouples",
+        "thermocouple_inversion",
+        {
+            "action": "store_const",
+            "const": True,
+            "help": "undo the lag of the thermocouples",
+        },
+    ),
+    (
+        "--work-form",
+        "work_form",
+        {
+            "choices": ("auto", "exit-flow", "mass-balance", "temperature-rise"),
+            "help": "ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
+        },
+    ),
+    (
+        "--threshold",
+        "threshold_lbm_s",
+        {
+            "type": number,
+            "metavar": "LBM_S",
+            "help": "corrected flow below which the machine is in stall (default: test.toml's)",
+        },
+    ),
+    (
+        "--hysteresis",
+        "hysteresis_lbm_s",
+        {
+            "type": number,
+            "metavar": "LBM_S",
+            "help": "half width of a band around the threshold (default: test.toml's, else 0)",
+        },
+    ),
+    (
+        "--window",
+        "window_s",
+        {
+            "type": number,
+            "nargs": 2,
+            "metavar": ("FROM_S", "TO_S"),
+            "help": "window of the quasi-steady cycles, else from test.toml, else found",
+        },
+    ),
+)
 
 
 def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
@@ -34,60 +93,8 @@ def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGr
     parser : argparse parser or group
         Where they go.
     """
-    parser.add_argument(
-        "--filter-order",
-        type=int,
-        default=None,
-        metavar="N",
-        help="Butterworth order, 3 or 5 (default: 3)",
-    )
-    parser.add_argument(
-        "--cutoff", type=float, default=None, metavar="HZ", help="filter cut-off (default: 48)"
-    )
-    parser.add_argument(
-        "--phase",
-        choices=("zero", "causal", "none"),
-        default=None,
-        help="filter direction (default: zero)",
-    )
-    parser.add_argument(
-        "--probes",
-        choices=("all", "tip", "hub"),
-        default=None,
-        help="probes that are averaged (default: all)",
-    )
-    parser.add_argument(
-        "--invert-thermocouples", action="store_true", help="undo the lag of the thermocouples"
-    )
-    parser.add_argument(
-        "--work-form",
-        choices=("auto", "exit-flow", "mass-balance", "temperature-rise"),
-        default=None,
-        help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
-    )
-    parser.add_argument(
-        "--threshold",
-        type=float,
-        default=None,
-        metavar="LBM_S",
-        help="corrected flow below which the machine is in stall (default: test.toml's, else "
-        "estimated from the record)",
-    )
-    parser.add_argument(
-        "--hysteresis",
-        type=float,
-        default=None,
-        metavar="LBM_S",
-        help="half width of a band around the threshold (default: test.toml's, else 0)",
-    )
-    parser.add_argument(
-        "--window",
-        type=float,
-        nargs=2,
-        default=None,
-        metavar=("FROM_S", "TO_S"),
-        help="window of the quasi-steady cycles, else from test.toml, else found",
-    )
+    for option, _, details in OPTIONS:
+        parser.add_argument(option, default=None, **details)
 
 
 def reduction_settings(arguments: argparse.Namespace) -> ReductionSettings:
@@ -105,18 +112,12 @@ def reduction_settings(arguments: argparse.Namespace) -> ReductionSettings:
     """
     from classic_ml.reduction import ReductionSettings
 
-    given = {
-        "filter_order": arguments.filter_order,
-        "cutoff_hz": arguments.cutoff,
-        "phase": arguments.phase,
-        "probes": arguments.probes,
-        "work_form": arguments.work_form,
-        "thermocouple_inversion": arguments.invert_thermocouples or None,
-        "threshold_lbm_s": arguments.threshold,
-        "hysteresis_lbm_s": arguments.hysteresis,
-        "window_s": tuple(arguments.window) if arguments.window else None,
-    }
-    return ReductionSettings(**{name: v for name, v in given.items() if v is not None})
+    given: dict[str, Any] = {}
+    for option, field, _ in OPTIONS:
+        value = getattr(arguments, option.removeprefix("--").replace("-", "_"))
+        if value is not None:
+            given[field] = tuple(value) if isinstance(value, list) else value
+    return ReductionSettings(**given)
 
 
 @contextmanager
@@ -126,10 +127,11 @@ def options_named() -> Iterator[None]:
         yield
     except InputError as error:
         field = error.where.replace(": ", ".").rsplit(".", 1)[-1]
-        if field not in OPTIONS:
+        named = {name: option for option, name, _ in OPTIONS}
+        if field not in named:
             raise
         # An option that is not given is what None is in Python.
         expected = error.expected.replace(", 'none' or None", "").replace(", or None", "")
         raise InputError(
-            OPTIONS[field], expected=expected, found=error.found, remedy=error.remedy
+            named[field], expected=expected, found=error.found, remedy=error.remedy
         ) from None

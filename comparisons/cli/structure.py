@@ -5,27 +5,36 @@ from __future__ import annotations
 import argparse
 import math
 import re
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
+from comparisons.cli.shared import (
+    Commands,
+    add_series,
+    add_targets,
+    check_files,
+    command_line,
+    read_records,
+    whole,
+    write_all,
+)
 from surge_core.errors import InputError
+from surge_core.files import to_strict_json
+from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
     from comparisons.harness.structure_fit import FoundStructure
 
-__all__ = ["add_structure_parser", "run_structure"]
+__all__ = ["add_parser", "run"]
 
 OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
 WORDS = ("required", "forbidden", "positive", "negative")
 
-_Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-
-def add_structure_parser(commands: _Commands) -> None:
-    """Add the sub-command.
+def add_parser(commands: Commands) -> None:
+    """Add the command.
 
     Parameters
     ----------
@@ -35,13 +44,13 @@ def add_structure_parser(commands: _Commands) -> None:
     parser = commands.add_parser(
         "structure",
         help="which terms the characteristic has, and how sure that is",
-        description="Run the sparse regression alone and tell all it knows: terms with errors and "
+        description="Run the sparse regression alone and report all it finds: terms, errors, "
         "inclusion probabilities, rivals, time constant, dead time, noise, and the structures "
         "tried. A series that carries whole unfiltered runs is fitted by one free run through "
         "them, unless --rows or an option that needs rows is given (--target psi, --degree, "
         "--knots, --constraint, --dead-time, --bootstrap).",
     )
-    parser.add_argument("series", type=Path, nargs="+", metavar="SERIES", help="series files")
+    add_series(parser)
     parser.add_argument(
         "--target",
         choices=("psi_p", "psi"),
@@ -57,19 +66,18 @@ def add_structure_parser(commands: _Commands) -> None:
     parser.add_argument("--rows", action="store_true", help="fit the rows of the segments always")
     _add_search(parser)
     parser.add_argument("--latex", action="store_true", help="print the equation as LaTeX too")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report")
+    add_targets(parser, "json", "report")
     parser.add_argument(
         "--python", type=Path, metavar="FILE", help="write the equation as Python source"
     )
-    parser.set_defaults(run=run_structure)
+    parser.set_defaults(run=run)
 
 
 def _add_search(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
         "--degree",
-        type=_whole(1, 12),
+        type=whole(1, 12),
         metavar="N",
         help="highest power in the library (default: 5)",
     )
@@ -82,7 +90,7 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--max-terms",
-        type=_whole(1, 20),
+        type=whole(1, 20),
         default=6,
         metavar="N",
         help="largest structure (default: 6)",
@@ -105,53 +113,57 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
     add("--no-psi-terms", action="store_true", help="look for no terms that hold ψ' itself")
     add(
         "--bootstrap",
-        type=_whole(0, 10000),
+        type=whole(0, 10000),
         metavar="N",
         help="resampled records for the inclusion probabilities (default: 100)",
     )
     add(
         "--seed",
-        type=_whole(0, 2**32 - 1),
+        type=whole(0, 2**32 - 1),
         default=0,
         metavar="N",
         help="seed of the resamples (default: 0)",
     )
 
 
-def run_structure(arguments: argparse.Namespace) -> None:
-    """Run the command.
+def run(arguments: argparse.Namespace) -> None:
+    """Choose the terms of the characteristic and report all that is known of them.
 
     Parameters
     ----------
     arguments : argparse.Namespace
-        What the parser of :func:`add_structure_parser` gave.
+        Of the command.
 
     Raises
     ------
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
-    from classic_ml.readers.series_files import read_series
-    from comparisons.cli.progress import shown_steps
-    from comparisons.harness.rows import check_once
-    from comparisons.show.structure_output import structure_text
-    from surge_core.files import write_whole
+    from comparisons.show.structure_output import structure_document, structure_text
+    from comparisons.show.structure_report import structure_report
 
-    _check_targets(arguments)
+    targets = {name: getattr(arguments, name) for name in ("json", "report", "python")}
+    check_files(arguments.series, **targets)
     with shown_steps(3) as begin:
         begin("reading")
-        records = [read_series(path) for path in arguments.series]
-        check_once(records)
+        records = read_records(arguments.series)
         begin("choosing terms")
         found = _found(arguments, records)
         begin("writing")
-        # All is made before anything is written.
         text = structure_text(found, latex=arguments.latex)
-        contents = _contents(arguments, found)
-        for _, path, content in contents:
-            write_whole(path, content)
-    lines = [text, *(f"{label}: {path}" for label, path, _ in contents)]
-    sys.stdout.write("\n".join(lines) + "\n")
+        written = write_all(
+            [
+                ("numbers", arguments.json, lambda: to_strict_json(structure_document(found))),
+                (
+                    "report",
+                    arguments.report,
+                    lambda: structure_report(found, command=command_line()),
+                ),
+                ("equation", arguments.python, lambda: found.equation("python")),
+            ]
+        )
+    for line in (text, *written):
+        print(line)
 
 
 def _found(arguments: argparse.Namespace, records: Sequence[CoefficientSeries]) -> FoundStructure:
@@ -180,33 +192,6 @@ def _found(arguments: argparse.Namespace, records: Sequence[CoefficientSeries]) 
             remedy="nothing was written; --rows fits the rows of the segments",
         )
     return found
-
-
-def _contents(arguments: argparse.Namespace, found: FoundStructure) -> list[tuple[str, Path, str]]:
-    from comparisons.show.json_output import to_strict_json
-    from comparisons.show.structure_output import structure_document
-    from comparisons.show.structure_report import structure_report
-
-    command = " ".join(["sindy-surge", *sys.argv[1:]])
-    contents = []
-    if arguments.json:
-        contents.append(("numbers", arguments.json, to_strict_json(structure_document(found))))
-    if arguments.report:
-        contents.append(("report", arguments.report, structure_report(found, command=command)))
-    if arguments.python:
-        contents.append(("equation", arguments.python, found.equation("python")))
-    return contents
-
-
-def _check_targets(arguments: argparse.Namespace) -> None:
-    """Refuse, before any work is done, a target that cannot or must not be written."""
-    from classic_ml.readers.series_files import ledger_path
-    from surge_core.files import check_apart, check_target
-
-    outputs = [path for path in (arguments.json, arguments.report, arguments.python) if path]
-    for path in outputs:
-        check_target(path, (".html", ".htm") if path is arguments.report else ())
-    check_apart([*arguments.series, *map(ledger_path, arguments.series)], outputs)
 
 
 def _joined(constraints: Sequence[tuple[str, str]] | None) -> dict[str, str] | None:
@@ -254,18 +239,3 @@ def _knots(text: str) -> list[float]:
     if not all(map(math.isfinite, knots)):
         raise argparse.ArgumentTypeError(f"expected values of φ, as 0.05,0.1: '{text}'")
     return knots
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"expected a whole number from {low} to {high}: '{text}'"
-            )
-        return value
-
-    return read

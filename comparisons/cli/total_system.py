@@ -49,7 +49,7 @@ def add_total_system_parser(subparsers: _Commands) -> None:
     )
     parser.add_argument(
         "--start",
-        choices=("fitted", "aligned", "multiple-shooting"),
+        choices=("multiple-shooting", "aligned", "fitted"),
         default="multiple-shooting",
         help="how the surge start is had (default: multiple-shooting)",
     )
@@ -58,7 +58,7 @@ def add_total_system_parser(subparsers: _Commands) -> None:
         type=float,
         default=1.0,
         metavar="F",
-        help="multiply the discharge volume the model is told (default: 1)",
+        help="multiply the discharge volume that the model takes (default: 1)",
     )
     parser.add_argument(
         "--start-error",
@@ -73,18 +73,6 @@ def add_total_system_parser(subparsers: _Commands) -> None:
         default=None,
         metavar="SECONDS",
         help="what a single run fits after the first reversal (default: 0.5)",
-    )
-    parser.add_argument(
-        "--also",
-        action="append",
-        choices=("reverse_loss", "throttle", "volume"),
-        default=[],
-        help="fit this too; may be given again",
-    )
-    parser.add_argument(
-        "--measured-t25",
-        action="store_true",
-        help="let the measured T25 drive the model, which pulls it towards the record",
     )
     parser.add_argument(
         "--table",
@@ -110,8 +98,6 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         When an input cannot be used; the sentence names it.
     """
     from classic_ml.readers import read_raw
-    from comparisons.cli.progress import shown_count, shown_steps
-    from comparisons.show.json_output import to_strict_json
     from comparisons.total_system import (
         TotalSystemSettings,
         facility_toml,
@@ -119,7 +105,8 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         measured_signals,
     )
     from surge_core.errors import InputError
-    from surge_core.files import check_apart, check_target, write_whole
+    from surge_core.files import check_apart, check_target, to_strict_json, write_whole
+    from surge_core.progress import shown_count, shown_steps
 
     outputs = [path for path in (arguments.json, arguments.save_facility) if path is not None]
     for path in outputs:
@@ -135,19 +122,17 @@ def run_total_system(arguments: argparse.Namespace) -> None:
             start=arguments.start,
             start_error_s=1e-3 * arguments.start_error,
             volume_factor=arguments.volume_factor,
-            fit_also=tuple(dict.fromkeys(arguments.also)),
-            measured_t25=arguments.measured_t25,
             **given,
         )
         measured = measured_signals(record, test)
         with shown_count("fitting", unit=" step") as counted:
-            fit = fit_total_system(measured, test, settings, progress=counted)
+            fit = fit_total_system(measured, settings, progress=counted)
         rows = []
         if arguments.table:
             from comparisons.total_system.sensitivity import N_ROWS, sensitivity_rows
 
-            with shown_steps(N_ROWS) as told:
-                rows = sensitivity_rows(record, test, settings, progress=told)
+            with shown_steps(N_ROWS) as shown:
+                rows = sensitivity_rows(record, test, settings, progress=shown)
     except InputError as error:
         raise _in_options(error, InputError) from None
     if arguments.save_facility:
@@ -225,7 +210,7 @@ def _print(fit: TotalSystemFit, source: str, origin: str) -> None:
         _say(
             f"  residual of {name}: {significant(rms, 3)} {units[name]}, {share:.1f} % of its swing"
         )
-    _say(f"  {fit.state.code}: {fit.state.advice}")
+    _say(f"  {fit.state.code}: {fit.state.value}")
 
 
 def _say(text: str) -> None:

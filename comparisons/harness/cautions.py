@@ -1,162 +1,106 @@
-"""Cautions of a comparison: those that say the same of many channels, said once."""
+"""What a reader should know of a comparison: of its records, its rows and its fits."""
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import combinations
 
+import numpy as np
+
+from classic_ml.emptied_band import emptied_above_hz
 from classic_ml.records import LedgerEntry
-
-if TYPE_CHECKING:
-    from comparisons.harness.compare import Comparison
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import has_whole_run
+from comparisons.harness.drift import TAUS_A_KNOT, Drift, Misalignment, drift_of, misalignment
+from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
+from comparisons.results import Caution, EstimatorResult, FitRows, TauEstimate
+from surge_core.lag import Hold
 
 __all__ = [
-    "grouped_cautions",
-    "low_pass_before_flow",
-    "ranking_caution",
-    "ranking_meaning",
+    "comparison_cautions",
+    "drift_cautions",
+    "filter_cautions",
+    "noise_model_cautions",
+    "spread_speeds",
     "tau_caution",
     "unknown_work",
 ]
 
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
-_SPAN = re.compile(rf"({_NUMBER.pattern}) to ({_NUMBER.pattern}) s\b")
-# What the choice of channels adds to a finding that the inspection has already told.
-_OUTSIDE = "faulty rows outside the window only"
-_INSIDE = re.compile(r"\d+ faulty rows in the window, few enough to keep it")
+# A surge cycle lasts a tenth of a second to a few: slower than this none is seen, and faster no
+# rake follows.
+SLOWEST_HZ, FASTEST_HZ = 20.0, 1e5
+# Records this far apart in corrected speed have different characteristics.
+SPEED_SPREAD = 0.03
+# Estimators that differ by more than this in τ are not measuring one thing.
+TAU_AGREEMENT = 0.15
+# The estimators that differ in the noise model alone; `paper` is armax wherever it stands.
+NOISE_KINDS = ("paper", "classic_ml_arx", "classic_ml_output_error")
+FALSE_ALARM = 0.01
+# A drift lengthens τ; arx and armax go up with its size where output error still holds.
+LONGER = 1.15
+LEAST_DRIFT_S = 5.0
+# Corners this far apart are two filters: of one filter, corners are read up to twice apart.
+CORNER_RATIO = 2.5
 
 
-@dataclass(frozen=True)
-class _Finding:
-    """A caution taken apart: where and on which channel, and what."""
-
-    where: str
-    channel: str
-    what: str
-
-    @classmethod
-    def of(cls, caution: str) -> _Finding | None:
-        """Take a caution apart, or return None where it names no channel."""
-        *where, channel, what = ("", "", *caution.split(": "))
-        place = ": ".join(where[2:])
-        return cls(place, channel, what) if place and channel and " " not in channel else None
-
-
-def grouped_cautions(cautions: Sequence[str]) -> tuple[str, ...]:
-    """Say once what several cautions say of different channels or with other numbers.
-
-    Parameters
-    ----------
-    cautions : sequence of str
-        E.g. ``"raw.csv: P25_A_tip: 40 rows clipped"``: where, what, and the finding.
-
-    Returns
-    -------
-    tuple of str
-        Single cautions first, then one for each kind that came up on several channels: with the
-        number of channels in place of their names, and numbers from the least to the greatest.
-        That a channel's faults lie outside the window is told with the fault.
-    """
-    singles: list[str] = []
-    findings: list[_Finding] = []
-    for caution in dict.fromkeys(cautions):
-        finding = _Finding.of(caution)
-        if finding is None:
-            singles.append(caution)
-        else:
-            findings.append(finding)
-    kinds: dict[tuple[str, str], list[_Finding]] = {}
-    for finding in _with_window(findings):
-        kinds.setdefault((finding.where, _NUMBER.sub("#", finding.what)), []).append(finding)
-    several: list[str] = []
-    for (where, _), members in kinds.items():
-        said = f"{where}: {_summed_up([(member.channel, member.what) for member in members])}"
-        (several if len(members) > 1 else singles).append(said)
-    return (*singles, *several)
-
-
-def ranking_meaning(target: str) -> str:
-    """Say what the held-out error ranks, and what not.
+def comparison_cautions(
+    records: Sequence[CoefficientSeries],
+    rows: FitRows,
+    results: tuple[EstimatorResult, ...],
+    *,
+    degree: int,
+    hold: Hold,
+    held: bool,
+) -> tuple[Caution, ...]:
+    """Return what a reader should know of all lines of a comparison.
 
     Parameters
     ----------
-    target : {"psi_p", "psi"}
-        The coefficient.
+    records : sequence of CoefficientSeries
+        The records.
+    rows : FitRows
+        The rows that were fitted.
+    results : tuple of EstimatorResult
+        What the estimators made of them.
+    degree : int
+        Degree of the classical characteristic.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    held : bool
+        τ was held: then the noise models cannot disagree on it.
     """
-    symbol = "ψ'" if target == "psi_p" else "ψ"
+    cautions = [*_of_rows(records, rows, results), *_of_records(records)]
+    cautions += [
+        Caution("ledger", record.source, entry.step, {"finding": flag})
+        for record in records
+        for entry in record.history
+        for flag in entry.flags
+    ]
+    cautions += _taus_apart(results)
+    noise_kinds = [r.estimate for r in results if r.name in NOISE_KINDS and r.whole_run is None]
+    if rows.target == "psi_p" and noise_kinds:
+        if not held:
+            cautions += noise_model_cautions(noise_kinds)
+            cautions += drift_cautions(noise_kinds, drift_of(rows, degree=degree, hold=hold))
+        histories = [record.history for record in records]
+        cautions += filter_cautions(rows, histories, misalignment(rows, degree=degree, hold=hold))
     return (
-        f"held-out rms ranks how well {symbol} is predicted from this record's φ, not how near "
-        "the characteristic is"
+        *cautions,
+        *(
+            Caution("estimator", r.name, "", {"remark": text})
+            for r in results
+            for text in r.remarks
+        ),
     )
-
-
-def ranking_caution(comparison: Comparison) -> str | None:
-    """Say what the held-out error ranks, where the best of the ranking failed a residual check.
-
-    What a model lacks repeats in every cycle: a flexible curve learns it, and is rewarded on
-    held-out cycles too.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Estimators side by side.
-
-    Returns
-    -------
-    str or None
-        The caution; None where the best passed all checks.
-    """
-    best = comparison.result(comparison.table[0].estimator)
-    if all(check.passed for check in best.checks):
-        return None
-    return ranking_meaning(comparison.rows.target)
-
-
-def unknown_work(history: Sequence[LedgerEntry]) -> str | None:
-    """Say why ψ is not known, where a ledger shows that it is not.
-
-    Parameters
-    ----------
-    history : sequence of LedgerEntry
-        Ledger of a record.
-
-    Returns
-    -------
-    str or None
-        E.g. ``"ψ is not known: no T31 that counts, so no W31 (T31_A and T31_B: …)"``; None where
-        ψ is known or the ledger does not speak of it.
-    """
-    why = [
-        dropped.why
-        for entry in history
-        if entry.step == "work coefficient"
-        for dropped in entry.dropped
-        if dropped.what == "ψ" and entry.did == "ψ is not known"
-    ]
-    if not why:
-        return None
-    lost = [
-        (dropped.what, dropped.why)
-        for entry in history
-        if entry.step == "choose channels"
-        for dropped in entry.dropped
-        if dropped.what.startswith("T31")
-    ]
-    kinds: dict[str, list[tuple[str, str]]] = {}
-    for channel, reason in lost:
-        kinds.setdefault(_NUMBER.sub("#", reason), []).append((channel, reason))
-    channels = "; ".join(_summed_up(members) for members in kinds.values())
-    return f"ψ is not known: {why[0]}" + (f" ({channels})." if channels else ".")
 
 
 def tau_caution(
     histories: Iterable[Sequence[LedgerEntry]],
     *,
     target: str = "psi_p",
-    from_whole_runs: Sequence[str] = (),
-) -> str | None:
+    quotable: Sequence[str] = (),
+) -> Caution | None:
     """Say what the τ of ψ' can be trusted for, where a ledger shows a low-pass before Eq 1 to 4.
 
     Parameters
@@ -164,120 +108,269 @@ def tau_caution(
     histories : iterable of sequence of LedgerEntry
         Ledgers of the records.
     target : {"psi_p", "psi"}
-        The coefficient whose τ it is: only that of ψ' was measured to come out high.
-    from_whole_runs : sequence of str
-        Estimators that were fitted to unfiltered signals instead.
+        The coefficient whose τ it is: only that of ψ' was measured to come out high, 29 to 31 ms
+        over seeds of the simulated rig, whose truth is 18 ms, with armax and the default
+        reduction (zero phase).
+    quotable : sequence of str
+        Estimators that were fitted to unfiltered signals and whose τ may be quoted.
 
     Returns
     -------
-    str or None
-        The caution; None for ψ, and where no ledger shows such a filter.
+    Caution or None
+        None for ψ, and where no ledger shows such a filter.
     """
-    if target != "psi_p":
+    # The first low-pass of a ledger is the one before the flow equation.
+    cutoffs = {cutoff_hz for history in histories for _, cutoff_hz in _low_passes(history)[:1]}
+    if target != "psi_p" or not cutoffs:
         return None
-    cutoffs = {low_pass_before_flow(history) for history in histories} - {None}
-    if not cutoffs:
-        return None
-    at = " and ".join(f"{cutoff:g}" for cutoff in sorted(c for c in cutoffs if c is not None))
-    # 29 to 31 ms over seeds of the simulated rig, whose truth is 18 ms, with armax and the
-    # default reduction (zero phase); the demo prints it beside the truth.
-    known = (
-        f"the pressures were low-passed at {at} Hz before the flow equation, and on data "
-        "low-passed at 48 Hz there the τ of ψ' is known to come out high (about 30 ms where 18 ms "
-        "is true, on a rig with known truth at 98.5 % speed: “sindy-surge demo” prints it). "
-        "Standard errors and intervals state scatter and do not contain this bias"
-    )
-    if from_whole_runs:
-        names = " and ".join(from_whole_runs)
-        return (
-            f"which τ to quote: that of {names}, which comes from one free run through the "
-            f"unfiltered signals. For the others {known}."
-        )
-    return (
-        f"what τ can be trusted for: {known}: compare estimators on the same data, but do not "
-        "quote this τ as the time constant of the compressor."
-    )
+    at = " and ".join(f"{cutoff:g}" for cutoff in sorted(cutoffs))
+    code = "quote_tau" if quotable else "tau_biased"
+    return Caution.of(code, cutoff_hz=at, estimators=" and ".join(quotable))
 
 
-def low_pass_before_flow(history: Sequence[LedgerEntry]) -> float | None:
-    """Return the cut-off of the low-pass that the pressures passed before the flow equation.
+def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
+    """Say why ψ is not known, where a ledger shows that it is not.
 
     Parameters
     ----------
     history : sequence of LedgerEntry
         Ledger of a record.
+    """
+    why = [
+        dropped.why
+        for entry in history
+        if entry.step == "work coefficient" and entry.did == "ψ is not known"
+        for dropped in entry.dropped
+        if dropped.what == "ψ"
+    ]
+    if not why:
+        return None
+    lost = [
+        f"{dropped.what}: {dropped.why}"
+        for entry in history
+        if entry.step == "choose channels"
+        for dropped in entry.dropped
+        if dropped.what.startswith("T31")
+    ]
+    words = f"{why[0]} ({'; '.join(lost)})" if lost else why[0]
+    return Caution.of("psi_unknown", why=words)
+
+
+def spread_speeds(records: Sequence[CoefficientSeries]) -> list[float]:
+    """Return the corrected speeds of records that are too far apart for one curve, else none.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        The records.
+    """
+    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
+    return speeds if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD else []
+
+
+def noise_model_cautions(estimates: Sequence[TauEstimate]) -> tuple[Caution, ...]:
+    """Warn where noise models put τ further apart than their errors allow.
+
+    Parameters
+    ----------
+    estimates : sequence of TauEstimate
+        Of arx, armax and output error on the same rows.
 
     Returns
     -------
-    float or None
-        In hertz; None where the ledger shows no such filter.
+    tuple of Caution
+        One with the pair that is furthest apart, or nothing.
+
+    Notes
+    -----
+    |τ₁ - τ₂| is held against √(s₁² + s₂²) times the 1 % point for as many pairs. The errors of
+    the two stem from the same rows and mostly cancel in the difference, so that false alarms are
+    rarer than that.
     """
-    for entry in history:
-        cutoff = entry.parameters.get("cutoff_hz")
-        if (
-            entry.step == "filter"
-            and entry.parameters.get("phase") != "none"
-            and isinstance(cutoff, int | float)
-        ):
-            return float(cutoff)
-    return None
-
-
-def _with_window(findings: Sequence[_Finding]) -> list[_Finding]:
-    """Tell with each fault where it lies to the window, in place of a finding of its own."""
-    places: dict[tuple[str, str], str] = {}
-    for finding in findings:
-        if finding.what == _OUTSIDE:
-            places[finding.where, finding.channel] = "outside the window"
-        elif _INSIDE.fullmatch(finding.what):
-            places[finding.where, finding.channel] = finding.what
-    faults = [f for f in findings if f.what != _OUTSIDE and not _INSIDE.fullmatch(f.what)]
-    told = {(fault.where, fault.channel) for fault in faults}
-    merged = []
-    for finding in findings:
-        key = finding.where, finding.channel
-        if finding in faults:
-            place = f" ({places[key]})" if key in places else ""
-            merged.append(_Finding(finding.where, finding.channel, finding.what + place))
-        elif key not in told:
-            merged.append(finding)
-    return merged
-
-
-def _summed_up(members: Sequence[tuple[str, str]]) -> str:
-    """Say of several channels what is said of each, in the same words but for the numbers."""
-    channels = list(dict.fromkeys(channel for channel, _ in members))
-    findings = [finding for _, finding in members]
-    if len(channels) == 1:
-        return f"{channels[0]}: {'; '.join(dict.fromkeys(findings))}"
-    names = (
-        " and ".join(channels)
-        if len(channels) == 2
-        else f"{channels[0]} and {len(channels) - 1} more channels"
-    )
-    return f"{names}: {_merged(findings).replace('beyond its limits', 'beyond their limits')}"
-
-
-def _merged(findings: Sequence[str]) -> str:
-    """Return one finding in which each number is the range of its values."""
-    # A span in time becomes the one that holds them all, not a range of starts to one of ends.
-    spans = zip(*(_SPAN.findall(finding) for finding in findings), strict=True)
-    parts = [
-        _ranges(same)
-        for same in zip(*(_SPAN.sub("\n", f).split("\n") for f in findings), strict=True)
+    known = [estimate for estimate in estimates if math.isfinite(estimate.stderr_s)]
+    pairs = list(combinations(known, 2))
+    limit = _beyond(len(pairs))
+    apart = [
+        (abs(one.tau_s - two.tau_s), one, two)
+        for one, two in pairs
+        if abs(one.tau_s - two.tau_s) > limit * math.hypot(one.stderr_s, two.stderr_s)
     ]
-    text = parts[0]
-    for same, part in zip(spans, parts[1:], strict=True):
-        start, end = min((s for s, _ in same), key=float), max((e for _, e in same), key=float)
-        text += f"{start} to {end} s{part}"
-    return text
+    if not apart:
+        return ()
+    _, one, two = max(apart, key=lambda found: found[0])
+    return (
+        Caution.of(
+            "noise_models_disagree",
+            one=one.label,
+            one_ms=1e3 * one.tau_s,
+            two=two.label,
+            two_ms=1e3 * two.tau_s,
+            pairs=len(apart),
+        ),
+    )
 
 
-def _ranges(texts: Sequence[str]) -> str:
-    numbers = zip(*(_NUMBER.findall(text) for text in texts), strict=True)
-    words = _NUMBER.split(texts[0])
-    text = words[0]
-    for values, word in zip(numbers, words[1:], strict=True):
-        low, high = min(values, key=float), max(values, key=float)
-        text += (low if float(low) == float(high) else f"{low} to {high}") + word
-    return text
+def drift_cautions(estimates: Sequence[TauEstimate], drift: Drift | None) -> tuple[Caution, ...]:
+    """Warn where τ nears the time scale of a drift, or moves once the drift is modelled.
+
+    Parameters
+    ----------
+    estimates : sequence of TauEstimate
+        Fitted without the drift.
+    drift : Drift or None
+        From :func:`~comparisons.harness.drift.drift_of`.
+    """
+    if drift is None:
+        return ()
+    cautions = []
+    if (drift.tau_s + 2.0 * drift.stderr_s) * TAUS_A_KNOT > drift.knot_spacing_s:
+        cautions.append(
+            Caution.of(
+                "knots_too_close",
+                tau_ms=1e3 * drift.tau_s,
+                knots_s=drift.knot_spacing_s,
+                taus_a_knot=TAUS_A_KNOT,
+            )
+        )
+    if not drift.dominates:
+        return tuple(cautions)
+    # The error of a fit without the drift is blown up by the drift: that of the fit with it counts.
+    moved = max(LONGER * drift.tau_s, drift.tau_s + _beyond(1) * drift.stderr_s)
+    for estimate in estimates:
+        tau_s = estimate.tau_s
+        if tau_s * LEAST_DRIFT_S > drift.time_s:
+            cautions.append(
+                Caution.of(
+                    "tau_near_drift", estimate.label, tau_ms=1e3 * tau_s, drift_s=drift.time_s
+                )
+            )
+        elif tau_s > moved:
+            cautions.append(
+                Caution.of(
+                    "drift_read_as_lag",
+                    estimate.label,
+                    tau_ms=1e3 * tau_s,
+                    with_drift_ms=1e3 * drift.tau_s,
+                    drift_rms=drift.rms,
+                    error_rms=drift.error_rms,
+                )
+            )
+    return tuple(cautions)
+
+
+def filter_cautions(
+    rows: FitRows, histories: Iterable[Sequence[LedgerEntry]], found: Misalignment | None
+) -> tuple[Caution, ...]:
+    """Warn where ψ' and φ seem to have passed different filters.
+
+    Parameters
+    ----------
+    rows : FitRows
+        The rows.
+    histories : iterable of sequence of LedgerEntry
+        Ledgers of the records.
+    found : Misalignment or None
+        From :func:`~comparisons.harness.drift.misalignment`.
+
+    Returns
+    -------
+    tuple of Caution
+        From the ledgers, from the corners of the two spectra, and from the dead time.
+    """
+    several = {tuple(dict(_low_passes(history))) for history in histories}
+    cautions = [
+        Caution.of("several_low_passes", count=len(names), filters="; ".join(names))
+        for names in sorted(several)
+        if len(names) > 1
+    ]
+    cautions += _unlike_corners(rows)
+    if found is not None and found.significant:
+        late, early = ("ψ'", "φ") if found.delay_s > 0.0 else ("φ", "ψ'")
+        cautions.append(
+            Caution.of(
+                "misaligned",
+                late=late,
+                early=early,
+                delay_ms=1e3 * abs(found.delay_s),
+                stderr_ms=1e3 * found.stderr_s,
+            )
+        )
+    return tuple(cautions)
+
+
+def _low_passes(history: Iterable[LedgerEntry]) -> list[tuple[str, float]]:
+    """Return name and cut-off of the low-passes that a ledger shows, in their order."""
+    found = []
+    for entry in history:
+        phase, cutoff = entry.parameters.get("phase"), entry.parameters.get("cutoff_hz")
+        if entry.step == "filter" and phase != "none" and isinstance(cutoff, int | float):
+            order = entry.parameters.get("order", "?")
+            found.append((f"{phase} order {order} at {cutoff:g} Hz", float(cutoff)))
+    return found
+
+
+def _unlike_corners(rows: FitRows) -> list[Caution]:
+    psi_hz, phi_hz = (
+        emptied_above_hz(signal, rows.labels, sample_period_s=rows.sample_period_s)
+        for signal in (rows.measured, rows.phi)
+    )
+    # A φ without noise is empty by itself: that alone says nothing of a filter.
+    if psi_hz is None or (phi_hz is not None and phi_hz < CORNER_RATIO * psi_hz):
+        return []
+    if phi_hz is None:
+        return [Caution.of("psi_low_passed", psi_hz=psi_hz)]
+    return [Caution.of("corners_apart", psi_hz=psi_hz, phi_hz=phi_hz)]
+
+
+def _of_rows(
+    records: Sequence[CoefficientSeries], rows: FitRows, results: tuple[EstimatorResult, ...]
+) -> list[Caution]:
+    cautions = []
+    without = [record.source for record in records if not has_whole_run(record)]
+    expected = rows.target == "psi_p" and any(r.name == "classic_ml" for r in results)
+    if expected and without and not any(r.whole_run for r in results):
+        cautions.append(Caution.of("no_whole_run", records=", ".join(without)))
+    left_out = sum(int(record.scored.sum()) for record in records) - rows.phi.size
+    if left_out:
+        code = "rows_left_out_psi" if rows.target == "psi" else "rows_left_out"
+        cautions.append(Caution.of(code, rows=left_out, fewest=MINIMUM_SEGMENT_ROWS))
+    return cautions
+
+
+def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
+    """Name what is odd about the records themselves."""
+    cautions = []
+    for i, record in enumerate(records):
+        if not record.history:
+            cautions.append(Caution("no_ledger", record.source))
+        if record.n_segments == 1 and bool(record.scored.all()):
+            cautions.append(Caution("one_segment", record.source))
+        rate_hz = record.sample_rate_hz
+        if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+            cautions.append(Caution.of("odd_rate", record.source, rate_hz=rate_hz))
+        cautions += [
+            Caution.of("same_rows", record.source, other=other.source)
+            for other in records[:i]
+            if np.array_equal(other.phi, record.phi) and np.array_equal(other.psi_p, record.psi_p)
+        ]
+    speeds = spread_speeds(records)
+    if speeds:
+        low, high = 100.0 * min(speeds), 100.0 * max(speeds)
+        cautions.append(Caution.of("speeds_apart", low_percent=low, high_percent=high))
+    return cautions
+
+
+def _taus_apart(results: tuple[EstimatorResult, ...]) -> list[Caution]:
+    plain = [r for r in results if r.on_rows]
+    taus = [r.model.time_constant_s for r in plain if r.model.measured]
+    if len(taus) < 2 or max(taus) <= (1.0 + 2.0 * TAU_AGREEMENT) * min(taus):
+        return []
+    all_of_them = len(plain) == len(results)
+    who = "the estimators" if all_of_them else "the estimators on the filtered rows"
+    return [Caution.of("taus_apart", who=who, low_ms=1e3 * min(taus), high_ms=1e3 * max(taus))]
+
+
+def _beyond(n_tests: int) -> float:
+    from scipy.stats import norm
+
+    return float(norm.isf(0.5 * FALSE_ALARM / max(n_tests, 1)))

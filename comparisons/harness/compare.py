@@ -9,204 +9,51 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from classic_ml.residual_checks import CheckRow, coverage, input_correlation, residual_checks
+from classic_ml.checks import CheckRow, coverage, input_correlation, residual_checks
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
-from comparisons.harness.estimators import EstimatorSpec, default_estimators, psi_breakpoints
+from comparisons.harness.cautions import (
+    TAU_AGREEMENT,
+    comparison_cautions,
+    spread_speeds,
+    tau_caution,
+)
+from comparisons.harness.estimators import (
+    EstimatorSpec,
+    default_estimators,
+    psi_breakpoints,
+    structure_of,
+)
 from comparisons.harness.fit_quality import (
-    FitScore,
     block_errors,
+    block_rms,
     paired_difference,
     score_fit,
     trusted_range,
 )
-from comparisons.harness.lag_value import FittedLag
-from comparisons.harness.reconstruction import free_run_over
-from comparisons.harness.record_cautions import (
-    TAU_AGREEMENT,
-    comparison_cautions,
-    spread_speeds,
-    told_time_constants,
+from comparisons.harness.rows import stack_rows
+from comparisons.results import (
+    SYMBOLS,
+    Caution,
+    Comparison,
+    ComparisonRow,
+    EstimatorResult,
+    FitRows,
+    FitScore,
+    FittedLag,
 )
-from comparisons.harness.rows import FitRows, stack_rows
-from comparisons.harness.structure import StructureChoice, structure_of
-from surge_core.display import Displayed, Sheet
 from surge_core.lag import Hold
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from comparisons.missing_effect.extended_lag import ExtendedLag
-
-__all__ = ["Comparison", "ComparisonRow", "EstimatorResult", "compare_records"]
+__all__ = ["compare_records"]
 
 CURVE_POINTS = 121
 Progress = Callable[[Iterable[EstimatorSpec]], Iterable[EstimatorSpec]]
-
-
-@dataclass(frozen=True)
-class EstimatorResult:
-    """What one estimator made of the rows.
-
-    Parameters
-    ----------
-    name, label : str
-        Key and what people call it.
-    model : FittedLag
-        The fitted model as a value, from all rows.
-    state, advice : str
-        Code of how the fit ended and what to do about it.
-    equation : str
-        The model in one line.
-    free_run, one_step : FitScore
-        Scores over all rows.
-    held_out : FitScore or None
-        Free run on the rows held out, by a fit to the others; None where there were too few.
-    reconstruction : ndarray of shape (n,)
-        Free run over the fitted rows from each segment's measured start.
-    trained : ndarray of shape (n,)
-        The same by the fit to the training rows alone: what the held-out rows are scored with.
-    errors_one_step : ndarray of shape (n,)
-        One-step errors.
-    held_out_blocks : ndarray of shape (n_blocks, 2)
-        Squared error and rows of each held-out block, for paired differences.
-    checks : tuple of CheckRow
-        Residual checks.
-    seconds : float
-        Time of the fit.
-    whole_run : WholeRunFit or None
-        The free run through whole records behind it; None where it was fitted to the rows.
-    structure : StructureChoice or None
-        How sure the choice of terms is; None where they were given.
-    remarks : tuple of str
-        What the estimator itself warns of.
-    extended : ExtendedLag or None
-        The model with its effects, where it has any; ``model`` is then its characteristic and τ.
-    """
-
-    name: str
-    label: str
-    model: FittedLag
-    state: str
-    advice: str
-    equation: str
-    free_run: FitScore
-    one_step: FitScore
-    held_out: FitScore | None
-    reconstruction: FloatArray
-    trained: FloatArray
-    errors_one_step: FloatArray
-    held_out_blocks: FloatArray
-    checks: tuple[CheckRow, ...]
-    seconds: float
-    whole_run: WholeRunFit | None = None
-    structure: StructureChoice | None = None
-    remarks: tuple[str, ...] = ()
-    extended: ExtendedLag | None = None
-
-    @property
-    def converged(self) -> bool:
-        """Whether the fit ended well."""
-        return self.state == "converged"
-
-
-@dataclass(frozen=True)
-class ComparisonRow:
-    """One line of the comparison table.
-
-    Parameters
-    ----------
-    estimator, label : str
-        Key and what people call it.
-    rank : int
-        1 for the least held-out error.
-    held_out_rms : float
-        Free-run error on held-out rows.
-    difference, paired_error : float
-        Of that rms to the best estimator's, on the same blocks.
-    time_constant_s, time_constant_stderr_s : float
-        τ and its standard error.
-    trust : str
-        A word on what to trust in this line.
-    """
-
-    estimator: str
-    label: str
-    rank: int
-    held_out_rms: float
-    difference: float
-    paired_error: float
-    time_constant_s: float
-    time_constant_stderr_s: float
-    trust: str
-
-
-@dataclass(frozen=True)
-class Comparison(Displayed):
-    """Estimators side by side on the same rows of one or several records.
-
-    Parameters
-    ----------
-    records : tuple of CoefficientSeries
-        What was compared.
-    rows : FitRows
-        The rows that were fitted.
-    results : tuple of EstimatorResult
-        One for each estimator.
-    table : tuple of ComparisonRow
-        Best first.
-    valid_phi : tuple of float
-        Range of φ in which the curves can be trusted.
-    cautions : tuple of str
-        What a reader should know of all lines, from the records' ledgers.
-    """
-
-    records: tuple[CoefficientSeries, ...]
-    rows: FitRows
-    results: tuple[EstimatorResult, ...]
-    table: tuple[ComparisonRow, ...]
-    valid_phi: tuple[float, float]
-    cautions: tuple[str, ...]
-
-    @property
-    def quotable(self) -> tuple[str, ...]:
-        """Keys of the estimators whose τ is free of what a low-pass does: fitted, and measured.
-
-        From whole unfiltered records of one speed, with all probes and the stall state from hub and
-        tip, φ joined by lines, not refused, not held, told from zero and with φ over its range.
-        """
-        if spread_speeds(self.records) or not all(map(_is_clean_run, self.records)):
-            return ()
-        return tuple(
-            result.name
-            for result in self.results
-            if result.whole_run is not None
-            and result.converged
-            and result.model.hold == "first"
-            and all(check.passed for check in result.checks if check.check == "phi_coverage")
-            and 0.0 < 2.0 * result.model.time_constant_stderr_s < result.model.time_constant_s
-        )
-
-    @property
-    def has_whole_run(self) -> bool:
-        """Whether an estimator was fitted to whole unfiltered records and not refused."""
-        return any(
-            result.whole_run is not None and math.isfinite(result.model.time_constant_s)
-            for result in self.results
-        )
-
-    def result(self, name: str) -> EstimatorResult:
-        """Return the result of one estimator."""
-        return next(result for result in self.results if result.name == name)
-
-    def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import comparison_sheet
-
-        return comparison_sheet(self)
 
 
 def compare_records(
@@ -251,23 +98,46 @@ def compare_records(
     )
     valid_phi = trusted_range(rows.phi)
     results = tuple(_run(spec, rows, records, hold, valid_phi) for spec in progress(specs))
-    return Comparison(
-        tuple(records),
-        rows,
-        results,
-        _table(results),
-        valid_phi,
-        (
-            *comparison_cautions(
-                records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
-            ),
-            *(f"{result.name}: {text}" for result in results for text in result.remarks),
-        ),
+    quotable = _quotable(records, results)
+    table = _table(results, quotable)
+    histories = [record.history for record in records]
+    first = (
+        _held_out_caution(table, results, target),
+        tau_caution(histories, target=target, quotable=quotable),
     )
+    others = comparison_cautions(
+        records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
+    )
+    cautions = (*(caution for caution in first if caution is not None), *others)
+    return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
+
+
+def _quotable(
+    records: Sequence[CoefficientSeries], results: tuple[EstimatorResult, ...]
+) -> tuple[str, ...]:
+    """Return the estimators whose τ is free of what a low-pass does: fitted, and measured.
+
+    From whole unfiltered records of one speed, with all probes and the stall state from hub and
+    tip, φ joined by lines, not refused, not held, separated from zero, and with φ over the range
+    of the rows that were scored.
+    """
+    if spread_speeds(records) or not all(map(_is_clean_run, records)):
+        return ()
+    found = [
+        result.name
+        for result in results
+        if result.whole_run is not None
+        and result.converged
+        and result.model.hold == "first"
+        and result.model.measured
+        and "phi_coverage" not in result.failed
+    ]
+    # The paper's estimator leads where both may be quoted.
+    return tuple(sorted(found, key=lambda name: name != "classic_ml"))
 
 
 def _is_clean_run(record: CoefficientSeries) -> bool:
-    """Tell whether the ledger shows a free run on all probes, with the state from hub and tip."""
+    """Whether the ledger shows a free run on all probes, with the state from hub and tip."""
     return any(
         entry.step == "free run"
         and entry.parameters.get("stall_rule", "hub-tip") == "hub-tip"
@@ -288,32 +158,32 @@ def _run(
     seconds = time.perf_counter() - begin
     model = _value(estimator, spec, rows, hold, valid_phi)
     extended = getattr(estimator, "extended_", None)
-    reconstruction = free_run_over(extended or model, rows, records)
+    reconstruction = (extended or model).free_run_over(rows, records)
     predicted, known = _one_step(estimator, model, rows, records)
     trained = _trained(spec, rows, records, hold, valid_phi)
     held_out, blocks = _held_out(rows, trained)
     state, advice = _state(estimator)
     errors = np.where(known, rows.measured - predicted, 0.0)
     return EstimatorResult(
-        spec.name,
-        spec.label,
-        model,
-        state,
-        advice,
-        (extended or model).equation(),
-        score_fit(rows.measured, reconstruction),
-        score_fit(rows.measured, predicted, known),
-        held_out,
-        reconstruction,
-        reconstruction if trained is None else trained,
-        errors,
-        blocks,
-        _checks(estimator, errors, rows, valid_phi),
-        seconds,
-        estimator if isinstance(estimator, WholeRunFit) else None,
-        structure_of(estimator),
-        tuple(text for text in getattr(estimator, "cautions_", ()) if text != advice),
-        extended,
+        name=spec.name,
+        label=spec.label,
+        model=model,
+        state=state,
+        advice=advice,
+        equation=(extended or model).equation(),
+        free_run=score_fit(rows.measured, reconstruction),
+        one_step=score_fit(rows.measured, predicted, known),
+        held_out=held_out,
+        reconstruction=reconstruction,
+        trained=reconstruction if trained is None else trained,
+        errors_one_step=errors,
+        held_out_blocks=blocks,
+        checks=_checks(estimator, errors, rows, valid_phi),
+        seconds=seconds,
+        whole_run=estimator if isinstance(estimator, WholeRunFit) else None,
+        structure=structure_of(estimator),
+        remarks=tuple(text for text in getattr(estimator, "cautions_", ()) if text != advice),
+        extended=extended,
     )
 
 
@@ -330,7 +200,7 @@ def _value(
 
 def _one_step(
     estimator: Any, model: FittedLag, rows: FitRows, records: Sequence[CoefficientSeries]
-) -> tuple[FloatArray, Any]:
+) -> tuple[FloatArray, BoolArray]:
     """Ask the estimator for its own one-step predictor, or take the plain lag's."""
     if hasattr(estimator, "extended_"):
         prediction, known = estimator.extended_.one_step_over(rows, records)
@@ -362,7 +232,10 @@ def _trained(
     model = _value(estimator, spec, train, hold, valid_phi)
     # Where the one segment is cut in two, the held-out part has a measured start of its own.
     labels = 2 * rows.labels + ~rows.train
-    return free_run_over(getattr(estimator, "extended_", None) or model, rows, records, labels)
+    run: FloatArray = (getattr(estimator, "extended_", None) or model).free_run_over(
+        rows, records, labels
+    )
+    return run
 
 
 def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | None, FloatArray]:
@@ -376,9 +249,14 @@ def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | Non
 def _checks(
     estimator: Any, errors: FloatArray, rows: FitRows, valid_phi: tuple[float, float]
 ) -> tuple[CheckRow, ...]:
+    """Check each estimator on the rows that it scores."""
     if isinstance(estimator, WholeRunFit):
-        return estimator.checks(valid_phi)
-    if hasattr(estimator, "one_step"):
+        inputs, scored = estimator.stacked()
+        # It scores rows in forward flow alone: those in reversed flow, which the others fit, it
+        # simulates through, and it cannot be asked to sweep them.
+        own = trusted_range(inputs.phi[scored]) if scored.any() else valid_phi
+        return estimator.checks(own)
+    if isinstance(estimator, LagRegressor):
         return residual_checks(estimator, rows.X, rows.measured, rows.labels, stated_phi=valid_phi)
     # The plain lag's prediction from a noisy row before it is never white: no noise model, no test
     # of one.
@@ -397,40 +275,58 @@ def _state(estimator: Any) -> tuple[str, str]:
     return ("converged" if code == "ok" else code), str(getattr(state, "advice", ""))
 
 
-def _table(results: tuple[EstimatorResult, ...]) -> tuple[ComparisonRow, ...]:
-    def held_out_rms(result: EstimatorResult) -> float:
-        return result.held_out.rms if result.held_out else math.nan
+def _table(
+    results: tuple[EstimatorResult, ...], quotable: tuple[str, ...]
+) -> tuple[ComparisonRow, ...]:
+    """Set the estimator whose τ is to be quoted first, then order by trust."""
+    scores = [block_rms(result.held_out_blocks) for result in results]
+    known = [i for i, (error, _) in enumerate(scores) if math.isfinite(error)]
+    least = min(known, key=lambda i: scores[i][0], default=None)
+    median_tau = _median_tau(results)
 
-    ranked = sorted(results, key=lambda r: (math.isnan(held_out_rms(r)), held_out_rms(r)))
-    best = ranked[0]
+    def distrust(i: int) -> tuple[int, bool, bool, int, float]:
+        result, error = results[i], scores[i][0]
+        return (
+            quotable.index(result.name) if result.name in quotable else len(quotable),
+            not result.converged,
+            not result.model.measured,
+            len(result.failed),
+            error if math.isfinite(error) else math.inf,
+        )
+
     rows = []
-    for rank, result in enumerate(ranked, start=1):
+    for rank, i in enumerate(sorted(range(len(results)), key=distrust), start=1):
+        result = results[i]
         difference, paired_error = 0.0, 0.0
-        if result is not best and result.held_out and best.held_out:
+        if least is not None and i != least and i in known:
             difference, paired_error = paired_difference(
-                result.held_out_blocks, best.held_out_blocks
+                result.held_out_blocks, results[least].held_out_blocks
             )
         rows.append(
             ComparisonRow(
                 result.name,
                 result.label,
                 rank,
-                held_out_rms(result),
+                *scores[i],
                 difference,
                 paired_error,
                 result.model.time_constant_s,
                 result.model.time_constant_stderr_s,
-                _trust(result, results, difference, paired_error),
+                _trust(result, median_tau, difference, paired_error),
             )
         )
     return tuple(rows)
 
 
+def _median_tau(results: tuple[EstimatorResult, ...]) -> float:
+    """Return the median τ of the plain lags on the rows; NaN where fewer than two measured it."""
+    # With an effect τ means another thing: a model that has one is measured by no other.
+    taus = [r.model.time_constant_s for r in results if r.on_rows and r.model.measured]
+    return float(np.median(taus)) if len(taus) > 1 else math.nan
+
+
 def _trust(
-    result: EstimatorResult,
-    results: tuple[EstimatorResult, ...],
-    difference: float,
-    paired_error: float,
+    result: EstimatorResult, median_tau: float, difference: float, paired_error: float
 ) -> str:
     """Say in words what in this line should not be relied on."""
     words = []
@@ -441,16 +337,29 @@ def _trust(
     elif result.held_out.r2 < 0.0:
         words.append("worse than a constant on held-out cycles")
     elif 0.0 < abs(difference) < 2.0 * paired_error:
-        words.append("no worse than the best within the paired error")
+        words.append("held-out error no larger than the least within the paired error")
     if result.whole_run is not None:
         words.append("fitted to unfiltered signals, scored here on the filtered rows of the others")
-    # With an effect τ means another thing: a model that has one is measured by no other.
-    plain = tuple(r for r in results if r.whole_run is None and r.extended is None)
-    taus = told_time_constants(plain)
-    tau = result.model.time_constant_s
-    if len(taus) > 1 and tau in taus and abs(tau / np.median(taus) - 1.0) > TAU_AGREEMENT:
-        words.append("τ off the others by more than 15 %")
-    failed = [check.check for check in result.checks if not check.passed]
-    if failed:
-        words.append("failed: " + ", ".join(failed))
+    comparable = result.on_rows and result.model.measured
+    if comparable and abs(result.model.time_constant_s / median_tau - 1.0) > TAU_AGREEMENT:
+        words.append(f"τ off the others by more than {100 * TAU_AGREEMENT:.0f} %")
+    if result.failed:
+        words.append("failed: " + ", ".join(result.failed))
     return "; ".join(words) or "nothing speaks against it"
+
+
+def _held_out_caution(
+    table: tuple[ComparisonRow, ...], results: tuple[EstimatorResult, ...], target: str
+) -> Caution | None:
+    """Say what the held-out error is not, where the least belongs to a fit that failed a check.
+
+    What a model lacks repeats in every cycle: a flexible curve learns it, and is rewarded on
+    held-out cycles too.
+    """
+    known = [row for row in table if math.isfinite(row.held_out_rms)]
+    if not known:
+        return None
+    least = min(known, key=lambda row: row.held_out_rms).estimator
+    if not next(result for result in results if result.name == least).failed:
+        return None
+    return Caution.of("held_out_is_prediction", symbol=SYMBOLS[target])

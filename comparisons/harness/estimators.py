@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from classic_ml.characteristics import PiecewiseLinear
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.rows import FitRows
+from classic_ml.whole_run import fit_whole_runs, has_whole_run
+from comparisons.results import ESTIMATOR_LABELS, FitRows, StructureChoice
 from surge_core.lag import Hold
 
-__all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints"]
+__all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints", "structure_of"]
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,8 @@ class EstimatorSpec:
     label : str
         What people call it.
     build : callable
-        ``build(rows) -> estimator``, unfitted, following scikit-learn's contract and DESIGN
-        section 5; ``fit(X, y, segments)`` is called on it.
+        ``build(rows) -> estimator``, unfitted, following scikit-learn's contract;
+        ``fit(X, y, segments)`` is called on it.
     fit_records : callable, optional
         ``fit_records(records, until_s) -> fitted`` takes whole records in place of the rows, each
         scored up to a time of its own (None: all of it), where they carry what it needs.
@@ -57,7 +61,8 @@ class EstimatorSpec:
         until_s : sequence of float, optional
             Time up to which each record is fitted.
         """
-        if self.fit_records is not None and rows.target == "psi_p" and _are_whole(records):
+        whole = rows.target == "psi_p" and all(map(has_whole_run, records))
+        if self.fit_records is not None and whole:
             return self.fit_records(records, until_s)
         if self.fit_rows is not None:
             return self.fit_rows(rows, records)
@@ -90,20 +95,17 @@ def default_estimators(
         Hold τ of the classical estimators at this value, as the paper had to.
     """
 
-    def classical(noise: str) -> Callable[[FitRows], Any]:
+    def classical(noise: Literal["arx", "armax", "output-error"]) -> Callable[[FitRows], Any]:
         def build(rows: FitRows) -> Any:
-            from classic_ml import LagRegressor, PiecewiseLinear
-
-            basis = PiecewiseLinear(breakpoints) if breakpoints else None
+            # The classical recursion, as in the paper's program. On data low-passed at 48 Hz C has
+            # a root near the unit circle and remembers the start through a whole segment, so that
+            # the two starts give different curves.
             return LagRegressor(
                 rows.sample_period_s,
-                noise=noise,  # type: ignore[arg-type]
+                noise=noise,
                 degree=degree,
                 hold=hold,
-                basis=basis,
-                # The classical recursion, as in the paper's program. On data low-passed at 48 Hz
-                # C has a root near the unit circle and remembers the start through a whole
-                # segment, so that the two starts give different curves.
+                basis=PiecewiseLinear(breakpoints) if breakpoints else None,
                 exact_start=False,
                 time_constant_s=time_constant_s,
             )
@@ -114,8 +116,8 @@ def default_estimators(
         from sindy_surge import SparseLagRegressor
         from sindy_surge.library import piecewise_linear_library
 
-        # Terms with ψ' are not what a characteristic over φ is; `SparseLagRegressor` by itself
-        # looks for them.
+        # Terms with ψ' are not what a characteristic over φ is; `SparseLagRegressor` alone looks
+        # for them.
         plain: dict[str, Any] = {"hold": hold, "psi_terms": False, "output_name": rows.target}
         if rows.target == "psi_p":
             return SparseLagRegressor(rows.sample_period_s, **plain)
@@ -129,8 +131,6 @@ def default_estimators(
         )
 
     def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
-        from classic_ml.whole_run import fit_whole_runs
-
         return fit_whole_runs(
             records, degree=degree, hold=hold, time_constant_s=time_constant_s, until_s=until_s
         )
@@ -140,23 +140,21 @@ def default_estimators(
 
         return fit_sparse_whole_runs(records, hold=hold, until_s=until_s)
 
-    # The paper has no way of its own to the work coefficient beside that of classic_ml.
-    paper = EstimatorSpec("paper", "the paper's way (armax)", classical("armax"))
-    return (
-        EstimatorSpec("classic_ml", "maximum likelihood", classical("armax"), whole),
-        *(() if breakpoints else (paper,)),
-        EstimatorSpec("classic_ml_arx", "least squares (arx)", classical("arx")),
-        EstimatorSpec(
-            "classic_ml_output_error", "free run (output error)", classical("output-error")
-        ),
-        EstimatorSpec("sindy", "sparse regression (SINDy)", sparse, sparse_whole),
+    builds: dict[str, Callable[[FitRows], Any]] = {
+        "classic_ml": classical("armax"),
+        "paper": classical("armax"),
+        "classic_ml_arx": classical("arx"),
+        "classic_ml_output_error": classical("output-error"),
+        "sindy": sparse,
+    }
+    if breakpoints:
+        # The paper has no way of its own to the work coefficient beside that of classic_ml.
+        del builds["paper"]
+    on_records = {"classic_ml": whole, "sindy": sparse_whole}
+    return tuple(
+        EstimatorSpec(name, ESTIMATOR_LABELS[name], build, on_records.get(name))
+        for name, build in builds.items()
     )
-
-
-def _are_whole(records: Sequence[CoefficientSeries]) -> bool:
-    from classic_ml.whole_run import has_whole_run
-
-    return all(has_whole_run(record) for record in records)
 
 
 def psi_breakpoints(rows: FitRows, hold: Hold = "first") -> tuple[float, float]:
@@ -172,8 +170,6 @@ def psi_breakpoints(rows: FitRows, hold: Hold = "first") -> tuple[float, float]:
     hold : {"zero", "first"}
         How φ acts between samples.
     """
-    from classic_ml import LagRegressor, PiecewiseLinear
-
     deciles = np.percentile(rows.phi, np.arange(10, 100, 10))
     apart = 0.1 * float(np.ptp(rows.phi))
     pairs = [(a, b) for a, b in combinations(deciles, 2) if b - a > apart]
@@ -193,3 +189,31 @@ def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
     # Three decimals of φ are what a characteristic can be read to; names stay short.
     low, high = round(float(pair[0]), 3), round(float(pair[1]), 3)
     return (low, high) if low < high else (float(pair[0]), float(pair[1]))
+
+
+def structure_of(estimator: Any) -> StructureChoice | None:
+    """Take the choice of terms out of a fitted estimator; None of one whose terms were given.
+
+    Parameters
+    ----------
+    estimator : object
+        Fitted; one that searches has ``candidate_terms_`` and ``path_``.
+    """
+    if not hasattr(estimator, "candidate_terms_"):
+        return None
+    best: dict[int, Any] = {}
+    # Of each size the chosen structure, else that of the least error; unknown errors last.
+    for row in sorted(estimator.path_, key=_by_merit, reverse=True):
+        best[row.size] = row
+    return StructureChoice(
+        len(estimator.candidate_terms_),
+        tuple(tuple(terms) for terms in getattr(estimator, "rivals_", ())),
+        dict(getattr(estimator, "aliases_", {})),
+        dict(getattr(estimator, "inclusion_probability_", {})),
+        tuple((n, tuple(best[n].terms), float(best[n].held_out_rms)) for n in sorted(best)),
+    )
+
+
+def _by_merit(row: Any) -> tuple[bool, float]:
+    error = float(row.held_out_rms)
+    return not row.chosen, error if math.isfinite(error) else math.inf

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surge_core.types import FloatArray
+from comparisons.results import FitScore
+from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["FitScore", "block_errors", "paired_difference", "score_fit", "trusted_range"]
+__all__ = ["block_errors", "block_rms", "paired_difference", "rms", "score_fit", "trusted_range"]
 
 # The paper calls the curve reliable where φ has "high significant amplitude density" (Fig 24) and
 # gives no level; the true in-stall φ of the simulated rig lies between these percentiles much as
@@ -20,34 +19,13 @@ TRUSTED_PERCENTILES = (5.0, 95.0)
 MINIMUM_BLOCKS = 6
 
 
-@dataclass(frozen=True)
-class FitScore:
-    """How well a prediction matches a measurement.
-
-    Parameters
-    ----------
-    rms : float
-        Root mean square of measurement minus prediction.
-    fit_percent : float
-        100 (1 - ||y - ŷ|| / ||y - mean y||).
-    r2 : float
-        Share of the variance explained; negative when the mean would do better.
-    n_rows : int
-        Rows that were scored.
-    """
-
-    rms: float
-    fit_percent: float
-    r2: float
-    n_rows: int
-
-    def to_json(self) -> dict[str, float]:
-        """Return rms, fit_percent and r2."""
-        return {"rms": self.rms, "fit_percent": self.fit_percent, "r2": self.r2}
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of values, of shape (n,)."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def score_fit(
-    measured: FloatArray, predicted: FloatArray, scored: NDArray[np.bool_] | None = None
+    measured: FloatArray, predicted: FloatArray, scored: BoolArray | None = None
 ) -> FitScore:
     """Score a prediction on the rows that count.
 
@@ -63,8 +41,7 @@ def score_fit(
     spread = measured[keep] - np.mean(measured[keep])
     power = float(spread @ spread)
     ratio = float(error @ error) / power if power > 0.0 else math.inf
-    rms = float(np.sqrt(np.mean(error**2)))
-    return FitScore(rms, 100.0 * (1.0 - math.sqrt(ratio)), 1.0 - ratio, int(error.size))
+    return FitScore(rms(error), 100.0 * (1.0 - math.sqrt(ratio)), 1.0 - ratio, int(error.size))
 
 
 def trusted_range(phi: FloatArray) -> tuple[float, float]:
@@ -80,7 +57,7 @@ def trusted_range(phi: FloatArray) -> tuple[float, float]:
 
 
 def block_errors(
-    error: FloatArray, runs: list[slice], scored: NDArray[np.bool_] | None = None
+    error: FloatArray, runs: list[slice], scored: BoolArray | None = None
 ) -> FloatArray:
     """Return the sum of squares and row count of each block, of shape (n_blocks, 2).
 
@@ -120,20 +97,36 @@ def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float,
         rms minus rms of the reference, and the jackknife standard error of that difference over
         the blocks: the blocks are shared, so what makes one hard is hard for both.
     """
-    difference = _rms(blocks) - _rms(reference)
-    n_blocks = blocks.shape[0]
-    if n_blocks < 2:
-        return difference, math.nan
-    left_out = np.array(
-        [
-            _rms(np.delete(blocks, i, axis=0)) - _rms(np.delete(reference, i, axis=0))
-            for i in range(n_blocks)
-        ]
-    )
+    errors = np.sqrt(_means(blocks)) - np.sqrt(_means(reference))
+    return float(errors[0]), _jackknife(errors[1:])
+
+
+def block_rms(blocks: FloatArray) -> tuple[float, float]:
+    """Return the rms error over blocks and its jackknife standard error.
+
+    Parameters
+    ----------
+    blocks : ndarray of shape (n_blocks, 2)
+        What :func:`block_errors` gave.
+    """
+    if not blocks.size:
+        return math.nan, math.nan
+    errors = np.sqrt(_means(blocks))
+    return float(errors[0]), _jackknife(errors[1:])
+
+
+def _means(blocks: FloatArray) -> FloatArray:
+    """Return the mean square over all blocks, then with each block left out in turn."""
+    squares, rows = blocks.T
+    if squares.size < 2:
+        return np.array([squares.sum() / rows.sum()])
+    kept = 1.0 - np.vstack([np.zeros(squares.size), np.eye(squares.size)])
+    return np.asarray((kept @ squares) / (kept @ rows))
+
+
+def _jackknife(left_out: FloatArray) -> float:
+    n = left_out.size
+    if n < 2:
+        return math.nan
     spread = left_out - left_out.mean()
-    return difference, float(np.sqrt((n_blocks - 1) / n_blocks * float(spread @ spread)))
-
-
-def _rms(blocks: FloatArray) -> float:
-    squares, rows = blocks.sum(axis=0)
-    return math.sqrt(float(squares) / float(rows))
+    return float(np.sqrt((n - 1) / n * float(spread @ spread)))

@@ -121,26 +121,17 @@ def segment_spectrum(
         From the first frequency a piece can tell to half the sample rate. A segment shorter than
         a piece counts where no segment reaches it, and not otherwise.
     """
-    from scipy.signal import detrend
-    from scipy.signal.windows import hann
+    from scipy.signal import detrend, periodogram
     from scipy.stats import chi2
 
     rows = _piece_rows(runs) if piece_rows is None else piece_rows
-    pieces = _pieces(runs, rows)
-    window = np.asarray(hann(rows, sym=False))
-    stacked = np.stack([detrend(values[piece], type="linear") for piece in pieces])
-    power = np.abs(np.fft.rfft(stacked * window, axis=1)) ** 2
-    # Two sides folded into one; the last frequency of an even piece has no mirror image.
-    scale = np.full(power.shape[1], 2.0 * sample_period_s / float(window @ window))
-    if rows % 2 == 0:
-        scale[-1] /= 2.0
-    density = np.mean(power, axis=0) * scale
+    pieces = np.stack([values[piece] for piece in _pieces(runs, rows)])
+    frequency, density = periodogram(pieces, 1.0 / sample_period_s, "hann", detrend=detrend)
     n = len(pieces)
     freedom = 2.0 * n / (1.0 + 2.0 * (1.0 - 1.0 / n) * OVERLAP_CORRELATION)
     tail = 0.5 * (1.0 - CONFIDENCE)
     band = (float(chi2.ppf(tail, freedom) / freedom), float(chi2.isf(tail, freedom) / freedom))
-    frequency = np.asarray(np.fft.rfftfreq(rows, sample_period_s), dtype=np.float64)
-    return Spectrum(frequency[1:], density[1:], freedom, band)
+    return Spectrum(frequency[1:], np.mean(density, axis=0)[1:], freedom, band)
 
 
 def autocorrelation(

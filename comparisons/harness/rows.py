@@ -3,82 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.coefficients import psi_is_known
 from classic_ml.series import CoefficientSeries
+from comparisons.results import FitRows
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, IntArray
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "FitRows", "check_once", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "check_once", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
 # start of its own.
 MINIMUM_SEGMENT_ROWS = 15
-
-
-@dataclass(frozen=True)
-class FitRows:
-    """Rows to be fitted, with their segments.
-
-    Parameters
-    ----------
-    phi, measured : ndarray of shape (n,)
-        Flow coefficient and the coefficient that is modelled.
-    time_s : ndarray of shape (n,)
-        Facility clock.
-    labels : ndarray of int, shape (n,)
-        Segment of each row, counted through over all records.
-    record : ndarray of int, shape (n,)
-        Index of the record of each row.
-    sample_period_s : float
-        Sample period, in seconds.
-    target : {"psi_p", "psi"}
-        Which coefficient ``measured`` is.
-    train : ndarray of bool, shape (n,)
-        Rows that the held-out score is fitted to; the rest is held out.
-    """
-
-    phi: FloatArray
-    measured: FloatArray
-    time_s: FloatArray
-    labels: NDArray[np.int64]
-    record: NDArray[np.int64]
-    sample_period_s: float
-    target: str
-    train: NDArray[np.bool_]
-
-    @property
-    def X(self) -> FloatArray:
-        """φ as the one column scikit-learn's estimators take."""
-        return self.phi[:, None]
-
-    @property
-    def runs(self) -> list[slice]:
-        """Rows of each segment."""
-        return runs_of(self.labels, self.labels.size)
-
-    @property
-    def n_segments(self) -> int:
-        """Number of segments."""
-        return len(self.runs)
-
-    def part(self, keep: NDArray[np.bool_]) -> FitRows:
-        """Return some of the rows."""
-        return FitRows(
-            self.phi[keep],
-            self.measured[keep],
-            self.time_s[keep],
-            self.labels[keep],
-            self.record[keep],
-            self.sample_period_s,
-            self.target,
-            self.train[keep],
-        )
 
 
 def check_once(records: Sequence[CoefficientSeries]) -> None:
@@ -195,17 +136,13 @@ def _check_rows(
             )
 
 
-def _known(record: CoefficientSeries, target: str) -> NDArray[np.bool_]:
+def _known(record: CoefficientSeries, target: str) -> BoolArray:
     if target != "psi":
         return np.ones(record.n_samples, dtype=np.bool_)
-    from classic_ml.coefficients import psi_is_known
-
     return psi_is_known(record.phi)
 
 
-def _labels(
-    segment: NDArray[np.int64], keep: NDArray[np.bool_], n_before: int
-) -> tuple[NDArray[np.int64], int]:
+def _labels(segment: IntArray, keep: BoolArray, n_before: int) -> tuple[IntArray, int]:
     """Label the kept stretches, dropping those too short to be a segment."""
     labels = np.zeros(segment.size, dtype=np.int64)
     for run in runs_of(np.where(keep, segment, 0), segment.size):
@@ -215,7 +152,7 @@ def _labels(
     return labels, n_before
 
 
-def _train(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _train(labels: IntArray) -> BoolArray:
     """Leave out the last third of a record: whole segments where there are three or more."""
     train = np.zeros(labels.size, dtype=np.bool_)
     target = TRAIN_SHARE * labels.size

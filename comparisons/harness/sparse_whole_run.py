@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.lag_model import LagRegressor
+from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import COMMON_CURVE_SHARE, COMMON_TAU_SHARE, WholeRunFit, check_rates
 from classic_ml.whole_run_rows import (
@@ -25,7 +25,7 @@ from classic_ml.whole_run_rows import (
     stacked_rows,
     whole_run_rows,
 )
-from comparisons.harness.terms import evaluate_terms
+from comparisons.results import evaluate_terms
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold
 from surge_core.types import FloatArray
@@ -39,7 +39,7 @@ __all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
 
 @dataclass(frozen=True)
 class SparseWholeRunFit(WholeRunFit):
-    """Terms chosen on whole runs, with the attributes of an estimator (DESIGN section 5).
+    """Terms chosen on whole runs, with the attributes of an estimator.
 
     ``rows_`` hold the terms that were chosen, and ``model_`` is output error with these, for the
     checks; ``degree`` is that of the highest power among them.
@@ -96,6 +96,8 @@ def fit_sparse_whole_runs(
         When a series lacks the unfiltered columns.
     """
     from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
+    from sindy_surge.free_run_equations import FreeRunEquations
+    from sindy_surge.segments import Segments
     from sindy_surge.sparse_run import select_on_free_run
 
     check_rates(records)
@@ -111,17 +113,20 @@ def fit_sparse_whole_runs(
     inputs, psi_p, weight, runs = stacked_rows(rows)
     n_terms = len(library.names)
     kept = moving_columns(inputs, n_terms)
-    found = select_on_free_run(
+    equations = FreeRunEquations(
         inputs[:, :n_terms],
-        library.names,
-        [polynomial_degree(name, ["phi"]) for name in library.names],
         inputs[:, kept[n_terms:]],
         psi_p,
         weight,
-        runs,
-        np.concatenate([row.cycle for row in rows]),
+        Segments.from_labels(runs, psi_p.size),
         records[0].sample_period_s,
-        hold=hold,
+        hold,
+    )
+    found = select_on_free_run(
+        equations,
+        library.names,
+        [polynomial_degree(name, ["phi"]) for name in library.names],
+        np.concatenate([row.cycle for row in rows]),
         optimizer=optimizer,
         max_terms=max_terms,
         common_tau_share=COMMON_TAU_SHARE,

@@ -9,13 +9,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, FitRows, stack_rows
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import has_whole_run
+from comparisons.harness.cautions import tau_caution
+from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, stack_rows
+from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
+from comparisons.results import FitRows
+from surge_core.display import Field, Sheet
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from sindy_surge.equations import EquationParts
     from sindy_surge.summary import ModelSummary
+    from sindy_surge.text import EquationParts
     from surge_core.types import FloatArray
 
 __all__ = ["FoundStructure", "find_structure"]
@@ -85,20 +90,15 @@ class FoundStructure:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What to know before the numbers are used, but for the advice of the state."""
-        from comparisons.harness.cautions import tau_caution
-
         own = [c for c in getattr(self.fit, "cautions_", ()) if c != self.state[1]]
-        filtered = (
-            tau_caution([record.history for record in self.records], target=self.target)
-            if self.fitted_to == "rows"
-            else None
-        )
-        return (*own, *([filtered] if filtered else []))
+        histories = [record.history for record in self.records]
+        filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
+        return (*own, *([filtered.text] if filtered else []))
 
     @property
     def parts(self) -> EquationParts:
         """The equation with its errors; of a refused fit without terms."""
-        from sindy_surge.equations import EquationParts
+        from sindy_surge.text import EquationParts
 
         fit = self.fit
         dead_stderr = getattr(fit, "dead_time_stderr_s_", 0.0)
@@ -117,9 +117,9 @@ class FoundStructure:
     @property
     def summary(self) -> ModelSummary:
         """All fields and tables of the fit."""
-        from sindy_surge.equations import pretty_term
         from sindy_surge.summary import ModelSummary
         from surge_core.fit_state import FitState
+        from surge_core.terms import pretty_term
 
         fit, known = self.fit, self.inclusion
         rows = self.fitted_to == "rows"
@@ -150,24 +150,25 @@ class FoundStructure:
             "python" gives the source of a function that returns ψ'_QS.
         """
         if style != "python":
-            from sindy_surge.equations import write_equation
+            from sindy_surge.text import write_equation
 
             return write_equation(self.parts, style)
         if self.fitted_to == "rows":
             return str(self.fit.equation("python"))
         from sindy_surge.candidate_terms import CandidateTerms
-        from sindy_surge.export import SelectedTerms, python_source
+        from sindy_surge.export import python_source
 
         # The library that the whole runs were fitted with, over the φ that they were scored at.
         library = CandidateTerms(None, self.phi[:, None], ["phi"])
-        columns = tuple(library.names.index(term) for term in self.fit.terms_)
+        columns = [library.names.index(term) for term in self.fit.terms_]
         ends = np.array([[self.phi.min()], [self.phi.max()]])
-        return python_source(self.parts, SelectedTerms(library, columns), ends)
+        return python_source(self.parts, lambda phi, _: library(phi)[:, columns], ends)
 
     def _repr_html_(self) -> str:
-        from comparisons.show.sheets import structure_html
-
-        return structure_html(self)
+        if self.refused:
+            code, advice = self.state
+            return Sheet("No structure", (Field("state", f"{code}: {advice}", "advice"),)).html()
+        return self.summary.sheet().html()
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""
@@ -216,29 +217,31 @@ def find_structure(
         When the records do not go together, there is nothing to fit, or an option cannot be used.
     """
     given = {name: value for name, value in rows_only.items() if value is not None}
-    settings = {
-        "hold": hold,
-        "optimizer": optimizer,
-        "max_terms": max_terms,
-        "psi_terms": psi_terms,
-        "random_state": seed,
-        **given,
-    }
+    settings: dict[str, Any] = {"hold": hold, "optimizer": optimizer, "max_terms": max_terms}
     needs = [flag for name, flag in ROWS_ONLY.items() if name in given]
     whole, reason = _whole_or_rows(records, target, rows, needs)
     if whole:
-        for name in ("psi_terms", "random_state"):
-            del settings[name]
-        return _from_whole_runs(records, hold, reason, settings)
+        run = fit_sparse_whole_runs(records, **settings)
+        inputs, scored = run.stacked()
+        phi, psi_p, n_runs = inputs.phi[scored], inputs.psi_p[scored], len(run.rows_)
+        return FoundStructure(
+            run, tuple(records), "psi_p", "whole runs", reason, phi, psi_p, n_runs, settings
+        )
     from sindy_surge import SparseLagRegressor
 
+    settings |= {"psi_terms": psi_terms, "random_state": seed, **given}
     stacked = stack_rows(records, target)
-    _check_dead_time(settings.get("dead_time_s"), stacked)
+    _check_dead_time(given.get("dead_time_s"), stacked)
     fit = SparseLagRegressor(stacked.sample_period_s, output_name=target, **settings)
     try:
         fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
-    except ValueError as error:
-        raise _by_option(error) from None
+    except InputError as error:
+        # The option of the command line in place of the estimator's parameter.
+        name, bracket, rest = error.where.partition("[")
+        where = OPTIONS.get(name, name) + bracket + rest
+        raise InputError(
+            where, expected=error.expected, found=error.found, remedy=error.remedy
+        ) from None
     return FoundStructure(
         fit,
         tuple(records),
@@ -269,50 +272,11 @@ def _whole_or_rows(
     records: Sequence[CoefficientSeries], target: str, rows: bool, needs: Sequence[str]
 ) -> tuple[bool, str]:
     """Decide what is fitted, with the sentence that says so."""
-    from classic_ml.whole_run import has_whole_run
-
     carry = [has_whole_run(record) for record in records]
     if not all(carry):
         why = ", since not every record carries a whole run" if any(carry) else ""
         return False, f"the rows of the segments{why}"
-    needs = [*(["--rows"] if rows else []), *(["--target psi"] if target == "psi" else []), *needs]
-    if not needs:
-        return (
-            True,
-            "one free run through each unfiltered record, as compare does (not with --rows)",
-        )
-    return False, f"the rows of the segments, because of {' and '.join(needs)}"
-
-
-def _from_whole_runs(
-    records: Sequence[CoefficientSeries],
-    hold: Literal["first", "zero"],
-    reason: str,
-    settings: dict[str, Any],
-) -> FoundStructure:
-    from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
-
-    fit = fit_sparse_whole_runs(
-        records, hold=hold, optimizer=settings["optimizer"], max_terms=settings["max_terms"]
-    )
-    scored = [row.weight > 0.0 for row in fit.rows_]
-    phi, measured = (
-        np.concatenate(
-            [getattr(row, name)[keep] for row, keep in zip(fit.rows_, scored, strict=True)]
-        )
-        for name in ("phi", "psi_p")
-    )
-    return FoundStructure(
-        fit, tuple(records), "psi_p", "whole runs", reason, phi, measured, len(fit.rows_), settings
-    )
-
-
-def _by_option(error: ValueError) -> ValueError:
-    """Name the option of the command line in place of the estimator's parameter."""
-    from surge_core.errors import InputError as SparseInputError
-
-    if not isinstance(error, SparseInputError):
-        return error
-    name, bracket, rest = error.where.partition("[")
-    where = OPTIONS.get(name, name) + bracket + rest
-    return InputError(where, expected=error.expected, found=error.found, remedy=error.remedy)
+    flags = ["--rows"] * rows + ["--target psi"] * (target == "psi") + list(needs)
+    if flags:
+        return False, f"the rows of the segments, because of {' and '.join(flags)}"
+    return True, "one free run through each unfiltered record, as compare does (not with --rows)"

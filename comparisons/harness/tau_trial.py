@@ -5,26 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import polynomial_basis
-from classic_ml.decimation import emptied_above_hz
-from comparisons.harness.fit_quality import block_errors, paired_difference
-from comparisons.harness.rows import FitRows
+from classic_ml.emptied_band import emptied_above_hz
+from comparisons.harness.fit_quality import block_errors, paired_difference, rms
+from comparisons.results import Comparison, FitRows, TauEstimate, TauTrial
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from comparisons.harness.compare import Comparison
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = [
-    "TauEstimate",
-    "TauTrial",
     "estimates_of",
     "parse_tau",
     "reconstruction_error_over_tau",
@@ -39,73 +33,6 @@ LONGEST_TAU_S = 10.0
 RUN_AWAY_S = 1.0
 _TAU = re.compile(r"([0-9.eE+-]+)\s*(s|ms|us|µs)?")
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
-
-
-@dataclass(frozen=True)
-class TauEstimate:
-    """τ as an estimator found it.
-
-    Parameters
-    ----------
-    name, label : str
-        Key and what people call it.
-    tau_s, stderr_s : float
-        τ and its standard error, in seconds.
-    rms : float
-        Error of that estimator's own reconstruction, its curve and starts as in the comparison.
-    """
-
-    name: str
-    label: str
-    tau_s: float
-    stderr_s: float
-    rms: float
-
-
-@dataclass(frozen=True)
-class TauTrial:
-    """Reconstruction error over τ.
-
-    Parameters
-    ----------
-    tau_s : ndarray of shape (n,)
-        Values at which τ was held, in seconds.
-    refitted_rms : ndarray of shape (n,)
-        Error of the free run with the curve refitted to each τ.
-    held_rms : ndarray of shape (n,)
-        The same with the curve of the best τ.
-    best_tau_s : float
-        τ of least error with a curve of its own, between the values by a parabola.
-    interval_s : tuple of float
-        Values of τ whose error exceeds the least by no more than two paired standard errors; an
-        end that the values do not reach is that of the values.
-    least_rms : float
-        Error at the best τ: below it no lag with such a curve gets.
-    noise_rms : float
-        Standard deviation of the white noise on the measurement: below it no model gets. nan
-        where a low-pass has taken the noise out of the band from which it is read.
-    n_rows : int
-        Rows that were scored.
-    target : {"psi_p", "psi"}
-        Which coefficient it is.
-    estimates : tuple of TauEstimate
-        What estimators found on the same rows.
-    """
-
-    tau_s: FloatArray
-    refitted_rms: FloatArray
-    held_rms: FloatArray
-    best_tau_s: float
-    interval_s: tuple[float, float]
-    least_rms: float
-    noise_rms: float
-    n_rows: int
-    target: str
-    estimates: tuple[TauEstimate, ...] = ()
-
-    def at(self, tau_s: float) -> float:
-        """Return the error with a refitted curve at one τ, between the values by straight lines."""
-        return float(np.interp(math.log(tau_s), np.log(self.tau_s), self.refitted_rms))
 
 
 def parse_tau(text: str) -> float:
@@ -168,7 +95,7 @@ def reconstruction_error_over_tau(
     *,
     degree: int = 2,
     hold: Hold = "first",
-    scored: NDArray[np.bool_] | None = None,
+    scored: BoolArray | None = None,
     terms: FloatArray | None = None,
     estimates: Sequence[TauEstimate] = (),
 ) -> TauTrial:
@@ -208,32 +135,39 @@ def reconstruction_error_over_tau(
     """
     taus = trial_taus(*(e.tau_s for e in estimates)) if taus_s is None else _increasing(taus_s)
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
-    averaged = terms
-    if terms is None:
-        terms = np.asarray(polynomial_basis(degree).fit_transform(rows.X))
-    if np.count_nonzero(keep) <= terms.shape[1] + 1:
+    inputs = polynomial_basis(degree).fit_transform(rows.X) if terms is None else terms
+    if np.count_nonzero(keep) <= inputs.shape[1] + 1:
         raise InputError(
             "τ by trial",
-            expected=f"more than {terms.shape[1] + 1} scored rows",
+            expected=f"more than {inputs.shape[1] + 1} scored rows",
             found=str(np.count_nonzero(keep)),
         )
-    lags = [FirstOrderLag(float(tau), rows.sample_period_s, hold) for tau in taus]
-    fits = [_refit(rows, terms, keep, lag) for lag in lags]
-    refitted = np.array([_rms(error) for _, error in fits])
+
+    def refitted_at(tau_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the curve's coefficients by least squares, and the errors."""
+        measured, answers = _scored(rows, inputs, keep, tau_s, hold)
+        coef = np.asarray(np.linalg.lstsq(answers, measured)[0])
+        return coef, measured - answers @ coef
+
+    fits = [refitted_at(tau_s) for tau_s in taus]
+    errors = [error for _, error in fits]
+    refitted = np.array([rms(error) for error in errors])
     best = int(np.argmin(refitted))
-    curve = terms @ fits[best][0]
-    held = np.array([_rms(_with_curve(rows, curve, keep, lag)) for lag in lags])
+    curve = (inputs @ fits[best][0])[:, None]
+    held = []
+    for tau_s in taus:
+        measured, answers = _scored(rows, curve, keep, tau_s, hold)
+        held.append(rms(measured - answers[:, 0]))
     best_tau = _vertex(taus, refitted, best)
-    least = _rms(_refit(rows, terms, keep, FirstOrderLag(best_tau, rows.sample_period_s, hold))[1])
     return TauTrial(
         taus,
         refitted,
-        held,
+        np.array(held),
         best_tau,
-        _interval(taus, best_tau, [error for _, error in fits], best, rows, keep),
-        min(least, float(refitted[best])),
+        _interval(taus, best_tau, errors, best, rows, keep),
+        min(rms(refitted_at(best_tau)[1]), float(refitted[best])),
         # With inputs of another kind the rows are averages, whose noise is no longer white.
-        _noise(rows) if averaged is None else math.nan,
+        _noise(rows) if terms is None else math.nan,
         int(np.count_nonzero(keep)),
         rows.target,
         tuple(estimates),
@@ -260,13 +194,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
         if whole is None or not math.isfinite(result.model.time_constant_s):
             continue
         inputs, scored = whole.stacked()
-        estimate = TauEstimate(
-            result.name,
-            result.label,
-            result.model.time_constant_s,
-            result.model.time_constant_stderr_s,
-            whole.model_.residual_std_,
-        )
+        estimate = replace(result.estimate, rms=whole.model_.residual_std_)
         rows = FitRows(
             inputs.phi,
             inputs.psi_p,
@@ -292,13 +220,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
 def estimates_of(comparison: Comparison) -> tuple[TauEstimate, ...]:
     """Return the τ of each estimator of a comparison that found one."""
     return tuple(
-        TauEstimate(
-            result.name,
-            result.label,
-            result.model.time_constant_s,
-            result.model.time_constant_stderr_s,
-            result.free_run.rms,
-        )
+        result.estimate
         for result in comparison.results
         if math.isfinite(result.model.time_constant_s)
     )
@@ -306,58 +228,37 @@ def estimates_of(comparison: Comparison) -> tuple[TauEstimate, ...]:
 
 def _increasing(taus_s: ArrayLike) -> FloatArray:
     taus = np.atleast_1d(np.asarray(taus_s, dtype=np.float64))
-    if (
-        taus.ndim != 1
-        or not np.all(np.isfinite(taus))
-        or taus[0] <= 0.0
-        or np.any(np.diff(taus) <= 0)
-    ):
+    steps = np.diff(np.concatenate([[0.0], taus.ravel()]))
+    if taus.ndim != 1 or not np.all(np.isfinite(steps) & (steps > 0.0)):
         raise InputError(
             "taus_s", expected="values above 0 that increase, in s", found=repr(taus_s)
         )
     return taus
 
 
-def _refit(
-    rows: FitRows, terms: FloatArray, keep: NDArray[np.bool_], lag: FirstOrderLag
+def _scored(
+    rows: FitRows, inputs: FloatArray, keep: BoolArray, tau_s: float, hold: Hold
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the curve's coefficients by least squares and the errors of the scored rows."""
+    """Return ψ' and the lag's answers to the inputs on scored rows, a free start taken out."""
+    lag = FirstOrderLag(float(tau_s), rows.sample_period_s, hold)
     blocks = []
     for run in rows.runs:
-        both = np.column_stack([rows.measured[run], lag.respond(terms[run], terms[run][0])])
-        blocks.append(_without_start(both, lag, keep[run]))
+        answers = lag.respond(inputs[run], inputs[run][0])
+        columns = np.column_stack([rows.measured[run], answers])[keep[run]]
+        decay = lag.decay(run.stop - run.start)[keep[run]]
+        power = float(decay @ decay)
+        # What any start would add to each column.
+        own = np.outer(decay, decay @ columns / power) if power > 0.0 else 0.0
+        blocks.append(columns - own)
     stacked = np.concatenate(blocks)
-    coef = np.asarray(np.linalg.lstsq(stacked[:, 1:], stacked[:, 0])[0], dtype=np.float64)
-    return coef, np.asarray(stacked[:, 0] - stacked[:, 1:] @ coef)
+    return stacked[:, 0], stacked[:, 1:]
 
 
-def _with_curve(
-    rows: FitRows, curve: FloatArray, keep: NDArray[np.bool_], lag: FirstOrderLag
-) -> FloatArray:
-    """Return the errors of the scored rows with a curve held, the starts still free."""
-    errors = []
-    for run in rows.runs:
-        error = rows.measured[run] - lag.respond(curve[run], curve[run][0])
-        errors.append(_without_start(error[:, None], lag, keep[run])[:, 0])
-    return np.concatenate(errors)
-
-
-def _without_start(columns: FloatArray, lag: FirstOrderLag, keep: NDArray[np.bool_]) -> FloatArray:
-    decay = lag.decay(columns.shape[0])[keep]
-    rows = columns[keep]
-    power = float(decay @ decay)
-    return rows - np.outer(decay, decay @ rows / power) if power > 0.0 else rows
-
-
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
-
-
-def _vertex(taus: FloatArray, rms: FloatArray, best: int) -> float:
+def _vertex(taus: FloatArray, error: FloatArray, best: int) -> float:
     """Return the τ of least error, by the parabola of the squares over log τ."""
     if best in (0, taus.size - 1):
         return float(taus[best])
-    x, y = np.log(taus[best - 1 : best + 2]), rms[best - 1 : best + 2] ** 2
+    x, y = np.log(taus[best - 1 : best + 2]), error[best - 1 : best + 2] ** 2
     square, slope, _ = np.polyfit(x - x[1], y, 2)
     move = -0.5 * slope / square if square > 0.0 else 0.0
     return float(np.exp(x[1] + np.clip(move, x[0] - x[1], x[2] - x[1])))
@@ -369,25 +270,21 @@ def _interval(
     errors: list[FloatArray],
     best: int,
     rows: FitRows,
-    keep: NDArray[np.bool_],
+    keep: BoolArray,
 ) -> tuple[float, float]:
     """Return the values whose error is within two paired standard errors of the least."""
     whole = np.zeros(rows.phi.size)
-
-    def blocks(error: FloatArray) -> FloatArray:
-        whole[keep] = error
-        return block_errors(whole, rows.runs, keep)
-
-    reference = blocks(errors[best])
-    near = []
+    blocks = []
     for error in errors:
-        difference, paired = paired_difference(blocks(error), reference)
+        whole[keep] = error
+        blocks.append(block_errors(whole, rows.runs, keep))
+    near = []
+    for own in blocks:
+        difference, paired = paired_difference(own, blocks[best])
         near.append(difference <= 2.0 * paired)
-    low = high = best
-    while low > 0 and near[low - 1]:
-        low -= 1
-    while high < taus.size - 1 and near[high + 1]:
-        high += 1
+    far = np.flatnonzero(~np.array([*near[:best], True, *near[best + 1 :]]))
+    low = int(far[far < best].max(initial=-1)) + 1
+    high = int(far[far > best].min(initial=taus.size)) - 1
     return min(float(taus[low]), best_tau), max(float(taus[high]), best_tau)
 
 
@@ -396,7 +293,5 @@ def _noise(rows: FitRows) -> float:
     if emptied_above_hz(rows.measured, rows.labels, sample_period_s=rows.sample_period_s):
         return math.nan
     # Their variance is 1 + 9 + 9 + 1 times that of white noise; a smooth signal hardly shows.
-    parts = [np.diff(rows.measured[run], n=3) for run in rows.runs if run.stop - run.start > 3]
-    if not parts:
-        return math.nan
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2) / 20.0))
+    steps = np.concatenate([np.diff(rows.measured[run], n=3) for run in rows.runs])
+    return rms(steps) / math.sqrt(20.0) if steps.size else math.nan

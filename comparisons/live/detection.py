@@ -1,8 +1,8 @@
 """Surge and stall as they happen, from the causal operating points, row by row.
 
-Surge is told by its one certain sign: the flow at plane 25 runs backwards. A cycle is a fall and a
-rise of P31 by at least 15 % of its mean, as in the reduction, and is counted when the rise that
-follows its trough has come that far.
+Surge is detected by its one certain sign: the flow at plane 25 runs backwards. A cycle is a fall
+and a rise of P31 by at least 15 % of its mean, as in the reduction, and is counted when the rise
+that follows its trough has come that far.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from classic_ml.cycles import DEEP_SHARE, LEAST_SWING
 from classic_ml.flow import LBM_KG
-from classic_ml.readers.test_description import TestDescription
+from classic_ml.readers import TestDescription
 from classic_ml.segments import SHORTEST_S
 from comparisons.live.operating_point import OperatingPoints, low_pass_delay_s
 
@@ -44,7 +44,7 @@ class Sighting:
     at_s : float
         When it happened, on the facility clock, the delay of the low-pass taken off.
     seen_s : float
-        Clock of the row that told it.
+        Clock of the row that showed it.
     number : int
         Of a cycle: how many there were, this one included.
     period_s : float
@@ -59,7 +59,7 @@ class Sighting:
 
     @property
     def delay_s(self) -> float:
-        """How much later than it happened it was told, the way of the rows here not counted."""
+        """How much later than it happened it was detected, transmission of the rows not counted."""
         return self.seen_s - self.at_s
 
 
@@ -116,7 +116,7 @@ class CycleCounter:
 
 
 class SurgeDetector:
-    """Tell surge, its cycles and the stall state.
+    """Detect surge, its cycles and the stall state.
 
     Parameters
     ----------
@@ -135,7 +135,8 @@ class SurgeDetector:
         rate_hz = test.sample_rate_hz
         self._rate_hz = rate_hz
         threshold = test.threshold_lbm_s
-        self._threshold_kg_s = threshold * LBM_KG if isinstance(threshold, float) else None
+        stated = isinstance(threshold, int | float)
+        self._threshold_kg_s = float(threshold or 0.0) * LBM_KG if stated else None
         self._band_kg_s = test.hysteresis_lbm_s * LBM_KG
         self._late_s = low_pass_delay_s(rate_hz)
         self._least_reversed = max(1, round(REVERSED_S * rate_hz))
@@ -146,7 +147,7 @@ class SurgeDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew behind a gap; what was counted stays."""
+        """Begin again behind a gap; what was counted stays."""
         self._reversed_rows = self._stalled_rows = 0
         self._decided = False
         self._cycles = CycleCounter(self._rate_hz)
@@ -204,10 +205,10 @@ class SurgeDetector:
         return [Sighting("cycle", at_s, time_s, self.n_cycles, period_s)]
 
     def _stall(self, time_s: float, flow_kg_s: float) -> list[Sighting]:
-        """Tell the state as :func:`classic_ml.segments.in_stall_by_threshold` does."""
+        """Find the state as :func:`classic_ml.segments.in_stall_by_threshold` does."""
         threshold, band = self._threshold_kg_s, self._band_kg_s
         if threshold is None:
-            # Without an unstalled regime all that follows the reversal is in stall.
+            # Without a stated threshold all that follows the reversal is in stall.
             self.in_stall = self.surging
             return []
         if flow_kg_s < threshold - band:

@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 from collections import deque
-from contextlib import suppress
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
-from classic_ml.readers.test_description import PressureChannel, TestDescription
-from classic_ml.units import COUNT
-from comparisons.live.columns import FeedColumns, described_columns
+from classic_ml.readers import TestDescription
+from classic_ml.records import Record
+from classic_ml.reduction import ReductionSettings, near_stall_shifts
 from comparisons.live.detection import Sighting, SurgeDetector
-from comparisons.live.estimate import Estimate
-from comparisons.live.faulty_channels import FaultyChannels
-from comparisons.live.near_stall import NearStallMatch
+from comparisons.live.estimate import Estimate, estimate_of
 from comparisons.live.operating_point import (
     CUTOFF_HZ,
-    CausalChain,
+    SETTLED_S,
     OperatingPoints,
     low_pass_delay_s,
+    points_of,
 )
-from comparisons.live.running_estimate import Estimator, NoEstimate
+from comparisons.live.pieces import read_rows
 from comparisons.live.state import Point, tau_words
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
 
-__all__ = ["Monitor", "Note", "warm_up"]
+__all__ = ["Monitor", "Note"]
 
 # The map and the traces: six seconds, at most 200 points a second.
-TRAIL_S = 6.0
-TRAIL_HZ = 200.0
+TRAIL_S, TRAIL_HZ = 6.0, 200.0
+# What the provisional estimate is made of: the last half minute.
+WINDOW_S = 30.0
+# Fewer rows no reader takes for a record.
+LEAST_ROWS = 100
 
 Note = tuple[str, str]
 
@@ -39,87 +44,133 @@ class Monitor:
 
     Parameters
     ----------
-    columns : FeedColumns
-        The channels.
-    estimator : Estimator
-        Where the running estimate is made.
+    test : TestDescription
+        The test.
+    settings : ReductionSettings
+        The switches of the running estimate.
+    scratch : path
+        Folder for rows that are read like files.
+    estimates : bool
+        Whether there is to be a running estimate.
     """
 
-    def __init__(self, columns: FeedColumns, estimator: Estimator) -> None:
-        rate_hz = columns.test.sample_rate_hz
-        self._columns = columns
-        self._match = NearStallMatch(columns)
-        self._chain = CausalChain(columns, self._match)
-        self._faults = FaultyChannels(columns)
-        self._detector = SurgeDetector(columns.test)
-        self._estimator = estimator
+    def __init__(
+        self,
+        test: TestDescription,
+        settings: ReductionSettings,
+        scratch: Path,
+        *,
+        estimates: bool = True,
+    ) -> None:
+        rate_hz = test.sample_rate_hz
+        self._test, self._settings, self._scratch = test, settings, scratch
+        self._worker = ThreadPoolExecutor(1, "estimate") if estimates else None
+        self._future: Future[Estimate] | None = None
+        self._wanted = False
+        self._detector = SurgeDetector(test)
+        self._recent: deque[bytes] = deque(maxlen=max(6 * LEAST_ROWS, round(WINDOW_S * rate_hz)))
+        self._batch = max(LEAST_ROWS, round(rate_hz))
+        self._before = max(LEAST_ROWS, round(SETTLED_S * rate_hz))
         self._stride = max(1, round(rate_hz / TRAIL_HZ))
-        self._phase = 0
-        self._trail: deque[tuple[float, ...]] = deque(
-            maxlen=round(TRAIL_S * rate_hz / self._stride)
-        )
-        self._last_problem = ""
+        self.trail: deque[tuple[float, ...]] = deque(maxlen=round(TRAIL_S * rate_hz / self._stride))
+        # Whether rows of this feed could be read at all.
+        self._read = False
+        self._problem = ""
+        self._match = "matched as test.toml says" if test.near_stall_shifts else ""
+        self.head = b""
         self.point: Point | None = None
         self.estimate: Estimate | None = None
+        self.restart()
 
-    def take(self, time_s: FloatArray, readings: FloatArray) -> list[Note]:
-        """Take rows that follow on those before, and tell what they showed.
+    def restart(self) -> None:
+        """Begin again behind a gap; what was found so far stays."""
+        self._recent.clear()
+        self._detector.restart()
+        # Rows of this piece, and those whose operating point is known.
+        self._n_rows = self._n_points = 0
+
+    def take(self, lines: Sequence[bytes]) -> list[Note]:
+        """Take rows that follow on those before; they are looked at by the next `update`.
 
         Parameters
         ----------
-        time_s : ndarray of shape (n,)
-            Clock.
-        readings : ndarray of shape (n, n_channels)
-            Counts, Pa and K.
+        lines : sequence of bytes
+            Rows without their line ends.
 
         Returns
         -------
         list of tuple of str
-            Kind and sentence of each thing worth telling.
+            What was shown by rows beyond those that are looked at together.
         """
         notes: list[Note] = []
-        while time_s.size:
-            # Cut where the match or the faulty channels change, and each holds from the next row
-            # on: what is found does not depend on how the rows were cut before.
-            n = min(self._match.rows_to_go(time_s), self._faults.rows_to_go)
-            notes += self._block(time_s[:n], readings[:n])
-            time_s, readings = time_s[n:], readings[n:]
+        for start in range(0, len(lines), self._batch):
+            some = lines[start : start + self._batch]
+            self._recent.extend(some)
+            self._n_rows += len(some)
+            if self._n_rows - self._n_points > self._batch:
+                notes += self.update()
         return notes
 
-    def _block(self, time_s: FloatArray, readings: FloatArray) -> list[Note]:
-        self._chain.left_out = self._faults.left_out
-        points = self._chain.take(time_s, readings)
-        notes: list[Note] = []
-        if self._chain.problem and self._chain.problem != self._last_problem:
-            notes.append(("record", f"no operating point: {self._chain.problem}"))
-        self._last_problem = self._chain.problem
-        for sighting in self._detector.take(points):
-            notes.append((sighting.kind, _told(sighting)))
-            if sighting.kind == "cycle":
-                self._estimator.ask()
-        self._remember(points)
-        self._estimator.take(time_s, readings)
-        notes += self._matched(time_s, readings)
-        return notes + [("record", text) for text in self._faults.take(time_s, readings)]
+    def update(self) -> list[Note]:
+        """Look at the rows that have come since the last time.
 
-    def restart(self) -> None:
-        """Begin anew behind a gap; what was found so far stays."""
-        for part in (self._match, self._chain, self._detector, self._faults, self._estimator):
-            part.restart()
+        Returns
+        -------
+        list of tuple of str
+            Kind and sentence of each thing worth saying.
+
+        Raises
+        ------
+        InputError
+            When the first rows of all cannot be read.
+        """
+        if self._n_rows < LEAST_ROWS or self._n_rows - self._n_points < 2:
+            return []
+        n = min(len(self._recent), self._n_rows - self._n_points + self._before)
+        notes: list[Note] = []
+        try:
+            record = self._record(list(islice(self._recent, len(self._recent) - n, None)))
+            self._read = True
+            notes += self._matched(record)
+            points = points_of(record, self._test, self._n_points - (self._n_rows - n))
+            self._problem = ""
+        except InputError as error:
+            if not self._read:
+                raise
+            if not self._problem:
+                notes.append(("record", f"no operating point: {error}"))
+            self._problem = str(error)
+        else:
+            for sighting in self._detector.take(points):
+                notes.append((sighting.kind, _said(sighting)))
+                self._wanted = self._wanted or sighting.kind == "cycle"
+            self._remember(points)
+        self._n_points = self._n_rows - 1
+        return notes
 
     def poll(self) -> list[Note]:
-        """Look for a new running estimate."""
-        estimate = self._estimator.poll()
-        if estimate is None:
-            return []
-        if estimate.why_not and self.estimate is not None and not self.estimate.why_not:
-            # Behind a gap the reading near stall is missing: the estimate before it stays.
-            return []
-        first = self.estimate is None or bool(self.estimate.why_not)
-        self.estimate = estimate
-        if first and not estimate.why_not:
-            return [("estimate", f"first estimate of τ: {tau_words(estimate)}")]
-        return []
+        """Look for a new running estimate, and begin the next one behind a cycle."""
+        notes: list[Note] = []
+        if self._future is not None and self._future.done():
+            notes = self._estimated(self._future.result())
+            self._future = None
+        if self._worker is not None and self._wanted and self._future is None:
+            lines, n, test = list(self._recent), self._n_rows, self._test
+            self._wanted = False
+            self._future = self._worker.submit(
+                estimate_of,
+                lambda: self._record(lines, n, "estimate.csv"),
+                test,
+                self._settings,
+            )
+        return notes
+
+    def close(self) -> list[Note]:
+        """End the estimates; return what the last one showed."""
+        self._wanted = False
+        if self._worker is not None:
+            self._worker.shutdown()
+        return self.poll()
 
     @property
     def machine(self) -> str:
@@ -142,48 +193,61 @@ class Monitor:
         return self._detector.period_s
 
     @property
-    def trail(self) -> tuple[tuple[float, ...], ...]:
-        """The last seconds, thinned out."""
-        return tuple(self._trail)
-
-    @property
     def shown(self) -> str:
         """How the operating point is made."""
-        delay_ms = 1e3 * low_pass_delay_s(self._columns.test.sample_rate_hz)
-        low_pass = (
-            f"causal low-pass at {CUTOFF_HZ:g} Hz, {delay_ms:.1f} ms late" if delay_ms else "as is"
-        )
-        if self._match.shifts is not None:
-            matched = "matched at near stall"
-        elif self._match.problem:
-            matched = f"not matched at near stall: {self._match.problem}"
-        else:
-            matched = "not yet matched at near stall"
-        out = sorted(self._faults.left_out)
-        return f"{low_pass}; {matched}" + (f"; without {', '.join(out)}" if out else "")
+        delay_ms = 1e3 * low_pass_delay_s(self._test.sample_rate_hz)
+        low_pass = f"causal low-pass at {CUTOFF_HZ:g} Hz, {delay_ms:.1f} ms late"
+        matched = self._match or "not yet matched at near stall"
+        return f"{low_pass if delay_ms else 'as is'}; {matched}"
 
-    def _matched(self, time_s: FloatArray, readings: FloatArray) -> list[Note]:
-        if not self._match.take(time_s, readings):
+    def _record(self, lines: list[bytes], n_rows: int = 0, name: str = "rows.csv") -> Record:
+        """Return the last rows of the first ``n_rows`` of this piece as a record."""
+        record = read_rows(self.head, lines, self._test, self._scratch / name)
+        start_s = self._test.file.start_s
+        if start_s is None:
+            return record
+        # The clock is set at the first row of all, not at that of these rows.
+        begun = (n_rows or self._n_rows) - len(lines)
+        return replace(record, start_s=start_s + begun / self._test.sample_rate_hz)
+
+    def _matched(self, newest: Record) -> list[Note]:
+        """Match at near stall once the reading of the facility has passed."""
+        reading, rate_hz = self._test.near_stall, self._test.sample_rate_hz
+        last_s = newest.time_at_s(newest.n_samples - 1)
+        if self._match or last_s < reading.to_s + 0.5 / rate_hz:
             return []
-        if self._match.problem:
-            return [("record", f"the near-stall match failed: {self._match.problem}")]
+        try:
+            shifts = near_stall_shifts(self._record(list(self._recent)), self._test)
+        except InputError as error:
+            self._match = f"not matched at near stall: {error}"
+            return [("record", f"the near-stall match failed: {error}")]
+        self._test = replace(self._test, near_stall_shifts=shifts)
+        self._match = "matched at near stall"
         return [("record", "matched to the near-stall reading of the facility")]
 
     def _remember(self, points: OperatingPoints) -> None:
-        if not len(points):
+        if not points.time_s.size:
             return
-        ratio = points.pressure_ratio
-        names = (points.time_s, points.Wc25_kg_s, ratio, points.phi, points.psi_p, points.Nc_frac)
-        self.point = Point(*(float(values[-1]) for values in names))
-        rows = slice(-self._phase % self._stride, None, self._stride)
-        self._phase += len(points)
-        columns = (points.time_s, points.phi, points.psi_p, points.Wc25_kg_s, ratio)
-        kept = np.column_stack([values[rows] for values in columns])
-        self._trail.extend(tuple(row) for row in kept.tolist())
+        shown = ("time_s", "Wc25_kg_s", "pressure_ratio", "phi", "psi_p", "Nc_frac")
+        self.point = Point(*(float(getattr(points, name)[-1]) for name in shown))
+        rows = slice(-self._n_points % self._stride, None, self._stride)
+        drawn = ("time_s", "phi", "psi_p", "Wc25_kg_s", "pressure_ratio")
+        kept = np.column_stack([getattr(points, name)[rows] for name in drawn])
+        self.trail.extend(map(tuple, kept.tolist()))
+
+    def _estimated(self, estimate: Estimate) -> list[Note]:
+        known = self.estimate is not None and not self.estimate.why_not
+        if estimate.why_not and known:
+            # The estimate before it stays.
+            return []
+        self.estimate = estimate
+        if known or estimate.why_not:
+            return []
+        return [("estimate", f"first estimate of τ: {tau_words(estimate)}")]
 
 
-def _told(sighting: Sighting) -> str:
-    late = f", told {1e3 * sighting.delay_s:.0f} ms later"
+def _said(sighting: Sighting) -> str:
+    late = f", reported {1e3 * sighting.delay_s:.0f} ms later"
     if sighting.kind == "surge":
         return f"surge: the flow runs backwards from {sighting.at_s:.3f} s on{late}"
     if sighting.kind == "cycle":
@@ -194,30 +258,3 @@ def _told(sighting: Sighting) -> str:
     if sighting.kind == "stall":
         return f"in stall from {sighting.at_s:.3f} s on{late}"
     return f"the surge is over: the flow last ran backwards at {sighting.at_s:.3f} s"
-
-
-def warm_up(test: TestDescription) -> None:
-    """Run a stretch of made-up rows through a monitor, so that the first real ones need not wait
-    for packages to load and kernels to compile.
-
-    Parameters
-    ----------
-    test : TestDescription
-        The test.
-    """
-    columns = described_columns(test)
-    n_rows = round(test.sample_rate_hz) + 2
-    rows = np.zeros((n_rows, len(columns.channels)))
-    for number, name in enumerate(test.channel_names):
-        probe = next((p for p in test.pressures if p.name == name), None)
-        rows[:, number] = 300.0 if probe is None else _resting(probe)
-    # Rows that nothing was measured for may be refused; by then all is loaded.
-    with suppress(InputError):
-        Monitor(columns, NoEstimate()).take(np.arange(n_rows) / test.sample_rate_hz, rows)
-
-
-def _resting(probe: PressureChannel) -> float:
-    """Return a reading at which a probe pair shows a little flow."""
-    if probe.record_unit != COUNT:
-        return 1e5
-    return 0.5 * (probe.zero_count + probe.calibrate_count)

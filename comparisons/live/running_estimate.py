@@ -254,7 +254,7 @@ def _load() -> None:
     import classic_ml.reduction
     import classic_ml.whole_run  # noqa: F401
     from classic_ml.filters import low_pass
-    from classic_ml.lag_model import LagRegressor
+    from classic_ml.lag_regressor import LagRegressor
 
     phase = np.linspace(0.0, 20.0, 400)
     signal = low_pass(np.sin(phase), 1e3, order=3, cutoff_hz=48.0, phase="zero")

@@ -8,19 +8,9 @@ from typing import Any
 
 from classic_ml.flow import LBM_KG
 from comparisons.live.estimate import Estimate
-from comparisons.live.latency import Latency
 from surge_core.rounding import round_to_error
 
-__all__ = [
-    "Event",
-    "LiveState",
-    "Point",
-    "counted",
-    "field_rows",
-    "latency_words",
-    "page_document",
-    "tau_words",
-]
+__all__ = ["Event", "LiveState", "Point", "field_rows", "page_document", "status_line", "tau_words"]
 
 
 @dataclass(frozen=True)
@@ -72,7 +62,7 @@ class LiveState:
     feed_silent : bool
         Whether rows have stopped to come.
     n_rows, n_pieces, n_refused, n_repeated : int
-        Rows kept, pieces of the record, lines or frames left out, rows that were sent twice.
+        Rows kept, pieces of the record, lines left out, rows that were sent twice.
     point : Point or None
         The newest operating point.
     shown : str
@@ -86,8 +76,6 @@ class LiveState:
         Their median period; NaN before there are two troughs.
     estimate : Estimate or None
         The newest provisional fit.
-    latency : Latency
-        From arrival to display.
     trail : tuple of tuple of float
         (time, φ, ψ', W25 corrected in kg/s, P31/P25) of the last seconds, thinned out.
     events : tuple of Event
@@ -97,7 +85,6 @@ class LiveState:
     test: str
     phase: str
     feed: str
-    latency: Latency
     feed_silent: bool = False
     n_rows: int = 0
     n_pieces: int = 0
@@ -133,7 +120,6 @@ def field_rows(state: LiveState) -> list[tuple[str, str]]:
         ("corrected speed", _speed(state.point)),
         ("surge cycles", _cycles(state)),
         ("time constant τ", tau_words(state.estimate)),
-        ("latency", latency_words(state.latency)),
         ("record", _record(state)),
         ("signals", state.shown or "–"),
     ]
@@ -181,46 +167,29 @@ def tau_words(estimate: Estimate | None) -> str:
     return f"{tau} ms, provisional, {cycles}"
 
 
-def latency_words(latency: Latency) -> str:
-    """Return the latency as it is shown.
-
-    Parameters
-    ----------
-    latency : Latency
-        The numbers so far.
-    """
-    skipped = f"; {counted(latency.skipped, 'update')} skipped" if latency.skipped else ""
-    if not latency.frames:
-        return f"budget {1e3 * latency.budget_s:g} ms{skipped}"
-    late = f", {latency.late} of {latency.frames} frames above" if latency.late else ""
-    return (
-        f"median {1e3 * latency.median_s:.0f} ms, longest {1e3 * latency.longest_s:.0f} ms of a "
-        f"budget of {1e3 * latency.budget_s:g} ms{late}{skipped}"
-    )
-
-
 def _record(state: LiveState) -> str:
-    parts = [counted(state.n_rows, "row")]
+    parts = [f"{state.n_rows} rows"]
     if state.n_pieces > 1:
         parts.append(f"in {state.n_pieces} pieces")
     if state.n_repeated:
         parts.append(f"{state.n_repeated} sent twice")
     if state.n_refused:
-        parts.append(f"{counted(state.n_refused, 'line or frame', 'lines or frames')} left out")
+        parts.append(f"{state.n_refused} lines left out")
     return ", ".join(parts)
 
 
-def counted(number: int, one: str, several: str = "") -> str:
-    """Return a number with what it counts.
+def status_line(state: LiveState) -> str:
+    """Return the moment in one line of a terminal.
 
     Parameters
     ----------
-    number : int
-        How many.
-    one, several : str
-        The word for one, and for several where that is not the same with an s.
+    state : LiveState
+        The moment.
     """
-    return f"{number} {one if number == 1 else several or one + 's'}"
+    values = dict(field_rows(state))
+    names = ("clock", "machine", "corrected flow", "φ", "ψ'", "surge cycles")
+    words = "  ".join(f"{name} {values[name]}" for name in names)
+    return f"{words}  τ {values['time constant τ']}  {state.feed}"
 
 
 def page_document(state: LiveState) -> dict[str, Any]:
@@ -245,12 +214,7 @@ def page_document(state: LiveState) -> dict[str, Any]:
         "tau_ms": _finite([1e3 * estimate.tau_s, 1e3 * estimate.tau_stderr_s])
         if estimate is not None and known
         else None,
-        "curve": [
-            _finite(row)
-            for row in zip(estimate.phi, estimate.psi_p, estimate.psi_p_stderr, strict=True)
-        ]
-        if estimate is not None and known
-        else [],
+        "curve": [_finite(row) for row in estimate.curve] if estimate is not None else [],
         "events": [{"clock": e.clock, "kind": e.kind, "text": e.text} for e in state.events],
     }
 

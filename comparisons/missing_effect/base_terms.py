@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.terms import is_known_term
 from comparisons.missing_effect.lag_data import TRAIN
 from comparisons.missing_effect.loading import load_data
+from comparisons.results import is_known_term
 from surge_core.errors import InputError
 
 __all__ = ["BaseTerms", "discovered_terms"]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.harness.terms import evaluate_terms
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.episodes import errors_on
 from comparisons.missing_effect.evidence import Evidence, Rows, evidence_of
@@ -18,6 +17,7 @@ from comparisons.missing_effect.noise import NoiseModel, noise_of, weights_of
 from comparisons.missing_effect.open_terms import with_own_state, with_state
 from comparisons.missing_effect.probes import Probe, Prober
 from comparisons.missing_effect.structure import Structure
+from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray
 
 __all__ = ["Bench", "Candidate"]

@@ -1,4 +1,4 @@
-"""Experiments that nobody has run yet, derived from records that somebody has."""
+"""Experiments that have not been run, derived from records that have."""
 
 from __future__ import annotations
 

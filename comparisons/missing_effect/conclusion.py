@@ -38,15 +38,14 @@ def concluded(
     leftover: Leftover,
     rounds: Sequence[Round],
     unavailable: Mapping[str, str],
-    floor_rms: float,
-    gap: Gap | None = None,
+    gap: Gap | float,
 ) -> Diagnosis:
     """Return the diagnosis that a search has come to.
 
     Parameters
     ----------
     verdict : str
-        One of the seven; a name whose effect is not told from none makes it provisional.
+        One of the seven; a name whose effect is not distinguished from none makes it provisional.
     base, final : Bench
         The model before and after, on the same rows.
     sets : mapping of str to sequence of Candidate
@@ -61,10 +60,9 @@ def concluded(
         The search.
     unavailable : mapping of str to str
         Effects that these records cannot show, and why.
-    floor_rms : float
-        Measurement noise.
-    gap : Gap, optional
-        Where the held-out errors are not those of later time and another record.
+    gap : Gap or float
+        The held-out errors; or the measurement noise, and they are those of later time and of
+        another record.
     """
     found, data = final.fit.structure.effects, final.data
     before = on_all_rows(base.fit, base)
@@ -88,11 +86,12 @@ def concluded(
         for effect in found
     )
     held = (data.weight > 0.0) & np.isin(data.part, (LATER, OTHER))
-    gap = gap or Gap(
-        _rms(errors_on(base.fit, base.data, Metric())[0][held]),
-        _rms(errors_on(final.fit, data, Metric())[0][held]),
-        floor_rms,
-    )
+    if not isinstance(gap, Gap):
+        gap = Gap(
+            _rms(errors_on(base.fit, base.data, Metric())[0][held]),
+            _rms(errors_on(final.fit, data, Metric())[0][held]),
+            gap,
+        )
     return Diagnosis(
         verdict,
         missing,

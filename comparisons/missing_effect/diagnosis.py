@@ -207,7 +207,7 @@ def _concluded(
         leftover=last.leftover,
         rounds=rounds,
         unavailable=unavailable,
-        floor_rms=noise.sigma,
+        gap=noise.sigma,
     )
     if verdict in ("named", "alias_set") and diagnosis.gap.shrink <= 0.0:
         # What wins in whitened errors and nothing in plain ones explains the colour of the noise.

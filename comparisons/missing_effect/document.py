@@ -1,4 +1,4 @@
-"""A diagnosis as JSON, in the schema that other programs rely on (DESIGN section 5)."""
+"""A diagnosis as JSON, in the schema that other programs rely on."""
 
 from __future__ import annotations
 

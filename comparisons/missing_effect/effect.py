@@ -13,7 +13,7 @@ from comparisons.missing_effect.ports import Ports
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Effect", "Parameter", "PortName"]
+__all__ = ["Effect", "FittedParameter", "Parameter", "PortName"]
 
 PortName = Literal["input", "characteristic", "lag", "output", "noise"]
 PORT_ORDER: tuple[PortName, ...] = ("input", "characteristic", "lag", "output", "noise")
@@ -50,6 +50,26 @@ Adapts = Callable[[LagData, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
+class FittedParameter:
+    """A number of an effect.
+
+    Parameters
+    ----------
+    name : str
+        Symbol.
+    value, stderr : float
+        From all rows.
+    unit : str
+        SI; ``"1"`` without one.
+    """
+
+    name: str
+    value: float
+    stderr: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Effect:
     """One physical effect that a lag model may lack.
 
@@ -74,7 +94,7 @@ class Effect:
     searched : float
         How many independent trials that search is worth.
     needs : str
-        Signal without which it cannot be told; empty for none.
+        Signal without which it cannot be detected; empty for none.
     on_tau : str
         What the time constant suffers when the effect is left out.
     confirm : str
@@ -123,7 +143,7 @@ class Effect:
         return tuple(i for i, p in enumerate(self.nonlinear) if p.kind == "free")
 
     def missing_channel(self, data: LagData) -> str | None:
-        """Return why the effect cannot be told from these records, or None.
+        """Return why the effect cannot be separated from these records, or None.
 
         Parameters
         ----------

@@ -24,7 +24,7 @@ LEAST_Z = 2.5
 LOUD_BLOCK = 5.0
 LEAST_LOUD = 3
 LOUD_SUM = 30.0
-# Two models this close in log-units are not told apart by these rows, whatever their order; the
+# Two models this close in log-units are not separated by these rows, whatever their order; the
 # share covers what the rounding of the simulation does to large gains.
 LEAST_GAP = 12.0
 LEAST_GAP_SHARE = 0.004

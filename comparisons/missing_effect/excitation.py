@@ -112,7 +112,7 @@ def _burg(values: FloatArray, order: int) -> FloatArray:
 def smooth_channel(values: FloatArray) -> FloatArray:
     """Return a slow channel with its noise taken off, as far as it has any.
 
-    The noise is told from fourth differences; the window of the local cubics grows until what is
+    The noise is found from fourth differences; the window of the local cubics grows until what is
     left of it is small beside the channel's own changes from row to row.
 
     Parameters

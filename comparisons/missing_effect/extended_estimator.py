@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.estimators import EstimatorSpec
-from comparisons.harness.rows import FitRows
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import REVERSE, SHAPE
+from comparisons.missing_effect.extended_refit import refitted
 from comparisons.missing_effect.extended_rows import rows_in
+from comparisons.results import FitRows
 from surge_core.types import FloatArray
 
 __all__ = ["ExtendedLagFit", "extended_specs"]
@@ -25,7 +26,7 @@ _CURVE_NAMES = {REVERSE: "phi^2[phi<0]", SHAPE: "characteristic_shape"}
 
 @dataclass(frozen=True)
 class ExtendedLagFit:
-    """A fitted lag model with effects, with the attributes of an estimator (DESIGN section 5).
+    """A fitted lag model with effects, with the attributes of an estimator.
 
     Its terms and its characteristic are functions of φ alone; what else the model holds is in
     ``extended_``, which reconstructs.
@@ -132,7 +133,7 @@ def extended_specs(
 def _fit_records(
     model: ExtendedLag, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
 ) -> ExtendedLagFit:
-    return ExtendedLagFit(model.refit(records, until_s=until_s), from_whole_runs_=True)
+    return ExtendedLagFit(refitted(model, records, until_s), from_whole_runs_=True)
 
 
 def _fit_rows(
@@ -146,7 +147,7 @@ def _fit_rows(
             labels = np.zeros(record.n_samples, dtype=np.int64)
             labels[rows_in(record, rows.time_s[of_record])] = rows.labels[of_record]
             marked.append(_on_rows(record, labels))
-    return ExtendedLagFit(model.refit(marked))
+    return ExtendedLagFit(refitted(model, marked))
 
 
 def _on_rows(record: CoefficientSeries, labels: Any) -> CoefficientSeries:

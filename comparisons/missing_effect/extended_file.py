@@ -6,16 +6,23 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from comparisons.harness.lag_value import MOST_BLOCKS
-from comparisons.harness.model_fields import Fields, ModelFormat, read_models, write_models
-from comparisons.harness.terms import is_known_term
+from comparisons.harness.saved_models import (
+    ModelFormat,
+    Saved,
+    SavedModel,
+    Span,
+    known,
+    read_models,
+    write_models,
+)
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
-from comparisons.missing_effect.effect import Effect, Parameter
+from comparisons.missing_effect.effect import Parameter
 from comparisons.missing_effect.extended_lag import ExtendedLag
 from comparisons.missing_effect.extended_parts import (
     MOST_EFFECTS,
@@ -24,11 +31,13 @@ from comparisons.missing_effect.extended_parts import (
     FrozenReferences,
     n_powers,
 )
+from comparisons.results import is_known_term
+from surge_core.errors import InputError
+from surge_core.models import validated
 
 __all__ = [
     "EXTENDED_SCHEMA",
     "extended_from_json",
-    "extended_to_json",
     "is_extended_file",
     "load_extended",
     "save_extended",
@@ -40,7 +49,6 @@ EXTENDED_FORMAT = ModelFormat(
 )
 # More than any record can tell, and few enough to be evaluated.
 MOST_TERMS, MOST_INTERVALS = 40, 64
-_REFERENCES = ("mean_amplitude", "mean_amplitude_as_is", "mean_speed", "clock_zero_s")
 _NAMES = tuple(effect.name for effect in CATALOGUE if effect.port != "noise")
 
 
@@ -70,7 +78,8 @@ def load_extended(path: str | Path) -> dict[str, ExtendedLag]:
     InputError
         When it is missing or is not such a file.
     """
-    return {name: _from_fields(f) for name, f in read_models(path, EXTENDED_FORMAT).items()}
+    saved = read_models(path, EXTENDED_FORMAT, _SavedExtended)
+    return {name: entry.model() for name, entry in saved.items()}
 
 
 def is_extended_file(path: str | Path) -> bool:
@@ -88,43 +97,13 @@ def is_extended_file(path: str | Path) -> bool:
         return False
 
 
-def extended_to_json(model: ExtendedLag) -> dict[str, Any]:
-    """Return a model as plain JSON types."""
-    rows = zip(model.terms, model.coefficients, model.stderr, strict=True)
-    return {
-        "estimator": model.estimator,
-        "target": model.target,
-        "equation": model.equation(),
-        "time_constant_s": model.time_constant_s,
-        "time_constant_stderr_s": _finite(model.time_constant_stderr_s),
-        "hold": model.hold,
-        "terms": [
-            {"name": name, "coefficient": value, "stderr": _finite(stderr)}
-            for name, value, stderr in rows
-        ],
-        "effects": [_effect_to_json(added) for added in model.effects],
-        "references": {
-            **{name: getattr(model.references, name) for name in _REFERENCES},
-            "phi_range": list(model.references.phi_range),
-        },
-        "noise": {
-            "sigma": model.noise_sigma,
-            "innovation": model.noise_innovation,
-            "ar": list(model.noise_ar),
-        },
-        "valid_phi": list(model.valid_phi),
-        "n_blocks": model.n_blocks,
-        "characteristic": [[_finite(v) for v in row] for row in model.table],
-    }
-
-
 def extended_from_json(data: Mapping[str, Any], where: str = "model") -> ExtendedLag:
     """Build a model from plain JSON types.
 
     Parameters
     ----------
     data : mapping
-        What :func:`extended_to_json` gave.
+        What :meth:`ExtendedLag.to_json` gave.
     where : str
         File and key of the model, for errors.
 
@@ -133,144 +112,161 @@ def extended_from_json(data: Mapping[str, Any], where: str = "model") -> Extende
     InputError
         Naming the key that cannot be used.
     """
-    return _from_fields(Fields.of(data, where, EXTENDED_FORMAT.remedy))
+    return validated(_SavedExtended, data, where).model()
 
 
-def _from_fields(fields: Fields) -> ExtendedLag:
-    fields.text("hold", 'the hold "first"', ("first",))
-    fields.text("target", '"psi_p"', ("psi_p",))
-    rows = fields.tables("terms")
-    terms = tuple(row.text("name", "the name of a term") for row in rows)
-    _check_terms(fields, terms)
-    noise = fields.table("noise")
-    return ExtendedLag(
-        fields.number("time_constant_s", "a time constant above 0 s", above=0.0),
-        fields.maybe("time_constant_stderr_s", "a standard error in s, or null", least=0.0),
-        terms,
-        tuple(row.number("coefficient", "a coefficient, a finite number") for row in rows),
-        tuple(row.maybe("stderr", "a standard error, or null", least=0.0) for row in rows),
-        _effects(fields, terms),
-        _references(fields.table("references")),
-        noise.number("sigma", "a noise above 0", above=0.0),
-        noise.number("innovation", "a noise above 0", above=0.0),
-        noise.numbers("ar", "a coefficient, a finite number"),
-        fields.range("valid_phi"),
-        fields.points("characteristic"),
-        fields.whole("n_blocks", "a number of blocks", MOST_BLOCKS),
-        fields.text("estimator", "the name of an estimator"),
-        "first",
-    )
+class _SavedParameter(Saved):
+    name: str
+    value: float | None = Field(description="a number, or null")
+    stderr: float | None = Field(ge=0.0, description="a standard error, or null")
+    unit: str
 
 
-def _references(fields: Fields) -> FrozenReferences:
-    amplitude, as_is, speed = (
-        fields.number(name, "a number above 0", above=0.0) for name in _REFERENCES[:3]
-    )
-    clock_zero_s = fields.number("clock_zero_s", "a time in s")
-    return FrozenReferences(amplitude, as_is, speed, fields.range("phi_range"), clock_zero_s)
+class _SavedEffect(Saved):
+    effect: Literal[_NAMES] = Field(description="an effect of the catalogue")  # type: ignore[valid-type]
+    parameters: list[_SavedParameter]
+    coefficients: list[float]
 
+    @model_validator(mode="after")
+    def _known(self) -> _SavedEffect:
+        found = [(row.name, row.unit) for row in self.parameters]
+        own = [(p.name, p.unit) for p in find_effect(self.effect).parameters]
+        if found != own:
+            raise InputError("parameters", expected=_listed(own), found=_listed(found))
+        for number, (row, parameter) in enumerate(zip(self.parameters, self.own, strict=True), 1):
+            _check_value(f"parameters[{number}].value", parameter, row.value, self.added.acts)
+        return self
 
-def _effect_to_json(added: AddedEffect) -> dict[str, Any]:
-    rows = zip(added.effect.parameters, added.values, added.stderr, strict=True)
-    return {
-        "effect": added.name,
-        "equation": added.effect.equation,
-        "parameters": [
-            {"name": p.name, "value": _finite(value), "stderr": _finite(stderr), "unit": p.unit}
-            for p, value, stderr in rows
-        ],
-        "coefficients": list(added.coefficients),
-    }
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """The parameters of the catalogue."""
+        return find_effect(self.effect).parameters
 
-
-def _effects(fields: Fields, terms: tuple[str, ...]) -> tuple[AddedEffect, ...]:
-    effects = tuple(_effect(entry, terms) for entry in fields.tables("effects"))
-    names = [added.name for added in effects]
-    if len(set(names)) < len(names) or len(names) > MOST_EFFECTS:
-        raise fields.refuse(
-            "effects", f"at most {MOST_EFFECTS} effects, each once", ", ".join(names)
+    @property
+    def added(self) -> AddedEffect:
+        """The effect with its numbers."""
+        return AddedEffect(
+            self.effect,
+            tuple(known(row.value) for row in self.parameters),
+            tuple(known(row.stderr) for row in self.parameters),
+            tuple(self.coefficients),
         )
-    return effects
 
 
-def _effect(entry: Fields, terms: tuple[str, ...]) -> AddedEffect:
-    name = entry.text("effect", "an effect of the catalogue", _NAMES)
-    effect = find_effect(name)
-    rows = entry.tables("parameters")
-    own = [parameter.name for parameter in effect.parameters]
-    if [row.values.get("name") for row in rows] != own:
-        raise entry.refuse("parameters", f"{', '.join(own)} of {name}", "others")
-    added = AddedEffect(
-        name,
-        tuple(row.maybe("value", "a number, or null") for row in rows),
-        tuple(row.maybe("stderr", "a standard error, or null", least=0.0) for row in rows),
-        entry.numbers("coefficients", "a coefficient, a finite number"),
-    )
-    for row, parameter, value in zip(rows, effect.parameters, added.values, strict=True):
-        own_unit = f'"{parameter.unit}", the unit of {parameter.name}'
-        row.text("unit", own_unit, (parameter.unit,))
-        _check_value(row, effect, parameter, value, acts=added.acts)
-    _check_coefficients(entry, effect, added, terms)
-    return added
+class _SavedReferences(Saved):
+    mean_amplitude: float = Field(gt=0.0, description="a number above 0")
+    mean_amplitude_as_is: float = Field(gt=0.0, description="a number above 0")
+    mean_speed: float = Field(gt=0.0, description="a number above 0")
+    phi_range: Span
+    clock_zero_s: float = Field(description="a time in s")
 
 
-def _check_value(
-    row: Fields, effect: Effect, parameter: Parameter, value: float, *, acts: bool
-) -> None:
+class _SavedNoise(Saved):
+    sigma: float = Field(gt=0.0, description="a noise above 0")
+    innovation: float = Field(gt=0.0, description="a noise above 0")
+    ar: list[float]
+
+
+class _SavedExtended(SavedModel):
+    target: Literal["psi_p"] = Field(description='"psi_p"')
+    hold: Literal["first"] = Field(description='the hold "first"')
+    time_constant_s: float = Field(gt=0.0, description="a time constant above 0 s")
+    effects: list[_SavedEffect] = Field(max_length=MOST_EFFECTS)
+    references: _SavedReferences
+    noise: _SavedNoise
+
+    @model_validator(mode="after")
+    def _whole(self) -> _SavedExtended:
+        names = self.names
+        for number, name in enumerate(names, 1):
+            if not is_known_term(name):
+                raise InputError(
+                    f"terms[{number}].name",
+                    expected="a power of φ or another known term",
+                    found=f"'{name}'",
+                )
+        if not 0 < len(names) <= MOST_TERMS or len(set(names)) < len(names):
+            raise InputError(
+                "terms", expected=f"1 to {MOST_TERMS} terms, each once", found=", ".join(names)
+            )
+        effects = [entry.effect for entry in self.effects]
+        if len(set(effects)) < len(effects):
+            raise InputError("effects", expected="each once", found=", ".join(effects))
+        for number, entry in enumerate(self.effects, 1):
+            _check_coefficients(f"effects[{number}]", entry.added, names)
+        return self
+
+    def model(self) -> ExtendedLag:
+        """Return the model as a value."""
+        ref, noise = self.references, self.noise
+        return ExtendedLag(
+            self.time_constant_s,
+            known(self.time_constant_stderr_s),
+            self.names,
+            self.coefficients,
+            self.stderr,
+            tuple(entry.added for entry in self.effects),
+            FrozenReferences(
+                ref.mean_amplitude,
+                ref.mean_amplitude_as_is,
+                ref.mean_speed,
+                (ref.phi_range[0], ref.phi_range[1]),
+                ref.clock_zero_s,
+            ),
+            noise.sigma,
+            noise.innovation,
+            tuple(noise.ar),
+            self.span,
+            self.curve,
+            self.n_blocks,
+            self.estimator,
+            self.hold,
+        )
+
+
+def _listed(parameters: list[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} [{unit}]" for name, unit in parameters)
+
+
+def _check_value(where: str, parameter: Parameter, value: float | None, acts: bool) -> None:
     # What was added and not fitted yet has no shape.
-    if math.isnan(value) and not acts:
+    if value is None and not acts:
         return
-    counts = parameter.name == "intervals"
-    if counts and value in range(1, MOST_INTERVALS):
-        return
-    if not counts and parameter.low <= value <= parameter.high:
-        return
-    what = f"1 to {MOST_INTERVALS - 1}" if counts else f"{parameter.low:g} to {parameter.high:g}"
-    found = "null" if math.isnan(value) else f"{value:g}"
-    raise row.refuse("value", f"{parameter.name} of {effect.name} from {what}", found)
+    low, high = (
+        (1.0, MOST_INTERVALS - 1.0)
+        if parameter.name == "intervals"
+        else (parameter.low, parameter.high)
+    )
+    whole = parameter.name != "intervals" or known(value).is_integer()
+    if not (low <= known(value) <= high and whole):
+        found = "null" if value is None else f"{value:g}"
+        raise InputError(where, expected=f"{parameter.name} from {low:g} to {high:g}", found=found)
 
 
-def _check_coefficients(
-    entry: Fields, effect: Effect, added: AddedEffect, terms: tuple[str, ...]
-) -> None:
-    allowed = _column_counts(entry, effect, added, terms)
-    found = len(added.coefficients)
-    if found not in allowed:
-        expected = " or ".join(map(str, allowed))
-        raise entry.refuse("coefficients", f"{expected} of {effect.name}", f"{found}")
+def _check_coefficients(where: str, added: AddedEffect, terms: tuple[str, ...]) -> None:
+    allowed = _column_counts(where, added, terms)
+    if len(added.coefficients) not in allowed:
+        raise InputError(
+            f"{where}.coefficients",
+            expected=f"{' or '.join(map(str, allowed))} of {added.name}",
+            found=str(len(added.coefficients)),
+        )
 
 
-def _column_counts(
-    entry: Fields, effect: Effect, added: AddedEffect, terms: tuple[str, ...]
-) -> tuple[int, ...]:
+def _column_counts(where: str, added: AddedEffect, terms: tuple[str, ...]) -> tuple[int, ...]:
     """Return how many coefficients an effect may have; none where it was not fitted yet."""
-    if not effect.linear or effect.episodes:
+    if not added.effect.linear or added.effect.episodes:
         return (0,)
-    if effect.name != SHAPE:
+    if added.name != SHAPE:
         return (0, 1)
     intervals, low, high = added.nonlinear
     if math.isnan(intervals):
         return (0,)
     if not low < high:
-        raise entry.refuse(
-            "parameters", f"a range of φ for {effect.name}, low to high", f"{low:g} to {high:g}"
+        raise InputError(
+            f"{where}.parameters",
+            expected=f"a range of φ for {added.name}, low to high",
+            found=f"{low:g} to {high:g}",
         )
     one = shape_columns(np.array([low]), (low, high), int(intervals), n_powers(terms))
     return (0, one.shape[1])
-
-
-def _check_terms(fields: Fields, terms: tuple[str, ...]) -> None:
-    for number, name in enumerate(terms):
-        if not is_known_term(name):
-            what = "a power of φ or another known term"
-            raise fields.refuse(f"terms[{number}].name", what, f"'{name}'")
-    if not 0 < len(terms) <= MOST_TERMS or len(set(terms)) < len(terms):
-        raise fields.refuse(
-            "terms",
-            f"1 to {MOST_TERMS} terms, each once",
-            f"{len(terms)}, {len(set(terms))} of them different",
-        )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -2,41 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.rows import FitRows
-from comparisons.harness.terms import evaluate_terms
 from comparisons.missing_effect.catalogue import find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.coefficient_groups import CoefficientGroups, assembled_fit
-from comparisons.missing_effect.effect import Effect
+from comparisons.missing_effect.effect import Effect, FittedParameter
 from comparisons.missing_effect.extended_parts import (
     MOST_EFFECTS,
+    REFERENCES,
     REVERSE,
     SHAPE,
     AddedEffect,
     FrozenReferences,
+    finite,
     n_powers,
 )
 from comparisons.missing_effect.extended_rows import row_of_sample, rows_in, segment_data
 from comparisons.missing_effect.extended_run import FreeRun
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.missing_effect.quantities import equation_of, numbers_of, quantity, symbol
 from comparisons.missing_effect.structure import Structure
-from surge_core.display import Displayed, Sheet
+from comparisons.results import FitRows, evaluate_terms
+from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 from surge_core.lag import Hold
-from surge_core.rounding import bracketed
+from surge_core.rounding import bracketed, round_to_error, significant
 from surge_core.types import FloatArray
-
-if TYPE_CHECKING:
-    from comparisons.missing_effect.diagnosis import Diagnosis
 
 __all__ = ["AddedEffect", "ExtendedLag", "FrozenReferences", "curve_columns"]
 
@@ -93,27 +92,6 @@ class ExtendedLag(Displayed):
     estimator: str = "extended"
     hold: Hold = "first"
 
-    @classmethod
-    def from_fit(cls, source: Diagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
-        """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
-
-        Parameters
-        ----------
-        source : Diagnosis or Fit
-            What was fitted.
-        data : LagData, optional
-            The rows of a fit; a diagnosis knows its own.
-
-        Raises
-        ------
-        InputError
-            When the model holds a term without a name: that says that something is missing and is
-            no model of it.
-        """
-        from comparisons.missing_effect.extended_refit import value_of
-
-        return value_of(source, data)
-
     @property
     def target(self) -> str:
         """The coefficient that it gives."""
@@ -156,33 +134,6 @@ class ExtendedLag(Displayed):
             )
         return replace(self, effects=(*self.effects, AddedEffect.neutral(found)))
 
-    def refit(
-        self,
-        records: Sequence[CoefficientSeries],
-        *,
-        until_s: Sequence[float] | None = None,
-    ) -> ExtendedLag:
-        """Return the model with all its numbers fitted to other records.
-
-        τ, characteristic and effects are fitted jointly to every scored row; an effect that was
-        just added is searched for first.
-
-        Parameters
-        ----------
-        records : sequence of CoefficientSeries
-            At one sample rate. Records that all carry unfiltered columns are taken as free runs.
-        until_s : sequence of float, optional
-            Score each record up to this time only, in seconds on its clock.
-
-        Raises
-        ------
-        InputError
-            When the records hold too few rows or lack a channel that an effect needs.
-        """
-        from comparisons.missing_effect.extended_refit import refitted
-
-        return refitted(self, records, until_s)
-
     def fit_on(self, data: LagData) -> Fit:
         """Return the model as the engine runs it on rows that stand in its references.
 
@@ -213,14 +164,14 @@ class ExtendedLag(Displayed):
         """Reconstruct ψ' of a record from its φ; nothing is refitted.
 
         Each segment of at least 15 rows is one free run. A ripple is left out: its phase differs
-        from one stall episode to the next, and in another record nobody knows it.
+        from one stall episode to the next, and in another record it is unknown.
 
         Parameters
         ----------
         record : CoefficientSeries
             Of any length; its segments, temperature, speed and clock need not be those of the fit.
         labels : array-like of int, shape (n,), optional
-            Starts anew from the measured ψ' wherever these change within a segment.
+            Starts again from the measured ψ' wherever these change within a segment.
         start : {"measured", "rest"}
             Whether a run starts from the first measured ψ' of its segment, or from the quasi-steady
             value ten rows before it. A lag of second order reads its two numbers from the first
@@ -358,21 +309,59 @@ class ExtendedLag(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """Return the value as plain JSON types."""
-        from comparisons.missing_effect.extended_file import extended_to_json
-
-        return extended_to_json(self)
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> ExtendedLag:
-        """Build from what :meth:`to_json` gave; KeyError, TypeError or ValueError otherwise."""
-        from comparisons.missing_effect.extended_file import extended_from_json
-
-        return extended_from_json(data)
+        rows = zip(self.terms, self.coefficients, self.stderr, strict=True)
+        return {
+            "estimator": self.estimator,
+            "target": self.target,
+            "equation": self.equation(),
+            "time_constant_s": self.time_constant_s,
+            "time_constant_stderr_s": finite(self.time_constant_stderr_s),
+            "hold": self.hold,
+            "terms": [
+                {"name": name, "coefficient": value, "stderr": finite(stderr)}
+                for name, value, stderr in rows
+            ],
+            "effects": [added.to_json() for added in self.effects],
+            "references": {
+                **{name: getattr(self.references, name) for name in REFERENCES},
+                "phi_range": list(self.references.phi_range),
+            },
+            "noise": {
+                "sigma": self.noise_sigma,
+                "innovation": self.noise_innovation,
+                "ar": list(self.noise_ar),
+            },
+            "valid_phi": list(self.valid_phi),
+            "n_blocks": self.n_blocks,
+            "characteristic": [[finite(v) for v in row] for row in self.table],
+        }
 
     def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import extended_sheet
-
-        return extended_sheet(self)
+        tau = round_to_error(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
+        terms = tuple(
+            (name, round_to_error(value, stderr))
+            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
+        )
+        effects = tuple(
+            (added.name, equation_of(added.effect), symbol(p.name), quantity(value, error, p.unit))
+            for added in self.effects
+            for p, value, error in zip(
+                added.effect.parameters, added.values, added.stderr, strict=True
+            )
+        )
+        header = ("effect", "adds", "number", "value")
+        grids = [Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), terms)]
+        if effects:
+            grids.append(Grid("Effects", header, effects, frozenset({0, 1, 2})))
+        return Sheet(
+            f"Lag model with effects: {self.label}",
+            (
+                Field("time constant τ", f"{tau} ms"),
+                Field("φ dwells", f"{self.valid_phi[0]:.3f} to {self.valid_phi[1]:.3f}"),
+                Field("noise (std)", significant(self.noise_sigma, 3)),
+            ),
+            tuple(grids),
+        )
 
 
 def curve_columns(names: Sequence[str], phi: FloatArray, model: ExtendedLag) -> FloatArray:
@@ -405,9 +394,6 @@ def _term(name: str, value: float, stderr: float) -> str:
 
 
 def _numbers(added: AddedEffect) -> str:
-    from comparisons.missing_effect.diagnosis import FittedParameter
-    from comparisons.missing_effect.quantities import numbers_of
-
     if not added.fitted:
         return "not fitted"
     rows = zip(added.effect.parameters, added.values, added.stderr, strict=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,16 +17,24 @@ from surge_core.types import FloatArray
 
 __all__ = [
     "MOST_EFFECTS",
+    "REFERENCES",
     "REVERSE",
     "SHAPE",
     "AddedEffect",
     "FrozenReferences",
+    "finite",
     "n_powers",
 ]
 
-# Three effects beside one lag are as many as records of one test have ever told apart.
+# Three effects beside one lag are as many as records of one test have ever separated.
 MOST_EFFECTS = 3
 REVERSE, SHAPE = "reverse_flow_branch", "characteristic_shape"
+REFERENCES = ("mean_amplitude", "mean_amplitude_as_is", "mean_speed", "clock_zero_s")
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, None where it is not known."""
+    return float(value) if math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
@@ -76,6 +86,19 @@ class AddedEffect:
     def fitted(self) -> bool:
         """Whether its numbers come from a fit."""
         return bool(np.all(np.isfinite((*self.values, *self.stderr))))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the value as plain JSON types."""
+        rows = zip(self.effect.parameters, self.values, self.stderr, strict=True)
+        return {
+            "effect": self.name,
+            "equation": self.effect.equation,
+            "parameters": [
+                {"name": p.name, "value": finite(value), "stderr": finite(stderr), "unit": p.unit}
+                for p, value, stderr in rows
+            ],
+            "coefficients": list(self.coefficients),
+        }
 
 
 @dataclass(frozen=True)

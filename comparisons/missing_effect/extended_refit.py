@@ -41,8 +41,22 @@ __all__ = ["refitted", "value_of"]
 CURVE_POINTS = 121
 
 
-def value_of(source: Diagnosis | Fit, data: LagData | None) -> ExtendedLag:
-    """Take the numbers out of a diagnosis or a fit; see :meth:`ExtendedLag.from_fit`."""
+def value_of(source: Diagnosis | Fit, data: LagData | None = None) -> ExtendedLag:
+    """Take the numbers out of a diagnosis (its model after), or of a fit and its rows.
+
+    Parameters
+    ----------
+    source : Diagnosis or Fit
+        What was fitted.
+    data : LagData, optional
+        The rows of a fit; a diagnosis has its own.
+
+    Raises
+    ------
+    InputError
+        When the model holds a term without a name: that says that something is missing and is
+        no model of it.
+    """
     if isinstance(source, Diagnosis):
         return _value(source.after, replace(source.rounds[-1].bench, data=source.data))
     if data is None:
@@ -57,14 +71,32 @@ def refitted(
     records: Sequence[CoefficientSeries],
     until_s: Sequence[float] | None = None,
 ) -> ExtendedLag:
-    """Fit a model's numbers to other records; see :meth:`ExtendedLag.refit`."""
+    """Return a model with all its numbers fitted to other records.
+
+    τ, characteristic and effects are fitted jointly to every scored row; an effect that was just
+    added is searched for first.
+
+    Parameters
+    ----------
+    model : ExtendedLag
+        The model.
+    records : sequence of CoefficientSeries
+        At one sample rate. Records that all carry unfiltered columns are taken as free runs.
+    until_s : sequence of float, optional
+        Score each record up to this time only, in seconds on its clock.
+
+    Raises
+    ------
+    InputError
+        When the records hold too few rows or lack a channel that an effect needs.
+    """
     data = fitted_data(records, until_s)
     for added in model.effects:
         missing = added.effect.missing_channel(data)
         if missing is not None:
             raise InputError(
                 ", ".join(data.sources),
-                expected=f"records in which {added.name} can be told",
+                expected=f"records in which {added.name} can be detected",
                 found=f"some without: it {missing}",
             )
     plain = Metric(model.noise_sigma)
@@ -103,7 +135,7 @@ def _with_effect(fit: Fit, added: AddedEffect, data: LagData, metric: Metric) ->
     if not probe.starts:
         raise InputError(
             ", ".join(data.sources),
-            expected=f"records in which {added.name} can be told",
+            expected=f"records in which {added.name} can be detected",
             found="none of the rows that it acts on",
         )
     starts = [np.concatenate([fit.nonlinear, start]) for start in probe.starts]

@@ -55,7 +55,7 @@ class FreeRun:
         Parameters
         ----------
         labels : ndarray of shape (n_rows,)
-            Of the record's rows; where they change within a run, it starts anew.
+            Of the record's rows; where they change within a run, it starts again.
         """
         out = np.zeros(self.free.size)
         for run in self.data.slices:

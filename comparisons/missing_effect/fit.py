@@ -117,7 +117,7 @@ def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: Float
         along = basis.T @ target
         coefficients = np.linalg.solve(triangle, along) / scale
     else:
-        # Terms that the rows cannot tell apart: the least of all equally good answers.
+        # Terms that the rows cannot separate: the least of all equally good answers.
         left, size, right = np.linalg.svd(columns / scale, full_matrices=False)
         kept = size > 1e-9 * size[0]
         basis = left[:, kept]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
+from typing import Any
 
-from classic_ml.lag.compiled import compiled
+import numpy as np
+from numba import njit
+
 from surge_core.types import FloatArray, IntArray
 
 __all__ = [
@@ -15,6 +18,19 @@ __all__ = [
     "varying_lag_pass",
     "whiten",
 ]
+
+# No "nnan" and no "ninf": outliers must still come out as what they are.
+FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile with an on-disk cache where some directory can be written, else without."""
+    options: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
+    try:
+        machine: Callable[..., Any] = njit(cache=True, **options)(function)
+    except RuntimeError:
+        machine = njit(**options)(function)
+    return machine
 
 
 @compiled

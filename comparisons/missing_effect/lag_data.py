@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.harness.terms import evaluate_terms
+from comparisons.results import evaluate_terms
 from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LATER", "OTHER", "TRAIN", "LagData", "Part"]

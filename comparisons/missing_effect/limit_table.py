@@ -1,4 +1,4 @@
-"""How small an effect may be and still be named: the numbers, and how they are told."""
+"""How small an effect may be and still be named: the numbers, and how they are reported."""
 
 from __future__ import annotations
 
@@ -162,8 +162,8 @@ class Limits:
 def _cells(row: Limit) -> tuple[str, str, str, str]:
     from comparisons.missing_effect.quantities import symbol
 
-    told = {name: value for name, value in (row.at or {}).items() if name not in UNTOLD}
-    at = ", ".join(WORDS.get((n, v), f"{symbol(n)} {v:.3g}") for n, v in told.items())
+    listed = {name: value for name, value in (row.at or {}).items() if name not in UNTOLD}
+    at = ", ".join(WORDS.get((n, v), f"{symbol(n)} {v:.3g}") for n, v in listed.items())
     size = f"{symbol(row.parameter)} = {size_words(row.size, row.unit)}{f' ({at})' if at else ''}"
     check = f"{row.check_named} of {row.check_trials} at {CHECKED_AT:g} times that"
     return row.effect, size, f"{row.excess_sigma:.2f} σ", check if row.check_trials else ""

@@ -348,8 +348,8 @@ def _names_in_whole_runs(data: LagData, terms: tuple[str, ...]) -> set[str]:
         errors = bench.fit.errors(data, replace(bench.metric, sigma=1.0))[scored]
         left = float(np.sqrt(np.mean(errors**2))) / mean
     effects = list(bench.fit.structure.effects)
-    told = all(size_in_errors(effect, bench.fit, bench) >= LEAST_SIZE for effect in effects)
-    return named if told and left <= LARGEST_MODEL_ERROR else set()
+    detected = all(size_in_errors(effect, bench.fit, bench) >= LEAST_SIZE for effect in effects)
+    return named if detected and left <= LARGEST_MODEL_ERROR else set()
 
 
 def _largest(effect: Effect) -> float:

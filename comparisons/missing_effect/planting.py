@@ -41,7 +41,7 @@ LARGEST_ROOT = 0.995
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Noise as a fit's errors show it, drawn anew.
+    """Noise as a fit's errors show it, drawn again.
 
     Parameters
     ----------

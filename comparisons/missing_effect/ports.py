@@ -8,9 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from comparisons.harness.terms import evaluate_terms
 from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
+from comparisons.results import evaluate_terms
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 

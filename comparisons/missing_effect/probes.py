@@ -1,4 +1,4 @@
-"""Score tests: what each effect would win, told by its slope at amplitude zero."""
+"""Score tests: what each effect would win, by its slope at amplitude zero."""
 
 from __future__ import annotations
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from comparisons.missing_effect.effect import Effect, FittedParameter
+from comparisons.missing_effect.fit import Fit
 from surge_core.rounding import round_to_error, significant
-
-if TYPE_CHECKING:
-    from comparisons.missing_effect.diagnosis import FittedParameter
-    from comparisons.missing_effect.effect import Effect
-    from comparisons.missing_effect.fit import Fit
 
 __all__ = [
     "chance",
@@ -165,7 +161,7 @@ def model_equation(fit: Fit) -> str:
     fit : Fit
         The model.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     text = "τ dψ'/dt + ψ' ="
     for name, value in zip(fit.structure.terms, fit.coefficients, strict=False):

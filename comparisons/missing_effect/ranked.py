@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from comparisons.missing_effect.candidates import Candidate
-from comparisons.missing_effect.catalogue import CATALOGUE
+from comparisons.missing_effect.catalogue import CATALOGUE, FLOW_NOISE
 from comparisons.missing_effect.diagnosis import Diagnosis
 from comparisons.missing_effect.effect import Effect
 from comparisons.missing_effect.evidence import LARGEST_P, LEAST_Z, Evidence
@@ -127,7 +127,8 @@ def effect_of(d: Diagnosis, name: str) -> Effect:
         Of an effect that it found, or of an alias.
     """
     candidates = [c for step in d.rounds for c in (*step.candidates, *step.unnamed, *step.pairs)]
-    known = [*d.after.structure.effects, *(e for c in candidates for e in c.added), *CATALOGUE]
+    found = [*d.after.structure.effects, *(e for c in candidates for e in c.added)]
+    known = [*found, *CATALOGUE, FLOW_NOISE]
     return next(effect for effect in known if effect.name == name)
 
 

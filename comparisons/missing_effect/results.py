@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import PurePath
 
+from comparisons.missing_effect.effect import FittedParameter
 from comparisons.missing_effect.fit import Fit
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.noise import NoiseModel
+from comparisons.missing_effect.quantities import numbers_of, tau_ms
 from comparisons.missing_effect.search import Leftover, Round
 from comparisons.missing_effect.whole_runs import RippleLine
-from surge_core.display import Displayed, Sheet
+from surge_core.display import Displayed, Field, Grid, Sheet
+from surge_core.rounding import significant
 
 __all__ = ["SIZE", "Diagnosis", "FittedParameter", "Gap", "MissingEffect"]
 
@@ -43,26 +47,6 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class FittedParameter:
-    """A number of an effect.
-
-    Parameters
-    ----------
-    name : str
-        Symbol.
-    value, stderr : float
-        From all rows.
-    unit : str
-        SI; ``"1"`` without one.
-    """
-
-    name: str
-    value: float
-    stderr: float
-    unit: str
-
-
-@dataclass(frozen=True)
 class MissingEffect:
     """One effect that the model lacked.
 
@@ -71,10 +55,10 @@ class MissingEffect:
     effect : str
         First name.
     alias_set : tuple of str
-        The names that these data cannot tell apart, the first among them.
+        The names that these data cannot separate, the first among them.
     provisional : bool
         True where the model still leaves structure in its errors, or where what the effect does
-        is not told from nothing: then the name stands for something that may be another.
+        is not distinguished from nothing: then the name stands for something that may be another.
     parameters : tuple of FittedParameter
         Its numbers.
     evidence : mapping
@@ -158,6 +142,35 @@ class Diagnosis(Displayed):
         return tuple(item.effect for item in self.missing)
 
     def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import diagnosis_sheet
-
-        return diagnosis_sheet(self)
+        found = tuple(
+            (
+                " or ".join(item.alias_set) + (" (provisional)" if item.provisional else ""),
+                numbers_of(item.effect, item.parameters),
+            )
+            for item in self.missing
+        )
+        gap = self.gap
+        before = (f"{gap.before_rms / gap.floor_rms:.2f}", tau_ms(self.tau_before_s))
+        after = (
+            f"{gap.after_rms / gap.floor_rms:.2f}",
+            tau_ms(self.tau_after_s, self.tau_stderr_s),
+        )
+        models: tuple[tuple[str, ...], ...] = (
+            (("before", *before), ("after", *after)) if found else (("the model", *after),)
+        )
+        grids = [Grid("On rows held out", ("model", "rms over the noise's", "τ"), models)]
+        if found:
+            words = frozenset(range(2))
+            grids.insert(0, Grid("Missing", ("effect", "numbers"), found, words, marked=0))
+        clear = self.verdict in ("named", "nothing_missing", "alias_set")
+        verdict = self.verdict.replace("_", " ")
+        return Sheet(
+            f"Diagnosis: {verdict}",
+            (
+                Field("records", tuple(PurePath(source).name for source in self.data.sources)),
+                Field("verdict", verdict, "good" if clear else "advice"),
+                Field("noise (rms)", significant(gap.floor_rms, 3)),
+                *((Field("remarks", self.remarks, "advice"),) if self.remarks else ()),
+            ),
+            tuple(grids),
+        )

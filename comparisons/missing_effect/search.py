@@ -259,16 +259,16 @@ def leftover_of(
         prober.probe(effect) for effect in (*effects, *open_terms) if effect.name not in present
     ]
     searched = [p for p in probes if p.effect.searched >= MANY_TRIALS and p.degrees]
-    told = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
+    few = [p for p in probes if p.effect.searched < MANY_TRIALS and p.columns.shape[1]]
     uneven = unevenness(every, bench.data.part)
     apart = min((p.chance for p in searched), default=1.0)
-    if bench.metric.flow is not None and told:
+    if bench.metric.flow is not None and few:
         # Many smooth terms together make up the difference between a noisy φ and a smooth one,
         # which is the noise itself: here each is tested alone.
-        best = min(told, key=lambda p: p.chance)
-        p_value = min(1.0, len(told) * best.chance, 2.0 * apart)
+        best = min(few, key=lambda p: p.chance)
+        p_value = min(1.0, len(few) * best.chance, 2.0 * apart)
         return Leftover(best.gain, best.degrees, p_value, True, uneven)
-    gain, basis = prober.joint([p.columns for p in told]) if told else (0.0, np.zeros((0, 0)))
+    gain, basis = prober.joint([p.columns for p in few]) if few else (0.0, np.zeros((0, 0)))
     together = _chi2(gain, basis.shape[1])
     return Leftover(gain, basis.shape[1], min(1.0, 2.0 * together, 2.0 * apart), False, uneven)
 

@@ -1,4 +1,4 @@
-"""Which further measurement would tell apart the effects that these records cannot."""
+"""Which further measurement would separate the effects that these records cannot."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from surge_core.types import FloatArray
 __all__ = ["Distance", "Measurement", "Separation", "SetSeparation", "separating_measurements"]
 
 # Two models that leave less than this many standard deviations between them, all rows together,
-# are not told apart: a gain of 12.5 log-units. Of strong effects the workflow asks for more.
+# are not separated: a gain of 12.5 log-units. Of strong effects the workflow asks for more.
 TOLD_APART = 5.0
 # What happens in the transducer of one tap, or at its place on the circumference.
 OF_ONE_TAP = ("sensitivity_drift", "bias_drift", "rotating_stall_ripple")
@@ -139,7 +139,7 @@ class SetSeparation:
         names = " | ".join(self.alias_set)
         head = (
             f"{names}: {self.as_recorded.sigma:.1f} σ apart on these records, all rows together; "
-            f"from {self.as_recorded.asked:.1f} σ on they would be told apart"
+            f"from {self.as_recorded.asked:.1f} σ on they would be separated"
         )
         return (head, *rows, *self._advice())
 
@@ -163,7 +163,7 @@ class SetSeparation:
 
 @dataclass(frozen=True)
 class Separation:
-    """What would tell apart the members of every alias set of a diagnosis.
+    """What would separate the members of every alias set of a diagnosis.
 
     Parameters
     ----------
@@ -175,9 +175,9 @@ class Separation:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What the experiments would tell; one line where there is nothing to tell apart."""
+        """What the experiments would tell; one line where there is nothing to separate."""
         if not self.sets:
-            return ("No two names stand for the same: there is nothing to tell apart.",)
+            return ("No two names stand for the same: there is nothing to separate.",)
         return tuple(line for one in self.sets for line in one.lines)
 
     def to_json(self) -> dict[str, Any]:

@@ -229,8 +229,8 @@ def contributions(d: Diagnosis) -> tuple[Contribution, ...]:
     Parameters
     ----------
     d : Diagnosis
-        The diagnosis; empty where nothing was added, and on whole runs without what is told from
-        other rows than the scored ones.
+        The diagnosis; empty where nothing was added, and on whole runs without what only other
+        rows than the scored ones show.
     """
     fit = d.after
     data = _with_state_of(fit, d.data)

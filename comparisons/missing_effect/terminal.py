@@ -151,8 +151,8 @@ def diagnosis_text(
     if d.after.structure.effects:
         lines += _wrapped(f"  after:  {model_equation(d.after)}", "    ")
     lines += ["", "Where the model before and the measurement part"]
-    told = where.words if where is not None else (TOO_SHORT,)
-    lines += [line for words in told for line in _wrapped(f"  {words}", "    ")]
+    listed = where.words if where is not None else (TOO_SHORT,)
+    lines += [line for words in listed for line in _wrapped(f"  {words}", "    ")]
     if d.verdict != "noise_model_wrong":
         lines += ["", *_wrapped(noise_words(d))]
     lines += ["", "Who was tried", candidate_table(d)]

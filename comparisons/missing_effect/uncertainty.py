@@ -29,7 +29,8 @@ __all__ = [
     "without_amplitude",
 ]
 
-# An effect below this many standard errors is not told from none: its 95 % interval holds zero.
+# Below this many standard errors an effect is not distinguished from none: its 95 % interval
+# holds zero.
 LEAST_SIZE = 2.0
 
 # Steps of a threshold, as shares of the range of φ.

@@ -69,7 +69,7 @@ def _of_frequency(where: Where) -> str:
     tail = "".join(_of_line(line, where) for line in where.lines if line.source == "residual")
     if row.z > where.bound_z:
         slow = row is where.frequency[0] and "surge" not in row.lines
-        # A line that was only found is told of by itself.
+        # A line that was only found is reported by itself.
         known = [name for name in row.lines if name == "surge" or not tail]
         held = f", which holds {' and '.join(known)}" if known else ""
         held = ", slower than surge" if slow and _surges(where) else held

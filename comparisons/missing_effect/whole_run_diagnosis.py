@@ -107,7 +107,6 @@ def diagnose_whole_runs(
         leftover=NOTHING_LEFT,
         rounds=rounds,
         unavailable=unavailable,
-        floor_rms=averaged_noise(records),
         gap=_gap(base, start, bench, averaged_noise(records)),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench), line)

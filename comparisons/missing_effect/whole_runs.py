@@ -54,7 +54,7 @@ LEAST_SHARES = {
 # leaves this much, and this scatter, in seconds; 98.5 % speed less (-0.0014), 90 % more (-0.0041).
 CHAIN_INERTIA_S = (-0.0038, 0.0012)
 CHAIN_REACH = 2.5
-# Explaining this share of what the best explains is as good; drifts are told apart by nothing
+# Explaining this share of what the best explains is as good; drifts are separated by nothing
 # else in one record of a few seconds.
 ALIAS_SHARE = 0.92
 DRIFT_ALIAS_SHARE = 0.8
@@ -214,7 +214,7 @@ def weighed_by_share(
 def _fitted(bench: Bench, effects: Sequence[Effect]) -> tuple[Bench, list[_Fitted]]:
     """Fit each effect, and the model without it from where that ended.
 
-    All anew where the model by itself ends in a lower low of a shorter τ. A longer one is not
+    All again where the model by itself ends in a lower low of a shorter τ. A longer one is not
     followed: whatever a model lacks, a drift most of all, it can have in part as a slow lag, and
     its errors fall far towards a τ that nothing in the machine has.
     """

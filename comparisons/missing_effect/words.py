@@ -76,8 +76,8 @@ def verdict_words(d: Diagnosis, *, limited: bool = False, separated: bool = Fals
     d : Diagnosis
         The diagnosis.
     limited, separated : bool
-        Whether limits and separating measurements are told elsewhere, so that no option is named
-        that would find them.
+        Whether limits and separating measurements are reported elsewhere, so that no option that
+        would find them is named.
     """
     said = [_LEADS[d.verdict]]
     if d.missing:
@@ -103,7 +103,7 @@ def opening_words(d: Diagnosis) -> str:
     d : Diagnosis
         The diagnosis.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     counts = [
         (int(np.count_nonzero(d.data.scored(part))), words)
@@ -214,18 +214,18 @@ def _tau_words(d: Diagnosis) -> str:
     known = [item for item in d.missing if not effect_of(d, item.effect).unnamed]
     meaning = [_TAU_MEANING[i.effect] for i in known if i.effect in _TAU_MEANING]
     words += f"; {', '.join(meaning)}" if meaning else ""
-    told = "; ".join(
+    listed = "; ".join(
         (f"{i.effect}: " if len(known) > 1 else "") + effect_of(d, i.effect).on_tau for i in known
     )
     words = f"{words}.".replace("(-", "(−")
-    return f"{words} What leaving it out does to τ: {told}." if told else words
+    return f"{words} What leaving it out does to τ: {listed}." if listed else words
 
 
 def _gap_words(d: Diagnosis) -> str:
     gap = d.gap
     ripple = not d.whole_runs and any(effect_of(d, item.effect).episodes for item in d.missing)
-    anew = ", where the phase of a ripple is fitted anew in each episode," if ripple else ""
-    where = "cycles left out" if d.whole_runs else f"rows held out{anew}"
+    again = ", where the phase of a ripple is fitted again in each episode," if ripple else ""
+    where = "cycles left out" if d.whole_runs else f"rows held out{again}"
     noise = f"noise {significant(gap.floor_rms, 3)}"
     before, after = significant(gap.before_rms, 3), significant(gap.after_rms, 3)
     if not gap.shrink:
@@ -282,8 +282,8 @@ def _doubt_words(d: Diagnosis) -> list[str]:
             [f"{i.evidence[SIZE]:.1f}" for i in small],
         )
         said.append(
-            f"What {names} does to ψ' is not told from nothing ({_listed(sizes)} standard errors, "
-            f"all its numbers together): {_word(small)} for something that may be another effect."
+            f"What {names} does to ψ' is not distinguished from nothing ({_listed(sizes)} standard "
+            f"errors, all its numbers together): {_word(small)} for what may be another effect."
         )
     if len(small) == len(doubted):
         return said
@@ -316,7 +316,7 @@ def _together_words(item: MissingEffect) -> str:
     if all(abs(p.value) >= LEAST_SIZE * p.stderr for p in free):
         return ""
     return (
-        ", which are not told one by one; what they do together is "
+        ", which are not reported one by one; what they do together is "
         f"{size:.0f} standard errors large"
     )
 
@@ -341,7 +341,7 @@ def _confirm_words(d: Diagnosis, *, separated: bool) -> str:
     each = [(name, effect_of(d, name).confirm) for name in names]
     what = "; ".join(f"{name}: {words}" for name, words in each) if len(each) > 1 else each[0][1]
     several = any(len(item.alias_set) > 1 for item in named)
-    lead = "To confirm or tell apart" if several else "To confirm"
+    lead = "To confirm or separate" if several else "To confirm"
     hint = " --separate says which further measurement would, from simulation."
     return f"{lead}: {what}." + (hint if several and not separated else "")
 
@@ -404,12 +404,12 @@ def _limit_words(d: Diagnosis, *, limited: bool) -> str:
             "Look at where it stands out; a further channel (T25_K, Nc_frac, in_stall), another "
             "base (--degree, --base sindy) or a longer record may give it a name."
         )
-    told = (
+    listed = (
         "the limits below say how small."
         if limited
         else "--limits plants each into these records and says how small."
     )
-    return f"That has a limit: an effect that is small enough goes unseen, and {told}"
+    return f"That has a limit: an effect that is small enough goes unseen, and {listed}"
 
 
 def _floors(d: Diagnosis, rms: float) -> str:

@@ -1,4 +1,4 @@
-"""What a report is made of: parts that hold words, lists, tables and pictures."""
+"""What a page is made of: parts that hold words, lists, tables and pictures."""
 
 from __future__ import annotations
 
@@ -74,26 +74,19 @@ class Head:
     prose: bool = False
     zero: str = ""
 
-    @property
-    def style(self) -> str:
-        """Class of its cells in the page."""
-        return "numeric" if self.numeric else "prose" if self.prose else "short"
-
     def style_of(self, cell: str | Cell) -> str:
         """Return the classes of a cell: one that is long, or holds a long word, may be broken.
 
         Parameters
         ----------
         cell : str or Cell
-            The cell, or the head itself.
+            The cell, or the text of the head itself.
         """
         text = cell if isinstance(cell, str) else f"{cell.text} {cell.small}"
-        kinds = (
-            (self.style, True),
-            ("wrapped", not self.numeric and len(text) > LONGEST_LINE),
-            ("long", any(len(word) > LONGEST_WORD for word in text.split())),
-        )
-        return " ".join(name for name, known in kinds if known)
+        kind = "numeric" if self.numeric else "prose" if self.prose else "short"
+        wrapped = " wrapped" if not self.numeric and len(text) > LONGEST_LINE else ""
+        long = " long" if any(len(word) > LONGEST_WORD for word in text.split()) else ""
+        return kind + wrapped + long
 
 
 @dataclass(frozen=True)
@@ -123,7 +116,7 @@ class Table:
     rows : tuple of tuple of str or Cell
         Its cells.
     marks : tuple of str
-        A class for each row: ``"failed"``, ``"best"`` or empty.
+        A class for each row: ``"failed"``, ``"best"`` (the row to look at first) or empty.
     """
 
     kind: ClassVar[str] = "table"
@@ -147,7 +140,7 @@ class Table:
             ("wide", columns > MANY_COLUMNS),
             ("widest", columns > MOST_COLUMNS),
         )
-        return " ".join(name for name, known in kinds if known)
+        return " ".join(name for name, holds in kinds if holds)
 
     def mark(self, row: int) -> str:
         """Return the class of a row."""
@@ -156,32 +149,32 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture.
+    """A picture with the sentences that say what it shows.
 
     Parameters
     ----------
     title : str
         What it is.
-    uri : str
-        The image as a data URI.
+    figure : Figure
+        The drawing.
     alt : str
         What it shows, in numbers: below the picture, and for those who cannot see it.
     reading : str
         How to read it.
-    told_above : bool
+    said_above : bool
         Whether the page says just before the picture what it shows.
     """
 
     kind: ClassVar[str] = "picture"
     title: str
-    uri: str
+    figure: Figure
     alt: str
     reading: str
-    told_above: bool = False
+    said_above: bool = False
 
     @classmethod
     def of(
-        cls, title: str, drawn: Axes | Figure, alt: str, reading: str, *, told_above: bool = False
+        cls, title: str, drawn: Axes | Figure, alt: str, reading: str, *, said_above: bool = False
     ) -> Picture:
         """Return the picture of a figure, or of the figure that axes belong to.
 
@@ -191,18 +184,20 @@ class Picture:
             What it is.
         drawn : Axes or Figure
             What was drawn.
-        alt, reading, told_above
+        alt, reading, said_above
             See the class.
         """
-        from matplotlib.axes import Axes
-
-        from comparisons.page import style as plots_style
-
-        figure = drawn.get_figure(root=True) if isinstance(drawn, Axes) else drawn
+        figure = drawn.get_figure(root=True)
         if figure is None:
             raise TypeError("the axes belong to no figure")
-        uri = plots_style.figure_to_data_uri(figure)
-        return cls(title, uri, alt, reading, told_above)
+        return cls(title, figure, alt, reading, said_above)
+
+    @property
+    def uri(self) -> str:
+        """The image as a data URI; drawn each time it is asked for."""
+        from comparisons.page.style import figure_to_data_uri
+
+        return figure_to_data_uri(self.figure)
 
 
 Block = Words | Bullets | Table | Picture

@@ -4,14 +4,28 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
+import platform
+from collections.abc import Callable, Iterable, Sequence
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import Any
 
-if TYPE_CHECKING:
-    from comparisons.page.blocks import Part, Table
+from comparisons.page.blocks import Head, Part, Picture, Table
 
 __all__ = ["render_page"]
+
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "pandas",
+    "scikit-learn",
+    "pysindy",
+    "numba",
+    "xarray",
+    "matplotlib",
+    "jinja2",
+)
 
 
 def render_page(
@@ -19,8 +33,8 @@ def render_page(
     *,
     title: str,
     command: str,
-    version: str,
-    versions: Table,
+    version: str | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> str:
     """Return a page that holds its style, its script and its pictures.
 
@@ -28,16 +42,19 @@ def render_page(
     ----------
     sections : sequence of (str, sequence of Part)
         Headings and what stands below them.
-    title, command, version : str
-        Title of the page, the command line that made it and the version of this package.
-    versions : Table
-        What else it was made with.
+    title, command : str
+        Title of the page and the command line that made it.
+    version : str, optional
+        Version of this package; that of the installed one without it.
+    progress : callable
+        Wraps the iteration over the pictures, to show how far the drawing is.
 
     Returns
     -------
     str
         HTML. Every text is escaped; the only script and the only style that a browser runs are
-        those of this package, since the page's own policy names their hashes.
+        those of this package, since the page's own policy names their SHA-256 (W3C, Content
+        Security Policy Level 3).
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -49,14 +66,26 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    style, script = _packaged("report.css"), _packaged("report.js")
+    blocks = [block for _, parts in sections for part in parts for block in part.blocks]
+    pictures = [block for block in blocks if isinstance(block, Picture)]
+    uris = {id(picture): picture.uri for picture in progress(pictures)}
+    style, script = (
+        (files("comparisons.page") / "templates" / name).read_text("utf-8")
+        for name in ("report.css", "report.js")
+    )
+    policy = (
+        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
+        f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
+    )
+    chosen = version_of("sindy-surge") if version is None else version
     page = environment.get_template("report.html.jinja").render(
         title=title,
         command=command,
-        version=version,
-        versions=versions,
+        version=chosen,
+        versions=_versions(chosen),
         sections=sections,
-        policy=_content_policy(style, script),
+        uri_of=lambda picture: uris[id(picture)],
+        policy=policy,
         style=Markup(style),
         script=Markup(script),
     )
@@ -64,28 +93,14 @@ def render_page(
     return page.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def _content_policy(style: str, script: str) -> str:
-    """Return the content security policy of a page: nothing but one style, one script, its images.
-
-    Parameters
-    ----------
-    style, script : str
-        Text between the tags.
-
-    Returns
-    -------
-    str
-        Names the SHA-256 of both (W3C, Content Security Policy Level 3), so that nothing that got
-        into the page in spite of escaping could run, be styled, be sent or be fetched.
-    """
-    return (
-        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
-        f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
-    )
-
-
-def _packaged(name: str) -> str:
-    return (files("comparisons.page") / "templates" / name).read_text("utf-8")
+def _versions(version: str) -> Table:
+    rows = [("sindy-surge", version), ("Python", platform.python_version())]
+    for name in PACKAGES:
+        try:
+            rows.append((name, version_of(name)))
+        except PackageNotFoundError:
+            rows.append((name, "not installed"))
+    return Table("Versions", (Head("package"), Head("version")), tuple(rows))
 
 
 def _digest(text: str) -> str:

@@ -10,7 +10,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surge_core.types import FloatArray
 
@@ -29,14 +28,14 @@ __all__ = [
     "legend",
     "legend_above",
     "new_figure",
+    "plain_numbers",
     "printable",
     "robust_limits",
+    "thinned",
 ]
 
 # 9 in wide: sharp on paper, and when a report enlarges it.
 DPI = 150
-COLOURS = 256
-FREQUENT = 160
 WIDTH_IN = 9.0
 INK = "#222222"
 MEASURED = "#8f8f8f"
@@ -56,14 +55,14 @@ class LineStyle:
     colour : str
         Colour of line and band.
     dashes : str or tuple
-        Matplotlib line style, so that prints in grey still tell the lines apart.
+        Matplotlib line style, so that lines stay apart in a print in grey.
     """
 
     colour: str
     dashes: str | tuple[float, tuple[float, ...]]
 
 
-# Okabe and Ito's palette, which people with any colour vision can tell apart; without its yellow,
+# Okabe and Ito's palette, for readers with any colour vision; without its yellow,
 # which white paper swallows.
 KNOWN_STYLES = {
     "classic_ml": LineStyle("#0072B2", "-"),
@@ -147,18 +146,19 @@ def legend_above(figure: Figure, *panels: Axes, columns: int = 3) -> None:
 
 
 def figure_to_data_uri(figure: Figure) -> str:
-    """Return a figure as a PNG in a data URI, the same bytes for the same picture."""
+    """Return a figure as a PNG in a data URI, the same bytes for the same picture.
+
+    Lines on white need few colours: a palette makes the file a third as large.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
     # Matplotlib's canvas carries no types.
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
-    index, palette = _indexed(np.asarray(canvas.buffer_rgba())[:, :, :3])
-    picture = Image.fromarray(index)
-    picture.putpalette(palette.ravel().tolist())
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3])
     stream = io.BytesIO()
-    picture.save(stream, format="png", optimize=True)
+    picture.quantize(256, dither=Image.Dither.NONE).save(stream, format="png", optimize=True)
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
@@ -208,27 +208,34 @@ def robust_limits(*signals: FloatArray, margin: float = 0.08) -> tuple[float, fl
     return float(low - pad), float(high + pad)
 
 
-def _indexed(pixels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return pixels as indices into a palette: lines on white need few colours.
+def thinned(frequency: FloatArray, power: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+    """Return mean frequency and power over steps of equal width on a logarithmic axis.
 
-    The palette holds the most frequent colours themselves, so that areas and lines keep their
-    exact shade, and then whichever colour is furthest from all of those, so that no small mark
-    loses its own; the rare mixtures at edges take the nearest. The file is a third as large.
+    Parameters
+    ----------
+    frequency, power : ndarray of shape (n,)
+        A spectrum; its lines as they are where it has no more than so many.
+    steps : int
+        How many there are at most.
     """
-    from scipy.spatial import KDTree
+    if frequency.size <= steps:
+        return frequency, power
+    edges = np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], steps))
+    starts = np.unique(edges[edges < frequency.size])
+    counts = np.diff(np.append(starts, frequency.size))
+    middle = np.add.reduceat(frequency, starts) / counts
+    return middle, np.add.reduceat(power, starts) / counts
 
-    flat = pixels.reshape(-1, 3).astype(np.uint32)
-    packed = (flat[:, 0] << 16) | (flat[:, 1] << 8) | flat[:, 2]
-    values, inverse, counts = np.unique(packed, return_inverse=True, return_counts=True)
-    colours = np.stack([values >> 16, (values >> 8) & 255, values & 255], axis=1).astype(float)
-    chosen = np.argsort(-counts, kind="stable")[:FREQUENT].tolist()
-    distance = np.asarray(KDTree(colours[chosen]).query(colours)[0])
-    while len(chosen) < COLOURS and distance.max() > 0.0:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(colours - colours[chosen[-1]], axis=1))
-    _, nearest = KDTree(colours[chosen]).query(colours)
-    index = np.asarray(nearest)[inverse].reshape(pixels.shape[:2])
-    return index.astype(np.uint8), colours[chosen].astype(np.uint8)
+
+def plain_numbers(*axes: Any) -> None:
+    """Write logarithmic axes, such as ``ax.xaxis``, with plain numbers at 1, 2 and 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 @cache

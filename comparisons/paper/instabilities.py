@@ -8,21 +8,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from classic_ml import LagRegressor, PiecewiseLinear
 from classic_ml.readers import read_raw
 from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from comparisons.harness.lag_value import FittedLag
-from comparisons.paper.paper_fit import fit_held, fit_paper, fit_steady
+from classic_ml.series import CoefficientSeries
+from comparisons.harness.estimators import psi_breakpoints
+from comparisons.harness.fit_quality import trusted_range
+from comparisons.harness.rows import stack_rows
+from comparisons.results import FittedLag
 from comparisons.rig import RigCase, RigRun, SensorSettings, simulate, write_run
+from surge_core.types import BoolArray
 
 __all__ = [
     "INSTABILITIES",
     "PAPER_SETTINGS",
-    "PAPER_WINDOWS_S",
     "STEADY_STALL",
     "TRIAL_TIME_CONSTANT_S",
     "WRONG_TIME_CONSTANT_S",
     "Instabilities",
     "InstabilityRun",
+    "fit_paper",
     "reduce_run",
     "run_case",
     "run_instabilities",
@@ -35,9 +42,9 @@ STEADY_STALL = "75-stall"
 # The time constants that the paper states: found at 98.5 %, and chosen by trial and error at 90 %.
 WRONG_TIME_CONSTANT_S = 0.243
 TRIAL_TIME_CONSTANT_S = 0.018
-
 # "1.8 < Time < 3.6 Seconds" (Fig 11); no window is stated for the others, so it is found.
 PAPER_WINDOWS_S: Mapping[str, tuple[float, float]] = {"985": (1.8, 3.6)}
+CURVE_POINTS = 121
 
 # What the paper did, every switch that matters named: the defaults of the reduction are another
 # matter and may change.
@@ -58,7 +65,7 @@ PAPER_SETTINGS = ReductionSettings(
 
 @dataclass(frozen=True)
 class InstabilityRun:
-    """One test: the rig's run, its two reductions, and what the paper's estimator made of it.
+    """One test: the rig's run, its reduction, and what the paper's estimator made of it.
 
     Parameters
     ----------
@@ -68,21 +75,48 @@ class InstabilityRun:
         Raw record, test description, truth.
     paper : Reduction
         Reduced as in the paper (`PAPER_SETTINGS`).
-    reduction : Reduction
-        Reduced with the default settings.
     fits : mapping of str to FittedLag
-        Of the paper's reduction: ``"psi_p"`` and, where ψ is known, ``"psi"`` by maximum
-        likelihood with zero-order hold, no equation straddling two intervals; ``"psi_p_linked"``
-        with the intervals linked as in the paper; ``"psi_p_18ms"`` and ``"psi_p_243ms"`` with
-        the time constant held and the curve refitted. The steady record has ``"psi_p"`` alone, a
-        static parabola whose time constant is nan.
+        ``"psi_p"`` and, where ψ is known, ``"psi"`` by maximum likelihood with zero-order hold, no
+        equation straddling two intervals; ``"psi_p_linked"`` with the intervals linked as in the
+        paper. The steady record has none.
     """
 
     case: str
     rig: RigRun
     paper: Reduction
-    reduction: Reduction
     fits: Mapping[str, FittedLag]
+
+    @property
+    def window(self) -> BoolArray:
+        """The rows of the quasi-steady cycles, of shape (n,)."""
+        return np.asarray(self.paper.record["window"] > 0.5)
+
+    @property
+    def stalled(self) -> BoolArray:
+        """The rows in which the rig itself is in stall, of shape (n,)."""
+        return np.asarray(self.rig.truth["in_stall"] > 0.5)
+
+    @property
+    def true_tau_s(self) -> float:
+        """The time constant that the rig was built with, in seconds."""
+        return float(self.rig.truth_parameters["tau_s"])
+
+    @property
+    def sensors(self) -> SensorSettings:
+        """The settings of the sensors that the run was made with."""
+        return SensorSettings(**self.rig.truth_parameters["sensor_settings"])
+
+    def near_stall(self, channel: str) -> float:
+        """Return the mean of a reduced channel over the rows of the facility's near-stall reading.
+
+        Parameters
+        ----------
+        channel : str
+            Its name in the reduced record.
+        """
+        reading, time_s = self.paper.test.near_stall, self.paper.record.time_s
+        rows = (time_s >= reading.from_s) & (time_s <= reading.to_s)
+        return float(np.mean(self.paper.record[channel][rows]))
 
 
 @dataclass(frozen=True)
@@ -126,29 +160,37 @@ def run_instabilities(
     return Instabilities({case: run_case(case, seed) for case in progress(cases)}, seed)
 
 
-def reduce_run(rig: RigRun, *settings: ReductionSettings) -> tuple[Reduction, ...]:
-    """Reduce a run of the rig from its files, as a real record is.
+def run_case(
+    case: str | RigCase, seed: int = 0, sensors: SensorSettings | None = None
+) -> InstabilityRun:
+    """Simulate, reduce and fit one test.
 
     Parameters
     ----------
-    rig : RigRun
-        The run.
-    *settings : ReductionSettings
-        One reduction each.
+    case : str or RigCase
+        The rig's case.
+    seed : int
+        Seed of the rig's sensors.
+    sensors : SensorSettings, optional
+        Other sensors than the paper's.
 
     Returns
     -------
-    tuple of Reduction
-        In the order of the settings.
+    InstabilityRun
+        The run.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        raw = Path(folder) / "run"
-        write_run(rig, raw)
-        record, test = read_raw(raw / "raw.csv", raw / "test.toml")
-    # The ledger names the rig's run, not a folder that is gone.
-    record = replace(record, source=rig.raw.source, history=rig.raw.history)
-    test = replace(test, source="test.toml")
-    return tuple(reduce_record(record, test, chosen) for chosen in settings)
+    name = case if isinstance(case, str) else case.name
+    settings = replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name))
+    rig, paper = simulate_and_reduce(case, seed, settings, sensors)
+    if name == STEADY_STALL:
+        return InstabilityRun(name, rig, paper, {})
+    fits = {
+        "psi_p": fit_paper(paper.series),
+        "psi_p_linked": fit_paper(paper.series, link_segments=True),
+    }
+    if paper.series.psi is not None:
+        fits["psi"] = fit_paper(paper.series, target="psi")
+    return InstabilityRun(name, rig, paper, fits)
 
 
 def simulate_and_reduce(
@@ -179,37 +221,68 @@ def simulate_and_reduce(
     return rig, reduce_run(rig, settings)[0]
 
 
-def run_case(
-    case: str | RigCase, seed: int = 0, sensors: SensorSettings | None = None
-) -> InstabilityRun:
-    """Simulate, reduce and fit one test.
+def reduce_run(rig: RigRun, *settings: ReductionSettings) -> tuple[Reduction, ...]:
+    """Reduce a run of the rig from its files, as a real record is.
 
     Parameters
     ----------
-    case : str or RigCase
-        The rig's case.
-    seed : int
-        Seed of the rig's sensors.
-    sensors : SensorSettings, optional
-        Other sensors than the paper's.
+    rig : RigRun
+        The run.
+    *settings : ReductionSettings
+        One reduction each.
 
     Returns
     -------
-    InstabilityRun
-        The run.
+    tuple of Reduction
+        In the order of the settings.
     """
-    rig = simulate(case, seed=seed, sensors=sensors)
-    name = case if isinstance(case, str) else case.name
-    as_paper = replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name))
-    paper, reduction = reduce_run(rig, as_paper, ReductionSettings())
-    if name == STEADY_STALL:
-        return InstabilityRun(name, rig, paper, reduction, {"psi_p": fit_steady(paper.series)})
-    fits = {
-        "psi_p": fit_paper(paper.series),
-        "psi_p_linked": fit_paper(paper.series, link_segments=True),
-        "psi_p_18ms": fit_held(paper.series, TRIAL_TIME_CONSTANT_S),
-        "psi_p_243ms": fit_held(paper.series, WRONG_TIME_CONSTANT_S),
-    }
-    if paper.series.psi is not None:
-        fits["psi"] = fit_paper(paper.series, target="psi")
-    return InstabilityRun(name, rig, paper, reduction, fits)
+    with tempfile.TemporaryDirectory() as folder:
+        raw = Path(folder) / "run"
+        write_run(rig, raw)
+        record, test = read_raw(raw / "raw.csv", raw / "test.toml")
+    # The ledger names the rig's run, not a folder that is gone.
+    record = replace(record, source=rig.raw.source, history=rig.raw.history)
+    test = replace(test, source="test.toml")
+    return tuple(reduce_record(record, test, chosen) for chosen in settings)
+
+
+def fit_paper(
+    series: CoefficientSeries,
+    *,
+    target: str = "psi_p",
+    degree: int = 2,
+    link_segments: bool = False,
+) -> FittedLag:
+    """Fit Eq 9 by maximum likelihood with zero-order hold: a parabola (Eq 12), for ψ Fig 22.
+
+    Parameters
+    ----------
+    series : CoefficientSeries
+        A reduced record.
+    target : {"psi_p", "psi"}
+        Which coefficient.
+    degree : int
+        Degree of the polynomial of ψ'.
+    link_segments : bool
+        Link the in-stall intervals into one series, as the paper did.
+
+    Returns
+    -------
+    FittedLag
+        τ and the characteristic.
+    """
+    rows = stack_rows([series], target)
+    basis = PiecewiseLinear(psi_breakpoints(rows, "zero")) if target == "psi" else None
+    model = LagRegressor(
+        rows.sample_period_s,
+        noise="armax",
+        degree=degree,
+        hold="zero",
+        basis=basis,
+        link_segments=link_segments,
+        exact_start=False,
+    ).fit(rows.X, rows.measured, segments=rows.labels)
+    grid = np.linspace(float(rows.phi.min()), float(rows.phi.max()), CURVE_POINTS)
+    return FittedLag.from_estimator(
+        model, "classic_ml", target, "zero", grid, trusted_range(rows.phi)
+    )

@@ -19,8 +19,8 @@ _T31_LIMIT_K = 635.0
 class RigCase:
     """One plant: compressor, its branches, the facility around it, throttle schedule and cells.
 
-    The defaults are the 98.5 % set of ``paper/equations-claims-rig.md`` section 9, rounded as
-    printed there. A constant that neither section 5 nor section 9 states was chosen so that the
+    The defaults are the 98.5 % set, found by a search for sets that surge (about one in six
+    does), with tau as the paper chose it. A constant marked as chosen was set so that the
     signals match those of the independent record of the same set; its comment says so.
 
     Parameters
@@ -103,9 +103,9 @@ class RigCase:
     supply_temperature_k: float = 255.0
     face_pressure_pa: float = 55_000.0
 
-    # Compressor branches. Section 9 gives beta, k_rev, phi_rec; section 5 tau.
+    # Compressor branches: beta, k_rev and phi_rec of the set that was found, tau of the paper.
     pressure_terms: tuple[float, float, float] = (1.2135, 2.941, 47.358)
-    # Section 6, last row: (3.4, -12, 4, -3), value at zero flow and three slopes. Breaks: a choice
+    # Value at zero flow and three slopes of three straight pieces. Breaks: a choice
     # inside the range 0 < φ < 0.175 that in-stall data reach.
     work_intercept: float = 3.4
     work_slopes: tuple[float, float, float] = (-12.0, 4.0, -3.0)
@@ -113,9 +113,9 @@ class RigCase:
     tau_s: float = 0.018
     reverse_loss: float = 1443.0
     recovery_phi: float = 0.14592
-    # Section 5: recovery counts only after phi has been below phi_rec - 0.05.
+    # Recovery counts only after phi has been below phi_rec - 0.05.
     rearm_phi: float = 0.05
-    # Section 5: phi_s and psi'_s at N_c 0.75 and 0.985, "stators at high-speed setting".
+    # phi_s and psi'_s at N_c 0.75 and 0.985, "stators at high-speed setting".
     stall_speeds: tuple[float, float] = (0.75, 0.985)
     stall_phis: tuple[float, float] = (0.272, 0.430)
     stall_psi_ps: tuple[float, float] = (4.2, 6.75)
@@ -126,10 +126,10 @@ class RigCase:
     blend_s: float = 0.003
     cell_rise_s: float = 0.010
     always_cells: float = 0.0
-    # 29.3 kg/s and a pressure ratio of 23.4 (section 5).
+    # 29.3 kg/s and a pressure ratio of 23.4.
     near_stall_phi_ratio: float = 1.0334
 
-    # Gas path and facility, section 9 unless noted.
+    # Gas path and facility, of the set that was found unless noted.
     inertia_per_m: float = 10.707
     inlet_inertia_per_m: float = 3.5758
     internal_volume_m3: float = 0.08
@@ -158,7 +158,7 @@ class RigCase:
     throttle_sweep: float = 0.0
     throttle_sweep_s: float = 3.0
 
-    # Cells, section 5: 82.5 Hz, h2 0.35, 5 % P25, 9 lbm/s; hub/tip +-11 lbm/s.
+    # Cells: 82.5 Hz, h2 0.35, 5 % P25, 9 lbm/s; hub/tip +-11 lbm/s.
     cell_frequency_hz: float = 82.5
     cell_second_harmonic: float = 0.35
     cell_pressure_frac: float = 0.05
@@ -167,7 +167,7 @@ class RigCase:
     # Lock-in of the independent record at 82.5 Hz: 1 lbm/s at plane 31 against 11 at plane 25.
     exit_cell_frac: float = 0.08
 
-    # Section 4: r_rms 0.28 m, A25 0.2938 m2; A31 and design speed as in the independent record.
+    # E3 compressor: r_rms 0.28 m, A25 0.2938 m2; A31 and design speed as in the independent record.
     mean_radius_m: float = 0.28
     inlet_area_m2: float = 0.2938
     exit_area_m2: float = 0.065
@@ -176,7 +176,7 @@ class RigCase:
     # The limit is not stated; at 255 K supply it lies between T31 near stall of 90 % (577 K) and of
     # 95 % (645 K, of which a thermocouple shows 641 K).
     t31_limit_k: tuple[float, float] | None = (200.0, _T31_LIMIT_K)
-    # Section 5: 11 psia at plane 25, 110 psia at plane 31.
+    # 11 psia at plane 25, 110 psia at plane 31.
     zoc_inlet_pa: float = 75_842.33
     zoc_exit_pa: float = 758_423.3
     segmentation: float | None = 50.0
@@ -213,32 +213,13 @@ class RigCase:
 
 
 _POSITIVE = (
-    "corrected_speed_frac",
-    "supply_temperature_k",
-    "face_pressure_pa",
-    "tau_s",
-    "blend_s",
-    "cell_rise_s",
-    "unstalled_efficiency",
-    "near_stall_phi_ratio",
-    "inertia_per_m",
-    "discharge_volume_m3",
-    "exhaust_volume_m3",
-    "inlet_volume_m3",
-    "face_volume_m3",
-    "exhaust_pressure_frac",
-    "coil_lag_s",
-    "open_ratio",
-    "open_lag_s",
-    "throttle_sweep_s",
-    "mean_radius_m",
-    "inlet_area_m2",
-    "exit_area_m2",
-    "design_speed_rpm",
-    "cell_frequency_hz",
-    "zoc_inlet_pa",
-    "zoc_exit_pa",
-)
+    "corrected_speed_frac", "supply_temperature_k", "face_pressure_pa", "tau_s", "blend_s",
+    "cell_rise_s", "unstalled_efficiency", "near_stall_phi_ratio", "inertia_per_m",
+    "discharge_volume_m3", "exhaust_volume_m3", "inlet_volume_m3", "face_volume_m3",
+    "exhaust_pressure_frac", "coil_lag_s", "open_ratio", "open_lag_s", "throttle_sweep_s",
+    "mean_radius_m", "inlet_area_m2", "exit_area_m2", "design_speed_rpm",
+    "cell_frequency_hz", "zoc_inlet_pa", "zoc_exit_pa",
+)  # fmt: skip
 
 _BASE = RigCase()
 
@@ -288,11 +269,11 @@ _BLOWDOWN = replace(
     reverse_heat_frac=0.95814,
 )
 
-# Low-speed rotating stall (paper, Fig 20 and 23). Neither section 5 nor 9 has such a set: all here
-# was chosen. The throttle sits close behind the machine, without whose discharge volume there is no
-# surge, and is moved to and fro slowly; the inlet stands open to the atmosphere. Its in-stall curve
-# lies above that of the 98.5 % set and is less steep near zero flow, as Moore and Greitzer predict
-# of rotating stall against surge; the two meet at φ = 0.18, beyond the paper's reliable range.
+# Low-speed rotating stall (paper, Fig 20 and 23). All here was chosen. The throttle sits close
+# behind the machine, without whose discharge volume there is no surge, and is moved to and fro
+# slowly; the inlet stands open to the atmosphere. Its in-stall curve lies above that of the 98.5
+# % set and is less steep near zero flow, as Moore and Greitzer predict of rotating stall against
+# surge; the two meet at φ = 0.18, beyond the paper's reliable range.
 _STEADY_STALL = replace(
     _BASE,
     name="75-stall",

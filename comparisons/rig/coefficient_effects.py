@@ -1,7 +1,7 @@
 """Physical effects that a test at the level of coefficients can hide, each at its port.
 
-The fifteen of the catalogue (`EFFECTS`) have the equations of the design's table; those of
-`OUTSIDE` are as sensible and stand in no catalogue, so that no name is the right answer to them.
+The fifteen of `EFFECTS` have the equations of the catalogue in `comparisons.missing_effect`; those
+of `OUTSIDE` are as sensible and stand in no catalogue, so that no name is the right answer to them.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ PAIRS = (
     ("thermocouple_lag", "reverse_flow_branch"),
 )
 
-# Share of the sample rate up to which a ripple is looked for (design, section 5); below so many
+# Share of the sample rate up to which a ripple is looked for; below so many
 # times the surge frequency it would be no rotating stall.
 _HIGHEST_RIPPLE = 0.4
 _LOWEST_RIPPLE = 5.0

@@ -13,7 +13,6 @@ from scipy.interpolate import CubicSpline
 
 from comparisons.rig.coefficient_signals import (
     ChannelSignal,
-    Excitation,
     FlowSignal,
     draw_flows,
     slow_amplitude,
@@ -27,6 +26,8 @@ __all__ = ["Plant", "Points", "draw_plant", "lay_grid", "sample_points"]
 _LEAD_TIME_CONSTANTS = 12.0
 # Facility clock from one record's start to the next, in durations: a third of the clock is pause.
 _RECORD_SPACING = 1.5
+# Range of the time constant.
+_TAU_S = (0.06, 0.20)
 _QUANTILE_POINTS = 2000
 _ROOT_STEPS = 4
 
@@ -146,8 +147,6 @@ def draw_plant(
     duration_s: float,
     sample_period_s: float,
     degree: int,
-    excitation: Excitation,
-    tau_s: tuple[float, float],
 ) -> Plant:
     """Draw a compressor and the records of its test.
 
@@ -161,10 +160,6 @@ def draw_plant(
         Length of each, and time between two samples, in seconds.
     degree : int
         3: the cubic of Moore and Greitzer; 2: a parabola over the same flows.
-    excitation : Excitation
-        How the flow moves.
-    tau_s : tuple of float
-        Range of the time constant, in seconds.
 
     Returns
     -------
@@ -175,7 +170,7 @@ def draw_plant(
     -----
     ψ'_QS = ψ'₀ + H (1 + 3/2 (φ/W − 1) − 1/2 (φ/W − 1)³), Moore & Greitzer (1986).
     """
-    tau = float(np.exp(rng.uniform(*np.log(tau_s))))
+    tau = float(np.exp(rng.uniform(*np.log(_TAU_S))))
     base, height, width = rng.uniform(0.2, 0.4), rng.uniform(0.12, 0.20), rng.uniform(0.21, 0.26)
     powers = np.polynomial.Polynomial([-1.0, 1.0 / width])
     if degree == 3:
@@ -184,7 +179,7 @@ def draw_plant(
         # Its top at 1.5 W, as high as the cubic's.
         curve = base + 2.0 * height - 0.9 * height * (powers - 0.5) ** 2
     origins = np.asarray(_RECORD_SPACING * duration_s * np.arange(n_records), dtype=np.float64)
-    flows = draw_flows(rng, origins, excitation)
+    flows = draw_flows(rng, origins)
     temperature_k, speed = rng.uniform(255.0, 300.0), rng.uniform(0.90, 1.0)
     slow_k = (rng.uniform(0.01, 0.02), rng.uniform(0.02, 0.06), rng.uniform(-pi, pi))
     slow_n = (rng.uniform(0.006, 0.012), rng.uniform(0.015, 0.05), rng.uniform(-pi, pi))

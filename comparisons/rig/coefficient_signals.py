@@ -12,7 +12,7 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelSignal", "Excitation", "FlowSignal", "draw_flows", "slow_amplitude"]
+__all__ = ["ChannelSignal", "FlowSignal", "draw_flows", "slow_amplitude"]
 
 
 # The amplitude of surge is what varies more slowly than this share of its frequency ...
@@ -20,35 +20,11 @@ _AMPLITUDE_BAND = 0.25
 # ... taken over so many cycles before and after the record that no edge is felt inside it.
 _AMPLITUDE_LEAD_CYCLES = 16
 _POINTS_PER_CYCLE = 64
-_BROADBAND_TONES = 16
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """How the flow of a test moves.
-
-    Parameters
-    ----------
-    surge_hz : tuple of float
-        Lowest and highest surge frequency, in Hz; each record draws its own.
-    amplitude : float
-        Factor on the amplitude of surge.
-    harmonics : float
-        Factor on the harmonics of surge.
-    modulation : float
-        Factor on the slow modulation of amplitude and frequency.
-    broadband : float
-        Rms of the broadband part as a share of the amplitude of surge.
-    broadband_hz : float
-        Its highest frequency, in Hz.
-    """
-
-    surge_hz: tuple[float, float] = (0.8, 1.6)
-    amplitude: float = 1.0
-    harmonics: float = 1.0
-    modulation: float = 1.0
-    broadband: float = 0.02
-    broadband_hz: float = 4.0
+# Lowest and highest surge frequency in Hz; each record has its own.
+_SURGE_HZ = (0.8, 1.6)
+# The broadband part: number of its tones, its rms over the amplitude of surge, its highest
+# frequency in Hz.
+_BROADBAND_TONES, _BROADBAND, _BROADBAND_HZ = 16, 0.02, 4.0
 
 
 @dataclass(frozen=True)
@@ -159,9 +135,7 @@ class ChannelSignal:
         return np.asarray(self.level * (slow + swing * speed * np.cos(angle + lag)))
 
 
-def draw_flows(
-    rng: np.random.Generator, origins_s: FloatArray, excitation: Excitation
-) -> tuple[FlowSignal, ...]:
+def draw_flows(rng: np.random.Generator, origins_s: FloatArray) -> tuple[FlowSignal, ...]:
     """Draw the flow of every record of a test.
 
     Parameters
@@ -170,8 +144,6 @@ def draw_flows(
         Source of the draw.
     origins_s : ndarray of shape (n_records,)
         Start of each record on the facility clock, in seconds.
-    excitation : Excitation
-        How the flow moves.
 
     Returns
     -------
@@ -179,24 +151,23 @@ def draw_flows(
         One a record; no two surge at the same frequency, amplitude and mean flow.
     """
     n = origins_s.size
-    low, high = excitation.surge_hz
+    low, high = _SURGE_HZ
     # One frequency out of each of n equal parts of the range, in any order.
     shares = (rng.permutation(n) + rng.uniform(0.1, 0.9, n)) / n
     sizes = np.array([1.0, rng.uniform(0.12, 0.25), rng.uniform(0.03, 0.08)])
-    sizes[1:] *= excitation.harmonics
     lags = rng.uniform(-pi, pi, 3)
     flows = []
     for origin, share in zip(origins_s, shares, strict=True):
-        amplitude = rng.uniform(0.20, 0.28) * excitation.amplitude
+        amplitude = rng.uniform(0.20, 0.28)
         # A relaxation wave keeps its shape from record to record but for a little.
         harmonics = np.column_stack((sizes, lags + rng.uniform(-0.2, 0.2, 3)))
-        modulation = rng.uniform(0.12, 0.22) * excitation.modulation
-        wander = rng.uniform(0.2, 0.5) * excitation.modulation
+        modulation = rng.uniform(0.12, 0.22)
+        wander = rng.uniform(0.2, 0.5)
         tones = np.column_stack(
             (
                 np.full(_BROADBAND_TONES, np.sqrt(2.0 / _BROADBAND_TONES))
-                * (amplitude * excitation.broadband),
-                rng.uniform(0.2, excitation.broadband_hz, _BROADBAND_TONES),
+                * (amplitude * _BROADBAND),
+                rng.uniform(0.2, _BROADBAND_HZ, _BROADBAND_TONES),
                 rng.uniform(-pi, pi, _BROADBAND_TONES),
             )
         )
@@ -235,7 +206,7 @@ def slow_amplitude(flow: FlowSignal, first_s: float, last_s: float) -> CubicSpli
     Notes
     -----
     φ is known before and after the interval, so that neither the analytic signal nor the filter
-    feels an edge; whoever has the record alone can do no better than approach this.
+    feels an edge; from the record alone this can only be approached.
     """
     lead_s = _AMPLITUDE_LEAD_CYCLES / flow.surge_hz
     rate_hz = _POINTS_PER_CYCLE * flow.surge_hz

@@ -2,7 +2,7 @@
 
 The truth is τ dψ'/dt + ψ' = ψ'_QS(φ) with none, one or two physical effects at their ports. φ is a
 formula in time, so that ψ' is simulated on its own fine grid and only then sampled: what is left of
-a perfect model is noise alone, and the error of whoever simulates at the sample rate is his own.
+a perfect model is noise alone, and an error of a simulation at the sample rate is its own.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
 from comparisons.rig.coefficient_plant import Plant, draw_plant
 from comparisons.rig.coefficient_runs import check_together, run_record
-from comparisons.rig.coefficient_signals import Excitation
 from comparisons.rig.coefficient_strength import BaseRefit, Sized, size_effect
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -29,7 +28,6 @@ __all__ = [
     "PAIRS",
     "CoefficientRecord",
     "CoefficientTest",
-    "Excitation",
     "Noise",
     "simulate_test",
 ]
@@ -66,7 +64,7 @@ class CoefficientRecord:
         Inlet temperature as its thermocouple shows it, in kelvin.
     Nc_frac : ndarray of shape (n,)
         Corrected speed as a fraction of design.
-    in_stall : ndarray of bool, shape (n,), optional
+    in_stall : ndarray of bool, shape (n,)
         True while the machine is in stall.
     segment : ndarray of int, shape (n,), optional
         1, 2, … in the intervals to be fitted, 0 elsewhere; None: all rows are one interval.
@@ -90,7 +88,7 @@ class CoefficientTest:
     records : tuple of CoefficientRecord
         The records, in the order of the facility clock.
     tau_s : float
-        True time constant, in seconds, as the design reports it for each effect.
+        True time constant, in seconds, as it is to be reported for each effect.
     beta : tuple of float
         Coefficients of ψ'_QS in plain powers of φ, from the constant on.
     effects : mapping of str to mapping of str to float
@@ -122,11 +120,8 @@ def simulate_test(
     sample_period_s: float = 0.01,
     n_records: int = 3,
     degree: int = 3,
-    in_stall: bool = True,
     gaps: bool = False,
     noise_frac: float = 0.01,
-    tau_s: tuple[float, float] = (0.06, 0.20),
-    excitation: Excitation | None = None,
 ) -> CoefficientTest:
     """Simulate the records of a test in which an effect is hidden.
 
@@ -149,17 +144,11 @@ def simulate_test(
         Number of records; each starts 1.5 of its durations after the one before.
     degree : int
         3: the characteristic is the cubic of Moore and Greitzer; 2: a parabola.
-    in_stall : bool
-        Whether the records have the flag.
     gaps : bool
         Whether the records fall into segments with gaps between them, in which the compressor is on
         another characteristic.
     noise_frac : float
         sigma over the standard deviation of ψ' without effect and noise.
-    tau_s : tuple of float
-        Range that τ is drawn from, in seconds.
-    excitation : Excitation, optional
-        How the flow moves.
 
     Returns
     -------
@@ -180,8 +169,6 @@ def simulate_test(
         duration_s=n_samples * sample_period_s,
         sample_period_s=sample_period_s,
         degree=degree,
-        excitation=excitation or Excitation(),
-        tau_s=tau_s,
     )
     clock: FloatArray = sample_period_s * np.arange(n_samples, dtype=np.float64)
     times = tuple(f.origin_s + clock for f in plant.flows)
@@ -201,7 +188,7 @@ def simulate_test(
         offset = None if segment is None else _GAP_OFFSET * plant.psi_std * (segment == 0)
         psi = run_record(plant, i, time, planted, substeps=_SUBSTEPS, curve_offset=offset)
         clean.append(psi)
-        records.append(_measured(plant, i, time, psi, sigma, noise, rng, in_stall, segment))
+        records.append(_measured(plant, i, time, psi, sigma, noise, rng, segment))
     return CoefficientTest(
         records=tuple(records),
         tau_s=plant.tau_s,
@@ -254,7 +241,6 @@ def _measured(
     sigma: float,
     noise: Noise,
     rng: np.random.Generator,
-    in_stall: bool,
     segment: NDArray[np.int64] | None,
 ) -> CoefficientRecord:
     """Sample the channels of a record and put the noise on."""
@@ -269,7 +255,7 @@ def _measured(
         psi_p=shown,
         T25_K=plant.temperatures[record].values(time_s),
         Nc_frac=plant.speeds[record].values(time_s),
-        in_stall=stalled if in_stall else None,
+        in_stall=stalled,
         segment=segment,
     )
 

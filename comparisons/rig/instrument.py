@@ -16,7 +16,6 @@ from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
 from comparisons.rig.readings import (
     CALIBRATE_PA,
     Transducer,
-    TransducerReading,
     ZocReference,
     draw_reference,
     draw_transducer,
@@ -203,7 +202,11 @@ def _add_pair(
             "calibrate_count": reading.calibrate_count,
             "calibrate_pressure_Pa": CALIBRATE_PA[plane],
         }
-        truth[name] = _transducer_truth(transducer, reading)
+        truth[name] = {
+            "sensitivity_V_Pa": transducer.sensitivity_v_pa,
+            "bias_V": transducer.bias_v,
+            "operate_count": reading.operate_count,
+        }
 
 
 def _with_wake_noise(
@@ -218,14 +221,6 @@ def _with_wake_noise(
         np.where(forward_flow, forward_pa, forward_pa + shake),
         np.where(forward_flow, aft_pa + shake, aft_pa),
     )
-
-
-def _transducer_truth(transducer: Transducer, reading: TransducerReading) -> Mapping[str, float]:
-    return {
-        "sensitivity_V_Pa": transducer.sensitivity_v_pa,
-        "bias_V": transducer.bias_v,
-        "operate_count": reading.operate_count,
-    }
 
 
 def _pressure_counts(

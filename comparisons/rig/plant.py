@@ -1,7 +1,7 @@
 """The plant: compressor with lag and branches, its plenums, and the facility around it.
 
 Greitzer's lumped model with what the surge of a high-pressure-ratio compressor in a refrigerated
-test cell adds to it (``paper/equations-claims-rig.md`` section 5):
+test cell adds to it:
 
     dW/dt = (P25 PR − P31) / I,    PR = (1 + ψ'_i U² / (2 c_p T25))^3.5
     ψ'_i = ψ' + k_rev φ² [φ < 0]                       the reverse loss is not lagged
@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
+from typing import Any
 
 import numpy as np
 
@@ -30,16 +31,7 @@ from comparisons.rig.gas import (
     corrected_flow_kg_s,
     physical_flow_kg_s,
 )
-from comparisons.rig.hidden import (
-    BRANCH_PHIS,
-    BUMP_PHI,
-    BUMP_WIDTH_PHI,
-    HEAT_SOAK_S,
-    LOW_FLOW_PHI,
-    SETTLED_SPEED_FRAC,
-    UNTOUCHED,
-    Alteration,
-)
+from comparisons.rig.hidden import UNTOUCHED, Alteration
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -137,7 +129,7 @@ def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> Flo
     return np.where(flow > 0.0, signals["T_exit"] + correction, signals["T_exit"])
 
 
-def _equilibrium(case: RigCase, altered: Alteration) -> tuple[tuple[float, ...], FloatArray]:
+def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
     """Size flow, orifices and supply so that the case starts at rest, just above stall.
 
     Nothing that can be hidden moves this point: it is cold, at full speed and unstalled.
@@ -212,78 +204,23 @@ def _constants(
     loss: float,
     throttle: float,
     exhaust: float,
-) -> tuple[float, ...]:
-    """Gather the numbers of the compiled loop."""
-    from comparisons.rig.plant_kernel import Constants
+) -> Any:
+    """Gather the numbers of the compiled loop, all of them floats or tuples of floats."""
+    from comparisons.rig import plant_kernel as kernel
 
     u = case.rotor_velocity_m_s
-    return Constants(
-        tau=case.tau_s,
-        beta1=case.pressure_terms[0],
-        beta2=case.pressure_terms[1],
-        beta3=case.pressure_terms[2],
-        work0=case.work_intercept,
-        work1=case.work_slopes[0],
-        work2=case.work_slopes[1],
-        work3=case.work_slopes[2],
-        break1=case.work_breaks[0],
-        break2=case.work_breaks[1],
+    known = [getattr(case, name) for name in kernel.CASE_FIELDS]
+    known += [getattr(altered, name) for name in kernel.ALTERED_FIELDS]
+    return kernel.Constants(
+        *(tuple(map(float, v)) if isinstance(v, tuple) else float(v) for v in known),
         reverse_loss=case.reverse_loss * altered.reverse_loss,
-        recovery_phi=case.recovery_phi,
-        rearm_phi=case.rearm_phi,
-        speed_low=case.stall_speeds[0],
-        speed_high=case.stall_speeds[1],
-        phi_low=case.stall_phis[0],
-        phi_high=case.stall_phis[1],
-        psi_low=case.stall_psi_ps[0],
-        psi_high=case.stall_psi_ps[1],
-        droop=case.unstalled_droop,
-        efficiency=case.unstalled_efficiency,
-        blend=case.blend_s,
-        cell_rise=case.cell_rise_s,
-        always_cells=case.always_cells,
-        inertia=case.inertia_per_m,
-        inlet_inertia=case.inlet_inertia_per_m,
-        internal_volume=case.internal_volume_m3,
-        internal_weight=case.internal_weight,
-        discharge_volume=case.discharge_volume_m3,
-        exhaust_volume=case.exhaust_volume_m3,
-        inlet_volume=case.inlet_volume_m3,
-        face_volume=case.face_volume_m3,
         loss=loss,
         supply_flow=flow,
         supply_pressure=case.face_pressure_pa + loss * flow**2,
-        supply_temperature=case.supply_temperature_k,
-        pump=case.supply_pump_kg_s_pa,
-        recirculation=case.recirculation_frac,
         recirculation_heat=case.recirculation_work * u**2 / (2.0 * CP_J_KG_K),
-        exchange=case.recirculation_exchange,
-        reverse_heat=case.reverse_heat_frac,
-        coil=case.coil_effectiveness,
-        coil_lag=case.coil_lag_s,
         throttle=throttle,
         exhaust=exhaust,
-        ambient=P_REF_PA,
-        close_start=case.close_start_s,
-        close_rate=case.close_rate_per_s,
         open_ratio=case.open_reference * case.open_ratio,
-        open_lag=case.open_lag_s,
-        sweep=case.throttle_sweep,
         sweep_rate=2.0 * pi / case.throttle_sweep_s,
-        corrected_speed=case.corrected_speed_frac,
         rotor_velocity=u,
-        area=case.inlet_area_m2,
-        heat_loss=altered.heat_loss,
-        heat_soak=HEAT_SOAK_S,
-        speed_power=altered.speed_power,
-        settled_speed=SETTLED_SPEED_FRAC,
-        branch_step=altered.branch_step,
-        branch_low=BRANCH_PHIS[0],
-        branch_high=BRANCH_PHIS[1],
-        bump=altered.bump,
-        bump_phi=BUMP_PHI,
-        bump_width=BUMP_WIDTH_PHI,
-        tau_rising=altered.tau_rising,
-        tau_low=altered.tau_low,
-        low_flow_phi=LOW_FLOW_PHI,
     )

@@ -6,9 +6,10 @@ the model and its equations.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from math import exp, sin, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -21,9 +22,19 @@ from comparisons.rig.gas import (
     P_REF_PA,
     T_REF_K,
 )
+from comparisons.rig.hidden import (
+    BRANCH_PHIS,
+    BUMP_PHI,
+    BUMP_WIDTH_PHI,
+    HEAT_SOAK_S,
+    LOW_FLOW_PHI,
+    SETTLED_SPEED_FRAC,
+)
 from surge_core.types import FloatArray
 
 __all__ = [
+    "ALTERED_FIELDS",
+    "CASE_FIELDS",
     "OUTPUTS",
     "STATES",
     "Constants",
@@ -42,78 +53,29 @@ def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
     return compiled
 
 
-class Constants(NamedTuple):
-    """What the loop needs, all in SI; see `RigCase` for the meaning of each."""
-
-    tau: float
-    beta1: float
-    beta2: float
-    beta3: float
-    work0: float
-    work1: float
-    work2: float
-    work3: float
-    break1: float
-    break2: float
-    reverse_loss: float
-    recovery_phi: float
-    rearm_phi: float
-    speed_low: float
-    speed_high: float
-    phi_low: float
-    phi_high: float
-    psi_low: float
-    psi_high: float
-    droop: float
-    efficiency: float
-    blend: float
-    cell_rise: float
-    always_cells: float
-    inertia: float
-    inlet_inertia: float
-    internal_volume: float
-    internal_weight: float
-    discharge_volume: float
-    exhaust_volume: float
-    inlet_volume: float
-    face_volume: float
-    loss: float
-    supply_flow: float
-    supply_pressure: float
-    supply_temperature: float
-    pump: float
-    recirculation: float
-    recirculation_heat: float
-    exchange: float
-    reverse_heat: float
-    coil: float
-    coil_lag: float
-    throttle: float
-    exhaust: float
-    ambient: float
-    close_start: float
-    close_rate: float
-    open_ratio: float
-    open_lag: float
-    sweep: float
-    sweep_rate: float
-    corrected_speed: float
-    rotor_velocity: float
-    area: float
-    heat_loss: float
-    heat_soak: float
-    speed_power: float
-    settled_speed: float
-    branch_step: float
-    branch_low: float
-    branch_high: float
-    bump: float
-    bump_phi: float
-    bump_width: float
-    tau_rising: float
-    tau_low: float
-    low_flow_phi: float
-
+# Numbers of the plant under the names that they have in `RigCase` and in `Alteration`, and those
+# that its equilibrium sizes.
+CASE_FIELDS = (
+    "corrected_speed_frac", "supply_temperature_k", "stall_speeds", "stall_phis",
+    "stall_psi_ps", "unstalled_droop", "pressure_terms", "work_intercept", "work_slopes",
+    "work_breaks", "unstalled_efficiency", "inlet_area_m2", "inertia_per_m",
+    "inlet_inertia_per_m", "recirculation_frac", "recirculation_exchange",
+    "supply_pump_kg_s_pa", "coil_effectiveness", "inlet_volume_m3", "reverse_heat_frac",
+    "face_volume_m3", "coil_lag_s", "internal_weight", "internal_volume_m3",
+    "discharge_volume_m3", "exhaust_volume_m3", "tau_s", "blend_s", "always_cells",
+    "cell_rise_s", "throttle_sweep", "open_lag_s", "close_start_s", "close_rate_per_s",
+    "recovery_phi", "rearm_phi",
+)  # fmt: skip
+ALTERED_FIELDS = (
+    "heat_loss", "speed_power", "branch_step", "bump", "tau_rising", "tau_low",
+)  # fmt: skip
+SIZED_FIELDS = (
+    "reverse_loss", "loss", "supply_flow", "supply_pressure", "recirculation_heat",
+    "throttle", "exhaust", "open_ratio", "sweep_rate", "rotor_velocity",
+)  # fmt: skip
+# A named tuple, which the compiled loop can take apart.
+_named_tuple: Any = namedtuple
+Constants = _named_tuple("Constants", CASE_FIELDS + ALTERED_FIELDS + SIZED_FIELDS)
 
 # Positions in the state vector.
 STATES = ("W", "psi_p", "psi", "P31", "T31", "P_in", "T_in", "T_face", "P_ex", "T_ex", "blend",
@@ -174,45 +136,52 @@ def orifice_flow(
 
 
 @_compile
-def _stall_point(c: Constants, face_temperature: float) -> tuple[float, float]:
+def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the present corrected speed (a table of two points)."""
-    speed = c.corrected_speed * sqrt(c.supply_temperature / face_temperature)
-    x = (speed - c.speed_low) / (c.speed_high - c.speed_low)
-    return c.phi_low + x * (c.phi_high - c.phi_low), c.psi_low + x * (c.psi_high - c.psi_low)
+    speed = c.corrected_speed_frac * sqrt(c.supply_temperature_k / face_temperature)
+    x = (speed - c.stall_speeds[0]) / (c.stall_speeds[1] - c.stall_speeds[0])
+    return c.stall_phis[0] + x * (c.stall_phis[1] - c.stall_phis[0]), c.stall_psi_ps[0] + x * (
+        c.stall_psi_ps[1] - c.stall_psi_ps[0]
+    )
 
 
 @_compile
-def unstalled_psi_p(c: Constants, phi: float, face_temperature: float) -> float:
+def unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
     """Return ψ'_QS of the unstalled branch: flat up to the stall point, a parabola beyond."""
     phi_s, psi_s = _stall_point(c, face_temperature)
-    value: float = psi_s - c.droop * max(phi - phi_s, 0.0) ** 2
+    value: float = psi_s - c.unstalled_droop * max(phi - phi_s, 0.0) ** 2
     return value
 
 
 @_compile
 def _targets(
-    c: Constants, time: float, phi: float, face_temperature: float, q: float, deep: float
+    c: Any, time: float, phi: float, face_temperature: float, q: float, deep: float
 ) -> tuple[float, float]:
     """Return ψ'_QS and ψ_QS, both branches blended by q; stalled never above unstalled.
 
     What may be hidden in ψ'_QS leaves every bit of it as it is where its size is zero.
     """
     free = unstalled_psi_p(c, phi, face_temperature)
-    scale = (sqrt(c.supply_temperature / face_temperature) / c.settled_speed) ** c.speed_power
-    extra = c.bump * exp(-(((phi - c.bump_phi) / c.bump_width) ** 2)) - c.branch_step * deep
-    p = min((c.beta1 + c.beta2 * phi + c.beta3 * phi * phi + extra) * scale, free)
-    w = (
-        c.work0
-        + c.work1 * min(phi, c.break1)
-        + c.work2 * min(max(phi - c.break1, 0.0), c.break2 - c.break1)
-        + c.work3 * max(phi - c.break2, 0.0)
+    scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_power
+    extra = c.bump * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2)) - c.branch_step * deep
+    p = min(
+        (c.pressure_terms[0] + c.pressure_terms[1] * phi + c.pressure_terms[2] * phi * phi + extra)
+        * scale,
+        free,
     )
-    kept = 1.0 - c.heat_loss * (1.0 - exp(-time / c.heat_soak))
-    return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.efficiency
+    w = (
+        c.work_intercept
+        + c.work_slopes[0] * min(phi, c.work_breaks[0])
+        + c.work_slopes[1]
+        * min(max(phi - c.work_breaks[0], 0.0), c.work_breaks[1] - c.work_breaks[0])
+        + c.work_slopes[2] * max(phi - c.work_breaks[1], 0.0)
+    )
+    kept = 1.0 - c.heat_loss * (1.0 - exp(-time / HEAT_SOAK_S))
+    return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.unstalled_efficiency
 
 
 @_compile
-def _duct(c: Constants, s: FloatArray) -> tuple[float, float, float]:
+def _duct(c: Any, s: FloatArray) -> tuple[float, float, float]:
     """Return dW/dt, P25 and the total ψ'.
 
     The reverse loss takes φ at the pressure before the inlet duct's inertia. Taken at P25 itself,
@@ -222,124 +191,121 @@ def _duct(c: Constants, s: FloatArray) -> tuple[float, float, float]:
     p_free = s[P_IN] - c.loss * s[W] * abs(s[W])
     psi_p = s[PSI_P]
     if s[W] < 0.0:
-        psi_p += c.reverse_loss * _phi_of(s[W], p_free, s[T_FACE], c.area, c.rotor_velocity) ** 2
+        psi_p += (
+            c.reverse_loss
+            * _phi_of(s[W], p_free, s[T_FACE], c.inlet_area_m2, c.rotor_velocity) ** 2
+        )
     head = c.rotor_velocity**2 / (2.0 * CP_J_KG_K * s[T_FACE])
     ratio = max(1.0 + psi_p * head, 0.05) ** 3.5
-    p25 = (c.inertia * p_free + c.inlet_inertia * s[P31]) / (c.inertia + c.inlet_inertia * ratio)
-    return (p25 * ratio - s[P31]) / c.inertia, p25, psi_p
+    p25 = (c.inertia_per_m * p_free + c.inlet_inertia_per_m * s[P31]) / (
+        c.inertia_per_m + c.inlet_inertia_per_m * ratio
+    )
+    return (p25 * ratio - s[P31]) / c.inertia_per_m, p25, psi_p
 
 
 @_compile
-def _face(c: Constants, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> None:
+def _face(c: Any, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> None:
     """Fill in the rates of inlet volume, face volume and coil.
 
     In stall the tips stir `c_rec ρ U A` of gas, heat it by `psi_rec U²/2` and exchange `c_x` times
     as much between face and inlet volume.
     """
     forward, backward = max(s[W], 0.0), max(-s[W], 0.0)
-    stirred = s[BLEND] * c.recirculation * p25 / (_R * s[T_FACE]) * c.rotor_velocity * c.area
-    exchange = c.exchange * stirred
-    supply = max(c.supply_flow - c.pump * (s[P_IN] - c.supply_pressure), 0.0)
-    t_supply = c.supply_temperature + c.coil * (s[T_COIL] - c.supply_temperature)
+    stirred = (
+        s[BLEND]
+        * c.recirculation_frac
+        * p25
+        / (_R * s[T_FACE])
+        * c.rotor_velocity
+        * c.inlet_area_m2
+    )
+    exchange = c.recirculation_exchange * stirred
+    supply = max(c.supply_flow - c.supply_pump_kg_s_pa * (s[P_IN] - c.supply_pressure), 0.0)
+    t_supply = c.supply_temperature_k + c.coil_effectiveness * (s[T_COIL] - c.supply_temperature_k)
     enthalpy = (
         supply * t_supply
         - forward * s[T_IN]
         + backward * s[T_FACE]
         + exchange * (s[T_FACE] - s[T_IN])
     )
-    d[P_IN] = _G * _R / c.inlet_volume * enthalpy
-    mass = s[P_IN] * c.inlet_volume / (_R * s[T_IN])
+    d[P_IN] = _G * _R / c.inlet_volume_m3 * enthalpy
+    mass = s[P_IN] * c.inlet_volume_m3 / (_R * s[T_IN])
     d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - s[W]) / mass)
-    t_reversed = s[T_FACE] + c.reverse_heat * (t_back - s[T_FACE])
+    t_reversed = s[T_FACE] + c.reverse_heat_frac * (t_back - s[T_FACE])
     heat = (
         forward * (s[T_IN] - s[T_FACE])
         + backward * (t_reversed - s[T_FACE])
         + stirred * c.recirculation_heat
         - exchange * (s[T_FACE] - s[T_IN])
-        + c.face_volume / CP_J_KG_K * d[P_IN]
+        + c.face_volume_m3 / CP_J_KG_K * d[P_IN]
     )
-    d[T_FACE] = heat * _R * s[T_FACE] / (s[P_IN] * c.face_volume)
-    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag
+    d[T_FACE] = heat * _R * s[T_FACE] / (s[P_IN] * c.face_volume_m3)
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag_s
 
 
 @_compile
-def _discharge(c: Constants, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, float]:
+def _discharge(c: Any, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, float]:
     """Fill in the rates behind the compressor; return W31 and the throttle flow.
 
     Gas is stored inside the compressor at its mean temperature T̄ while κ of the exit pressure acts
     on V_c: W25 − W31 = κ V_c/(R T̄) dP31/dt.
     """
     wt, tt = orifice_flow(c.throttle * s[THROTTLE], s[P31], s[T31], s[P_EX], s[T_EX])
-    storage = c.internal_weight * c.internal_volume / (_R * 0.5 * (s[T_FACE] + t2))
-    k31 = _G * _R / c.discharge_volume
+    storage = c.internal_weight * c.internal_volume_m3 / (_R * 0.5 * (s[T_FACE] + t2))
+    k31 = _G * _R / c.discharge_volume_m3
     # The gas that crosses plane 31 has the temperature of the side it comes from.
     d[P31] = k31 * (s[W] * t2 - wt * tt) / (1.0 + k31 * storage * t2)
     w31 = s[W] - storage * d[P31]
     if w31 < 0.0:
         d[P31] = k31 * (s[W] * s[T31] - wt * tt) / (1.0 + k31 * storage * s[T31])
         w31 = s[W] - storage * d[P31]
-    mass = s[P31] * c.discharge_volume / (_R * s[T31])
+    mass = s[P31] * c.discharge_volume_m3 / (_R * s[T31])
     d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
 
-    we, te = orifice_flow(c.exhaust, s[P_EX], s[T_EX], c.ambient, c.supply_temperature)
-    d[P_EX] = _G * _R / c.exhaust_volume * (wt * tt - we * te)
-    mass = s[P_EX] * c.exhaust_volume / (_R * s[T_EX])
+    we, te = orifice_flow(c.exhaust, s[P_EX], s[T_EX], P_REF_PA, c.supply_temperature_k)
+    d[P_EX] = _G * _R / c.exhaust_volume_m3 * (wt * tt - we * te)
+    mass = s[P_EX] * c.exhaust_volume_m3 / (_R * s[T_EX])
     d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
     return w31, wt
 
 
 @_compile
 def _rates(
-    c: Constants, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
+    c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
     """Fill in the state's rates and the output row."""
     rate, p25, psi_p = _duct(c, s)
-    phi = _phi_of(s[W], p25, s[T_FACE], c.area, c.rotor_velocity)
+    phi = _phi_of(s[W], p25, s[T_FACE], c.inlet_area_m2, c.rotor_velocity)
     stalled, ever = latch[STALLED], latch[EVER]
     qs_p, qs_w = _targets(c, time, phi, s[T_FACE], s[BLEND], latch[DEEP])
     slower = 1.0 + c.tau_rising * latch[WAY]
-    if phi < c.low_flow_phi:
+    if phi < LOW_FLOW_PHI:
         slower *= 1.0 + c.tau_low
     d[W] = rate
-    d[PSI_P] = (qs_p - s[PSI_P]) / (c.tau * slower)
-    d[PSI] = (qs_w - s[PSI]) / (c.tau * slower)
-    d[BLEND] = (stalled - s[BLEND]) / c.blend
-    d[CELLS] = (max(stalled, c.always_cells * ever) - s[CELLS]) / c.cell_rise
+    d[PSI_P] = (qs_p - s[PSI_P]) / (c.tau_s * slower)
+    d[PSI] = (qs_w - s[PSI]) / (c.tau_s * slower)
+    d[BLEND] = (stalled - s[BLEND]) / c.blend_s
+    d[CELLS] = (max(stalled, c.always_cells * ever) - s[CELLS]) / c.cell_rise_s
     if ever > 0.0:
-        opened = c.open_ratio * (1.0 + c.sweep * sin(c.sweep_rate * time))
-        d[THROTTLE] = (opened - s[THROTTLE]) / c.open_lag
-    elif time >= c.close_start:
-        d[THROTTLE] = -c.close_rate
+        opened = c.open_ratio * (1.0 + c.throttle_sweep * sin(c.sweep_rate * time))
+        d[THROTTLE] = (opened - s[THROTTLE]) / c.open_lag_s
+    elif time >= c.close_start_s:
+        d[THROTTLE] = -c.close_rate_per_s
     else:
         d[THROTTLE] = 0.0
     t2 = s[T_FACE] + s[PSI] * c.rotor_velocity**2 / (2.0 * CP_J_KG_K)
     _face(c, s, p25, s[T31], d)
     w31, wt = _discharge(c, s, t2, d)
-    out[0] = phi
-    out[1] = psi_p
-    out[2] = s[PSI_P]
-    out[3] = qs_p
-    out[4] = s[PSI]
-    out[5] = qs_w
-    out[6] = s[W]
-    out[7] = rate
-    out[8] = w31
-    out[9] = p25
-    out[10] = s[P31]
-    out[11] = s[T_FACE]
-    out[12] = t2 if w31 >= 0.0 else s[T31]
-    out[13] = s[BLEND]
-    out[14] = s[CELLS]
-    out[15] = stalled
-    out[16] = s[P_IN]
-    out[17] = s[T_IN]
-    out[18] = wt
-    out[19] = s[THROTTLE]
-    out[20] = s[T31]
+    t_exit = t2 if w31 >= 0.0 else s[T31]
+    row = (phi, psi_p, s[PSI_P], qs_p, s[PSI], qs_w, s[W], rate, w31, p25, s[P31], s[T_FACE],
+           t_exit, s[BLEND], s[CELLS], stalled, s[P_IN], s[T_IN], wt, s[THROTTLE],
+           s[T31])  # fmt: skip
+    for i in range(len(row)):
+        out[i] = row[i]
 
 
 @_compile
-def _switch(c: Constants, phi: float, t_face: float, latch: FloatArray) -> None:
+def _switch(c: Any, phi: float, t_face: float, latch: FloatArray) -> None:
     """Move the latch: stalled, armed, ever stalled; deep stall; the way of φ since the last step.
 
     Into stall below φ_s, armed only once φ has been above φ_s; out of stall above φ_rec, armed
@@ -356,18 +322,16 @@ def _switch(c: Constants, phi: float, t_face: float, latch: FloatArray) -> None:
         latch[ARMED] = 1.0
     elif latch[ARMED] > 0.0 or phi < c.recovery_phi - c.rearm_phi:
         latch[STALLED], latch[ARMED], latch[EVER] = 1.0, 0.0, 1.0
-    if phi < c.branch_low:
+    if phi < BRANCH_PHIS[0]:
         latch[DEEP] = 1.0
-    elif phi > c.branch_high:
+    elif phi > BRANCH_PHIS[1]:
         latch[DEEP] = 0.0
     latch[WAY] = np.sign(phi - latch[LAST_PHI])
     latch[LAST_PHI] = phi
 
 
 @_compile
-def integrate(
-    c: Constants, start: FloatArray, n_rows: int, row_s: float, substeps: int
-) -> FloatArray:
+def integrate(c: Any, start: FloatArray, n_rows: int, row_s: float, substeps: int) -> FloatArray:
     """Integrate by classical Runge-Kutta with a fixed step; one output row each `row_s`."""
     rows = np.empty((n_rows, 21))
     s, trial = start.copy(), np.empty(14)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from surge_core.types import FloatArray
 __all__ = [
     "CALIBRATE_PA",
     "NEAR_STALL_S",
-    "NearStall",
     "Transducer",
     "TransducerReading",
     "ZocReference",
@@ -34,37 +33,28 @@ __all__ = [
 
 
 # Nominal ranges ±10 psi (plane 25) and ±110 psi (plane 31) over ±5 V; calibrate pressures 6 and
-# 66 psi: section 5 and the independent record.
+# 66 psi: as in the independent record.
 _RANGE_PA = {25: 10.0 * PSI_PA, 31: 110.0 * PSI_PA}
 CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
 # Facility readings average this long before the throttle closes, as in the independent record.
 NEAR_STALL_S = (0.0, 0.14)
 
 
-@dataclass(frozen=True)
-class Transducer:
+class Transducer(NamedTuple):
     """One differential transducer as it really is.
 
-    Parameters
-    ----------
-    sensitivity_v_pa : float
-        Sensitivity in V/Pa at the rake temperature of the calibrate reading.
-    bias_v : float
-        Electrical bias in V.
+    Its sensitivity, in V/Pa, is that at the rake temperature of the calibrate reading; its
+    electrical bias is in V.
     """
 
     sensitivity_v_pa: float
     bias_v: float
 
 
-@dataclass(frozen=True)
-class TransducerReading:
+class TransducerReading(NamedTuple):
     """Mean counts of the three ZOC modes, taken one after the other before the surge.
 
-    Parameters
-    ----------
-    zero_count, calibrate_count, operate_count : float
-        Sense side coupled to the reference; known pressure difference applied; normal operation.
+    Sense side coupled to the reference; known pressure difference applied; normal operation.
     """
 
     zero_count: float
@@ -72,54 +62,16 @@ class TransducerReading:
     operate_count: float
 
 
-@dataclass(frozen=True)
-class ZocReference:
-    """The reference pressure of one plane, and what tape and facility read of it.
-
-    Parameters
-    ----------
-    true_pa, tape_pa, facility_pa : float
-        The pressure and its two readings.
-    """
+class ZocReference(NamedTuple):
+    """The reference pressure of one plane, and what tape and facility read of it, in Pa."""
 
     true_pa: float
     tape_pa: float
     facility_pa: float
 
 
-@dataclass(frozen=True)
-class NearStall:
-    """The facility's steady reading before the surge.
-
-    Parameters
-    ----------
-    p25_pa, t25_k, p31_pa, t31_k : float
-        Plane averages of total pressure and temperature.
-    """
-
-    p25_pa: float
-    t25_k: float
-    p31_pa: float
-    t31_k: float
-
-
 def draw_transducer(plane: int, settings: SensorSettings, rng: np.random.Generator) -> Transducer:
-    """Draw one transducer's unknown sensitivity and bias.
-
-    Parameters
-    ----------
-    plane : int
-        25 or 31.
-    settings : SensorSettings
-        The spreads.
-    rng : numpy.random.Generator
-        Source of randomness; two numbers are drawn whatever the spreads.
-
-    Returns
-    -------
-    Transducer
-        The transducer.
-    """
+    """Draw one transducer's unknown sensitivity and bias: two numbers, whatever the spreads."""
     scatter, bias = rng.standard_normal(2)
     nominal = ADC_HIGH_V / _RANGE_PA[plane]
     return Transducer(
@@ -131,24 +83,7 @@ def draw_transducer(plane: int, settings: SensorSettings, rng: np.random.Generat
 def draw_reference(
     case: RigCase, plane: int, settings: SensorSettings, rng: np.random.Generator
 ) -> ZocReference:
-    """Return the ZOC reference of a plane with its two readings.
-
-    Parameters
-    ----------
-    case : RigCase
-        States the reference pressures.
-    plane : int
-        25 or 31.
-    settings : SensorSettings
-        Relative error of the readings.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    ZocReference
-        The reference.
-    """
+    """Return the ZOC reference of a plane with its two readings."""
     true = case.zoc_inlet_pa if plane == 25 else case.zoc_exit_pa
     tape, facility = true * (1.0 + settings.reference_error * rng.standard_normal(2))
     return ZocReference(true, float(tape), float(facility))
@@ -193,29 +128,17 @@ def read_transducer(
 def remote_pressure_pa(
     tube_pa: FloatArray, settings: SensorSettings, *, rate_hz: float
 ) -> FloatArray:
-    """Return what the remote transducer on the leak path of a tube reads.
+    """Return what the remote transducer on the leak path of a tube reads, at rest at first.
 
     The leak past the high-response transducer is slow: the steady pressure passes, surge does not.
-
-    Parameters
-    ----------
-    tube_pa : ndarray of shape (n,)
-        Pressure in the tube.
-    settings : SensorSettings
-        Lag of the leak path.
-    rate_hz : float
-        Sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The pressure behind the leak, at rest at the first sample.
     """
     return lag(tube_pa, time_constant_s=settings.leak_lag_s, rate_hz=rate_hz)
 
 
-def read_near_stall(run: PlantRun, settings: SensorSettings, rng: np.random.Generator) -> NearStall:
-    """Take the facility's near-stall reading.
+def read_near_stall(
+    run: PlantRun, settings: SensorSettings, rng: np.random.Generator
+) -> dict[str, float]:
+    """Take the facility's near-stall reading: means over `NEAR_STALL_S`.
 
     Pressures come from the slow remote transducers on the leak path of the rakes' tubes,
     temperatures from the facility's own thermocouples.
@@ -231,22 +154,18 @@ def read_near_stall(run: PlantRun, settings: SensorSettings, rng: np.random.Gene
 
     Returns
     -------
-    NearStall
-        Means over `NEAR_STALL_S`.
+    dict of str to float
+        As in ``test.toml``: P25_Pa, T25_K, P31_Pa, T31_K.
     """
     last = round(NEAR_STALL_S[1] * PLANT_RATE_HZ) + 1
     errors = rng.standard_normal(4)
-
-    def pressure(name: str, error: float) -> float:
-        remote = remote_pressure_pa(run[name][:last], settings, rate_hz=PLANT_RATE_HZ)
-        return float(np.mean(remote)) * (1.0 + settings.facility_error * error)
-
-    def temperature(name: str, error: float) -> float:
-        return float(np.mean(run[name][:last])) + settings.facility_temperature_error_k * error
-
-    return NearStall(
-        p25_pa=pressure("P25", float(errors[0])),
-        t25_k=temperature("T25", float(errors[1])),
-        p31_pa=pressure("P31", float(errors[2])),
-        t31_k=temperature("T31", float(errors[3])),
-    )
+    reading = {}
+    for name, error in zip(("P25_Pa", "T25_K", "P31_Pa", "T31_K"), errors, strict=True):
+        signal = run[name.partition("_")[0]][:last]
+        if name.endswith("_Pa"):
+            remote = remote_pressure_pa(signal, settings, rate_hz=PLANT_RATE_HZ)
+            reading[name] = float(np.mean(remote)) * (1.0 + settings.facility_error * float(error))
+        else:
+            off = settings.facility_temperature_error_k * float(error)
+            reading[name] = float(np.mean(signal)) + off
+    return reading

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import isfinite, pi, tan
+from math import inf, isfinite, pi, tan
 
 import numpy as np
 
@@ -105,36 +105,17 @@ class SensorSettings:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
+            value, (low, high) = getattr(self, field.name), _RANGES.get(field.name, (0.0, inf))
             if value is None and field.name in _OPTIONAL:
                 continue
-            number = isinstance(value, float | int)
-            if not number or not isfinite(value) or (value < 0.0):
+            number = isinstance(value, int if field.name in _WHOLE else float | int)
+            if not (number and isfinite(value) and low <= value <= high):
+                kind = "a whole number" if field.name in _WHOLE else "a finite number"
                 raise InputError(
                     f"SensorSettings.{field.name}",
-                    expected="a finite number that is not negative",
+                    expected=f"{kind} from {low:g} to {high:g}",
                     found=f"{value!r}",
                 )
-        if self.bits is not None and not (isinstance(self.bits, int) and 2 <= self.bits <= 24):
-            raise InputError(
-                "SensorSettings.bits", expected="None or 2 to 24", found=f"{self.bits!r}"
-            )
-        if self.reading_samples < 1 or not isinstance(self.reading_samples, int):
-            raise InputError(
-                "SensorSettings.reading_samples",
-                expected="a whole number above zero",
-                found=f"{self.reading_samples!r}",
-            )
-        for name in ("tube_frequency_hz", "anti_alias_hz"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < 5_000.0:
-                raise InputError(
-                    f"SensorSettings.{name}", expected="0 to 5000 Hz, or None", found=f"{value!r}"
-                )
-        if self.recovery_factor == 0.0:
-            raise InputError(
-                "SensorSettings.recovery_factor", expected="a positive number", found="0"
-            )
 
     @classmethod
     def ideal(cls) -> SensorSettings:
@@ -162,6 +143,15 @@ class SensorSettings:
 
 
 _OPTIONAL = ("bits", "tube_frequency_hz", "anti_alias_hz")
+_WHOLE = ("bits", "reading_samples")
+# Frequencies below half the plant's rate.
+_RANGES = {
+    "bits": (2, 24),
+    "reading_samples": (1, inf),
+    "tube_frequency_hz": (1.0, 4_999.0),
+    "anti_alias_hz": (1.0, 4_999.0),
+    "recovery_factor": (0.1, inf),
+}
 
 
 def tube(

@@ -17,7 +17,7 @@ from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
 from comparisons.rig.hidden import UNTOUCHED, Alteration, HiddenEffect, as_hidden
 from comparisons.rig.instrument import RAW_RATE_HZ, Instrumented, instrument
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
-from comparisons.rig.readings import NEAR_STALL_S, NearStall, read_near_stall
+from comparisons.rig.readings import NEAR_STALL_S, read_near_stall
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
 from surge_core.errors import InputError
 
@@ -178,7 +178,7 @@ def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
 def _test_table(
     case: RigCase,
     settings: SensorSettings,
-    near_stall: NearStall,
+    near_stall: Mapping[str, float],
     chain: Instrumented,
     altered: Alteration,
 ) -> dict[str, Any]:
@@ -209,10 +209,7 @@ def _test_table(
         "near_stall": {
             "from_s": NEAR_STALL_S[0],
             "to_s": NEAR_STALL_S[1],
-            "P25_Pa": near_stall.p25_pa,
-            "T25_K": near_stall.t25_k,
-            "P31_Pa": near_stall.p31_pa,
-            "T31_K": near_stall.t31_k,
+            **near_stall,
         },
         "segmentation": {
             "threshold_lbm_s": "none" if case.segmentation is None else case.segmentation

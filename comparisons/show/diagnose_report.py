@@ -27,7 +27,15 @@ from comparisons.missing_effect.words import (
     untried_words,
     verdict_words,
 )
-from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
+from comparisons.page.html import render_page
+from comparisons.show.plots_added_effect import (
+    characteristics_before_and_after,
+    contributions_in_time,
+    residual_spectra,
+)
+from comparisons.show.plots_missing_effect import diagnosis_picture
+from comparisons.show.plots_where import where_picture
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:
@@ -56,24 +64,24 @@ def diagnosis_parts(
         The diagnosis.
     before, after : Where or None
         Where the residual of the model before and after stands out; None where the records are
-        too short to tell.
+        too short for that.
     limits, separation : object, optional
-        With ``lines``: what would have been named, and what would tell an alias set apart.
+        With ``lines``: what would have been named, and what would separate an alias set.
     """
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
     tone = "plain" if d.verdict in ("named", "nothing_missing", "alias_set") else "caution"
     parts = (
         Part(
             f"What is missing: {d.verdict.replace('_', ' ')}",
-            (Words(words, tone), _headline_picture(d, before, after), _gap_table(d)),
+            (Words(words, tone), diagnosis_picture(d, before, after), _gap_table(d)),
         ),
         Part("Where the model and the measurement part", _where(d, before)),
-        Part("Who was tried", _who(d)),
+        Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
         Part("What it changes", _shown(d, before, after)),
         Part("Noise and what is left", _left(d, after)),
         Part("Limits", _lines(limits, _limits_hint(d))),
-        Part("What would tell an alias set apart", _lines(separation, _separation_hint(d))),
+        Part("What would separate an alias set", _lines(separation, _separation_hint(d))),
         Part("Effects that could not be tried", (_ledger(d),)),
     )
     return tuple(part for part in parts if part.blocks)
@@ -100,31 +108,13 @@ def diagnosis_report(
     version : str, optional
         Version of this package; that of the installed one without it.
     """
-    from comparisons.show.report import ReportSection, render_report
-
     names = ", ".join(PurePath(source).name for source in d.data.sources)
     parts = diagnosis_parts(d, before, after, limits=limits, separation=separation)
-    return render_report(
-        [ReportSection(title=names, extra=parts)],
+    return render_page(
+        [(names, parts)],
         title=f"What is missing in the lag model of {names}",
         command=command,
         version=version,
-    )
-
-
-def _headline_picture(d: Diagnosis, before: Where | None, after: Where | None) -> Picture:
-    from comparisons.show.plots_missing_effect import draw_diagnosis
-    from comparisons.show.plots_missing_effect_words import diagnosis_words
-
-    return Picture.of(
-        "The diagnosis in one picture",
-        draw_diagnosis(d, before, after),
-        diagnosis_words(d),
-        "Top: the held-out stretch on which the model before is worst, simulated from φ alone by "
-        "fits to other rows; what is left of the error after should stay within the shaded band "
-        "in 19 rows of 20. Below, left: how far the residual of a fit to all rows stands out in "
-        "each view, on a logarithmic scale; right of the dashed line is beyond chance. Middle: "
-        "all that competed, the alias set hatched or pale. Right: the characteristic.",
     )
 
 
@@ -162,25 +152,14 @@ def _rms_cells(rms: float, floor: float) -> tuple[str, str]:
 def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
     if before is None:
         return (Words(TOO_SHORT),)
-    from comparisons.show.plots_where import draw_where
-
     return (
         Words(opening_words(d), "quiet"),
         Bullets(before.words),
-        Picture.of(
-            "The residual of the model before",
-            draw_where(residual_runs(d, d.before), before),
-            " ".join(before.words),
-            "Everything in floors: the rms of the measurement noise is 1. Top: the residual over "
-            "time with mean and rms of each block. Middle: its spectrum over the noise's, and its "
-            "mean over the surge cycle. Below: its mean where φ was and which way it went, and its "
-            "rms in each record. Red: beyond what chance reaches in all these looks together.",
-            told_above=True,
-        ),
+        where_picture(residual_runs(d, d.before), before),
     )
 
 
-def _who(d: Diagnosis) -> tuple[Block, ...]:
+def _candidates(d: Diagnosis) -> tuple[Block, ...]:
     heads = tuple(
         Head(text, numeric=text not in _WORDS_COLUMNS, prose=text == "fate")
         for text in candidate_heads(d)
@@ -193,9 +172,9 @@ def _who(d: Diagnosis) -> tuple[Block, ...]:
         tuple(candidate_cells(d, row) for row in rows),
         marks,
     )
-    told = tuple(Words(words, "quiet") for words in untried_words(d)[: bool(not_fitted(d))])
+    untried = tuple(Words(words, "quiet") for words in untried_words(d)[: bool(not_fitted(d))])
     if not rows:
-        return (Words("No effect promised enough to be worth a fit."), *told)
+        return (Words("No effect promised enough to be worth a fit."), *untried)
     how = (
         "Each effect is fitted together with τ and the characteristic, and accepted only where the "
         "fitted rows, later time and the other record all speak for it, the search paid for. Open "
@@ -212,7 +191,7 @@ def _who(d: Diagnosis) -> tuple[Block, ...]:
         Words(how),
         table,
         Words(legend_of(d), "quiet"),
-        *told,
+        *untried,
     )
 
 
@@ -271,52 +250,11 @@ def _bounds(parameter: Parameter) -> str:
 
 
 def _shown(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Block, ...]:
-    from comparisons.show.plots_missing_effect import (
-        draw_characteristics,
-        draw_contributions,
-        draw_spectra,
-    )
-    from comparisons.show.plots_missing_effect_words import (
-        characteristics_words,
-        contributions_words,
-        spectra_words,
-    )
-
     blocks: list[Block] = []
-    parts = contributions(d)
-    if parts:
-        blocks.append(
-            Picture.of(
-                "Characteristic before and after",
-                draw_characteristics(d),
-                characteristics_words(d),
-                "As a slow sweep would draw it: with two branches where there is hysteresis, at "
-                "both ends of the test where it drifts. The measured points lie off the curve by "
-                "the lag.",
-            )
-        )
-        blocks.append(
-            Picture.of(
-                "Contribution of each effect in time",
-                draw_contributions(d),
-                contributions_words(d),
-                "The free run with everything, less the same with this effect's amplitude at zero "
-                "and all other numbers as they are; the band is the noise. A part of it the model "
-                "before could mimic with another τ and another curve: that part does not show in "
-                "the residual.",
-            )
-        )
+    if contributions(d):
+        blocks += [characteristics_before_and_after(d), contributions_in_time(d)]
     if before is not None:
-        last = after if d.missing else None
-        blocks.append(
-            Picture.of(
-                "Spectrum of the residual",
-                draw_spectra(before, last),
-                spectra_words(before, last),
-                "At 1 there is nothing but noise. Peaks at surge and its harmonics follow φ; a "
-                "rise at the left is drift; a line far above surge is cells that turn.",
-            )
-        )
+        blocks.append(residual_spectra(before, after if d.missing else None))
     return tuple(blocks)
 
 
@@ -348,14 +286,14 @@ def _separation_hint(d: Diagnosis) -> str:
         return ""
     return (
         "Not looked for. `sindy-surge diagnose --separate` says, from simulation, which further "
-        "measurement would tell the names apart."
+        "measurement would separate the names."
     )
 
 
-def _lines(told: Any, hint: str) -> tuple[Block, ...]:
-    if told is not None:
+def _lines(found: Any, hint: str) -> tuple[Block, ...]:
+    if found is not None:
         # The lines may be those of a table.
-        return (Words("\n".join(told.lines), "code"),)
+        return (Words("\n".join(found.lines), "code"),)
     return (Words(hint, "quiet"),) if hint else ()
 
 

@@ -1,16 +1,17 @@
-"""A comparison as JSON, in the schema that other programs rely on (DESIGN section 5)."""
+"""A comparison as JSON, in the schema that other programs rely on."""
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import asdict
 from typing import Any
 
-from comparisons.harness.cautions import tau_caution
-from comparisons.harness.compare import Comparison, EstimatorResult
+import numpy as np
 
-__all__ = ["COMPARE_SCHEMA", "comparison_document", "to_strict_json"]
+from classic_ml.series import CoefficientSeries
+from comparisons.results import Comparison, EstimatorResult
+from surge_core.files import to_strict_json
+
+__all__ = ["COMPARE_SCHEMA", "comparison_document", "record_document", "to_strict_json"]
 
 COMPARE_SCHEMA = "sindy-surge/compare/1"
 
@@ -31,30 +32,29 @@ def comparison_document(comparison: Comparison, work: Comparison | None = None) 
     return document
 
 
-def to_strict_json(document: dict[str, Any]) -> str:
-    """Return JSON in which a number that is not finite is null: JSON has no NaN."""
-    return json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+def record_document(record: CoefficientSeries) -> dict[str, Any]:
+    """Return what a document says of a record.
+
+    Parameters
+    ----------
+    record : CoefficientSeries
+        A reduced record.
+    """
+    return {
+        "source": record.source,
+        "rows": record.n_samples,
+        "segments": record.n_segments,
+        "sample_rate_hz": record.sample_rate_hz,
+        "from_s": float(record.time_s[0]),
+        "to_s": float(record.time_s[-1]),
+    }
 
 
 def _body(comparison: Comparison) -> dict[str, Any]:
-    pressure = comparison.rows.target == "psi_p"
-    tau = (
-        tau_caution(
-            (record.history for record in comparison.records),
-            from_whole_runs=comparison.quotable,
-        )
-        if pressure
-        else None
-    )
     return {
         "records": [
             {
-                "source": record.source,
-                "rows": record.n_samples,
-                "segments": record.n_segments,
-                "sample_rate_hz": record.sample_rate_hz,
-                "from_s": float(record.time_s[0]),
-                "to_s": float(record.time_s[-1]),
+                **record_document(record),
                 "history": [asdict(entry) for entry in record.history],
             }
             for record in comparison.records
@@ -62,15 +62,18 @@ def _body(comparison: Comparison) -> dict[str, Any]:
         "target": comparison.rows.target,
         "rows_fitted": int(comparison.rows.phi.size),
         "segments_fitted": comparison.rows.n_segments,
+        "recommended": comparison.recommended,
         "estimators": {result.name: _estimator(result) for result in comparison.results},
         "comparison": [asdict(row) for row in comparison.table],
-        "cautions": [*([tau] if tau else []), *comparison.cautions],
+        "cautions": [caution.text for caution in comparison.cautions],
     }
 
 
 def _estimator(result: EstimatorResult) -> dict[str, Any]:
     model = result.model
-    table = list(zip(*model.table, strict=True))
+    phi, psi_p, stderr = np.asarray(model.table).T
+    known = 1.0 if result.states_curve else np.nan
+    fit_state = {"code": result.state, "advice": result.advice}
     return {
         "label": result.label,
         "time_constant_s": {
@@ -80,20 +83,22 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         },
         "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": [
-            {"name": name, "coefficient": coefficient, "stderr": stderr}
-            for name, coefficient, stderr in zip(
+            {"name": name, "coefficient": known * coefficient, "stderr": error}
+            for name, coefficient, error in zip(
                 model.terms, model.coefficients, model.stderr, strict=True
             )
         ],
         "characteristic": {
-            "phi": list(table[0]),
-            "psi_p" if model.target == "psi_p" else "psi": list(table[1]),
-            "stderr": list(table[2]),
+            "phi": phi.tolist(),
+            model.target: (known * psi_p).tolist(),
+            "stderr": stderr.tolist(),
         },
         "valid_phi": list(model.valid_phi),
         "hold": model.hold,
         "equation": result.equation,
-        "state": {"code": result.state, "advice": result.advice},
+        "fit_state": fit_state,
+        # The key of files written before `fit_state`.
+        "state": fit_state,
         "fit": {
             "free_run": result.free_run.to_json(),
             "held_out": result.held_out.to_json() if result.held_out else None,
@@ -105,13 +110,3 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         **({"structure": result.structure.to_json()} if result.structure else {}),
         **({"effects": result.extended.to_json()["effects"]} if result.extended else {}),
     }
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -1,4 +1,4 @@
-"""Pictures of what was added to a lag model: characteristic, contributions in time, spectra."""
+"""Pictures of what was added to a lag model, each with what it shows."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from comparisons.missing_effect.shown import (
     steady_curves,
     stretch,
 )
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -24,13 +25,14 @@ from comparisons.page.style import (
     legend,
     legend_above,
     new_figure,
+    plain_numbers,
     printable,
     robust_limits,
+    thinned,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.shown import Curve
@@ -40,20 +42,23 @@ if TYPE_CHECKING:
 __all__ = [
     "AFTER",
     "BEFORE",
-    "draw_characteristics",
-    "draw_contributions",
-    "draw_spectra",
-    "plain_numbers",
+    "characteristics_before_and_after",
+    "contributions_in_time",
     "plot_curves",
+    "residual_spectra",
 ]
 
 BEFORE, AFTER = MARK, ACCENT
 TINY = 7.5
+# Curves that lie closer than this share of the noise are one line in the picture.
+SAME = 0.01
 POINTS_DRAWN = 4000
+# Of a spectrum, along its axis.
+STEPS = 160
 _DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 
 
-def draw_characteristics(d: Diagnosis) -> Figure:
+def characteristics_before_and_after(d: Diagnosis) -> Picture:
     """Draw the characteristic before and after, and the difference of the two.
 
     Parameters
@@ -88,10 +93,16 @@ def draw_characteristics(d: Diagnosis) -> Figure:
     lower.set_xlabel(r"flow coefficient $\varphi$ [-]")
     legend(lower, loc="best")
     legend_above(figure, upper, columns=4)
-    return figure
+    return Picture.of(
+        "Characteristic before and after",
+        figure,
+        _curve_words(d, old[0], new),
+        "As a slow sweep would draw it: with two branches where there is hysteresis, at both ends "
+        "of the test where it drifts. The measured points lie off the curve by the lag.",
+    )
 
 
-def draw_contributions(d: Diagnosis) -> Figure:
+def contributions_in_time(d: Diagnosis) -> Picture:
     """Draw what each effect adds to the free run, over all records and in a held-out stretch.
 
     Parameters
@@ -101,7 +112,7 @@ def draw_contributions(d: Diagnosis) -> Figure:
 
     Returns
     -------
-    Figure
+    Picture
         A row for each effect: the free run less the same with its amplitude at zero.
     """
     parts = contributions(d)
@@ -129,10 +140,22 @@ def draw_contributions(d: Diagnosis) -> Figure:
     panels[0][1].set_title("the shaded stretch", fontsize=9, loc="left", color=INK)
     for ax in panels[-1]:
         ax.set_xlabel("facility clock [s]", fontsize=9)
-    return figure
+    shown_words = "; ".join(
+        f"{part.effect} rms {part.rms:.3g}, {part.rms / d.gap.floor_rms:.1f} times the noise, at "
+        f"most {np.nanmax(np.abs(part.value)):.3g}"
+        for part in parts
+    )
+    return Picture.of(
+        "Contribution of each effect in time",
+        figure,
+        f"What each effect adds to ψ' in the free run: {shown_words}.",
+        "The free run with everything, less the same with this effect's amplitude at zero and all "
+        "other numbers as they are; the band is the noise. A part of it the model before could "
+        "mimic with another τ and another curve: that part does not show in the residual.",
+    )
 
 
-def draw_spectra(before: Where, after: Where | None = None) -> Figure:
+def residual_spectra(before: Where, after: Where | None = None) -> Picture:
     """Draw the spectrum of the residual before and after over that of the noise.
 
     Parameters
@@ -152,7 +175,7 @@ def draw_spectra(before: Where, after: Where | None = None) -> Figure:
             continue
         # The last line, at half the sample rate, has no bandwidth of its own.
         shown = (where.spectrum_hz > 0.0) & (where.spectrum_hz < where.spectrum_hz[-1])
-        frequency, ratio = _smoothed(where.spectrum_hz[shown], where.spectrum_ratio[shown])
+        frequency, ratio = thinned(where.spectrum_hz[shown], where.spectrum_ratio[shown], STEPS)
         ax.loglog(frequency, ratio, color=colour, lw=1.5, label=label)
         highest = max(highest, float(ratio.max()))
     ax.axhline(1.0, color=INK, lw=1.0, ls=(0, (5, 2)), label="noise")
@@ -177,11 +200,23 @@ def draw_spectra(before: Where, after: Where | None = None) -> Figure:
             fontsize=TINY,
             color=QUIET,
         )
-    plain_numbers(ax)
+    plain_numbers(ax.xaxis, ax.yaxis)
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel("power of the residual over the noise's")
     legend_above(figure, ax)
-    return figure
+    largest = []
+    for where, word in ((before, "" if alone else " before"), (after, " after")):
+        if where is not None:
+            row = max(where.frequency, key=lambda each: each.ratio)
+            band = f"{row.low_hz:.3g} to {row.high_hz:.3g} Hz"
+            largest.append(f"largest{word} in {band}, {row.ratio:.3g} times")
+    return Picture.of(
+        "Spectrum of the residual",
+        figure,
+        f"Power of the residual over that of the noise: {'; '.join(largest)}.",
+        "At 1 there is nothing but noise. Peaks at surge and its harmonics follow φ; a rise at the "
+        "left is drift; a line far above surge is cells that turn.",
+    )
 
 
 def plot_curves(ax: Axes, before: tuple[Curve, ...], after: tuple[Curve, ...]) -> list[FloatArray]:
@@ -208,30 +243,22 @@ def plot_curves(ax: Axes, before: tuple[Curve, ...], after: tuple[Curve, ...]) -
     return [curve.value for curve in (*before, *after)]
 
 
-def plain_numbers(ax: Axes, *, both: bool = True) -> None:
-    """Write a logarithmic axis, or both, with plain numbers.
-
-    Parameters
-    ----------
-    ax : Axes
-        Whose.
-    both : bool
-        False for the axis at the bottom alone.
-    """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):
-        low, high = axis.get_view_interval()
-        subs = (1.0, 2.0, 5.0) if high < 300.0 * low and both else (1.0,)
-        axis.set_major_locator(LogLocator(subs=subs))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
-
-
-def _smoothed(frequency: FloatArray, ratio: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean ratios over steps that widen with the frequency."""
-    edges = np.unique(np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], 160)))
-    starts = edges[edges < frequency.size]
-    counts = np.diff(np.append(starts, frequency.size))
-    middle = np.add.reduceat(frequency, starts) / counts
-    return middle, np.add.reduceat(ratio, starts) / counts
+def _curve_words(d: Diagnosis, old: Curve, new: tuple[Curve, ...]) -> str:
+    """Say the ends of the characteristics before and after, and where they part most."""
+    ends = f"{old.value[0]:.3g} to {old.value[-1]:.3g}"
+    words = (
+        f"Quasi-steady characteristic over φ from {old.phi[0]:.3g} to {old.phi[-1]:.3g}: {ends} by "
+        f"the model{' before' if d.missing else ''}"
+    )
+    if not d.missing:
+        return f"{words}; nothing was added."
+    after = []
+    for curve in new:
+        difference = curve.value - old.value
+        at = int(np.argmax(np.abs(difference)))
+        apart = f"furthest from it, {difference[at]:+.2g}, at φ = {curve.phi[at]:.3g}"
+        same = abs(difference[at]) < SAME * d.gap.floor_rms
+        label = f", {curve.label}" if curve.label else ""
+        ends = f"{curve.value[0]:.3g} to {curve.value[-1]:.3g}"
+        after.append(f"{ends} after{label}, {'the same' if same else apart}")
+    return f"{words}; {'; '.join(after)}."

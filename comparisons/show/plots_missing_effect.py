@@ -1,4 +1,4 @@
-"""The picture of a diagnosis: gap, where, who, and the characteristic before and after."""
+"""The picture of a diagnosis: gap, where, candidates, and the characteristic before and after."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from comparisons.missing_effect.shown import (
     steady_curves,
     stretch,
 )
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     FAINT,
     INK,
@@ -24,27 +25,21 @@ from comparisons.page.style import (
     dress,
     legend,
     new_figure,
+    plain_numbers,
     printable,
     robust_limits,
 )
-from comparisons.show.plots_added_effect import (
-    AFTER,
-    BEFORE,
-    draw_characteristics,
-    draw_contributions,
-    draw_spectra,
-    plain_numbers,
-    plot_curves,
-)
+from comparisons.show.plots_added_effect import AFTER, BEFORE, plot_curves
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.where import Where
+    from surge_core.types import FloatArray
 
-__all__ = ["draw_characteristics", "draw_contributions", "draw_diagnosis", "draw_spectra", "title"]
+__all__ = ["diagnosis_picture", "title"]
 
 PALE = "#d3e5f1"
 SMALL = 8.5
@@ -82,7 +77,7 @@ def title(d: Diagnosis) -> str:
     return f"{lead.get(d.verdict, 'Missing')}: {' and '.join(names)}"
 
 
-def draw_diagnosis(d: Diagnosis, before: Where | None, after: Where | None = None) -> Figure:
+def diagnosis_picture(d: Diagnosis, before: Where | None, after: Where | None = None) -> Picture:
     """Draw a diagnosis in one picture: gap, where, who, characteristic, verdict.
 
     Parameters
@@ -94,13 +89,13 @@ def draw_diagnosis(d: Diagnosis, before: Where | None, after: Where | None = Non
 
     Returns
     -------
-    Figure
+    Picture
         On top measured and simulated ψ' on a held-out stretch, and both residuals over the noise;
         below, how far the residual stands out in each view, the candidates by score with τ, and
         the characteristic before and after.
     """
     figure = new_figure(height_in=8.2)
-    lines = _told(d)
+    lines = _lines(d)
     room_pt = HEADING_PT + LINE_PT * len(lines)
     heights = [1.15, 0.8, 1.45]
     heading = sum(heights) * room_pt / (72.0 * 8.2 - MARGINS_PT - room_pt)
@@ -116,16 +111,37 @@ def draw_diagnosis(d: Diagnosis, before: Where | None, after: Where | None = Non
     _views(dress(figure.add_subplot(bottom[0])), before, after if d.missing else None)
     _candidates(figure.add_subplot(bottom[1]), d)
     _curves(dress(figure.add_subplot(bottom[2])), d)
-    return figure
+    return Picture.of(
+        "The diagnosis in one picture",
+        figure,
+        _shown_words(d, run.time_s[shown]),
+        "Top: the held-out stretch on which the model before is worst, simulated from φ alone by "
+        "fits to other rows; what is left of the error after should stay within the shaded band "
+        "in 19 rows of 20. Below, left: how far the residual of a fit to all rows stands out in "
+        "each view, on a logarithmic scale; right of the dashed line is beyond chance. Middle: "
+        "all that competed, the alias set hatched or pale. Right: the characteristic.",
+    )
+
+
+def _shown_words(d: Diagnosis, time_s: FloatArray) -> str:
+    gap = d.gap
+    words = f"{title(d)}. Held-out rms of ψ' {significant(gap.before_rms, 3)} and τ "
+    words += tau_ms(d.tau_before_s)
+    if d.missing:
+        words += f" before, {significant(gap.after_rms, 3)} and τ {tau_ms(d.tau_after_s)} after"
+    return (
+        f"{words}; noise {significant(gap.floor_rms, 3)}. Drawn over time: {time_s[0]:.4g} to "
+        f"{time_s[-1]:.4g} s, where the model before is worst."
+    )
 
 
 def _headline(ax: Axes, heading: str, lines: list[str]) -> None:
     ax.set_axis_off()
-    told = "\n".join(shorten(_plain(line), LONGEST_LINE, placeholder=" …") for line in lines)
+    below_it = "\n".join(shorten(_plain(line), LONGEST_LINE, placeholder=" …") for line in lines)
     size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
     for words, below, style in (
         (_plain(heading), 2.0, {"fontsize": size, "fontweight": "bold"}),
-        (told, HEADING_PT, {"fontsize": 9.5, "linespacing": 1.35}),
+        (below_it, HEADING_PT, {"fontsize": 9.5, "linespacing": 1.35}),
     ):
         text = ax.annotate(
             words,
@@ -141,7 +157,7 @@ def _headline(ax: Axes, heading: str, lines: list[str]) -> None:
         text.set_in_layout(False)
 
 
-def _told(d: Diagnosis) -> list[str]:
+def _lines(d: Diagnosis) -> list[str]:
     """Return what stands below the heading: each effect's numbers, τ, the gap."""
     before, after = d.gap.before_rms / d.gap.floor_rms, d.gap.after_rms / d.gap.floor_rms
     if not d.missing:
@@ -236,7 +252,7 @@ def _views(ax: Axes, before: Where | None, after: Where | None) -> None:
     ax.set_yticks(range(len(names)), names, fontsize=SMALL)
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.grid(False, axis="y")
-    plain_numbers(ax, both=False)
+    plain_numbers(ax.xaxis)
     ax.set_xlabel("strongest z over what chance reaches", fontsize=SMALL)
 
 

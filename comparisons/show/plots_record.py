@@ -1,16 +1,18 @@
-"""Pictures of a record: operating-point migration, surge cycles, spectra, loops."""
+"""Pictures of a record, each with what it shows: operating points, cycles, spectra, loops."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.flow import LBM_KG
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.residual_analysis import stall_inception
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -18,7 +20,6 @@ from comparisons.page.style import (
     MARK,
     QUIET,
     SHADE,
-    axes_of,
     coefficient_symbol,
     dress,
     legend,
@@ -27,82 +28,96 @@ from comparisons.page.style import (
     robust_limits,
 )
 from surge_core.errors import InputError
+from surge_core.rounding import significant
 from surge_core.segments import runs_of
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes._secondary_axes import SecondaryAxis
 
     from classic_ml.reduction import Reduction
 
 __all__ = [
-    "plot_hub_and_tip",
-    "plot_inlet_spectra",
-    "plot_loops",
-    "plot_operating_points",
-    "plot_series",
-    "plot_surge_cycles",
-    "rows_drawn",
-    "where_defined",
-    "window_rows",
+    "hub_and_tip",
+    "inlet_spectra",
+    "loops",
+    "operating_points",
+    "series_in_time",
+    "surge_cycles",
 ]
 
 CELL_HZ = 82.5  # rotating stall, from interstage wall pressures (paper, p. 3)
-FLOW_LABEL = "inlet corrected flow $W_{c25}$ [kg/s]"
+# Half the width over which the line of the stall cells is summed up.
+CELL_BAND_HZ = 2.0
+# Of a longer record more would only blacken the paper.
 LOOP_ROWS = 20_000
-DECADES_SHOWN = 1e-9
-# Of a longer record only so much is drawn over time.
 LONGEST_S = 4.0
+DECADES_SHOWN = 1e-9
+# Bins of equal counts over which a loop's two branches are compared, and rows that a mean needs.
+LOOP_BINS, FEWEST_ROWS = 16, 8
+# Share of the coefficient's range below which its two branches are one line in the picture.
+SHUT = 0.005
+DIGITS = 3
 
 
-def plot_operating_points(reduction: Reduction) -> Figure:
+def operating_points(reduction: Reduction) -> Picture:
     """Draw pressure ratio over inlet corrected flow (paper, Fig 9 and 11).
+
+    On the left the whole record with the quasi-steady cycles in colour and the stall inception
+    marked, on the right the cycles alone; kg/s below and lbm/s above.
 
     Parameters
     ----------
     reduction : Reduction
         A reduced record.
-
-    Returns
-    -------
-    Figure
-        On the left the whole record in grey with the quasi-steady cycles in colour and the stall
-        inception marked, on the right the cycles alone; kg/s below and lbm/s above.
     """
-    record = reduction.record
+    record, keep = reduction.record, _window_rows(reduction)
     flow, ratio = record["Wc25_kg_s"], record["pressure_ratio"]
     figure = new_figure(height_in=5.2)
     whole, cycles = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     for ax in (whole, cycles):
-        dress(ax)
-        ax.set_xlabel(FLOW_LABEL)
+        dress(ax).set_xlabel("inlet corrected flow $W_{c25}$ [kg/s]")
         ax.axvline(0.0, color=INK, lw=0.6)
         _pounds_above(ax)
     _migration(whole, reduction, flow)
+    cycles.plot(flow[keep], ratio[keep], color=ACCENT, lw=0.7, alpha=0.8)
+    whole.set_ylabel("pressure ratio $P_{31}/P_{25}$ [-]")
     start = None
     if reduction.series.in_stall is not None:
         start = stall_inception(ratio, reduction.series.in_stall, record.sample_rate_hz)
+    stall = "The record shows no inception of stall."
     if start is not None:
-        whole.plot(
-            flow[start],
-            ratio[start],
-            marker="*",
-            markersize=13,
-            linestyle="none",
-            color=MARK,
-            markeredgecolor="white",
-            zorder=5,
-            label=f"stall inception, {record.time_s[start]:.2f} s",
+        at_s = record.time_s[start]
+        star: dict[str, Any] = {
+            "markersize": 13,
+            "markeredgecolor": "white",
+            "linestyle": "none",
+            "zorder": 5,
+        }
+        label = f"stall inception, {at_s:.2f} s"
+        whole.plot(flow[start], ratio[start], "*", color=MARK, label=label, **star)
+        stall = (
+            f"Stall begins at {at_s:.2f} s, at a ratio of "
+            f"{significant(float(ratio[start]), DIGITS)} and "
+            f"{significant(float(flow[start]), DIGITS)} kg/s."
         )
-    keep = window_rows(reduction)
-    cycles.plot(flow[keep], ratio[keep], color=ACCENT, lw=0.7, alpha=0.8)
-    whole.set_ylabel("pressure ratio $P_{31}/P_{25}$ [-]")
     legend_above(figure, whole)
-    return figure
+    from_s, to_s = reduction.window_s
+    return Picture.of(
+        "Face average",
+        figure,
+        f"Pressure ratio over inlet corrected flow. Whole record: ratio {_span(ratio)}, flow "
+        f"{_span(flow, 'kg/s')}. Quasi-steady cycles, {from_s:.2f} to {to_s:.2f} s: ratio "
+        f"{_span(ratio[keep])}, flow {_span(flow[keep], 'kg/s')}. {stall}",
+        "As Fig 9 (left) and Fig 11 (right) of the paper. The star marks the highest pressure "
+        "ratio before the first stall. From there the machine reverses, blows down at reversed "
+        "flow and settles into cycles that need not return to the first stall point: the heated "
+        "inlet drives corrected speed down.",
+    )
 
 
-def plot_hub_and_tip(reduction: Reduction) -> Figure | None:
+def hub_and_tip(reduction: Reduction) -> Picture | None:
     """Draw the operating points of the tip and of the hub probes (paper, Fig 14 and 15).
 
     Parameters
@@ -112,121 +127,166 @@ def plot_hub_and_tip(reduction: Reduction) -> Figure | None:
 
     Returns
     -------
-    Figure or None
+    Picture or None
         Two panels on the same axes; None where the record lacks an immersion.
     """
-    record = reduction.record
+    record, keep = reduction.record, _window_rows(reduction)
     names = {"tip": "Wc25_tip_kg_s", "hub": "Wc25_hub_kg_s"}
     if not all(name in record for name in names.values()):
         return None
     figure = new_figure(height_in=4.4)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    shown = []
     for ax, (place, name) in zip(panels, names.items(), strict=True):
-        dress(ax)
-        _migration(ax, reduction, record[name])
+        _migration(dress(ax), reduction, record[name])
         ax.axvline(0.0, color=INK, lw=0.6)
         ax.set_xlabel(f"{place} probes: $W_{{c25}}$ [kg/s]")
         _pounds_above(ax)
+        flow = record[name][keep]
+        reverse = 100.0 * float(np.mean(flow < 0.0))
+        shown.append(f"{place} {_span(flow, 'kg/s')}, reversed {reverse:.0f} % of the time")
     panels[0].set_ylabel("pressure ratio $P_{31}/P_{25}$ [-]")
     legend_above(figure, panels[0])
-    return figure
+    return Picture.of(
+        "Tip and hub",
+        figure,
+        "Pressure ratio over the corrected flow of the tip probes and of the hub probes. In the "
+        f"quasi-steady cycles: {'; '.join(shown)}.",
+        "As Fig 14 and 15 of the paper. Flow at the tip reverses further than at the hub: the "
+        "reversal is not axisymmetric, and an average of both hides it.",
+    )
 
 
-def plot_surge_cycles(reduction: Reduction) -> Figure:
+def surge_cycles(reduction: Reduction) -> Picture:
     """Draw the quasi-steady cycles in time (paper, Fig 12, 13 and 16 to 19).
 
     Parameters
     ----------
     reduction : Reduction
         A reduced record.
-
-    Returns
-    -------
-    Figure
-        Corrected flow, P25, P31, T25 and corrected speed, one above the other; the unstalled
-        stretches shaded.
     """
-    record = reduction.record
-    keep = window_rows(reduction)
-    rows: list[tuple[str, FloatArray]] = [
-        ("$W_{c25}$ [kg/s]", record["Wc25_kg_s"]),
-        ("$P_{25}$ [kPa]", 1e-3 * record["P25_Pa"]),
-        ("$P_{31}$ [kPa]", 1e-3 * record["P31_Pa"]),
-        ("$T_{25}$ [K]", record["T25_K"]),
-        ("$N_c$ [% design]", 100.0 * record["Nc_frac"]),
-    ]
+    record, keep = reduction.record, _window_rows(reduction)
+    time_s, in_stall = record.time_s[keep], reduction.series.in_stall
+    signals = {
+        "inlet corrected flow": ("$W_{c25}$ [kg/s]", record["Wc25_kg_s"][keep], "kg/s"),
+        "inlet total pressure": ("$P_{25}$ [kPa]", 1e-3 * record["P25_Pa"][keep], "kPa"),
+        "exit total pressure": ("$P_{31}$ [kPa]", 1e-3 * record["P31_Pa"][keep], "kPa"),
+        "inlet total temperature": ("$T_{25}$ [K]", record["T25_K"][keep], "K"),
+        "corrected speed": ("$N_c$ [% design]", 100.0 * record["Nc_frac"][keep], "% of design"),
+    }
     figure = new_figure(height_in=8.2)
-    panels = figure.subplots(len(rows), 1, sharex=True)
-    time_s = record.time_s[keep]
-    in_stall = reduction.series.in_stall
-    for ax, (label, values) in zip(panels, rows, strict=True):
-        dress(ax)
+    panels = figure.subplots(len(signals), 1, sharex=True)
+    for ax, (label, values, _) in zip(panels, signals.values(), strict=True):
+        dress(ax).set_ylabel(label)
         if in_stall is not None:
             _shade_unstalled(ax, time_s, in_stall[keep])
-        ax.plot(time_s, values[keep], color=ACCENT, lw=1.0)
-        ax.set_ylabel(label)
+        ax.plot(time_s, values, color=ACCENT, lw=1.0)
     panels[0].axhline(0.0, color=INK, lw=0.6)
-    secondary = panels[0].secondary_yaxis("right", functions=(_to_pounds, _to_kilograms))
-    secondary.set_ylabel("[lbm/s]", fontsize=9, color=QUIET)
-    secondary.tick_params(labelsize=8.5, colors=QUIET)
-    secondary.spines["right"].set_color("#888888")
+    _in_pounds(panels[0].secondary_yaxis("right", functions=(_to_pounds, _to_kilograms)), "right")
     panels[-1].set_xlim(float(time_s[0]), float(time_s[-1]))
     panels[-1].set_xlabel("facility clock [s]")
     if panels[0].get_legend_handles_labels()[1]:
         legend_above(figure, panels[0])
     figure.align_ylabels(panels)
-    return figure
+    always = in_stall is None or bool(np.all(in_stall[record["window"] > 0.5]))
+    shaded = "The machine is in stall throughout the window." if always else "Shaded: unstalled."
+    spans = "; ".join(
+        f"{name} {_span(values, unit)}" for name, (_, values, unit) in signals.items()
+    )
+    warmer = _drift(time_s, signals["inlet total temperature"][1])
+    faster = _drift(time_s, signals["corrected speed"][1])
+    return Picture.of(
+        "Quasi-steady surge cycles",
+        figure,
+        f"From {reduction.window_s[0]:.2f} to {reduction.window_s[1]:.2f} s: {spans}. "
+        f"{_cycle_words(record['P31_Pa'][keep], record.sample_rate_hz)} Over the window the "
+        f"temperature drifts by {warmer:+.2g} K and the speed by {faster:+.2g} %.",
+        "As Fig 12, 13 and 16 to 19 of the paper. A cycle starts at stall: flow and exit pressure "
+        "collapse and the flow reverses; inlet temperature rises in stall and falls as the machine "
+        f"recovers; corrected speed mirrors it. {shaded} A slow slope of temperature or speed over "
+        "the cycles is the facility, not the compressor.",
+    )
 
 
-def plot_inlet_spectra(reduction: Reduction) -> Figure:
+def inlet_spectra(reduction: Reduction) -> Picture:
     """Draw the power spectra of inlet pressure and flow before and after the filter (Fig 4 to 6).
 
     Parameters
     ----------
     reduction : Reduction
         A reduced record.
-
-    Returns
-    -------
-    Figure
-        Two panels over the quasi-steady window, first-order trend removed; the filter's cut-off
-        and the stall cells marked.
     """
     from classic_ml.spectra import power_spectrum
 
-    record = reduction.record
-    keep = window_rows(reduction)
+    record, settings, keep = reduction.record, reduction.settings, _window_rows(reduction)
+    filtered = settings.phase != "none"
     figure = new_figure(height_in=6.6)
     panels = figure.subplots(2, 1, sharex=True)
-    signals = (
-        ("P25_unfiltered_Pa", "P25_Pa", "$P_{25}$ density [Pa²/Hz]"),
-        ("Wc25_unfiltered_kg_s", "Wc25_kg_s", "$W_{c25}$ density [(kg/s)²/Hz]"),
-    )
-    filtered = reduction.settings.phase != "none"
-    for ax, (before, after, label) in zip(panels, signals, strict=True):
-        dress(ax)
-        peak = 0.0
-        for name, colour, width, word in (
-            (before, FAINT, 1.6, "before the filter"),
-            (after, ACCENT, 1.1, "after the filter" if filtered else "as used (no filter)"),
-        ):
-            frequency, density = power_spectrum(record[name][keep], record.sample_rate_hz)
-            ax.semilogy(frequency[1:], density[1:], color=colour, lw=width, label=word)
-            peak, floor = max(peak, float(density[1:].max())), float(density[1:].min())
+    signals = {
+        "inlet total pressure": ("P25_unfiltered_Pa", "P25_Pa", "$P_{25}$ density [Pa²/Hz]"),
+        "inlet corrected flow": (
+            "Wc25_unfiltered_kg_s",
+            "Wc25_kg_s",
+            "$W_{c25}$ density [(kg/s)²/Hz]",
+        ),
+    }
+    shown = []
+    for ax, (name, (before, after, label)) in zip(panels, signals.items(), strict=True):
+        hertz, raw = power_spectrum(record[before][keep], record.sample_rate_hz)
+        density = power_spectrum(record[after][keep], record.sample_rate_hz)[1]
+        dress(ax).set_ylabel(label)
+        ax.semilogy(hertz[1:], raw[1:], color=FAINT, lw=1.6, label="before the filter")
+        word = "after the filter" if filtered else "as used (no filter)"
+        ax.semilogy(hertz[1:], density[1:], color=ACCENT, lw=1.1, label=word)
+        highest = float(density[1:].max())
         # A filter leaves decades below the converter's noise, where nothing is to be seen.
-        ax.set_ylim(max(DECADES_SHOWN * peak, 0.5 * floor), 4.0 * peak)
+        ax.set_ylim(
+            max(DECADES_SHOWN * highest, 0.5 * float(density[1:].min())),
+            4.0 * max(highest, float(raw[1:].max())),
+        )
         if filtered:
-            ax.axvline(reduction.settings.cutoff_hz, color=MARK, lw=0.9, linestyle="--")
+            ax.axvline(settings.cutoff_hz, color=MARK, lw=0.9, linestyle="--")
         ax.axvline(CELL_HZ, color=INK, lw=0.9, linestyle=":")
-        ax.set_ylabel(label)
-    _mark(panels[0], reduction.settings.cutoff_hz if filtered else None)
+        shown.append(_spectrum_words(name, hertz, raw, density, filtered=filtered))
+    marks = [(CELL_HZ, f"stall cells, {CELL_HZ:g} Hz", INK)]
+    if filtered:
+        marks.append((settings.cutoff_hz, f"cut-off, {settings.cutoff_hz:g} Hz", MARK))
+    box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+    for hertz_at, text, colour in marks:
+        place: dict[str, Any] = {
+            "xycoords": ("data", "axes fraction"),
+            "textcoords": "offset points",
+        }
+        look: dict[str, Any] = {
+            "fontsize": 8.5,
+            "color": colour,
+            "va": "top",
+            "rotation": 90,
+            "bbox": box,
+        }
+        panels[0].annotate(text, (hertz_at, 1.0), xytext=(4, -2), **place, **look)
     legend_above(figure, panels[0])
     panels[-1].set_xlim(0.0, min(250.0, 0.5 * record.sample_rate_hz))
     panels[-1].set_xlabel("frequency [Hz]")
-    return figure
+    low_pass = "no low-pass was used"
+    if filtered:
+        low_pass = (
+            f"Butterworth of order {settings.filter_order} at {settings.cutoff_hz:g} Hz, phase "
+            f"“{settings.phase}”"
+        )
+    return Picture.of(
+        "Inlet total pressure and corrected flow",
+        figure,
+        f"Power spectra before and after the filter ({low_pass}): {'; '.join(shown)}.",
+        "As Fig 4 to 6 of the paper, over the quasi-steady window, first-order trend removed. "
+        "The comb at low frequency is the surge cycle and its harmonics; the peak at 82.5 Hz and "
+        "its harmonic are rotating stall cells, which a one-dimensional model cannot use. In the "
+        "flow the filter attenuates less, and above the cut-off it can add: the flow is a square "
+        "root of the filtered pressures, and that makes new harmonics.",
+    )
 
 
-def plot_loops(series: CoefficientSeries, target: str = "psi_p", ax: Axes | None = None) -> Axes:
+def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
     """Draw the coefficient over φ, as the record ran through it.
 
     Parameters
@@ -235,176 +295,134 @@ def plot_loops(series: CoefficientSeries, target: str = "psi_p", ax: Axes | None
         A reduced record.
     target : {"psi_p", "psi"}
         Which coefficient.
-    ax : Axes, optional
-        Where to draw; a new figure without it.
 
-    Returns
-    -------
-    Axes
-        All rows in grey, the rows in the intervals to be fitted in colour.
+    Raises
+    ------
+    InputError
+        When the record lacks it.
     """
-    ax = axes_of(ax, 5.4)
-    values = series.psi_p if target == "psi_p" else where_defined(series)
+    values = series.psi_p if target == "psi_p" else _where_defined(series)
     if values is None:
         raise InputError(series.source, expected=f"a column {target}", found="none")
-    # A longer record would only blacken the paper.
     some = slice(0, LOOP_ROWS)
     phi, shown, scored = series.phi[some], values[some], series.scored[some]
-    everything = bool(scored.all())
-    if not everything:
+    figure = new_figure(height_in=5.4)
+    ax = dress(figure.add_subplot())
+    if not scored.all():
         ax.plot(phi, shown, color=FAINT, lw=0.7, label="whole record")
-    ax.plot(
-        np.where(scored, phi, np.nan),
-        np.where(scored, shown, np.nan),
-        color=ACCENT,
-        lw=0.7,
-        alpha=0.7,
-        label="record" if everything else "intervals that are fitted",
-    )
+    label = "record" if scored.all() else "intervals that are fitted"
+    fitted = np.where(scored, phi, np.nan), np.where(scored, shown, np.nan)
+    ax.plot(*fitted, color=ACCENT, lw=0.7, alpha=0.7, label=label)
     ax.set_ylim(*robust_limits(shown))
     ax.set_xlim(*robust_limits(phi))
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]")
     ax.set_ylabel(f"instantaneous {coefficient_symbol(target)} [-]")
     legend(ax, loc="best")
-    return ax
+    symbol = "ψ'" if target == "psi_p" else "ψ"
+    return Picture.of(
+        f"{symbol} over φ, {series.source}",
+        figure,
+        _loop_words(series.source, symbol, phi, shown, scored),
+        "The record came as coefficients, so that pressure ratio and flow are not known. A loop "
+        "that is open is lag: at one φ the coefficient is higher on the way down than on the way "
+        "up, or the other way round. Blue: intervals that are fitted.",
+    )
 
 
-def plot_series(series: CoefficientSeries, longest_s: float = LONGEST_S) -> Figure:
+def series_in_time(series: CoefficientSeries) -> Picture:
     """Draw φ and the coefficients in time, of a record of which no more is known.
 
     Parameters
     ----------
     series : CoefficientSeries
-        A reduced record.
-    longest_s : float
-        Of a longer record only so much is drawn, from the first interval to be fitted on.
-
-    Returns
-    -------
-    Figure
-        φ, ψ' and, where known, ψ, T25 and corrected speed; rows to be fitted in colour.
+        A reduced record; of a long one the first seconds from the first fitted interval on.
     """
-    rows: list[tuple[str, FloatArray | None]] = [
-        (r"$\varphi$ [-]", series.phi),
-        (f"{coefficient_symbol('psi_p')} [-]", series.psi_p),
-        (f"{coefficient_symbol('psi')} [-]", where_defined(series)),
-        ("$T_{25}$ [K]", series.T25_K),
-        ("$N_c$ [% design]", None if series.Nc_frac is None else 100.0 * series.Nc_frac),
-    ]
-    known = [(label, values) for label, values in rows if values is not None]
-    keep = rows_drawn(series, longest_s)
+    speed = None if series.Nc_frac is None else 100.0 * series.Nc_frac
+    signals: dict[str, tuple[str, FloatArray | None, str]] = {
+        "φ": (r"$\varphi$ [-]", series.phi, ""),
+        "ψ'": (f"{coefficient_symbol('psi_p')} [-]", series.psi_p, ""),
+        "ψ": (f"{coefficient_symbol('psi')} [-]", _where_defined(series), ""),
+        "T25": ("$T_{25}$ [K]", series.T25_K, "K"),
+        "corrected speed": ("$N_c$ [% design]", speed, "% of design"),
+    }
+    known = {name: (a, v, u) for name, (a, v, u) in signals.items() if v is not None}
+    first = int(np.argmax(series.scored)) if series.scored.any() else 0
+    count = int(LONGEST_S * series.sample_rate_hz) + 1
+    start = max(0, min(first, series.n_samples - count))
+    keep = slice(start, start + count)
     time_s, scored = series.time_s[keep], series.scored[keep]
     figure = new_figure(height_in=1.2 + 1.45 * len(known))
     panels = np.atleast_1d(np.asarray(figure.subplots(len(known), 1, sharex=True)))
-    for ax, (label, values) in zip(panels, known, strict=True):
-        dress(ax)
-        ax.plot(time_s, values[keep], color=FAINT, lw=0.9)
+    for ax, (label, values, _) in zip(panels, known.values(), strict=True):
+        dress(ax).plot(time_s, values[keep], color=FAINT, lw=0.9)
         ax.plot(time_s, np.where(scored, values[keep], np.nan), color=ACCENT, lw=0.9)
         ax.set_ylim(*robust_limits(values[keep]))
         ax.set_ylabel(label)
     panels[-1].set_xlim(float(time_s[0]), float(time_s[-1]))
     panels[-1].set_xlabel("facility clock [s]")
     figure.align_ylabels(list(panels))
-    return figure
+    ends = f" of its {series.time_s[0]:.2f} to {series.time_s[-1]:.2f} s"
+    spans = "; ".join(f"{name} {_span(v[keep], unit)}" for name, (_, v, unit) in known.items())
+    return Picture.of(
+        f"φ and the coefficients in time, {series.source}",
+        figure,
+        f"{series.source} from {time_s[0]:.2f} to {time_s[-1]:.2f} s"
+        f"{ends if time_s.size < series.n_samples else ''}: {spans}. "
+        f"{_cycle_words(series.psi_p[keep], series.sample_rate_hz)} "
+        f"{100.0 * float(np.mean(scored)):.0f} % of these rows are in intervals to be fitted.",
+        "Blue: rows in the intervals to be fitted; grey: the rest. Of a long record only the first "
+        "seconds from the first interval on are drawn. A gap in ψ marks flow too small or "
+        "reversed, where it is not known.",
+    )
 
 
-def rows_drawn(series: CoefficientSeries, longest_s: float = LONGEST_S) -> slice:
-    """Return the rows that are drawn over time: from the first interval to be fitted on.
-
-    Parameters
-    ----------
-    series : CoefficientSeries
-        A reduced record.
-    longest_s : float
-        So much of it, in seconds.
-    """
-    first = int(np.argmax(series.scored)) if series.scored.any() else 0
-    count = int(longest_s * series.sample_rate_hz) + 1
-    start = max(0, min(first, series.n_samples - count))
-    return slice(start, start + count)
+def _span(values: FloatArray, unit: str = "") -> str:
+    """Return the least and the greatest of a signal's finite values."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return "not known"
+    low, high = (significant(float(end), DIGITS) for end in (finite.min(), finite.max()))
+    return f"{low} to {high} {unit}".rstrip()
 
 
-def where_defined(series: CoefficientSeries) -> FloatArray | None:
-    """Return ψ with a gap where it was interpolated: at small and at reversed flow.
-
-    Parameters
-    ----------
-    series : CoefficientSeries
-        A reduced record.
-    """
+def _where_defined(series: CoefficientSeries) -> FloatArray | None:
+    """Return ψ with a gap where it was interpolated: at small and at reversed flow."""
     if series.psi is None:
         return None
     return np.where(psi_is_known(series.phi), series.psi, np.nan)
 
 
-def _migration(ax: Axes, reduction: Reduction, flow: FloatArray) -> None:
-    record = reduction.record
-    from_s, to_s = reduction.window_s
-    keep = window_rows(reduction)
-    ratio = record["pressure_ratio"]
-    ax.plot(flow, ratio, color=FAINT, lw=0.9, label="whole record")
-    ax.plot(
-        flow[keep],
-        ratio[keep],
-        color=ACCENT,
-        lw=0.9,
-        alpha=0.8,
-        label=f"quasi-steady cycles, {from_s:.2f} to {to_s:.2f} s",
-    )
-
-
-def window_rows(reduction: Reduction) -> NDArray[np.bool_]:
-    """Return the rows of the quasi-steady cycles.
-
-    Parameters
-    ----------
-    reduction : Reduction
-        A reduced record.
-    """
+def _window_rows(reduction: Reduction) -> BoolArray:
     time_s = reduction.record.time_s
     from_s, to_s = reduction.window_s
     return np.asarray((time_s >= from_s) & (time_s <= to_s))
 
 
-def _shade_unstalled(ax: Axes, time_s: FloatArray, in_stall: NDArray[np.bool_]) -> None:
+def _migration(ax: Axes, reduction: Reduction, flow: FloatArray) -> None:
+    keep, ratio = _window_rows(reduction), reduction.record["pressure_ratio"]
+    from_s, to_s = reduction.window_s
+    label = f"quasi-steady cycles, {from_s:.2f} to {to_s:.2f} s"
+    ax.plot(flow, ratio, color=FAINT, lw=0.9, label="whole record")
+    ax.plot(flow[keep], ratio[keep], color=ACCENT, lw=0.9, alpha=0.8, label=label)
+
+
+def _shade_unstalled(ax: Axes, time_s: FloatArray, in_stall: BoolArray) -> None:
     label: str | None = "unstalled"
     for run in runs_of(in_stall, in_stall.size):
         if not in_stall[run.start]:
-            ax.axvspan(
-                float(time_s[run.start]),
-                float(time_s[run.stop - 1]),
-                color=SHADE,
-                lw=0,
-                zorder=0,
-                label=label,
-            )
+            ends = float(time_s[run.start]), float(time_s[run.stop - 1])
+            ax.axvspan(*ends, color=SHADE, lw=0, zorder=0, label=label)
             label = None
 
 
-def _mark(ax: Axes, cutoff_hz: float | None) -> None:
-    marks = [(CELL_HZ, f"stall cells, {CELL_HZ:g} Hz", INK)]
-    if cutoff_hz is not None:
-        marks.append((cutoff_hz, f"cut-off, {cutoff_hz:g} Hz", MARK))
-    for frequency, text, colour in marks:
-        ax.annotate(
-            text,
-            (frequency, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(4, -2),
-            textcoords="offset points",
-            fontsize=8.5,
-            color=colour,
-            va="top",
-            rotation=90,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-        )
-
-
 def _pounds_above(ax: Axes) -> None:
-    secondary = ax.secondary_xaxis("top", functions=(_to_pounds, _to_kilograms))
-    secondary.set_xlabel("[lbm/s]", fontsize=9, color=QUIET)
-    secondary.tick_params(labelsize=8.5, colors=QUIET)
-    secondary.spines["top"].set_color("#888888")
+    _in_pounds(ax.secondary_xaxis("top", functions=(_to_pounds, _to_kilograms)), "top")
+
+
+def _in_pounds(axis: SecondaryAxis, side: str) -> None:
+    (axis.set_xlabel if side == "top" else axis.set_ylabel)("[lbm/s]", fontsize=9, color=QUIET)
+    axis.tick_params(labelsize=8.5, colors=QUIET)
+    axis.spines[side].set_color("#888888")
 
 
 def _to_pounds(kilograms: ArrayLike) -> ArrayLike:
@@ -413,3 +431,77 @@ def _to_pounds(kilograms: ArrayLike) -> ArrayLike:
 
 def _to_kilograms(pounds: ArrayLike) -> ArrayLike:
     return np.asarray(pounds, dtype=np.float64) * LBM_KG
+
+
+def _spectrum_words(
+    name: str, hertz: FloatArray, raw: FloatArray, density: FloatArray, *, filtered: bool
+) -> str:
+    peak = 1 + int(np.argmax(density[1:]))
+    words = f"{name} is strongest at {significant(float(hertz[peak]), DIGITS)} Hz"
+    near = np.abs(hertz - CELL_HZ) <= CELL_BAND_HZ
+    if not (filtered and near.any() and density[near].sum() > 0.0):
+        return words
+    change_db = 10.0 * np.log10(density[near].sum() / raw[near].sum())
+    return f"{words}, and the filter changes its power at {CELL_HZ:g} Hz by {change_db:+.1f} dB"
+
+
+def _loop_words(
+    source: str, symbol: str, phi: FloatArray, values: FloatArray, scored: BoolArray
+) -> str:
+    """Say over which range the loop goes and where it is open widest."""
+    known = scored & np.isfinite(values)
+    low, high = robust_limits(values[known], margin=0.0)
+    words = (
+        f"{symbol} of {source} over φ: φ {_span(phi[known])}, {symbol} {significant(low, DIGITS)} "
+        f"to {significant(high, DIGITS)} in the intervals to be fitted"
+    )
+    rising = np.gradient(phi) > 0.0
+    opened = _widest(phi[known], values[known], rising[known])
+    if opened is None or abs(opened[1]) < SHUT * (high - low):
+        return f"{words}. No loop is open."
+    at, apart = opened
+    return (
+        f"{words}. The loop is widest at φ = {significant(at, 2)}: {symbol} is "
+        f"{significant(abs(apart), 2)} higher there while φ {'falls' if apart < 0.0 else 'rises'}."
+    )
+
+
+def _widest(phi: FloatArray, values: FloatArray, rising: BoolArray) -> tuple[float, float] | None:
+    """Return where the branch while φ rises lies furthest from that while it falls, and by what."""
+    if not phi.size:
+        return None
+    edges = np.unique(np.quantile(phi, np.linspace(0.0, 1.0, LOOP_BINS + 1)))
+    up, down = (_branch(phi[way], values[way], edges) for way in (rising, ~rising))
+    if min(up.shape[1], down.shape[1]) < 2:
+        return None
+    # Both at the same φ: within a bin the two branches do not dwell at the same place.
+    shared = up[:, (up[0] >= down[0, 0]) & (up[0] <= down[0, -1])]
+    apart = shared[1] - np.interp(shared[0], *down)
+    if not apart.size:
+        return None
+    at = int(np.argmax(np.abs(apart)))
+    return float(shared[0, at]), float(apart[at])
+
+
+def _branch(phi: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+    """Return mean φ and mean value of the rows in each bin that holds enough of them."""
+    inside = [(phi >= low) & (phi <= high) for low, high in pairwise(edges.tolist())]
+    means = [(phi[i].mean(), values[i].mean()) for i in inside if i.sum() >= FEWEST_ROWS]
+    return np.array(means, dtype=np.float64).reshape(-1, 2).T
+
+
+def _cycle_words(values: FloatArray, sample_rate_hz: float) -> str:
+    """Say how long a surge cycle takes: of the pressure, since flow can be stronger at twice it."""
+    from comparisons.missing_effect.excitation import surge_frequency_hz
+
+    surge_hz = surge_frequency_hz(values, sample_rate_hz) if np.ptp(values) > 0.0 else 0.0
+    if surge_hz <= 0.0:
+        return "No cycle stands out."
+    period = significant(1e3 / surge_hz, DIGITS)
+    return f"A cycle takes {period} ms ({significant(surge_hz, DIGITS)} Hz)."
+
+
+def _drift(time_s: FloatArray, values: FloatArray) -> float:
+    """Return what a straight line through a signal changes over its rows."""
+    slope = float(np.polyfit(time_s - time_s[0], values, 1)[0])
+    return slope * float(time_s[-1] - time_s[0])

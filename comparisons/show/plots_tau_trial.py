@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from comparisons.harness.tau_trial import TauTrial
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     INK,
     MEASURED,
@@ -18,17 +18,55 @@ from comparisons.page.style import (
     estimator_styles,
     legend_above,
     new_figure,
+    plain_numbers,
     printable,
 )
+from comparisons.results import SYMBOLS, TauTrial
+from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_tau_trial"]
+__all__ = ["plot_tau_trial", "tau_trial"]
 
 BAND = 2.0
 HEADROOM = 0.08
+
+
+def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: bool) -> Picture:
+    """Return the picture of the error over the τ that is held, with what it shows.
+
+    Parameters
+    ----------
+    trial : TauTrial
+        Reconstruction error over τ.
+    true_tau_s : float, optional
+        Truth of a simulated record, in seconds.
+    whole_runs : bool
+        Whether the error is that of the free run through the unfiltered signals.
+    """
+    low, high = (1e3 * edge for edge in trial.interval_s)
+    noise = ""
+    if math.isfinite(trial.noise_rms):
+        noise = f"; the noise of the measurement is {significant(trial.noise_rms, 2)}"
+    found = ", ".join(f"{each.label} {1e3 * each.tau_s:.3g} ms" for each in trial.estimates)
+    where = (
+        "the scored rows of the free run through the unfiltered signals"
+        if whole_runs
+        else "the fitted rows, from each segment's own start"
+    )
+    return Picture.of(
+        "Reconstruction error over τ",
+        plot_tau_trial(trial, true_tau_s, marked_as="truth"),
+        f"Error of the free run of {SYMBOLS[trial.target]} over the τ that is held, "
+        f"{1e3 * trial.tau_s[0]:.3g} to {1e3 * trial.tau_s[-1]:.3g} ms: least, "
+        f"{significant(trial.least_rms, 3)}, at {1e3 * trial.best_tau_s:.3g} ms, no worse from "
+        f"{low:.3g} to {high:.3g} ms{noise}." + (f" Found: {found}." if found else ""),
+        f"Scored on {where}. As the paper found its 18 ms, by trial. A flat bottom says that the "
+        "record hardly determines τ; a least error far from an estimate says that the two answer "
+        "different questions. `compare --tau` holds a value.",
+    )
 
 
 def plot_tau_trial(
@@ -165,8 +203,6 @@ def _estimates(ax: Axes, below: Axes, trial: TauTrial) -> None:
 
 
 def _axes(panels: list[Axes], trial: TauTrial) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     shown = np.concatenate(
         [trial.refitted_rms, [e.rms for e in trial.estimates], [trial.least_rms, trial.noise_rms]]
     )
@@ -177,8 +213,6 @@ def _axes(panels: list[Axes], trial: TauTrial) -> None:
     ax.set_ylim(max(bottom - pad, 0.0), top + pad)
     ax.set_xscale("log")
     ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    plain_numbers(ax.xaxis)
     panels[-1].set_xlabel(r"time constant $\tau$ [ms]")
     ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")

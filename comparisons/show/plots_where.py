@@ -9,6 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.where_rows import ResidualRuns, Where
 from comparisons.missing_effect.where_words import signed
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     ACCENT,
     FAINT,
@@ -21,8 +22,10 @@ from comparisons.page.style import (
     legend,
     legend_above,
     new_figure,
+    plain_numbers,
     printable,
     robust_limits,
+    thinned,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
 
-__all__ = ["draw_where"]
+__all__ = ["where_picture"]
 
 # More records than these would leave each too narrow to read.
 MOST_RECORDS = 4
@@ -42,7 +45,7 @@ MEAN = "#009E73"
 PALER = 1.8
 
 
-def draw_where(data: ResidualRuns, where: Where) -> Figure:
+def where_picture(data: ResidualRuns, where: Where) -> Picture:
     """Draw the residual over everything that it was looked at over.
 
     Parameters
@@ -54,7 +57,7 @@ def draw_where(data: ResidualRuns, where: Where) -> Figure:
 
     Returns
     -------
-    Figure
+    Picture
         Residual over time with mean and rms of each block; its spectrum over the floor's with
         bands, surge and stall cells; its mean over the cycle, where φ has one; its mean in each
         octile of φ while φ falls and rises; its rms in each record, where there are several.
@@ -77,7 +80,16 @@ def draw_where(data: ResidualRuns, where: Where) -> Figure:
     if several:
         _over_regimes(dress(figure.add_subplot(bottom[1])), where)
     legend_above(figure, *top, columns=4)
-    return figure
+    return Picture.of(
+        "The residual of the model before",
+        figure,
+        " ".join(where.words),
+        "Everything in floors: the rms of the measurement noise is 1. Top: the residual over time "
+        "with mean and rms of each block. Middle: its spectrum over the noise's, and its mean over "
+        "the surge cycle. Below: its mean where φ was and which way it went, and its rms in each "
+        "record. Red: beyond what chance reaches in all these looks together.",
+        said_above=True,
+    )
 
 
 def _over_time(figure: Figure, place: SubplotSpec, data: ResidualRuns, where: Where) -> list[Axes]:
@@ -141,7 +153,7 @@ def _over_frequency(ax: Axes, where: Where) -> None:
     low = float(where.spectrum_hz[1])
     shown = where.spectrum_hz > 0.0
     frequency, ratio = where.spectrum_hz[shown], where.spectrum_ratio[shown]
-    ax.loglog(*_thinned(frequency, ratio), color=FAINT, lw=0.8, label="spectrum")
+    ax.loglog(*thinned(frequency, ratio, MOST_POINTS), color=FAINT, lw=0.8, label="spectrum")
     ax.axhline(1.0, color=INK, lw=1.0, ls=(0, (5, 2)), label="floor")
     edges = [max(where.frequency[0].low_hz, low), *(row.high_hz for row in where.frequency)]
     ax.stairs(
@@ -180,7 +192,7 @@ def _over_frequency(ax: Axes, where: Where) -> None:
     ax.set_ylim(bottom * math.exp(-0.45 * height), top * math.exp(0.15 * height))
     ax.set_xlim(low, float(frequency[-1]))
     _mark_lines(ax, where)
-    _plain_decades(ax)
+    plain_numbers(ax.xaxis, ax.yaxis)
     marks = " (marks: harmonics of surge)" if any(e.harmonic > 1 for e in where.lines) else ""
     ax.set_xlabel(f"frequency [Hz]{marks}", fontsize=9)
     ax.set_ylabel("power over the floor's")
@@ -320,27 +332,3 @@ def _over_regimes(ax: Axes, where: Where) -> None:
     ax.set_ylim(len(place) - 0.2, -0.6)
     ax.grid(False, axis="y")
     ax.set_xlabel("rms [floors]", fontsize=9)
-
-
-def _thinned(frequency: np.ndarray, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean ratios over steps of equal width on a logarithmic axis."""
-    if frequency.size <= MOST_POINTS:
-        return frequency, ratio
-    edges = np.unique(
-        np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], MOST_POINTS))
-    )
-    starts = edges[edges < frequency.size]
-    counts = np.diff(np.append(starts, frequency.size))
-    return frequency[starts], np.add.reduceat(ratio, starts) / counts
-
-
-def _plain_decades(ax: Axes) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    low, high = ax.get_ylim()
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from comparisons.harness.structure_fit import FoundStructure
+from comparisons.show.json_output import record_document
 
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
@@ -40,14 +41,12 @@ def structure_text(found: FoundStructure, *, latex: bool = False) -> str:
     latex : bool
         Add the equation as LaTeX, on a line of its own.
     """
-    from sindy_surge.display import text_summary
-
     lines = _wrapped(opening_words(found))
     if found.refused:
         code, advice = found.state
         return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
     summary = found.summary
-    lines += ["", text_summary(replace(summary, path=()))]
+    lines += ["", replace(summary, path=()).sheet().text()]
     lines += _wrapped(left_out_words(found))
     if summary.path:
         lines += ["", *_path_lines(summary)]
@@ -64,7 +63,7 @@ def opening_words(found: FoundStructure) -> str:
     found : FoundStructure
         The structure.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     names = ", ".join(Path(record.source).name for record in found.records)
     return f"{pretty_term(found.target)} of {names}: {found.phi.size} rows; {found.reason}"
@@ -82,7 +81,7 @@ def left_out_words(found: FoundStructure) -> str:
     found : FoundStructure
         The structure.
     """
-    from sindy_surge.equations import pretty_term
+    from surge_core.terms import pretty_term
 
     known = found.inclusion
     if not known:
@@ -107,9 +106,7 @@ def _why_no_inclusion(found: FoundStructure) -> str:
 
 def _path_lines(summary: ModelSummary) -> list[str]:
     """Tabulate the structures by size, the terms last, where they can wrap."""
-    from sindy_surge.summary import summary_tables
-
-    table = summary_tables(summary)[1]
+    table = summary.sheet().grids[1]
     order = [i for i, head in enumerate(table.header) if head not in ("chosen", "terms")]
     words = table.header.index("terms")
     grid = [table.header, *table.rows]
@@ -148,17 +145,7 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
     tau, error = parts.time_constant_s, parts.time_constant_stderr_s
     return {
         "schema": STRUCTURE_SCHEMA,
-        "records": [
-            {
-                "source": record.source,
-                "rows": record.n_samples,
-                "segments": record.n_segments,
-                "sample_rate_hz": record.sample_rate_hz,
-                "from_s": float(record.time_s[0]),
-                "to_s": float(record.time_s[-1]),
-            }
-            for record in found.records
-        ],
+        "records": [record_document(record) for record in found.records],
         "target": found.target,
         "fitted_to": found.fitted_to,
         "rows_fitted": int(found.phi.size),
@@ -194,26 +181,16 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         if noise is None
         else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
         "phi_range": [float(found.phi.min()), float(found.phi.max())] if found.phi.size else None,
+        "fit_state": {"code": code, "advice": advice},
+        # The key of files written before `fit_state`.
         "state": {"code": code, "advice": advice},
         "cautions": list(found.cautions),
     }
 
 
 def _path_row(row: PathRow) -> dict[str, Any]:
-    values = asdict(row)
-    return {
-        name: list(values[name]) if name == "terms" else values[name]
-        for name in (
-            "size",
-            "terms",
-            "score",
-            "chi2",
-            "time_constant_s",
-            "held_out_rms",
-            "consistent",
-            "chosen",
-        )
-    }
+    keys = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
+    return {"terms": list(row.terms), **{key: getattr(row, key) for key in keys}}
 
 
 def _weak_form(weak: Any) -> dict[str, float] | None:

@@ -5,195 +5,38 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.harness.residual_analysis import phi_density
 from comparisons.harness.structure_fit import FoundStructure
+from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
+from comparisons.page.html import render_page
+from comparisons.page.style import (
+    ACCENT,
+    FAINT,
+    MARK,
+    QUIET,
+    coefficient_symbol,
+    dress,
+    estimator_styles,
+    legend_above,
+    new_figure,
+    printable,
+    robust_limits,
+)
 from comparisons.show.structure_output import LEAST_INCLUSION, left_out_words, opening_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-    from comparisons.page.blocks import Block, Part, Picture
     from sindy_surge.selection import PathRow
 
-__all__ = ["plot_inclusion", "plot_path", "plot_structure_curve", "structure_report"]
+__all__ = ["structure_report"]
 
 POINTS_DRAWN = 4000
 BAND = 1.96
-
-
-def plot_structure_curve(found: FoundStructure) -> Figure:
-    """Draw the characteristic with its band over the range of the data.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        Not a refused one.
-
-    Returns
-    -------
-    Figure
-        ψ'_QS(φ) with its 95 % band over the measured points, and below the histogram of φ.
-    """
-    from comparisons.harness.residual_analysis import phi_density
-    from comparisons.page.style import (
-        FAINT,
-        coefficient_symbol,
-        dress,
-        estimator_styles,
-        legend_above,
-        new_figure,
-        robust_limits,
-    )
-
-    phi, value, stderr = found.curve()
-    figure = new_figure(height_in=6.0)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])
-    step = -(-found.phi.size // POINTS_DRAWN)
-    dress(upper).plot(
-        found.phi[::step],
-        found.measured[::step],
-        ".",
-        ms=2.5,
-        color=FAINT,
-        label="measured, with the lag in it",
-    )
-    colour = estimator_styles(["sindy"])["sindy"].colour
-    if np.any(np.isfinite(stderr)):
-        upper.fill_between(
-            phi,
-            value - BAND * stderr,
-            value + BAND * stderr,
-            color=colour,
-            alpha=0.22,
-            lw=0,
-            label="95 % band",
-        )
-    symbol = coefficient_symbol(found.target, quasi_steady=True)
-    upper.plot(phi, value, color=colour, lw=2.0, label=symbol + r"$(\varphi)$")
-    upper.set_ylim(*robust_limits(value, found.measured, margin=0.12))
-    upper.set_ylabel(f"{coefficient_symbol(found.target)}, {symbol} [-]")
-    density = phi_density(found.phi)
-    dress(lower).stairs(density.density, density.edges, fill=True, color="#bcc5d0", lw=0)
-    lower.set_ylabel("share of rows\n" + r"per unit $\varphi$", fontsize=8.5)
-    lower.set_xlabel(r"flow coefficient $\varphi$ [-]")
-    lower.set_xlim(*robust_limits(phi, margin=0.02))
-    legend_above(figure, upper)
-    return figure
-
-
-def plot_inclusion(found: FoundStructure) -> Figure:
-    """Draw the inclusion probabilities as bars, the chosen terms in colour.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        One whose records were resampled.
-    """
-    from comparisons.page.style import ACCENT, FAINT, dress, new_figure, printable
-    from sindy_surge.equations import pretty_term
-
-    shown, n_left_out = _bars(found)
-    figure = new_figure(height_in=1.3 + 0.32 * max(len(shown), 3))
-    ax = dress(figure.add_subplot())
-    chosen = set(found.fit.terms_)
-    for row, (name, p) in enumerate(shown):
-        ax.barh(row, p, color=ACCENT if name in chosen else FAINT, height=0.7)
-        ax.text(p + 0.01, row, f"{p:.2f}", va="center", fontsize=9)
-    ax.set_yticks(range(len(shown)), [printable(pretty_term(name)) for name, _ in shown])
-    ax.set_ylim(len(shown) - 0.4, -0.6)
-    ax.set_xlim(0.0, 1.08)
-    ax.grid(False, axis="y")
-    rest = f"; {n_left_out} more terms below {LEAST_INCLUSION:g}" if n_left_out else ""
-    ax.set_xlabel(f"share of resampled records whose structure holds the term{rest}")
-    ax.set_title("blue: in the chosen structure", loc="right", fontsize=8.5, color="#4d4d4d")
-    return figure
-
-
-def plot_path(found: FoundStructure) -> Figure:
-    """Draw the structures tried: held-out error and score over size.
-
-    Parameters
-    ----------
-    found : FoundStructure
-        One with a path.
-
-    Returns
-    -------
-    Figure
-        Left, the free run's error on cycles left out; right, the score above the least, of those
-        scored about the fit with all terms and of those about their own. A panel without a finite
-        value is left out.
-    """
-    from comparisons.page.style import coefficient_symbol, legend_above, new_figure
-
-    path = found.fit.path_
-    held_out = [row for row in path if math.isfinite(row.held_out_rms)]
-    scored = [row for row in path if math.isfinite(row.score)]
-    # Where cycles left out decide, the score means little or is not there.
-    by_score = bool(scored) and (not held_out or found.state[0] != "model_error_dominates")
-    figure = new_figure(height_in=4.2)
-    panels = list(np.atleast_1d(np.asarray(figure.subplots(1, bool(held_out) + by_score))))
-    sizes = {row.size for row in path}
-    if held_out:
-        symbol = coefficient_symbol(found.target)
-        values = [row.held_out_rms for row in held_out]
-        _path_panel(panels[0], held_out, values, sizes)
-        panels[0].set_ylabel(f"rms error of {symbol} on cycles left out [-]")
-        panels[0].set_ylim(0.0, 1.1 * max(values))
-    if by_score:
-        least = min(row.score for row in scored)
-        values = [row.score - least for row in scored]
-        _path_panel(panels[-1], scored, values, sizes)
-        panels[-1].set_yscale("symlog", linthresh=10.0)
-        panels[-1].set_ylim(-2.5, 3.0 * max(*values, 10.0))
-        panels[-1].set_ylabel("score above the least (extended BIC)")
-    legend_above(figure, *panels, columns=4)
-    return figure
-
-
-def _path_panel(
-    ax: Axes, rows: Sequence[PathRow], values: Sequence[float], sizes: set[int]
-) -> None:
-    from comparisons.page.style import FAINT, MARK, QUIET, dress
-
-    dress(ax)
-    for refitted, face, label in (
-        (True, QUIET, "about its own fit"),
-        (False, "none", "about the fit with all terms"),
-    ):
-        some = [(r.size, v) for r, v in zip(rows, values, strict=True) if r.refitted == refitted]
-        if not some:
-            continue
-        ax.plot(*zip(*some, strict=True), "o", ms=4.5, mec=QUIET, mfc=face, mew=0.8, label=label)
-    best: dict[int, float] = {}
-    for row, value in zip(rows, values, strict=True):
-        best[row.size] = min(value, best.get(row.size, math.inf))
-    ordered = sorted(best)
-    ax.plot(
-        ordered,
-        [best[n] for n in ordered],
-        color=FAINT,
-        lw=1.2,
-        zorder=1,
-        label="least of its size",
-    )
-    chosen = [(r.size, v) for r, v in zip(rows, values, strict=True) if r.chosen]
-    if chosen:
-        ax.plot(*zip(*chosen, strict=True), "o", ms=11, mec=MARK, mfc="none", mew=2, label="chosen")
-    ax.set_xticks(sorted(sizes))
-    ax.set_xlim(min(sizes) - 0.5, max(sizes) + 0.5)
-    ax.set_xlabel("number of terms")
-
-
-def _bars(found: FoundStructure) -> tuple[list[tuple[str, float]], int]:
-    """Return the terms that are drawn, most probable first, and how many are not."""
-    known = sorted(found.inclusion.items(), key=lambda pair: -pair[1])
-    shown = [(n, p) for n, p in known if p >= LEAST_INCLUSION or n in found.fit.terms_]
-    return shown, len(known) - len(shown)
 
 
 def structure_report(
@@ -210,12 +53,9 @@ def structure_report(
     version : str, optional
         Version of this package; that of the installed one without it.
     """
-    from comparisons.show.report import ReportSection, render_report
-
     names = ", ".join(Path(record.source).name for record in found.records)
-    section = ReportSection(title=names, extra=_parts(found))
-    return render_report(
-        [section],
+    return render_page(
+        [(names, _parts(found))],
         title=f"Structure of the characteristic of {names}",
         command=command,
         version=version,
@@ -223,8 +63,6 @@ def structure_report(
 
 
 def _parts(found: FoundStructure) -> tuple[Part, ...]:
-    from comparisons.page.blocks import Part, Words
-
     opening = Words(opening_words(found) + ".")
     code, advice = found.state
     if found.refused:
@@ -246,17 +84,14 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
 
 def _summary(found: FoundStructure) -> tuple[Block, ...]:
     """Return the fields and tables that a terminal and a notebook show of the fit."""
-    from comparisons.page.blocks import Head, Table
-    from sindy_surge.summary import summary_fields, summary_tables
-
-    summary = found.summary
+    sheet = found.summary.sheet()
     fields = Table(
-        summary.name,
+        sheet.title,
         (Head("quantity"), Head("value", prose=True)),
         # A ledger has a line for each of its entries.
         tuple(
             (field.label if number == 0 else "", line)
-            for field in summary_fields(summary)
+            for field in sheet.fields
             for number, line in enumerate(field.lines)
         ),
     )
@@ -270,22 +105,41 @@ def _summary(found: FoundStructure) -> tuple[Block, ...]:
             table.rows,
             tuple("best" if row == table.marked else "" for row in range(len(table.rows))),
         )
-        for table in summary_tables(summary)
+        for table in sheet.grids
     )
     return (fields, *tables)
 
 
 def _curve_picture(found: FoundStructure) -> Picture:
-    from comparisons.page.blocks import Picture
-    from sindy_surge.equations import pretty_term
+    """Draw the characteristic with its band over the measured points and the histogram of φ."""
+    from surge_core.terms import pretty_term
 
     phi, value, stderr = found.curve()
-    symbol = pretty_term(found.target)
+    figure = new_figure(height_in=6.0)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])
+    step = -(-found.phi.size // POINTS_DRAWN)
+    points = found.phi[::step], found.measured[::step]
+    dress(upper).plot(*points, ".", ms=2.5, color=FAINT, label="measured, with the lag in it")
+    colour = estimator_styles(["sindy"])["sindy"].colour
+    if np.any(np.isfinite(stderr)):
+        ends = value - BAND * stderr, value + BAND * stderr
+        upper.fill_between(phi, *ends, color=colour, alpha=0.22, lw=0, label="95 % band")
+    symbol = coefficient_symbol(found.target, quasi_steady=True)
+    upper.plot(phi, value, color=colour, lw=2.0, label=symbol + r"$(\varphi)$")
+    upper.set_ylim(*robust_limits(value, found.measured, margin=0.12))
+    upper.set_ylabel(f"{coefficient_symbol(found.target)}, {symbol} [-]")
+    density = phi_density(found.phi)
+    dress(lower).stairs(density.density, density.edges, fill=True, color="#bcc5d0", lw=0)
+    lower.set_ylabel("share of rows\n" + r"per unit $\varphi$", fontsize=8.5)
+    lower.set_xlabel(r"flow coefficient $\varphi$ [-]")
+    lower.set_xlim(*robust_limits(phi, margin=0.02))
+    legend_above(figure, upper)
+    name = pretty_term(found.target)
     widest = float(np.max(stderr[np.isfinite(stderr)], initial=0.0))
     return Picture.of(
-        f"Quasi-steady {symbol} over φ",
-        plot_structure_curve(found),
-        f"{symbol}_QS over φ from {phi[0]:.3g} to {phi[-1]:.3g}: {np.nanmin(value):.3g} to "
+        f"Quasi-steady {name} over φ",
+        figure,
+        f"{name}_QS over φ from {phi[0]:.3g} to {phi[-1]:.3g}: {np.nanmin(value):.3g} to "
         f"{np.nanmax(value):.3g}, its largest standard error {widest:.2g}; below, the histogram of "
         "φ.",
         "The curve ends where the data end. The band holds for the terms as they were chosen, "
@@ -296,41 +150,106 @@ def _curve_picture(found: FoundStructure) -> Picture:
 
 
 def _inclusion_picture(found: FoundStructure) -> Picture:
-    from comparisons.page.blocks import Picture
-    from sindy_surge.equations import pretty_term
+    """Draw the inclusion probabilities as bars, the chosen terms in colour."""
+    from surge_core.terms import pretty_term
 
-    shown, _ = _bars(found)
+    chosen = set(found.fit.terms_)
+    known = sorted(found.inclusion.items(), key=lambda pair: -pair[1])
+    shown = [(name, p) for name, p in known if p >= LEAST_INCLUSION or name in chosen]
+    figure = new_figure(height_in=1.3 + 0.32 * max(len(shown), 3))
+    ax = dress(figure.add_subplot())
+    for row, (name, p) in enumerate(shown):
+        ax.barh(row, p, color=ACCENT if name in chosen else FAINT, height=0.7)
+        ax.text(p + 0.01, row, f"{p:.2f}", va="center", fontsize=9)
+    ax.set_yticks(range(len(shown)), [printable(pretty_term(name)) for name, _ in shown])
+    ax.set_ylim(len(shown) - 0.4, -0.6)
+    ax.set_xlim(0.0, 1.08)
+    ax.grid(False, axis="y")
+    n_left_out = len(known) - len(shown)
+    rest = f"; {n_left_out} more terms below {LEAST_INCLUSION:g}" if n_left_out else ""
+    ax.set_xlabel(f"share of resampled records whose structure holds the term{rest}")
+    ax.set_title("blue: in the chosen structure", loc="right", fontsize=8.5, color=QUIET)
     return Picture.of(
         "Inclusion probabilities",
-        plot_inclusion(found),
+        figure,
         "Share of resampled records that hold a term: "
         + ", ".join(f"{pretty_term(name)} {p:.2f}" for name, p in shown)
         + ".",
-        "Cycles are drawn with replacement and the terms chosen anew. A term near 1 is needed by "
-        "every such record; two that share the records stand in for each other. Resamples know "
+        "Cycles are drawn with replacement and the terms chosen again. A term near 1 is needed by "
+        "every such record; two that share the records stand in for each other. Resamples show "
         "the scatter of this record, not what every cycle of it has wrong.",
     )
 
 
 def _path_picture(found: FoundStructure) -> Picture:
-    from comparisons.page.blocks import Picture
-    from sindy_surge.equations import pretty_term
+    """Draw the structures that were tried over their size.
 
-    least: dict[int, float] = {}
-    for row in found.fit.path_:
-        if math.isfinite(row.held_out_rms):
-            least[row.size] = min(row.held_out_rms, least.get(row.size, math.inf))
-    chosen = [row for row in found.fit.path_ if row.chosen]
-    taken = f" Chosen: {', '.join(map(pretty_term, chosen[0].terms))}." if chosen else ""
+    Left, the free run's error on cycles left out; right, the score above the least, of those
+    scored about the fit with all terms and of those about their own. A panel without a finite
+    value is left out.
+    """
+    from surge_core.terms import pretty_term
+
+    path = found.fit.path_
+    held_out = [row for row in path if math.isfinite(row.held_out_rms)]
+    scored = [row for row in path if math.isfinite(row.score)]
+    # Where cycles left out decide, the score means little or is not there.
+    by_score = bool(scored) and (not held_out or found.state[0] != "model_error_dominates")
+    figure = new_figure(height_in=4.2)
+    panels = list(np.atleast_1d(np.asarray(figure.subplots(1, bool(held_out) + by_score))))
+    sizes = {row.size for row in path}
+    if held_out:
+        values = [row.held_out_rms for row in held_out]
+        _path_panel(panels[0], held_out, values, sizes)
+        symbol = coefficient_symbol(found.target)
+        panels[0].set_ylabel(f"rms error of {symbol} on cycles left out [-]")
+        panels[0].set_ylim(0.0, 1.1 * max(values))
+    if by_score:
+        least = min(row.score for row in scored)
+        values = [row.score - least for row in scored]
+        _path_panel(panels[-1], scored, values, sizes)
+        panels[-1].set_yscale("symlog", linthresh=10.0)
+        panels[-1].set_ylim(-2.5, 3.0 * max(*values, 10.0))
+        panels[-1].set_ylabel("score above the least (extended BIC)")
+    legend_above(figure, *panels, columns=4)
+    best = _least_by_size(held_out, [row.held_out_rms for row in held_out])
+    errors = ", ".join(f"{n}: {rms:.3g}" for n, rms in sorted(best.items())) or "not known"
+    chosen = next((row for row in path if row.chosen), None)
+    taken = f" Chosen: {', '.join(map(pretty_term, chosen.terms))}." if chosen else ""
     return Picture.of(
         "Structures by size",
-        plot_path(found),
-        "Least error on cycles left out, by number of terms: "
-        + (", ".join(f"{n}: {least[n]:.3g}" for n in sorted(least)) or "not known")
-        + f".{taken}",
-        "Each mark is a structure that was tried. Only those fitted by themselves (full) have an "
-        "error on cycles left out. A score, where there is one, can be compared only with those "
+        figure,
+        f"Least error on cycles left out, by number of terms: {errors}.{taken}",
+        "Each mark is a structure that was tried. Only those with a fit of their own (full) have "
+        "an error on cycles left out. A score, where there is one, can be compared only with those "
         "about the same fit: full marks with each other at most. More terms that lower neither by "
         "much are not needed; the least error alone does not choose, since some structure of many "
         "is best by luck.",
     )
+
+
+def _path_panel(
+    ax: Axes, rows: Sequence[PathRow], values: Sequence[float], sizes: set[int]
+) -> None:
+    dress(ax)
+    marks = {True: (QUIET, "about its own fit"), False: ("none", "about the fit with all terms")}
+    for refitted, (face, label) in marks.items():
+        some = [(r.size, v) for r, v in zip(rows, values, strict=True) if r.refitted == refitted]
+        if some:
+            look: dict[str, Any] = {"ms": 4.5, "mec": QUIET, "mfc": face, "mew": 0.8}
+            ax.plot(*zip(*some, strict=True), "o", **look, label=label)
+    least = sorted(_least_by_size(rows, values).items())
+    ax.plot(*zip(*least, strict=True), color=FAINT, lw=1.2, zorder=1, label="least of its size")
+    chosen = [(r.size, v) for r, v in zip(rows, values, strict=True) if r.chosen]
+    if chosen:
+        ax.plot(*zip(*chosen, strict=True), "o", ms=11, mec=MARK, mfc="none", mew=2, label="chosen")
+    ax.set_xticks(sorted(sizes))
+    ax.set_xlim(min(sizes) - 0.5, max(sizes) + 0.5)
+    ax.set_xlabel("number of terms")
+
+
+def _least_by_size(rows: Sequence[PathRow], values: Sequence[float]) -> dict[int, float]:
+    least: dict[int, float] = {}
+    for row, value in zip(rows, values, strict=True):
+        least[row.size] = min(value, least.get(row.size, math.inf))
+    return least

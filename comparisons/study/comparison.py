@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from comparisons.study.method_table import LEVEL, GroupComparison, MethodRow
 from comparisons.study.paired import (
     SAME,
     Cells,
     Paired,
-    axes_in,
     finite,
     group_cells,
     jackknife,
@@ -26,27 +25,13 @@ from comparisons.study.paired import (
     paired,
 )
 from comparisons.study.scores import SCORES, Score
-from surge_core.display import Displayed, Sheet
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "GroupComparison",
-    "MethodRow",
-    "Paired",
-    "PairwiseDifferences",
-    "axes_in",
-    "compare_methods",
-    "losses",
-    "methods_in",
-    "pairwise",
-    "score_named",
-]
+__all__ = ["compare_methods", "methods_in", "score_named", "study_text"]
 
-LEVEL = "level with the best"
 # Below so many records neither an error nor its normal approximation is to be relied on.
 FEWEST_RECORDS = 5
 # A loss so many spreads beyond the median of the best method is no error of that method's kind.
@@ -54,123 +39,6 @@ GROSS_SPREADS = 10.0
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
 HEAVY_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class MethodRow:
-    """One method in a group of cells.
-
-    Parameters
-    ----------
-    method : str
-        Its name.
-    n_cells, n_failed, n_scored : int
-        Cells it was run on, that failed, and that have the score.
-    mean, mean_stderr : float
-        Mean of the score over its own cells (the bias, for an error that should be zero), and its
-        standard error clustered by record.
-    loss, loss_stderr : float
-        Mean loss over its own cells and its standard error: the mean for "smaller", its negative
-        for "larger", the mean absolute value for "zero", the distance of the mean for "target".
-    median : float
-        Median of the score; of its absolute value where zero is best.
-    rms : float
-        Root mean square of a score that should be zero, else NaN.
-    gross : float
-        Share of the scored cells whose loss is gross: infinite, or more than ten spreads beyond
-        the median of the method with the smallest median.
-    against, to_best : Paired
-        The method against the reference and against the best.
-    rank : int or None
-        By the difference to the reference; equal ones share a rank.
-    standing : str
-        "best", "level with the best", "worse", "error not known" or "not ranked".
-    trust : str
-        Why not to trust this row; may be empty.
-    """
-
-    method: str
-    n_cells: int
-    n_failed: int
-    n_scored: int
-    mean: float
-    mean_stderr: float
-    loss: float
-    loss_stderr: float
-    median: float
-    rms: float
-    gross: float
-    against: Paired
-    to_best: Paired
-    rank: int | None
-    standing: str
-    trust: str
-
-
-@dataclass(frozen=True)
-class GroupComparison(Displayed):
-    """Methods side by side over the cells of one group.
-
-    Parameters
-    ----------
-    score : Score
-        What is compared.
-    where : tuple of tuple of str and object
-        Axes and their values; empty for all cells together.
-    reference, best : str
-        Method that the others are compared with; the first by rank, or empty.
-    rows : tuple of MethodRow
-        By rank, those without one last.
-    """
-
-    score: Score
-    where: tuple[tuple[str, Any], ...]
-    reference: str
-    best: str
-    rows: tuple[MethodRow, ...]
-
-    def row(self, method: str) -> MethodRow:
-        """Return the row of a method."""
-        return next(row for row in self.rows if row.method == method)
-
-    def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import methods_sheet
-
-        return methods_sheet(self)
-
-
-@dataclass(frozen=True)
-class PairwiseDifferences(Displayed):
-    """Every method against every other.
-
-    Parameters
-    ----------
-    score : Score
-        What is compared.
-    methods : tuple of str
-        Names, in the order of rows and columns.
-    pairs : tuple of tuple of Paired
-        ``pairs[i][j]``: method i against method j.
-    """
-
-    score: Score
-    methods: tuple[str, ...]
-    pairs: tuple[tuple[Paired, ...], ...]
-
-    @property
-    def difference(self) -> FloatArray:
-        """Mean loss of the row's method minus the column's, of shape (n, n)."""
-        return np.array([[p.difference for p in row] for row in self.pairs], dtype=np.float64)
-
-    @property
-    def stderr(self) -> FloatArray:
-        """Standard errors of the differences, of shape (n, n)."""
-        return np.array([[p.stderr for p in row] for row in self.pairs], dtype=np.float64)
-
-    def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import pairwise_sheet
-
-        return pairwise_sheet(self)
 
 
 def compare_methods(
@@ -216,24 +84,32 @@ def compare_methods(
     return tuple(_compared(cells, chosen, reference, where) for where, cells in groups)
 
 
-def pairwise(table: pd.DataFrame, score: Score | str) -> PairwiseDifferences:
-    """Compare every method with every other over the cells that the two share.
+def study_text(
+    table: pd.DataFrame,
+    scores: Sequence[Score | str],
+    reference: str | None = None,
+    by: Sequence[str] = (),
+) -> str:
+    """Return lead sentence and table of each score.
 
     Parameters
     ----------
     table : DataFrame
         Results, one row a cell.
-    score : Score or str
-        What is compared, or its name in `SCORES`.
+    scores : sequence of Score or str
+        What is compared.
+    reference : str, optional
+        Method that the others are compared with; the best without it.
+    by : sequence of str
+        Axes; each combination of their values has a table of its own, after that of all cells.
     """
-    chosen = score_named(score)
-    groups = group_cells(table, chosen, ())
-    if not groups:
-        return PairwiseDifferences(chosen, (), ())
-    cells = groups[0][1]
-    n = range(len(cells.methods))
-    pairs = tuple(tuple(paired(cells, chosen, i, j) for j in n) for i in n)
-    return PairwiseDifferences(chosen, cells.methods, pairs)
+    blocks = []
+    for score in map(score_named, scores):
+        groups = compare_methods(table, score, reference)
+        if by and groups:
+            groups += compare_methods(table, score, groups[0].reference, by)
+        blocks += [str(group) for group in groups]
+    return "\n\n".join(blocks) or "No cells: there is nothing to compare."
 
 
 def methods_in(table: pd.DataFrame) -> tuple[str, ...]:
@@ -432,7 +308,7 @@ def _unlike(cells: Cells, j: int, r: int | None) -> list[str]:
         lost = int((ran & ~scored).sum())
         return [f"no score on {lost} of its {_cells(ran)}: survivors only"] if lost else []
     other = cells.scored[:, r]
-    told = (
+    cases = (
         (ran & ~scored & other, "no score on {} that the reference could score: survivors only"),
         (
             scored & cells.ran[:, r] & ~other,
@@ -440,7 +316,7 @@ def _unlike(cells: Cells, j: int, r: int | None) -> list[str]:
         ),
         (~ran & other, "not run on {} of the reference"),
     )
-    return [words.format(_cells(which)) for which, words in told if which.any()]
+    return [words.format(_cells(which)) for which, words in cases if which.any()]
 
 
 def _cells(which: NDArray[np.bool_]) -> str:

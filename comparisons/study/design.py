@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from comparisons.study.spec import Method, Range, Scalar, StudySpec
 
-__all__ = ["Point", "Task", "count_cells", "count_points", "points_of", "tasks_of"]
+__all__ = ["Cell", "Point", "cells_of", "points_of", "tasks_of"]
 
 # Cells of one task: enough to share a record among many estimators, few enough that little is
 # unfinished at any time.
@@ -25,17 +25,14 @@ class Point:
 
     Parameters
     ----------
-    number : int
-        Position in the design; its cells are ``number * n_methods`` and on.
     source : str
         Where the record comes from.
     seed : int
         Of the record.
     settings : tuple of tuple of str and value
-        Every setting that was given, by dotted name, in the order of the specification.
+        Every setting that was given, by dotted name.
     """
 
-    number: int
     source: str
     seed: int
     settings: tuple[tuple[str, Scalar], ...]
@@ -66,71 +63,77 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Task:
-    """Cells that share a record, worked off by one worker.
+class Cell:
+    """One fit.
 
     Parameters
     ----------
     number : int
-        Position among the tasks.
-    cells : tuple of tuple of int, Point and Method
-        Number, point and method of each, those of one reduction side by side.
+        Position in the study.
+    point : Point
+        What is fitted.
+    method : Method
+        The estimator.
     """
 
     number: int
-    cells: tuple[tuple[int, Point, Method], ...]
+    point: Point
+    method: Method
+
+    @property
+    def key(self) -> str:
+        """What the numbers of the cell depend on, and nothing else: not its place in a study."""
+        method = [self.method.name, self.method.import_path, self.method.parameters]
+        fit = self.point.table("fit")
+        return "c-" + _key([self.point.record, self.point.reduction, fit, method])
 
 
 def _key(value: object) -> str:
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def count_points(spec: StudySpec) -> int:
-    """Return the number of points, seeds counted."""
-    return sum(1 for _ in _combinations(spec)) * len(spec.seeds)
-
-
-def count_cells(spec: StudySpec) -> int:
-    """Return the number of cells."""
-    return count_points(spec) * len(spec.methods)
-
-
-def points_of(spec: StudySpec) -> Iterator[Point]:
-    """Yield the points of a study, always in the same order; records vary slowest.
+def cells_of(spec: StudySpec) -> list[Cell]:
+    """Return the cells of a study, always in the same order.
 
     Parameters
     ----------
     spec : StudySpec
         The study.
     """
-    names = sorted(spec.settings, key=lambda name: not name.startswith("record."))
-    number = 0
+    both = itertools.product(points_of(spec), spec.method)
+    return [Cell(number, point, method) for number, (point, method) in enumerate(both)]
+
+
+def points_of(spec: StudySpec) -> Iterator[Point]:
+    """Yield the points of a study; records vary slowest.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        The study.
+    """
     for combination in _combinations(spec):
-        ordered = tuple((name, combination[name]) for name in names)
         for seed in spec.seeds:
-            yield Point(number, spec.source, seed, ordered)
-            number += 1
+            yield Point(spec.source, seed, tuple(combination.items()))
 
 
-def _combinations(spec: StudySpec) -> Iterator[Mapping[str, Scalar]]:
-    names = sorted(spec.settings, key=lambda name: not name.startswith("record."))
-    if spec.design.kind == "random":
-        rng = np.random.default_rng(spec.design.seed)
-        drawn = [
-            {name: _drawn(spec.settings[name], rng) for name in names}
-            for _ in range(spec.design.points)
-        ]
-        # From lists the same point may be drawn twice; and points of one record go together.
-        distinct = {tuple(point.items()): point for point in drawn}
-        order: dict[tuple[Scalar, ...], int] = {}
-        for point in distinct.values():
-            order.setdefault(_record_values(point), len(order))
-        yield from sorted(distinct.values(), key=lambda point: order[_record_values(point)])
-        return
-    values = [v.values() if isinstance(v, Range) else v for v in (spec.settings[n] for n in names)]
-    for combination in itertools.product(*values):
-        yield dict(zip(names, combination, strict=True))
+def _combinations(spec: StudySpec) -> list[Mapping[str, Scalar]]:
+    settings = spec.settings
+    if spec.design is None:
+        values = [v.values() if isinstance(v, Range) else v for v in settings.values()]
+        return [dict(zip(settings, v, strict=True)) for v in itertools.product(*values)]
+    rng = np.random.default_rng(spec.design.seed)
+    drawn = [
+        {name: _drawn(values, rng) for name, values in settings.items()}
+        for _ in range(spec.design.random)
+    ]
+    # From lists the same point may be drawn twice; and points of one record go together.
+    distinct = {tuple(point.items()): point for point in drawn}
+    order: dict[object, int] = {}
+    for point in distinct.values():
+        order.setdefault(_record_values(point), len(order))
+    return sorted(distinct.values(), key=lambda point: order[_record_values(point)])
 
 
 def _record_values(point: Mapping[str, Scalar]) -> tuple[Scalar, ...]:
@@ -143,53 +146,24 @@ def _drawn(values: tuple[Scalar, ...] | Range, rng: np.random.Generator) -> Scal
     return values[int(rng.integers(len(values)))]
 
 
-def tasks_of(
-    spec: StudySpec, finished: frozenset[int] = frozenset(), workers: int = 1
-) -> Iterator[Task]:
-    """Yield tasks that cover the cells that are not finished.
+def tasks_of(cells: Sequence[Cell], workers: int = 1) -> list[list[Cell]]:
+    """Return the cells in tasks, each of one record and those of one reduction side by side.
 
     A record is made again for another task only where there are too few to keep all workers busy.
 
     Parameters
     ----------
-    spec : StudySpec
-        The study.
-    finished : frozenset of int
-        Numbers of cells that need not be run.
+    cells : sequence of Cell
+        What is to be done.
     workers : int
-        Who waits for them.
+        How many work on it.
     """
-    left = count_cells(spec) - len(finished)
-    most = max(1, min(CELLS_A_TASK, -(-left // (2 * workers))))
-    held: list[tuple[int, Point, Method]] = []
-    number, key = 0, ""
-    for group in _by_record(spec):
-        for cell in group:
-            if cell[0] in finished:
-                continue
-            if held and (cell[1].record != key or len(held) >= most):
-                yield Task(number, tuple(held))
-                number, held = number + 1, []
-            key = cell[1].record
-            held.append(cell)
-    if held:
-        yield Task(number, tuple(held))
-
-
-def _by_record(spec: StudySpec) -> Iterator[list[tuple[int, Point, Method]]]:
-    """Yield the cells of the points that share their record's settings, record by record."""
-
-    def settings(point: Point) -> tuple[tuple[str, Scalar], ...]:
-        return tuple(point.table("record").items())
-
-    for _, points in itertools.groupby(points_of(spec), key=settings):
-        cells = [
-            (point.number * len(spec.methods) + m, point, method)
-            for point in points
-            for m, method in enumerate(spec.methods)
-        ]
-        order: dict[str, int] = {}
-        for _, point, _ in cells:
-            order.setdefault(point.record, len(order))
-        cells.sort(key=lambda cell: (order[cell[1].record], cell[0]))
-        yield cells
+    most = max(1, min(CELLS_A_TASK, -(-len(cells) // (2 * workers))))
+    by_record: dict[str, list[Cell]] = {}
+    for cell in cells:
+        by_record.setdefault(cell.point.record, []).append(cell)
+    return [
+        several[start : start + most]
+        for several in by_record.values()
+        for start in range(0, len(several), most)
+    ]

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.rows import FitRows
+from comparisons.results import FitRows
 from comparisons.study.sources import Made
 from comparisons.study.spec import Method
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["BUILT_IN", "check_methods", "scores_of"]
+__all__ = ["check_methods", "scores_of"]
 
-BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
 CURVE_POINTS = 50
 NAN = float("nan")
 
@@ -108,7 +106,7 @@ def _made(method: Method, sample_period_s: float) -> Any:
 
 
 def _may_be_lag(estimator: Any) -> bool:
-    """Tell whether a class promises the contract of the lag estimators."""
+    """Return whether a class promises the contract of the lag estimators."""
     return callable(getattr(estimator, "characteristic", None))
 
 
@@ -118,9 +116,9 @@ def _lag_scores(
     from comparisons.harness.compare import compare_records
     from comparisons.harness.estimators import EstimatorSpec, default_estimators
 
-    if method.built_in:
+    if not method.import_path:
         specs = {spec.name: spec for spec in default_estimators(**fit)}
-        spec = specs[method.built_in]
+        spec = specs[method.name]
     else:
 
         def made_and_fitted(rows: FitRows, _: Sequence[CoefficientSeries]) -> Any:
@@ -133,9 +131,7 @@ def _lag_scores(
             lambda rows: _made(method, rows.sample_period_s),
             fit_rows=made_and_fitted,
         )
-    begun = time.perf_counter()
     comparison = compare_records(records, estimators=[spec], **fit)
-    seconds = time.perf_counter() - begun
     result = comparison.results[0]
     model = result.model
     out: dict[str, Any] = {
@@ -149,7 +145,6 @@ def _lag_scores(
         "held_out_rms": NAN if result.held_out is None else result.held_out.rms,
         "held_out_percent": NAN if result.held_out is None else result.held_out.fit_percent,
         "n_terms": float(len(model.terms)),
-        "seconds_fit": seconds,
     }
     if np.isfinite(made.tau_s):
         low, high = model.ci95_s
@@ -177,7 +172,6 @@ def _regressor_scores(
     from comparisons.harness.rows import stack_rows
 
     rows = stack_rows(records, "psi_p")
-    begun = time.perf_counter()
     estimator = _fitted(_made(method, rows.sample_period_s), rows.X, rows.measured, rows.labels)
     free = score_fit(rows.measured, _predicted(estimator, rows.X, rows.labels))
     out: dict[str, Any] = {
@@ -194,7 +188,6 @@ def _regressor_scores(
         labels = 2 * rows.labels + ~rows.train
         held = score_fit(test.measured, _predicted(trained, rows.X, labels)[~rows.train])
         out |= {"held_out_rms": held.rms, "held_out_percent": held.fit_percent}
-    out["seconds_fit"] = time.perf_counter() - begun
     tau_s = float(getattr(estimator, "time_constant_s_", NAN))
     if np.isfinite(tau_s):
         out["tau_ms"] = 1e3 * tau_s
@@ -204,7 +197,7 @@ def _regressor_scores(
 
 
 def _fitted(estimator: Any, X: FloatArray, y: FloatArray, labels: Any) -> Any:
-    """Fit a class of somebody else to copies: what it scales in place is scored as measured."""
+    """Fit a foreign class to copies: what it scales in place is scored as measured."""
     if "segments" in inspect.signature(estimator.fit).parameters:
         fitted = estimator.fit(X.copy(), y.copy(), segments=labels.copy())
     else:

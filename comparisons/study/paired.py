@@ -8,7 +8,7 @@ at a time (Tukey 1958; for clusters of unequal size as in Bell & McCaffrey, Surv
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,6 @@ __all__ = [
     "jackknife",
     "losses",
     "paired",
-    "plain_values",
 ]
 
 # States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
@@ -152,21 +151,39 @@ def group_cells(
     InputError
         When a column is missing, the score is no number, or two rows are the same cell.
     """
+    import pandas as pd
+
     for name in (*NEEDED, score.name, *by):
         if name not in table.columns:
             raise InputError("results", expected=f"the column '{name}'", found="none of that name")
-    columns = {name: plain_values(table[name]) for name in (*by, *axes_in(table))}
-    rows: dict[tuple[Any, ...], list[int]] = {}
-    for i, group in enumerate(zip(*(columns[name] for name in by), strict=True)):
-        rows.setdefault(group, []).append(i)
-    if not by and len(table):
-        rows[()] = list(range(len(table)))
-    whole = _parts(table, score, columns)
-    # Records that were drawn together (one seed at several settings) are not independent.
-    unit = "draw" if "draw" in table.columns else "record"
-    drawn = dict(zip(map(str, table["record"]), map(str, table[unit]), strict=True))
-    ordered = sorted(rows, key=lambda group: [_order(value) for value in group])
-    return [(tuple(zip(by, g, strict=True)), _wide(whole, rows[g], drawn)) for g in ordered]
+    try:
+        values = pd.to_numeric(table[score.name]).astype(float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"results, column '{score.name}'", expected="numbers", found=str(error)
+        ) from error
+    # A failed cell has no score.
+    table = table.assign(_value=values.where(table["state"] != FAILED))
+    keys = ["record", "reduction", *axes_in(table)]
+    twice = table[table.duplicated([*keys, "method"])]
+    if len(twice):
+        one = twice.iloc[0]
+        raise InputError(
+            "results",
+            expected="one row for each record, reduction, setting and method",
+            found=f"two of method '{one['method']}' on record '{one['record']}', reduction "
+            f"'{one['reduction']}'",
+        )
+    if not len(table):
+        return []
+    groups = table.groupby(list(by), dropna=False) if by else [((), table)]
+    return [
+        (
+            tuple((name, _plain(value)) for name, value in zip(by, where, strict=True)),
+            _wide(part, keys),
+        )
+        for where, part in groups
+    ]
 
 
 def paired(cells: Cells, score: Score, i: int, j: int) -> Paired:
@@ -229,18 +246,18 @@ def jackknife(
     columns = values.reshape(values.shape[0], -1)
     sums = np.stack([np.bincount(cluster, weights=column) for column in columns.T], axis=1)
 
-    def told(total: FloatArray, count: FloatArray) -> FloatArray:
+    def measured(total: FloatArray, count: FloatArray) -> FloatArray:
         means = total / count[..., None]
         if target is None:
             return means[..., 0]
         return np.abs(means[..., 0] - target) - np.abs(means[..., 1] - target)
 
     with np.errstate(over="ignore", invalid="ignore"):
-        whole = float(told(sums.sum(axis=0), counts.sum()))
+        whole = float(measured(sums.sum(axis=0), counts.sum()))
         if counts.size < 2 or not math.isfinite(whole):
             return whole if math.isfinite(whole) else math.nan, math.nan
         # About the whole's value rather than the mean of the parts: a little wider, never smaller.
-        spread = told(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
+        spread = measured(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
         # Scaled, so that squares of scores beyond 1e154 do not overflow.
         largest = float(np.max(np.abs(spread))) or 1.0
         share = (counts.size - 1) / counts.size
@@ -259,69 +276,30 @@ def finite(values: FloatArray) -> FloatArray:
     return values[np.isfinite(values)]
 
 
-def _parts(
-    table: pd.DataFrame, score: Score, columns: Mapping[str, list[Any]]
-) -> list[tuple[tuple[Any, ...], str, str, float]]:
-    """Return key, method, state and score of each row; a failed cell has no score."""
+def _wide(part: pd.DataFrame, keys: list[str]) -> Cells:
+    """Return the cells of a group, sorted so that no sum depends on the order of the rows."""
+    row = part.groupby(keys, dropna=False, sort=True).ngroup().to_numpy()
+    methods, column = np.unique(part["method"].astype(str), return_inverse=True)
+    # Records that were drawn together (one seed at several settings) are not independent.
+    unit = part["draw" if "draw" in part.columns else "record"].astype(str)
+    _, draw = np.unique(unit, return_inverse=True)
+    shape = (int(row.max()) + 1, methods.size)
+    values, record = np.full(shape, np.nan), np.zeros(shape[0], dtype=np.intp)
+    ran, failed, bad = (np.zeros(shape, bool) for _ in range(3))
+    state = part["state"].astype(str)
+    values[row, column] = part["_value"]
+    record[row] = draw
+    ran[row, column] = True
+    failed[row, column] = state == FAILED
+    bad[row, column] = ~state.isin([FAILED, *ENDED_WELL])
+    return Cells(tuple(map(str, methods)), record, values, ran, failed, bad)
+
+
+def _plain(value: Any) -> Any:
+    """Return the value of an axis as Python's own, with None for what is missing."""
     import pandas as pd
 
-    try:
-        numbers = pd.to_numeric(table[score.name]).to_numpy(dtype=np.float64, na_value=np.nan)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"results, column '{score.name}'", expected="numbers", found=str(error)
-        ) from error
-    names = ("record", "reduction")
-    shared = zip(
-        *([str(v) for v in table[n]] for n in names), *(columns[n] for n in columns), strict=True
-    )
-    states = [str(state) for state in table["state"]]
-    methods = [str(method) for method in table["method"]]
-    values = [math.nan if s == FAILED else float(v) for s, v in zip(states, numbers, strict=True)]
-    return list(zip(shared, methods, states, values, strict=True))
-
-
-def _wide(
-    whole: list[tuple[tuple[Any, ...], str, str, float]], rows: list[int], drawn: dict[str, str]
-) -> Cells:
-    parts = [whole[i] for i in rows]
-    # Sorted, so that sums do not depend on the order of the rows.
-    keys = sorted({part[0] for part in parts}, key=lambda key: [_order(value) for value in key])
-    methods = tuple(sorted({part[1] for part in parts}))
-    draws = [drawn[str(key[0])] for key in keys]
-    records = {name: g for g, name in enumerate(sorted(set(draws)))}
-    place, column = ({name: i for i, name in enumerate(names)} for names in (keys, methods))
-    shape = (len(keys), len(methods))
-    values = np.full(shape, np.nan)
-    ran, failed, bad = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
-    for key, method, state, value in parts:
-        at = place[key], column[method]
-        if ran[at]:
-            raise InputError(
-                "results",
-                expected="one row for each record, reduction, setting and method",
-                found=f"two of method '{method}' on record '{key[0]}', reduction '{key[1]}'",
-            )
-        ran[at], failed[at], values[at] = True, state == FAILED, value
-        bad[at] = state not in (FAILED, *ENDED_WELL)
-    record = np.array([records[name] for name in draws], dtype=np.intp)
-    return Cells(methods, record, values, ran, failed, bad)
-
-
-def plain_values(column: pd.Series[Any]) -> list[Any]:
-    """Return values as Python's own, with None for all that is missing."""
-    import pandas as pd
-
-    missing = pd.isna(column).to_numpy()
-    return [None if gone else value for value, gone in zip(column.tolist(), missing, strict=True)]
-
-
-def _order(value: Any) -> tuple[int, float, str]:
-    if value is None:
-        return (2, 0.0, "")
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return (0, float(value), "")
-    return (1, 0.0, str(value))
+    return None if pd.isna(value) else getattr(value, "item", lambda: value)()
 
 
 def _heaviest(change: FloatArray, record: NDArray[np.intp]) -> float:

@@ -1,93 +1,50 @@
-"""A study from its declaration to its table."""
+"""A study from its declaration to its table: tasks by joblib, finished cells kept as they come."""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
-import sys
 import time
-from array import array
-from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from importlib import metadata
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.study.design import Task, count_cells, tasks_of
-from comparisons.study.engines import Engine, Outcome, serial_engine
-from comparisons.study.journal import Journal, finished_cells, read_rows
-from comparisons.study.methods import check_methods
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+from threadpoolctl import threadpool_limits
+
+from comparisons.study.design import Cell, cells_of, tasks_of
+from comparisons.study.methods import check_methods, scores_of
 from comparisons.study.scores import NUMBERS
-from comparisons.study.sources import defaults_of
-from comparisons.study.spec import SCHEMA, Range, StudySpec
-from comparisons.study.work import failed_row
+from comparisons.study.sources import FIT_DEFAULTS, make_record, prepare
+from comparisons.study.spec import StudySpec
 from surge_core.errors import InputError
 from surge_core.files import replace_whole, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["StudyFiles", "check_study", "resolved", "run_study", "study_table"]
+__all__ = ["FINISHED", "RESULTS", "check_study", "run_study", "run_task"]
 
-# Workers to reckon with where their number is not known.
+RESULTS, FINISHED = "results.parquet", "cells.jsonl"
+# Workers of a cluster to reckon with: their number may change while it works.
 CLUSTER = 16
-DIED = "its worker died each time it was tried"
-PACKAGES = ("sindy-surge", "numpy", "scipy", "pandas", "scikit-learn", "pysindy", "numba", "joblib")
-TEXTS = ("record", "draw", "reduction", "method", "state", "reason")
+CONNECT_S = 10.0
 TIMES = ("seconds_fit", "seconds_record", "seconds_reduction")
 
-Told = Callable[[int], object]
-
-
-@dataclass(frozen=True)
-class StudyFiles:
-    """Where a study leaves what.
-
-    Parameters
-    ----------
-    folder : path
-        The study's folder.
-    """
-
-    folder: Path
-
-    @property
-    def journal(self) -> Path:
-        """Every finished cell, as it came."""
-        return self.folder / "journal.jsonl"
-
-    @property
-    def spec(self) -> Path:
-        """The specification with all that it leaves to defaults."""
-        return self.folder / "study.json"
-
-    @property
-    def provenance(self) -> Path:
-        """Versions, machine and times of each run."""
-        return self.folder / "provenance.json"
-
-    @property
-    def results(self) -> Path:
-        """The table."""
-        return self.folder / "results.parquet"
-
-    @property
-    def report(self) -> Path:
-        """The page."""
-        return self.folder / "report.html"
+Row = dict[str, Any]
 
 
 def run_study(
     spec: StudySpec,
     folder: Path,
     *,
-    engine: Engine = serial_engine,
+    jobs: int = 1,
+    scheduler: str | None = None,
     resume: bool = False,
-    retry_failed: bool = False,
-    workers: int | None = 1,
-    told: Told = lambda _: None,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> pd.DataFrame:
     """Run the cells of a study that are not finished yet, and write its table.
 
@@ -97,15 +54,13 @@ def run_study(
         The study.
     folder : path
         Where its files go; it is made where it is missing.
-    engine : Engine
-        Who works.
+    jobs : int
+        Number of worker processes.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers do the work instead.
     resume : bool
-        Go on with what is in the folder; without it a folder with a study is refused.
-    retry_failed : bool
-        Run the cells that failed once more; those whose worker died are run again anyway.
-    workers : int
-        Number of workers, for the share of their time that goes into fits; None: not known.
-    told : callable
+        Keep the finished cells in the folder, but for those that failed.
+    progress : callable
         Called with the number of cells finished each time some are.
 
     Returns
@@ -116,53 +71,26 @@ def run_study(
     Raises
     ------
     InputError
-        When the folder holds another study, or a class cannot be had.
+        When a class cannot be had, the folder cannot be used or no scheduler answers.
     """
-
-    def again(row: Mapping[str, Any]) -> bool:
-        return retry_failed or row["reason"] == DIED
-
-    files = StudyFiles(folder)
     check_study(spec, folder, resume=resume)
-    if not files.spec.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(files.spec, json.dumps(resolved(spec), indent=2, ensure_ascii=False) + "\n")
-    done = finished_cells(files.journal, lambda row: row["state"] == "failed" and again(row))
-    told(len(done))
-    begun, begun_at = time.perf_counter(), datetime.now(UTC)
-    spent = dict.fromkeys(TIMES, 0.0)
-    with Journal(files.journal) as journal:
-        outcomes = engine(tasks_of(spec, done, workers or CLUSTER))
-        try:
-            for rows in _worked_off(outcomes):
-                journal.write(rows)
-                for name in TIMES:
-                    spent[name] += sum(float(row[name]) for row in rows)
-                told(len(rows))
-        finally:
-            # An engine that is a generator lets go of its workers when it is closed.
-            if isinstance(outcomes, Generator):
-                outcomes.close()
-    table = study_table(spec, files)
-    replace_whole(files.results, lambda path: table.to_parquet(path, index=False))
-    run = {
-        "begun": begun_at.isoformat(timespec="seconds"),
-        "cells": len(table) - len(done),
-        "workers": workers,
-        "seconds_wall": time.perf_counter() - begun,
-        **spent,
-    }
-    _write_provenance(files, run)
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / FINISHED
+    cells = cells_of(spec)
+    rows = {row["key"]: row for row in _finished(file)}
+    # Without the failed ones, and a line that a crash cut off.
+    write_whole(file, _lines(rows.values()))
+    left = [cell for cell in cells if cell.key not in rows]
+    progress(len(cells) - len(left))
+    with _workers(jobs, scheduler) as work, file.open("a", encoding="utf-8") as kept:
+        for done in work(tasks_of(left, CLUSTER if scheduler else jobs)):
+            kept.write(_lines(done))
+            kept.flush()
+            rows |= {row["key"]: row for row in done}
+            progress(len(done))
+    table = _table(spec, [(cell, rows[cell.key]) for cell in cells])
+    replace_whole(folder / RESULTS, lambda path: table.to_parquet(path, index=False))
     return table
-
-
-def _worked_off(outcomes: Iterator[Outcome]) -> Iterator[list[dict[str, Any]]]:
-    for task, rows in outcomes:
-        yield _dead_rows(task) if rows is None else rows
-
-
-def _dead_rows(task: Task) -> list[dict[str, Any]]:
-    return [failed_row(number, point, method.name, DIED) for number, point, method in task.cells]
 
 
 def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
@@ -175,191 +103,158 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
     folder : path
         Where its files are to go.
     resume : bool
-        Go on with what is in the folder.
+        Whether finished cells may be there.
 
     Raises
     ------
     InputError
-        When the folder holds another study or cannot be made, or a class cannot be had.
+        When the folder holds a study or cannot be made, or a class cannot be had.
     """
-    check_methods(spec.methods)
-    files = StudyFiles(folder)
-    if files.spec.exists():
-        _check_same(spec, files, resume)
-    elif files.journal.exists():
-        raise InputError(
-            str(files.folder),
-            expected=f"{files.spec.name} beside {files.journal.name}",
-            found="a journal alone",
-            remedy="name another folder",
-        )
-    _check_folder(folder)
-
-
-def _check_same(spec: StudySpec, files: StudyFiles, resume: bool) -> None:
-    if not resume:
-        raise InputError(
-            str(files.folder),
-            expected="a folder without a study",
-            found=files.spec.name,
-            remedy="--resume goes on with it; or name another folder",
-        )
-    document = resolved(spec)
-    held = _read_json(files.spec)
-    if held != json.loads(json.dumps(document)):
-        changed = sorted(k for k in {*held, *document} if held.get(k) != document.get(k))
-        raise InputError(
-            str(files.spec),
-            expected="the same study as the one that is resumed",
-            found="another " + ", ".join(changed),
-            remedy="name another folder for it",
-        )
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be made, or that nothing can be written to."""
-    there = next(place for place in (folder, *folder.parents) if place.exists())
-    if not there.is_dir():
-        found = "a file" if there == folder else f"the file {there} on the way to it"
-        raise InputError(
-            str(folder), expected="a folder", found=found, remedy="name another folder"
-        )
-    if not os.access(there, os.W_OK):
+    check_methods(spec.method)
+    if not resume and (folder / FINISHED).exists():
         raise InputError(
             str(folder),
-            expected="a folder that can be written to",
-            found=f"no right to write to {there}",
-            remedy="name another folder",
+            expected="a folder without a study",
+            found=FINISHED,
+            remedy="--resume goes on with it; or name another folder",
         )
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        found = f"{there}, which is {'read-only' if there.is_dir() else 'a file'}"
+        raise InputError(str(folder), expected="a folder that can be written to", found=found)
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _finished(file: Path) -> Iterator[Row]:
+    """Yield the rows that need not be made again; a line that a crash cut off is none."""
+    if not file.exists():
+        return
+    for line in file.read_text("utf-8").splitlines():
+        try:
+            row = json.loads(line)
+        except ValueError:
+            continue
+        if row["state"] != "failed":
+            yield row
+
+
+def _lines(rows: Iterable[Row]) -> str:
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+@contextmanager
+def _workers(
+    jobs: int, scheduler: str | None
+) -> Iterator[Callable[[list[list[Cell]]], Iterator[list[Row]]]]:
+    """Give a function that works off tasks in any order: processes here, or a Dask cluster."""
+
+    def work(tasks: list[list[Cell]]) -> Iterator[list[Row]]:
+        try:
+            yield from Parallel(return_as="generator_unordered")(map(delayed(run_task), tasks))
+        except TerminatedWorkerError as error:
+            raise InputError(
+                "--jobs",
+                expected="workers that live until the study ends",
+                found="one that was killed, perhaps for want of memory",
+                remedy="--resume goes on, with fewer jobs",
+            ) from error
+
+    if scheduler is None:
+        # Outside any other parallel region, whose backend would be taken over.
+        with parallel_config(backend="loky" if jobs > 1 else "sequential", n_jobs=jobs):
+            yield work
+        return
     try:
-        held = json.loads(path.read_text("utf-8"))
-    except (ValueError, RecursionError) as error:
+        from distributed import Client
+
+        client: Any = Client(scheduler, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (ImportError, OSError, ValueError) as error:
         raise InputError(
-            str(path),
-            expected="the JSON that a study wrote",
-            found="something else",
-            remedy="name another folder",
+            "--scheduler",
+            expected="the address of a Dask scheduler, and the package 'distributed'",
+            found=f"{scheduler}: {error}",
         ) from error
-    return held if isinstance(held, dict) else {}
+    with client, parallel_config(backend="dask", client=client, n_jobs=CLUSTER):
+        yield work
 
 
-def resolved(spec: StudySpec) -> dict[str, Any]:
-    """Return a specification as plain values, defaults included.
+def run_task(cells: Sequence[Cell]) -> list[Row]:
+    """Work off cells that share a record; whatever goes wrong in a cell is its row's reason.
 
-    Parameters
-    ----------
-    spec : StudySpec
-        The study.
-    """
-    return {
-        "schema": SCHEMA,
-        "title": spec.title,
-        "source": spec.source,
-        "design": {
-            "kind": spec.design.kind,
-            "points": spec.design.points,
-            "seed": spec.design.seed,
-        },
-        "seeds": list(spec.seeds),
-        "settings": {
-            name: _range(value) if isinstance(value, Range) else list(value)
-            for name, value in spec.settings.items()
-        },
-        "axes": list(spec.axes),
-        "methods": [
-            {
-                "name": method.name,
-                "class": method.import_path or method.built_in,
-                "parameters": dict(method.parameters),
-            }
-            for method in spec.methods
-        ],
-        "scores": list(spec.scores),
-        "reference": spec.reference,
-        "by": list(spec.by),
-        "cells": count_cells(spec),
-        "defaults": defaults_of(spec),
-    }
-
-
-def _range(value: Range) -> dict[str, Any]:
-    return {"from": value.low, "to": value.high, "log": value.log, "steps": value.steps}
-
-
-def study_table(spec: StudySpec, files: StudyFiles) -> pd.DataFrame:
-    """Return the table of the cells in a study's journal, in the order of their numbers.
+    One thread: sums over several are taken in another order and differ in their last bits.
 
     Parameters
     ----------
-    spec : StudySpec
-        The study.
-    files : StudyFiles
-        Its files.
+    cells : sequence of Cell
+        Of one record.
+
+    Returns
+    -------
+    list of dict
+        One row a cell. The seconds of shared work are those of the first row that needed it.
     """
-    import numpy as np
-    import pandas as pd
-
-    texts: dict[str, list[str]] = {name: [] for name in TEXTS}
-    axes: dict[str, list[Any]] = {name: [] for name in spec.axes}
-    numbers = {name: array("d") for name in (*NUMBERS, *TIMES)}
-    cells, seeds = array("q"), array("q")
-    # Row by row into narrow columns: a journal of many cells is never in memory as a whole.
-    for row in read_rows(files.journal):
-        cells.append(row["cell"])
-        seeds.append(row["seed"])
-        for name, values in texts.items():
-            values.append(sys.intern(row[name]))
-        for name, held in axes.items():
-            held.append(row["settings"].get(name))
-        for name, column in numbers.items():
-            value = row.get(name)
-            column.append(np.nan if value is None else value)
-    columns: dict[str, Any] = {"cell": np.array(cells, dtype=np.int64)}
-    for name in TEXTS[:4]:
-        columns[name] = pd.Series(texts[name], dtype="str")
-    columns["seed"] = np.array(seeds, dtype=np.int64)
-    columns |= {name: _axis_column(values) for name, values in axes.items()}
-    for name in TEXTS[4:]:
-        columns[name] = pd.Series(texts[name], dtype="str")
-    columns |= {name: np.array(values) for name, values in numbers.items()}
-    table = pd.DataFrame(columns).drop_duplicates("cell", keep="last")
-    return table.sort_values("cell", kind="stable", ignore_index=True)
+    shared: dict[str, Any] = {}
+    with threadpool_limits(limits=1):
+        return [_row(cell, shared) for cell in cells]
 
 
-def _axis_column(values: list[Any]) -> Any:
-    """Return the values of an axis as numbers where all are, else as texts."""
-    import numpy as np
-    import pandas as pd
+def _row(cell: Cell, shared: dict[str, Any]) -> Row:
+    point = cell.point
+    seconds = dict.fromkeys(TIMES, 0.0)
 
-    known = [v for v in values if v is not None]
-    if known and all(isinstance(v, bool) for v in known) and len(known) == len(values):
-        return np.array(values, dtype=np.bool_)
-    if known and all(isinstance(v, int | float) and not isinstance(v, bool) for v in known):
-        whole = all(isinstance(v, int) for v in known) and len(known) == len(values)
-        return np.array([np.nan if v is None else v for v in values], np.int64 if whole else float)
-    return pd.Series(["none" if v is None else str(v) for v in values], dtype="str")
+    def once(name: str, key: str, make: Callable[..., Any], *inputs: Any) -> Any:
+        if key not in shared:
+            begun = time.perf_counter()
+            try:
+                shared[key] = make(*inputs)
+            except Exception as error:
+                shared[key] = error
+            seconds[name] = time.perf_counter() - begun
+        if isinstance(shared[key], Exception):
+            raise shared[key]
+        return shared[key]
 
-
-def _write_provenance(files: StudyFiles, run: Mapping[str, Any]) -> None:
-    held = _read_json(files.provenance) if files.provenance.exists() else {}
-    document = {
-        "python": platform.python_version(),
-        "system": platform.system(),
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
-        "runs": [
-            *held.get("runs", []),
-            {**run, "versions": {name: _version(name) for name in PACKAGES}},
-        ],
-    }
-    write_whole(files.provenance, json.dumps(document, indent=2) + "\n")
-
-
-def _version(name: str) -> str | None:
+    # A class may draw from numpy's shared generator: the same numbers for a cell in any worker and
+    # any order.
+    np.random.seed(int(cell.key.removeprefix("c-"), 16) % 2**32)  # noqa: NPY002
+    begun = time.perf_counter()
     try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
+        made = once("seconds_record", point.record, make_record, point)
+        series = once("seconds_reduction", point.reduction, prepare, made, point)
+        begun = time.perf_counter()
+        found = scores_of(cell.method, series, made, FIT_DEFAULTS | point.table("fit"))
+    except Exception as error:
+        # A cell that fails is a row, not a stopped study.
+        found = {"state": "failed", "reason": _reason(error)}
+    seconds["seconds_fit"] = time.perf_counter() - begun
+    return {"key": cell.key, **seconds, **found}
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).splitlines()[:1])
+    return text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
+
+
+def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
+    """Return the table, one row a cell, in the order of the design."""
+    import pandas as pd
+
+    rows = [
+        {
+            "cell": cell.number,
+            "record": cell.point.record,
+            "draw": cell.point.draw,
+            "reduction": cell.point.reduction,
+            "method": cell.method.name,
+            "seed": cell.point.seed,
+            **{name: dict(cell.point.settings)[name] for name in spec.axes},
+            "state": found["state"],
+            "reason": found["reason"],
+            **{name: float(found.get(name, np.nan)) for name in (*NUMBERS, *TIMES)},
+        }
+        for cell, found in cells
+    ]
+    for name in spec.axes:
+        if {type(row[name]) for row in rows} - {float, int, bool} - {type(None)}:
+            for row in rows:
+                row[name] = "none" if row[name] is None else str(row[name])
+    return pd.DataFrame(rows)

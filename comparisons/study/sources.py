@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
-import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,20 +13,20 @@ import numpy as np
 from classic_ml.readers.series_files import read_series
 from classic_ml.series import CoefficientSeries
 from comparisons.study.design import Point
-from comparisons.study.spec import Scalar, StudySpec
+from comparisons.study.spec import Scalar
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.readers.test_description import TestDescription
     from classic_ml.records import Record
 
-__all__ = ["FIT_DEFAULTS", "Made", "defaults_of", "make_record", "prepare"]
+__all__ = ["FIT_DEFAULTS", "Made", "make_record", "prepare"]
 
 DEFAULT_DURATION_S = 20.0
 DEFAULT_PERIOD_S = 0.01
 DEFAULT_PERCENT = 1.0
 DEFAULT_CASE = "985"
-FIT_DEFAULTS: dict[str, Scalar] = {"fit.degree": 2, "fit.hold": "first"}
+FIT_DEFAULTS: dict[str, Scalar] = {"degree": 2, "hold": "first"}
 
 
 @dataclass(frozen=True)
@@ -42,9 +40,9 @@ class Made:
     raw : tuple of Record and TestDescription, or None
         Where it is counts.
     tau_s : float
-        True time constant in s; NaN where nobody knows it.
+        True time constant in s; NaN where it is not known.
     beta : tuple of float
-        True characteristic in powers of φ; empty where nobody knows it.
+        True characteristic in powers of φ; empty where it is not known.
     """
 
     series: tuple[CoefficientSeries, ...]
@@ -92,30 +90,6 @@ def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
         )
     changes = point.table("series")
     return tuple(_altered(one, changes) for one in series)
-
-
-def defaults_of(spec: StudySpec) -> dict[str, Scalar]:
-    """Return what the settings that a study does not give are taken as.
-
-    Parameters
-    ----------
-    spec : StudySpec
-        The study.
-    """
-    from classic_ml.reduction import ReductionSettings
-    from comparisons.rig import SensorSettings, simulate
-
-    out: dict[str, Any] = dict(FIT_DEFAULTS)
-    if spec.source == "coefficients":
-        out |= {"record.duration_s": DEFAULT_DURATION_S, "record.noise_percent": DEFAULT_PERCENT}
-        out["record.sample_period_s"] = DEFAULT_PERIOD_S
-    else:
-        out |= {f"reduction.{k}": v for k, v in asdict(ReductionSettings()).items()}
-    if spec.source == "rig":
-        out["record.case"] = DEFAULT_CASE
-        out["record.duration_s"] = inspect.signature(simulate).parameters["duration_s"].default
-        out |= {f"record.sensors.{k}": v for k, v in asdict(SensorSettings()).items()}
-    return {name: value for name, value in out.items() if name not in spec.settings}
 
 
 def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
@@ -168,16 +142,7 @@ def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "run"
         write_run(run, kept)
-        try:
-            raw = read_raw(kept / "raw.csv", kept / "test.toml")
-        except InputError as error:
-            # The folder has another name each time, and a reason is the same in every run.
-            raise InputError(
-                error.where.replace(f"{kept}{os.sep}", ""),
-                expected=error.expected,
-                found=error.found,
-                remedy=error.remedy,
-            ) from error
+        raw = read_raw(kept / "raw.csv", kept / "test.toml")
     return Made((), raw, case.tau_s, tuple(case.pressure_terms))
 
 

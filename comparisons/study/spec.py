@@ -7,47 +7,64 @@ from ranges ``{from = 0.1, to = 5.0, log = true}``.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_type_hints
 
-from classic_ml.readers.toml_file import load_toml
+from pydantic import (
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    WrapValidator,
+    create_model,
+    field_validator,
+    model_validator,
+)
+
+from classic_ml.reduction_settings import ReductionSettings
+from comparisons.rig import CASES, HIDEABLE, SensorSettings
+from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
 from comparisons.study.scores import SCORES
-from comparisons.study.settings import SOURCES, TABLES, Setting
 from surge_core.errors import InputError
+from surge_core.models import Table, read_toml, validated
 
-__all__ = ["SCHEMA", "Design", "Method", "Range", "Scalar", "StudySpec", "read_spec"]
+__all__ = ["BUILT_IN", "SCHEMA", "Method", "Random", "Range", "Scalar", "StudySpec", "read_spec"]
 
 SCHEMA = "sindy-surge/study/1"
+BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
 MOST_CELLS = 1_000_000
-MOST_SEED = 2**63
-DEFAULT_SCORES = ("tau_error_ms", "curve_rms_error", "held_out_rms")
-DEFAULT_METHODS = ("classic_ml", "sindy")
-TOP = ("schema", "title", "seeds", "first_seed", "scores", "reference", "by", "design", "method")
+CLASS = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
+TABLES = ("record", "reduction", "series", "fit")
 
 Scalar = float | int | str | bool | None
 
 
-@dataclass(frozen=True)
-class Range:
+class Range(Table):
     """An interval that values are drawn from, or laid over in equal steps.
 
     Parameters
     ----------
     low, high : float
-        Its ends.
+        Its ends, ``from`` and ``to`` in the file.
     log : bool
         Whether the logarithm is drawn evenly.
     steps : int, optional
         Number of values in a grid, ends included.
     """
 
-    low: float
-    high: float
+    low: float = Field(alias="from")
+    high: float = Field(alias="to")
     log: bool = False
-    steps: int | None = None
+    steps: int | None = Field(None, ge=2)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Range:
+        if not self.low < self.high:
+            raise InputError("", expected="'from' below 'to'", found=f"{self.low:g}, {self.high:g}")
+        if self.log and self.low <= 0.0:
+            raise InputError("from", expected="more than 0 with log = true", found=f"{self.low:g}")
+        return self
 
     def at(self, share: float) -> float:
         """Return the value at a share of the way from low to high."""
@@ -61,87 +78,281 @@ class Range:
         return tuple(self.at(i / (steps - 1)) for i in range(steps))
 
 
-@dataclass(frozen=True)
-class Method:
+def _axis(given: Any, check: Callable[[Any], Any]) -> Any:
+    """Return a range, or the values of an axis, each checked as a value of the setting."""
+    if isinstance(given, Mapping):
+        interval = validated(Range, given, "")
+        if not all(isinstance(end, float) for end in check([interval.low, interval.high])):
+            raise InputError("", expected="a range for numbers alone", found="a range")
+        return interval
+    values = tuple(check(given if isinstance(given, list) else [given]))
+    if not values or len(set(values)) != len(values):
+        raise InputError("", expected="one value or several, each once", found=repr(given))
+    return values
+
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+def _axis_of(kind: Any) -> Any:
+    return Annotated[list[kind], WrapValidator(_axis)]
+
+
+def _or_none(kind: Any) -> Any:
+    def given(value: Any) -> Any:
+        return None if value == "none" else value
+
+    return Annotated[kind | None, BeforeValidator(given)]
+
+
+def _one_of(names: Iterable[str]) -> Any:
+    return Literal[tuple(names)]
+
+
+def _axes(name: str, kinds: Mapping[str, Any], **inner: Any) -> type[Table]:
+    """Return a table whose settings are axes of values of some kinds."""
+    axes: dict[str, Any] = {key: (_axis_of(kind), None) for key, kind in kinds.items()}
+    return create_model(name, __base__=Table, **axes, **inner)
+
+
+def _axes_of(settings: Any) -> type[Table]:
+    """Return a table whose settings are axes of the fields of a dataclass that checks itself."""
+    hints = get_type_hints(settings)
+    kinds = {f.name: _or_none(hints[f.name]) for f in fields(settings) if f.name != "window_s"}
+
+    def accepted(table: Any) -> Any:
+        for name, values in table:
+            for value in values if isinstance(values, tuple) else ():
+                try:
+                    settings(**{name: value})
+                except InputError as error:
+                    raise InputError(name, expected=error.expected, found=error.found) from error
+        return table
+
+    check: Any = model_validator(mode="after")(accepted)
+    return create_model("Checked", __base__=_axes("Axes", kinds), __validators__={"check": check})
+
+
+def _record_table(source: str, kinds: Mapping[str, Any], **inner: Any) -> type[Table]:
+    return _axes(f"{source}Axes", kinds, source=(_one_of([source]), ...), **inner)
+
+
+_VOLUMES = ("discharge_volume_m3", "inertia_per_m", "inlet_volume_m3", "exhaust_volume_m3")
+_Factors = _axes("Factors", dict.fromkeys(_VOLUMES, Positive))
+_Sensors = _axes_of(SensorSettings)
+_Record: Any = Annotated[
+    _record_table(
+        "coefficients",
+        {
+            "hide": _or_none(_one_of((*EFFECTS, *OUTSIDE))),
+            "strength": NotNegative,
+            "noise": _one_of(NOISES),
+            "noise_percent": NotNegative,
+            "duration_s": Positive,
+            "sample_period_s": Positive,
+            "n_records": Count,
+            "degree": Annotated[int, Field(ge=2)],
+            "gaps": bool,
+        },
+    )
+    | _record_table(
+        "rig",
+        {
+            "case": _one_of(CASES),
+            "hide": _or_none(_one_of(HIDEABLE)),
+            "hide_size": _or_none(float),
+            "duration_s": Positive,
+            "noise_percent": NotNegative,
+        },
+        sensors=(_Sensors, _Sensors()),
+        factors=(_Factors, _Factors()),
+    )
+    | _record_table(
+        "files",
+        {},
+        path=(_axis_of(str), Field(description="a series file, or a folder of a raw record")),
+    ),
+    Field(discriminator="source"),
+]
+_Score: Any = _one_of(SCORES)
+_Reduction: Any = _axes_of(ReductionSettings)
+_Series: Any = _axes("Series", {"keep_every": Count, "first_s": Positive, "rows_only": bool})
+_Fit: Any = _axes("Fit", {"degree": Count, "hold": Literal["zero", "first"]})
+
+
+class Random(Table):
+    """A design of points drawn at random.
+
+    Parameters
+    ----------
+    random : int
+        Number of draws.
+    seed : int
+        Of the draws.
+    """
+
+    random: int = Field(ge=1, le=MOST_CELLS)
+    seed: int = Field(0, ge=0)
+
+
+class Method(Table):
     """An estimator of a study.
 
     Parameters
     ----------
     name : str
         How it is called in the table.
-    built_in : str
-        Name of an estimator of `comparisons.harness.estimators`; empty for another class.
     import_path : str
-        ``module:Class`` of an estimator that follows scikit-learn's contract; empty for a built-in.
-    parameters : tuple of tuple of str and value
+        ``module:Class`` of an estimator that follows scikit-learn's contract (``class`` in the
+        file); empty for one of `BUILT_IN`.
+    parameters : dict of str and value
         What the class is made with.
     """
 
-    name: str
-    built_in: str = ""
-    import_path: str = ""
-    parameters: tuple[tuple[str, Any], ...] = ()
+    name: str = Field(min_length=1)
+    import_path: str = Field("", alias="class", pattern=CLASS, description="'package.module:Class'")
+    parameters: dict[str, Any] = Field({})
+
+    @model_validator(mode="after")
+    def _known(self) -> Method:
+        if not self.import_path and (self.name not in BUILT_IN or self.parameters):
+            raise InputError(
+                "",
+                expected=f"a name out of {', '.join(BUILT_IN)}, or a 'class' beside the name",
+                found=f"'{self.name}'" + (" with parameters" if self.parameters else ""),
+            )
+        return self
 
 
-@dataclass(frozen=True)
-class Design:
-    """How the points of a study are laid.
-
-    Parameters
-    ----------
-    kind : {"grid", "random"}
-        Every combination, or so many drawn at random.
-    points : int
-        Number of draws, for "random".
-    seed : int
-        Of the draws.
-    """
-
-    kind: str = "grid"
-    points: int = 0
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class StudySpec:
-    """A study, checked.
+class StudySpec(Table):
+    """A study, checked; its fields are the keys of the file.
 
     Parameters
     ----------
     title : str
         What it is about.
-    source : {"coefficients", "rig", "files"}
-        Where records come from.
-    settings : mapping of str to tuple or Range
-        Values of each setting that was given, by its dotted name.
-    seeds : tuple of int
+    first_seed : int
+        First of the seeds, where their number is given.
+    seeds : list of int
         Seeds of the records.
-    methods : tuple of Method
-        Estimators.
-    scores : tuple of str
+    scores : list of str
         Out of `SCORES`; those that the report compares.
-    reference : str or None
+    reference : str, optional
         Method that the others are compared with; None: the best.
-    by : tuple of str
+    by : list of str
         Axes that the report splits by.
-    design : Design
-        Grid or random.
+    design : Random, optional
+        So many points drawn at random; None ("grid" in the file): every combination.
+    method : list of Method
+        Estimators.
+    record, reduction, series, fit : Table
+        Settings; one value or several of each, or a `Range`.
     """
 
-    title: str
-    source: str
-    settings: Mapping[str, tuple[Scalar, ...] | Range]
-    seeds: tuple[int, ...]
-    methods: tuple[Method, ...]
-    scores: tuple[str, ...]
-    reference: str | None
-    by: tuple[str, ...]
-    design: Design
+    study_schema: Literal["sindy-surge/study/1"] = Field("sindy-surge/study/1", alias="schema")
+    title: str = Field("Study", min_length=1)
+    first_seed: int = Field(0, ge=0)
+    seeds: list[Annotated[int, Field(ge=0, lt=2**63)]] = Field(1, validate_default=True)
+    scores: list[_Score] = Field(
+        ["tau_error_ms", "curve_rms_error", "held_out_rms"],
+        min_length=1,
+        description=f"one or more of {', '.join(SCORES)}",
+    )
+    reference: str | None = None
+    by: list[str] = Field([])
+    design: Annotated[
+        Random | None, BeforeValidator(lambda given: None if given == "grid" else given)
+    ] = Field(None, description='"grid" or { random = N, seed = S }')
+    method: list[Method] = Field(
+        [{"name": "classic_ml"}, {"name": "sindy"}], validate_default=True, min_length=1
+    )
+    record: _Record = Field({}, validate_default=True)
+    reduction: _Reduction = _Reduction()
+    series: _Series = _Series()
+    fit: _Fit = _Fit()
+
+    @field_validator("seeds", mode="before")
+    @classmethod
+    def _numbered(cls, given: Any, info: ValidationInfo) -> Any:
+        """Return the seeds of a number of them."""
+        if isinstance(given, list):
+            return given
+        if type(given) is not int or not 1 <= given <= MOST_CELLS:
+            raise InputError(
+                "", expected="a whole number from 1 on, or a list of seeds", found=repr(given)
+            )
+        first = info.data.get("first_seed", 0)
+        return list(range(first, first + given))
+
+    @field_validator("record", mode="before")
+    @classmethod
+    def _of_coefficients(cls, given: Any) -> Any:
+        return {"source": "coefficients", **given} if isinstance(given, Mapping) else given
+
+    @model_validator(mode="after")
+    def _consistent(self) -> StudySpec:
+        """Refuse keys that do not go together."""
+        names = [method.name for method in self.method]
+        for key, given, allowed in (
+            ("reference", [self.reference] if self.reference is not None else [], names),
+            ("by", self.by, list(self.axes)),
+        ):
+            if unknown := [value for value in given if value not in allowed]:
+                listed = "out of " + (", ".join(allowed) or "the axes, of which there are none")
+                raise InputError(key, expected=listed, found=repr(unknown[0]))
+        for key, several in (("method", names), ("seeds", self.seeds)):
+            if len(set(several)) != len(several):
+                raise InputError(key, expected="each once", found=repr(several))
+        if self.source == "files" and len(self.seeds) > 1:
+            raise InputError(
+                "seeds", expected="one, since files are what they are", found=f"{len(self.seeds)}"
+            )
+        if self.source == "coefficients" and self.reduction.model_fields_set:
+            raise InputError(
+                "reduction",
+                expected="it with raw records (record.source = 'rig' or 'files')",
+                found="record.source = 'coefficients', which has no counts to reduce",
+            )
+        points = 1 if self.design is None else self.design.random
+        for name, values in self.settings.items() if self.design is None else ():
+            if isinstance(values, Range) and values.steps is None:
+                raise InputError(name, expected="'steps' beside a grid's range", found="none")
+            points *= len(values.values() if isinstance(values, Range) else values)
+        if (cells := points * len(self.seeds) * len(names)) > MOST_CELLS:
+            raise InputError("", expected=f"at most {MOST_CELLS} cells", found=f"{cells}")
+        return self
+
+    @property
+    def source(self) -> str:
+        """Where records come from: "coefficients", "rig" or "files"."""
+        return str(self.record.source)
+
+    @property
+    def settings(self) -> dict[str, tuple[Scalar, ...] | Range]:
+        """Values of each setting that was given, by its dotted name."""
+        return {
+            name: values
+            for table in TABLES
+            for name, values in _dotted(getattr(self, table), table)
+            if name != "record.source"
+        }
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the settings that vary."""
         return tuple(n for n, v in self.settings.items() if isinstance(v, Range) or len(v) > 1)
+
+
+def _dotted(table: Table, name: str) -> list[tuple[str, Any]]:
+    """Return the settings that were given in a table and in the tables within it."""
+    out: list[tuple[str, Any]] = []
+    for key, value in table:
+        if key in table.model_fields_set:
+            inner = isinstance(value, Table) and not isinstance(value, Range)
+            out += _dotted(value, f"{name}.{key}") if inner else [(f"{name}.{key}", value)]
+    return out
 
 
 def read_spec(path: Path) -> StudySpec:
@@ -155,9 +366,9 @@ def read_spec(path: Path) -> StudySpec:
     Raises
     ------
     InputError
-        Naming the file and the key at fault.
+        Naming the file and all that is wrong in it.
     """
-    return spec_from(load_toml(path, "a study's TOML file"), str(path))
+    return spec_from(read_toml(path, "a study's TOML file"), str(path))
 
 
 def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:
@@ -173,239 +384,8 @@ def spec_from(given: Mapping[str, Any], where: str = "study") -> StudySpec:
     Raises
     ------
     InputError
-        Naming the key at fault.
+        Naming all that is wrong.
     """
     if not given:
         raise InputError(where, expected="a study", found="an empty file")
-    _known(given, (*TOP, *TABLES), where)
-    schema = given.get("schema", SCHEMA)
-    if schema != SCHEMA:
-        raise InputError(f"{where}: schema", expected=SCHEMA, found=repr(schema))
-    design = _design(given.get("design", "grid"), where)
-    tables = {name: _table(given.get(name, {}), f"{where}: [{name}]") for name in TABLES}
-    source = tables["record"].pop("source", "coefficients")
-    if not isinstance(source, str) or source not in SOURCES:
-        raise InputError(
-            f"{where}: record.source", expected="one of " + ", ".join(SOURCES), found=repr(source)
-        )
-    settings = _settings(tables, source, design, where)
-    methods = _methods(given.get("method", []), where)
-    seeds = _seeds(given, where)
-    if source == "files" and len(seeds) > 1:
-        raise InputError(
-            f"{where}: seeds", expected="one, since files are what they are", found=f"{len(seeds)}"
-        )
-    if max(seeds) >= MOST_SEED:
-        raise InputError(f"{where}: seeds", expected=f"below {MOST_SEED}", found=f"{max(seeds)}")
-    spec = StudySpec(
-        _text(given.get("title", "Study"), f"{where}: title"),
-        source,
-        settings,
-        seeds,
-        methods,
-        _some(given.get("scores", DEFAULT_SCORES), SCORES, f"{where}: scores"),
-        _reference(given.get("reference"), methods, where),
-        (),
-        design,
-    )
-    by = _among(given.get("by", ()), spec.axes, f"{where}: by")
-    checked = StudySpec(**{**spec.__dict__, "by": by})
-    _check_size(checked, where)
-    return checked
-
-
-def _known(given: Mapping[str, Any], names: Sequence[str], where: str) -> None:
-    for key in given:
-        if key not in names:
-            raise InputError(
-                where, expected="keys out of " + ", ".join(names), found=f"the key '{key}'"
-            )
-
-
-def _table(value: Any, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError(where, expected="a table", found=type(value).__name__)
-    return dict(value)
-
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise InputError(where, expected="a text of one line", found=repr(value))
-    return value
-
-
-def _whole(value: Any, where: str, least: int = 0) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(where, expected=f"a whole number from {least} on", found=repr(value))
-    return value
-
-
-def _design(value: Any, where: str) -> Design:
-    if value == "grid":
-        return Design()
-    named = f"{where}: design"
-    if not isinstance(value, dict):
-        raise InputError(named, expected='"grid" or { random = N, seed = S }', found=repr(value))
-    _known(value, ("random", "seed"), named)
-    points = _whole(value.get("random"), f"{named}.random", least=1)
-    return Design("random", points, _whole(value.get("seed", 0), f"{named}.seed"))
-
-
-def _seeds(given: Mapping[str, Any], where: str) -> tuple[int, ...]:
-    value = given.get("seeds", 1)
-    first = _whole(given.get("first_seed", 0), f"{where}: first_seed")
-    if isinstance(value, list):
-        if "first_seed" in given:
-            raise InputError(
-                f"{where}: first_seed",
-                expected="it beside a number of seeds",
-                found="a list of seeds",
-            )
-        seeds = tuple(_whole(seed, f"{where}: seeds") for seed in value)
-        if not seeds or len(set(seeds)) != len(seeds):
-            raise InputError(f"{where}: seeds", expected="seeds, each once", found=repr(value))
-        return seeds
-    count = _whole(value, f"{where}: seeds", least=1)
-    if count > MOST_CELLS:
-        raise InputError(f"{where}: seeds", expected=f"at most {MOST_CELLS}", found=f"{count}")
-    return tuple(range(first, first + count))
-
-
-def _among(value: Any, names: Sequence[str] | Mapping[str, Any], where: str) -> tuple[str, ...]:
-    listed = list(names)
-    values = [value] if isinstance(value, str) else value
-    if not isinstance(values, list | tuple) or any(v not in listed for v in values):
-        raise InputError(
-            where,
-            expected="out of " + (", ".join(listed) or "the axes, of which there are none"),
-            found=repr(value),
-        )
-    return tuple(dict.fromkeys(values))
-
-
-def _some(value: Any, names: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    found = _among(value, names, where)
-    if not found:
-        raise InputError(where, expected="one or more of " + ", ".join(names), found="none")
-    return found
-
-
-def _reference(value: Any, methods: Sequence[Method], where: str) -> str | None:
-    if value is None:
-        return None
-    where = f"{where}: reference"
-    return _among(_text(value, where), [m.name for m in methods], where)[0]
-
-
-def _settings(
-    tables: Mapping[str, Mapping[str, Any]], source: str, design: Design, where: str
-) -> dict[str, tuple[Scalar, ...] | Range]:
-    out: dict[str, tuple[Scalar, ...] | Range] = {}
-    for table, values in tables.items():
-        known = SOURCES[source] if table == "record" else TABLES[table]
-        if values and table == "reduction" and source == "coefficients":
-            raise InputError(
-                f"{where}: [reduction]",
-                expected="it with raw records (record.source = 'rig' or 'files')",
-                found="record.source = 'coefficients', which has no counts to reduce",
-            )
-        for key, value in _flat(values, known).items():
-            name = f"{table}.{key}"
-            if key not in known:
-                raise InputError(
-                    f"{where}: [{table}]",
-                    expected="settings out of " + ", ".join(known),
-                    found=f"'{key}'",
-                )
-            out[name] = _values(value, known[key], f"{where}: {name}", design)
-    for key, setting in (SOURCES[source]).items():
-        if setting.required and f"record.{key}" not in out:
-            raise InputError(
-                f"{where}: record.{key}", expected=setting.says, found="nothing", remedy="add it"
-            )
-    return out
-
-
-def _flat(values: Mapping[str, Any], known: Mapping[str, Setting]) -> dict[str, Any]:
-    """Return the settings of a table with those of tables within it under dotted names."""
-    out: dict[str, Any] = {}
-    groups = {key.split(".")[0] for key in known if "." in key}
-    for key, value in values.items():
-        if key in groups and isinstance(value, dict):
-            out.update({f"{key}.{inner}": v for inner, v in value.items()})
-        else:
-            out[key] = value
-    return out
-
-
-def _values(value: Any, setting: Setting, where: str, design: Design) -> tuple[Scalar, ...] | Range:
-    if isinstance(value, dict):
-        return _range(value, setting, where, design)
-    listed = value if isinstance(value, list) else [value]
-    checked = tuple(setting.checked(v, where) for v in listed)
-    if not checked:
-        raise InputError(where, expected="a value or a list of some", found="an empty list")
-    if len(set(checked)) != len(checked):
-        raise InputError(where, expected="each value once", found=repr(listed))
-    return checked
-
-
-def _range(value: Mapping[str, Any], setting: Setting, where: str, design: Design) -> Range:
-    _known(value, ("from", "to", "log", "steps"), where)
-    if setting.kind is not float:
-        raise InputError(where, expected="a range for numbers alone", found=repr(dict(value)))
-    low, high = (setting.checked(value.get(end), f"{where}.{end}") for end in ("from", "to"))
-    log = value.get("log", False)
-    if not isinstance(low, float) or not isinstance(high, float) or not low < high:
-        raise InputError(where, expected="'from' below 'to'", found=repr(dict(value)))
-    if not isinstance(log, bool) or (log and low <= 0.0):
-        raise InputError(where, expected="log = true with 'from' above 0", found=repr(dict(value)))
-    steps = value.get("steps")
-    if design.kind == "grid":
-        steps = _whole(steps, f"{where}.steps (a grid needs it)", least=2)
-    return Range(low, high, log, steps)
-
-
-def _methods(value: Any, where: str) -> tuple[Method, ...]:
-    if not isinstance(value, list):
-        raise InputError(f"{where}: method", expected="[[method]] tables", found=repr(value))
-    methods = tuple(_method(entry, f"{where}: method {i}") for i, entry in enumerate(value, 1))
-    names = [method.name for method in methods]
-    if len(set(names)) != len(names):
-        raise InputError(f"{where}: method", expected="a name of its own each", found=repr(names))
-    return methods or tuple(Method(name, built_in=name) for name in DEFAULT_METHODS)
-
-
-def _method(entry: Any, where: str) -> Method:
-    from comparisons.study.methods import BUILT_IN
-
-    table = _table(entry, where)
-    _known(table, ("name", "class", "parameters"), where)
-    name = _text(table.get("name"), f"{where}: name")
-    parameters = _table(table.get("parameters", {}), f"{where}: parameters")
-    if "class" not in table:
-        if name not in BUILT_IN or parameters:
-            raise InputError(
-                where,
-                expected="a name out of " + ", ".join(BUILT_IN) + ", or a 'class' beside the name",
-                found=f"'{name}'" + (" with parameters" if parameters else ""),
-            )
-        return Method(name, built_in=name)
-    path = _text(table["class"], f"{where}: class")
-    module, _, attribute = path.partition(":")
-    if not attribute or not all(part.isidentifier() for part in (*module.split("."), attribute)):
-        raise InputError(f"{where}: class", expected="'package.module:Class'", found=repr(path))
-    return Method(name, import_path=path, parameters=tuple(sorted(parameters.items())))
-
-
-def _check_size(spec: StudySpec, where: str) -> None:
-    if spec.design.kind == "random":
-        points = spec.design.points
-    else:
-        lengths = [
-            (v.steps or 2) if isinstance(v, Range) else len(v) for v in spec.settings.values()
-        ]
-        points = math.prod(lengths)
-    cells = points * len(spec.seeds) * len(spec.methods)
-    if cells > MOST_CELLS:
-        raise InputError(where, expected=f"at most {MOST_CELLS} cells", found=f"{cells}")
+    return validated(StudySpec, given, where)

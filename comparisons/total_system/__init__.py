@@ -2,7 +2,7 @@
 
 The comparator of the component method (the idea of the paper's Reference 6). It simulates
 compressor, plenums, throttle and supply, and adjusts β and τ until the simulated P31, P25 and W25
-agree with the measured ones; so it must be told volumes, throttle and supply, and when the surge
+agree with the measured ones; so it must know volumes, throttle and supply, and when the surge
 began.
 """
 
@@ -11,14 +11,11 @@ from __future__ import annotations
 from comparisons.total_system.facility import Facility, facility_toml, read_facility
 from comparisons.total_system.fit import fit_total_system
 from comparisons.total_system.measured import Measured, measured_signals
-from comparisons.total_system.model import Drive, TotalSystemModel
+from comparisons.total_system.model import TotalSystemModel
 from comparisons.total_system.sensitivity import (
-    CostSection,
     SensitivityRow,
-    cost_section,
     sensitivity_rows,
     sensitivity_table,
-    start_error_table,
 )
 from comparisons.total_system.settings import (
     TotalSystemFit,
@@ -27,8 +24,6 @@ from comparisons.total_system.settings import (
 )
 
 __all__ = [
-    "CostSection",
-    "Drive",
     "Facility",
     "Measured",
     "SensitivityRow",
@@ -36,12 +31,10 @@ __all__ = [
     "TotalSystemModel",
     "TotalSystemSettings",
     "TotalSystemState",
-    "cost_section",
     "facility_toml",
     "fit_total_system",
     "measured_signals",
     "read_facility",
     "sensitivity_rows",
     "sensitivity_table",
-    "start_error_table",
 ]

@@ -1,242 +1,146 @@
-"""What a model of the whole system must be told about the facility, as a file and as a value."""
+"""What a model of the whole system must know about the facility, as a file and as a value."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from math import isfinite
 from pathlib import Path
+from typing import Annotated, TypeAlias
+
+from pydantic import Field, model_validator
 
 from classic_ml.readers.toml_file import load_toml
-from classic_ml.readers.toml_tables import Table
 from surge_core.errors import InputError
+from surge_core.models import Table, validated
 
 __all__ = ["Facility", "facility_toml", "read_facility"]
 
+Positive: TypeAlias = Annotated[float, Field(gt=0.0, description="a number above 0")]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0, description="a number from 0 on")]
 
-@dataclass(frozen=True)
-class Facility:
-    """The facility around the compressor, and what is known of the compressor beforehand.
 
-    None of it is in test.toml, and the component method needs none of it. Throttle, exhaust and
-    supply are sized by the near-stall reading of the test; see `read_facility` for the file.
+class Volumes(Table):
+    """Behind plane 31, behind the throttle, before the inlet duct, and of the gas at the face."""
 
-    Parameters
-    ----------
-    discharge_volume_m3, exhaust_volume_m3, inlet_volume_m3, face_volume_m3 : float
-        Volumes behind plane 31, behind the throttle, before the inlet duct, and of the gas at the
-        compressor's face that reversed flow heats.
-    inlet_inertia_per_m : float
-        ∫dx/A of the duct before plane 25.
-    inlet_loss_frac : float
-        Pressure loss of that duct near stall, over P25.
-    supply_temperature_k : float
-        Temperature of the supply before the surge.
-    supply_slope_kg_s_pa : float
-        Fall of the supply flow with the pressure of the inlet volume.
-    coil_effectiveness, coil_lag_s : float
-        Share of the inlet's heating that comes back with the supply, and its lag.
-    exhaust_pressure_frac : float
-        Pressure behind the throttle near stall, over P31.
-    ambient_pressure_pa : float
-        Pressure behind the exhaust.
-    throttle_area_factor : float
-        Effective area of the throttle over the one that passes the near-stall flow.
-    close_start_s, close_rate_per_s : float
-        Start and rate of the closing that leads into stall, on the facility clock.
-    open_ratio, open_lag_s : float
-        Area after stall over the initial one, and the lag on the way there.
-    recirculation_frac, recirculation_work, recirculation_exchange : float
-        In-stall recirculation at the tips over ρ U A, the work coefficient that heats it, and how
-        many times as much gas it exchanges between face and inlet volume.
-    reverse_heat_frac : float
-        Share of the discharge temperature that reversed gas still carries to the face.
-    reverse_loss : float
-        Loss k_rev φ² in reversed flow, which acts without the lag.
-    recovery_phi, rearm_phi : float
-        φ above which stall ends, and how far below it φ must have been first.
-    stall_speed_low_frac, stall_speed_high_frac : float
-        Two corrected speeds, over design, at which the stall point is known.
-    stall_phi_low, stall_phi_high, stall_psi_p_low, stall_psi_p_high : float
-        φ and ψ' of the stall point there.
-    unstalled_droop : float
-        ψ' lost beyond the stall point, per unit of (φ − φ_s)².
-    unstalled_efficiency : float
-        ψ'/ψ of the unstalled branch.
-    blend_s : float
-        Time constant of the change between the branches.
-    work_intercept, work_slope_1, work_slope_2, work_slope_3 : float
-        In-stall work coefficient ψ_QS at φ = 0, and the slopes of its three straight pieces.
-    work_break_1, work_break_2 : float
-        Where the pieces meet.
+    discharge_m3: Positive
+    exhaust_m3: Positive
+    inlet_m3: Positive
+    face_m3: Positive
 
-    Raises
-    ------
-    InputError
-        Naming the number at fault.
+
+class Inlet(Table):
+    """The duct before plane 25: ∫dx/A, and its pressure loss near stall over P25."""
+
+    inertia_per_m: NotNegative
+    loss_frac: NotNegative
+
+
+class Supply(Table):
+    """The refrigeration plant.
+
+    Its temperature before the surge, the fall of its flow with the pressure of the inlet volume,
+    and what share of the inlet's heating comes back with it, after what lag.
     """
 
-    discharge_volume_m3: float
-    exhaust_volume_m3: float
-    inlet_volume_m3: float
-    face_volume_m3: float
-    inlet_inertia_per_m: float
-    inlet_loss_frac: float
-    supply_temperature_k: float
-    supply_slope_kg_s_pa: float
-    coil_effectiveness: float
-    coil_lag_s: float
-    exhaust_pressure_frac: float
-    ambient_pressure_pa: float
-    throttle_area_factor: float
+    temperature_K: Positive
+    slope_kg_s_Pa: NotNegative
+    coil_effectiveness: NotNegative
+    coil_lag_s: Positive
+
+
+class Throttle(Table):
+    """The throttle and what lies behind it.
+
+    Pressure behind it near stall over P31, pressure behind the exhaust, its area over the one that
+    passes the near-stall flow, start and rate of the closing that leads into stall on the facility
+    clock, and its area after stall over the initial one with the lag on the way there.
+    """
+
+    exhaust_pressure_frac: Annotated[
+        float, Field(gt=0.0, lt=1.0, description="a number from 0 to 1")
+    ]
+    ambient_pressure_Pa: Positive = 101_325.0
+    area_factor: Positive = 1.0
     close_start_s: float
-    close_rate_per_s: float
-    open_ratio: float
-    open_lag_s: float
-    recirculation_frac: float
-    recirculation_work: float
-    recirculation_exchange: float
-    reverse_heat_frac: float
-    reverse_loss: float
-    recovery_phi: float
-    rearm_phi: float
-    stall_speed_low_frac: float
-    stall_speed_high_frac: float
-    stall_phi_low: float
-    stall_phi_high: float
-    stall_psi_p_low: float
-    stall_psi_p_high: float
-    unstalled_droop: float
-    unstalled_efficiency: float
-    blend_s: float
+    close_rate_per_s: NotNegative
+    open_ratio: Positive
+    open_lag_s: Positive
+
+
+class Heat(Table):
+    """What heats the gas at the face.
+
+    In-stall recirculation at the tips over ρ U A, the work coefficient that heats it, how many
+    times as much gas it exchanges between face and inlet volume, and the share of the discharge
+    temperature that reversed gas still carries.
+    """
+
+    recirculation_frac: NotNegative
+    recirculation_work: NotNegative
+    recirculation_exchange: NotNegative
+    reverse_heat_frac: NotNegative
+
+
+class Compressor(Table):
+    """What is known of the compressor beforehand.
+
+    The loss k_rev φ² in reversed flow, which acts without the lag; φ above which stall ends, and
+    how far below it φ must have been first; φ and ψ' of the stall point at two corrected speeds
+    (over design); ψ' lost beyond it per (φ − φ_s)²; ψ'/ψ of the unstalled branch; the time constant
+    of the change between the branches; and the in-stall ψ_QS: its value at φ = 0, the slopes of
+    three straight pieces, and where they meet. The two constants of the stall logic default to
+    those of the notes on the rig.
+    """
+
+    reverse_loss: NotNegative
+    recovery_phi: Positive
+    rearm_phi: NotNegative = 0.05
+    stall_speed_low_frac: NotNegative
+    stall_speed_high_frac: NotNegative
+    stall_phi_low: NotNegative
+    stall_phi_high: NotNegative
+    stall_psi_p_low: NotNegative
+    stall_psi_p_high: NotNegative
+    unstalled_droop: NotNegative
+    unstalled_efficiency: Positive
+    blend_s: Positive = 0.003
     work_intercept: float
     work_slope_1: float
     work_slope_2: float
     work_slope_3: float
-    work_break_1: float
-    work_break_2: float
+    work_break_1: NotNegative
+    work_break_2: NotNegative
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            positive = field.name in _POSITIVE
-            if not isinstance(value, int | float) or isinstance(value, bool) or not isfinite(value):
-                raise _refused(field.name, "a finite number", value)
-            if (value < 0.0 and field.name not in _ANY_SIGN) or (value == 0.0 and positive):
-                raise _refused(field.name, "a number " + ("above 0" if positive else "≥ 0"), value)
-        for low, high in _ASCENDING:
+    @model_validator(mode="after")
+    def _ascending(self) -> Compressor:
+        for low, high in (
+            ("stall_speed_low_frac", "stall_speed_high_frac"),
+            ("work_break_1", "work_break_2"),
+        ):
             if not getattr(self, low) < getattr(self, high):
-                found = f"{getattr(self, low):g} and {getattr(self, high):g}"
-                raise _refused(f"{low} and {high}", "the smaller first", found)
-        if not self.exhaust_pressure_frac < 1.0:
-            raise _refused("exhaust_pressure_frac", "below 1", self.exhaust_pressure_frac)
+                raise InputError(
+                    low,
+                    expected=f"a number below {high}",
+                    found=f"{getattr(self, low):g} and {getattr(self, high):g}",
+                )
+        return self
 
 
-def _refused(name: str, expected: str, found: object) -> InputError:
-    return InputError(f"Facility.{name}", expected=expected, found=f"{found}")
+class Facility(Table):
+    """The facility around the compressor, and what is known of the compressor beforehand.
 
+    None of it is in test.toml, and the component method needs none of it. Throttle, exhaust and
+    supply are sized by the near-stall reading of the test. All numbers in SI.
+    """
 
-_ANY_SIGN = frozenset(
-    {"close_start_s", "work_intercept", "work_slope_1", "work_slope_2", "work_slope_3"}
-)
-_POSITIVE = frozenset(
-    {
-        "discharge_volume_m3",
-        "exhaust_volume_m3",
-        "inlet_volume_m3",
-        "face_volume_m3",
-        "supply_temperature_k",
-        "coil_lag_s",
-        "exhaust_pressure_frac",
-        "ambient_pressure_pa",
-        "throttle_area_factor",
-        "open_ratio",
-        "open_lag_s",
-        "recovery_phi",
-        "unstalled_efficiency",
-        "blend_s",
-    }
-)
-_ASCENDING = (
-    ("stall_speed_low_frac", "stall_speed_high_frac"),
-    ("work_break_1", "work_break_2"),
-)
-
-# Table of the file -> key in it -> (field, unit).
-_SCHEMA: Mapping[str, Mapping[str, tuple[str, str]]] = {
-    "volumes": {
-        "discharge_m3": ("discharge_volume_m3", "m³"),
-        "exhaust_m3": ("exhaust_volume_m3", "m³"),
-        "inlet_m3": ("inlet_volume_m3", "m³"),
-        "face_m3": ("face_volume_m3", "m³"),
-    },
-    "inlet": {
-        "inertia_per_m": ("inlet_inertia_per_m", "1/m"),
-        "loss_frac": ("inlet_loss_frac", ""),
-    },
-    "supply": {
-        "temperature_K": ("supply_temperature_k", "K"),
-        "slope_kg_s_Pa": ("supply_slope_kg_s_pa", "kg/s/Pa"),
-        "coil_effectiveness": ("coil_effectiveness", ""),
-        "coil_lag_s": ("coil_lag_s", "s"),
-    },
-    "throttle": {
-        "exhaust_pressure_frac": ("exhaust_pressure_frac", ""),
-        "ambient_pressure_Pa": ("ambient_pressure_pa", "Pa"),
-        "area_factor": ("throttle_area_factor", ""),
-        "close_start_s": ("close_start_s", "s"),
-        "close_rate_per_s": ("close_rate_per_s", "1/s"),
-        "open_ratio": ("open_ratio", ""),
-        "open_lag_s": ("open_lag_s", "s"),
-    },
-    "heat": {
-        name: (name, "")
-        for name in (
-            "recirculation_frac",
-            "recirculation_work",
-            "recirculation_exchange",
-            "reverse_heat_frac",
-        )
-    },
-    "compressor": {
-        name: (name, unit)
-        for name, unit in (
-            ("reverse_loss", ""),
-            ("recovery_phi", ""),
-            ("rearm_phi", ""),
-            ("stall_speed_low_frac", ""),
-            ("stall_speed_high_frac", ""),
-            ("stall_phi_low", ""),
-            ("stall_phi_high", ""),
-            ("stall_psi_p_low", ""),
-            ("stall_psi_p_high", ""),
-            ("unstalled_droop", ""),
-            ("unstalled_efficiency", ""),
-            ("blend_s", "s"),
-            ("work_intercept", ""),
-            ("work_slope_1", ""),
-            ("work_slope_2", ""),
-            ("work_slope_3", ""),
-            ("work_break_1", ""),
-            ("work_break_2", ""),
-        )
-    },
-}
-# Standard atmosphere; an area as sized by the near-stall flow; the two constants of the stall
-# logic as in the notes on the rig, section 5.
-_DEFAULTS = {
-    "ambient_pressure_pa": 101_325.0,
-    "throttle_area_factor": 1.0,
-    "rearm_phi": 0.05,
-    "blend_s": 0.003,
-}
+    volumes: Volumes
+    inlet: Inlet
+    supply: Supply
+    throttle: Throttle
+    heat: Heat
+    compressor: Compressor
 
 
 def read_facility(path: str | Path) -> Facility:
-    """Read a facility file.
-
-    The tables are ``[volumes]``, ``[inlet]``, ``[supply]``, ``[throttle]``, ``[heat]`` and
-    ``[compressor]``, all numbers in SI; `facility_toml` writes one with every key.
+    """Read a facility file: the tables of `Facility`, as `facility_toml` writes them.
 
     Parameters
     ----------
@@ -251,30 +155,10 @@ def read_facility(path: str | Path) -> Facility:
     Raises
     ------
     InputError
-        Naming file, table and key when the file is missing, no TOML, lacks a number, holds one
-        that is not possible, or holds a key that nobody reads.
+        Naming the file, and every key that is missing, not possible or not known.
     """
-    file = Path(path)
-    values = load_toml(file, "a facility description (.toml)")
-    top = Table(str(file), "", values, _SCHEMA)
-    numbers: dict[str, float] = {}
-    for section, keys in _SCHEMA.items():
-        table = top.table(section, keys)
-        for key, (name, unit) in keys.items():
-            numbers[name] = table.number(
-                key,
-                above=0.0 if name in _POSITIVE else None,
-                least=None if name in _POSITIVE or name in _ANY_SIGN else 0.0,
-                default=_DEFAULTS.get(name),
-                unit=unit,
-            )
-        table.finish()
-    top.finish()
-    try:
-        return Facility(**numbers)
-    except InputError as error:
-        where = f"{file}: {error.where.removeprefix('Facility.')}"
-        raise InputError(where, expected=error.expected, found=error.found) from None
+    data = load_toml(Path(path), "a facility description (.toml)")
+    return validated(Facility, data, str(path))
 
 
 def facility_toml(facility: Facility) -> str:
@@ -286,8 +170,6 @@ def facility_toml(facility: Facility) -> str:
         The numbers.
     """
     lines: list[str] = []
-    for section, keys in _SCHEMA.items():
-        lines += [f"[{section}]"]
-        lines += [f"{key} = {float(getattr(facility, name))!r}" for key, (name, _) in keys.items()]
-        lines += [""]
+    for table, keys in facility.model_dump().items():
+        lines += [f"[{table}]", *(f"{key} = {float(value)!r}" for key, value in keys.items()), ""]
     return "\n".join(lines)

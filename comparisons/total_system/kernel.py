@@ -6,16 +6,18 @@ explains the model and its equations.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from math import exp, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 
+from comparisons.total_system.facility import Facility
 from surge_core.types import FloatArray
 
-__all__ = ["Constants", "Inlet", "integrate", "latches", "observe", "orifice"]
+__all__ = ["Constants", "integrate", "latches", "observe", "orifice"]
 
 
 # Positions in the state vector and, behind it, in an output row; `model` names them.
@@ -39,91 +41,24 @@ def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
     return compiled
 
 
-class Constants(NamedTuple):
-    """What the loops need, all in SI; see `Facility` and `TotalSystemModel` for their meaning."""
-
-    beta1: float
-    beta2: float
-    beta3: float
-    tau: float
-    reverse_loss: float
-    recovery_phi: float
-    rearm_phi: float
-    speed_low: float
-    speed_high: float
-    phi_low: float
-    phi_high: float
-    psi_low: float
-    psi_high: float
-    droop: float
-    efficiency: float
-    blend: float
-    work0: float
-    work1: float
-    work2: float
-    work3: float
-    break1: float
-    break2: float
-    inertia: float
-    inlet_inertia: float
-    storage_volume: float
-    discharge_volume: float
-    exhaust_volume: float
-    inlet_volume: float
-    loss: float
-    supply_flow: float
-    supply_pressure: float
-    supply_temperature: float
-    supply_slope: float
-    coil: float
-    coil_lag: float
-    recirculation: float
-    recirculation_heat: float
-    exchange: float
-    reverse_heat: float
-    face_volume: float
-    face_measured: bool
-    throttle: float
-    exhaust: float
-    ambient: float
-    close_start: float
-    close_rate: float
-    open_ratio: float
-    open_lag: float
-    start: float
-    speed: float
-    velocity: float
-    area: float
-    flow_constant: float
-    choke: float
-    gamma: float
-    gas: float
-    heat: float
-
-
-class Inlet(NamedTuple):
-    """T25 over time, which may drive the model in place of its own face temperature."""
-
-    begin: float
-    step: float
-    values: FloatArray
+# The facility's numbers as table and key of its file, and what the model adds to them.
+FACILITY_FIELDS = tuple(
+    f"{table}_{key}"
+    for table, field in Facility.model_fields.items()
+    for key in field.annotation.model_fields  # type: ignore[union-attr]
+)
+MODEL_FIELDS = (
+    "beta1", "beta2", "beta3", "tau", "inertia", "storage_volume", "discharge_volume", "loss",
+    "supply_flow", "supply_pressure", "recirculation_heat", "throttle_area", "exhaust_area",
+    "start", "speed", "velocity", "area", "flow_constant", "choke", "gamma", "gas", "heat",
+)  # fmt: skip
+# A named tuple, all in SI, which the compiled loops can take apart.
+_named_tuple: Any = namedtuple
+Constants = _named_tuple("Constants", FACILITY_FIELDS + MODEL_FIELDS)
 
 
 @_compile
-def _t25(inlet: Inlet, time: float) -> float:
-    """Return T25 at a time, by straight lines; the first and last value hold beyond."""
-    x = (time - inlet.begin) / inlet.step
-    last = inlet.values.size - 1
-    if x <= 0.0:
-        return float(inlet.values[0])
-    if x >= last:
-        return float(inlet.values[last])
-    i = int(x)
-    return float(inlet.values[i] + (x - i) * (inlet.values[i + 1] - inlet.values[i]))
-
-
-@_compile
-def _phi(c: Constants, flow: float, pressure: float, temperature: float) -> float:
+def _phi(c: Any, flow: float, pressure: float, temperature: float) -> float:
     """Return φ = C_z/U of a mass flow (Eq 4, inverse of Eq 3, Eq 7)."""
     share = abs(flow) * sqrt(temperature) / (pressure * c.flow_constant)
     # A trial state beyond choking has no Mach number; the search then sees a large residual.
@@ -139,12 +74,12 @@ def _phi(c: Constants, flow: float, pressure: float, temperature: float) -> floa
             break
     static = temperature / (1.0 + 0.5 * (c.gamma - 1.0) * mach * mach)
     size = mach * sqrt(c.gamma * c.gas * static) / c.velocity
-    return size if flow >= 0.0 else -size
+    return float(size if flow >= 0.0 else -size)
 
 
 @_compile
 def orifice(
-    c: Constants, area: float, p_up: float, t_up: float, p_down: float, t_down: float
+    c: Any, area: float, p_up: float, t_up: float, p_down: float, t_down: float
 ) -> tuple[float, float]:
     """Return flow and gas temperature through an effective area, either way, choked or not."""
     sign, high, low, temperature = 1.0, p_up, p_down, t_up
@@ -158,52 +93,66 @@ def orifice(
 
 
 @_compile
-def _stall_point(c: Constants, t25: float) -> tuple[float, float]:
+def _stall_point(c: Any, t25: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the corrected speed that T25 leaves of the constant rotor speed."""
-    x = (c.speed / sqrt(t25) - c.speed_low) / (c.speed_high - c.speed_low)
-    return c.phi_low + x * (c.phi_high - c.phi_low), c.psi_low + x * (c.psi_high - c.psi_low)
+    x = (c.speed / sqrt(t25) - c.compressor_stall_speed_low_frac) / (
+        c.compressor_stall_speed_high_frac - c.compressor_stall_speed_low_frac
+    )
+    return c.compressor_stall_phi_low + x * (
+        c.compressor_stall_phi_high - c.compressor_stall_phi_low
+    ), c.compressor_stall_psi_p_low + x * (
+        c.compressor_stall_psi_p_high - c.compressor_stall_psi_p_low
+    )
 
 
 @_compile
-def _characteristics(c: Constants, phi: float, t25: float, q: float) -> tuple[float, float]:
+def _characteristics(c: Any, phi: float, t25: float, q: float) -> tuple[float, float]:
     """Return ψ'_QS and ψ_QS, both branches blended by q; stall never raises the pressure."""
     phi_s, psi_s = _stall_point(c, t25)
     over = max(phi - phi_s, 0.0)
-    free = psi_s - c.droop * over * over
+    free = psi_s - c.compressor_unstalled_droop * over * over
     stalled = min(c.beta1 + phi * (c.beta2 + phi * c.beta3), free)
     work = (
-        c.work0
-        + c.work1 * min(phi, c.break1)
-        + c.work2 * min(max(phi - c.break1, 0.0), c.break2 - c.break1)
-        + c.work3 * max(phi - c.break2, 0.0)
+        c.compressor_work_intercept
+        + c.compressor_work_slope_1 * min(phi, c.compressor_work_break_1)
+        + c.compressor_work_slope_2
+        * min(
+            max(phi - c.compressor_work_break_1, 0.0),
+            c.compressor_work_break_2 - c.compressor_work_break_1,
+        )
+        + c.compressor_work_slope_3 * max(phi - c.compressor_work_break_2, 0.0)
     )
-    return free + q * (stalled - free), free / c.efficiency + q * (work - free / c.efficiency)
+    return free + q * (stalled - free), free / c.compressor_unstalled_efficiency + q * (
+        work - free / c.compressor_unstalled_efficiency
+    )
 
 
 @_compile
-def _throttle(c: Constants, time: float) -> float:
+def _throttle(c: Any, time: float) -> float:
     """Return the throttle area over its initial one, which the surge start sets to opening."""
-    closed = 1.0 - c.close_rate * max(min(time, c.start) - c.close_start, 0.0)
+    closed = 1.0 - c.throttle_close_rate_per_s * max(
+        min(time, c.start) - c.throttle_close_start_s, 0.0
+    )
     if time <= c.start:
-        return closed
-    return c.open_ratio + (closed - c.open_ratio) * exp(-(time - c.start) / c.open_lag)
+        return float(closed)
+    return float(
+        c.throttle_open_ratio
+        + (closed - c.throttle_open_ratio) * exp(-(time - c.start) / c.throttle_open_lag_s)
+    )
 
 
 @_compile
-def _blend(c: Constants, latch: FloatArray, time: float) -> float:
+def _blend(c: Any, latch: FloatArray, time: float) -> float:
     """Return the share of the stalled branch: an exponential since the last switch."""
-    fade = exp(-max(time - latch[SINCE], 0.0) / c.blend)
+    fade = exp(-max(time - latch[SINCE], 0.0) / c.compressor_blend_s)
     return float(latch[STALLED] + (latch[FROM] - latch[STALLED]) * fade)
 
 
 @_compile
 def _rates(
-    c: Constants, inlet: Inlet, time: float, s: FloatArray, latch: FloatArray, d: FloatArray,
-    out: FloatArray,
-) -> None:  # fmt: skip
+    c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
+) -> None:
     """Fill in the state's rates and the output row."""
-    if c.face_measured:
-        s[T_FACE] = _t25(inlet, time)
     t25 = s[T_FACE]
     q = _blend(c, latch, time)
     # Momentum of the inlet duct and of the compressor, one flow through both.
@@ -211,11 +160,11 @@ def _rates(
     psi_p = s[PSI_P]
     if s[W] < 0.0:
         # φ before the duct's inertia: with P25 itself the loss would feed back on its own spike.
-        psi_p += c.reverse_loss * _phi(c, s[W], before, t25) ** 2
+        psi_p += c.compressor_reverse_loss * _phi(c, s[W], before, t25) ** 2
     head = c.velocity**2 / (2.0 * c.heat)
     ratio = max(1.0 + psi_p * head / t25, 0.05) ** (c.gamma / (c.gamma - 1.0))
-    d[W] = (before * ratio - s[P31]) / (c.inertia + c.inlet_inertia * ratio)
-    p25 = before - c.inlet_inertia * d[W]
+    d[W] = (before * ratio - s[P31]) / (c.inertia + c.inlet_inertia_per_m * ratio)
+    p25 = before - c.inlet_inertia_per_m * d[W]
     phi = _phi(c, s[W], p25, t25)
     quasi_p, quasi_w = _characteristics(c, phi, t25, q)
     d[PSI_P] = (quasi_p - s[PSI_P]) / c.tau
@@ -227,10 +176,10 @@ def _rates(
 
 
 @_compile
-def _behind(c: Constants, time: float, s: FloatArray, d: FloatArray, out: FloatArray) -> None:
+def _behind(c: Any, time: float, s: FloatArray, d: FloatArray, out: FloatArray) -> None:
     """Fill in discharge and exhaust: mass and energy of two volumes behind two orifices."""
     t25 = s[T_FACE]
-    area = c.throttle * _throttle(c, time)
+    area = c.throttle_area * _throttle(c, time)
     wt, tt = orifice(c, area, s[P31], s[T31], s[P_EX], s[T_EX])
     t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
     stored = c.storage_volume / (c.gas * 0.5 * (t25 + t2))
@@ -243,57 +192,59 @@ def _behind(c: Constants, time: float, s: FloatArray, d: FloatArray, out: FloatA
         w31 = s[W] - stored * d[P31]
     mass = s[P31] * c.discharge_volume / (c.gas * s[T31])
     d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
-    we, te = orifice(c, c.exhaust, s[P_EX], s[T_EX], c.ambient, c.supply_temperature)
-    d[P_EX] = c.gamma * c.gas / c.exhaust_volume * (wt * tt - we * te)
-    mass = s[P_EX] * c.exhaust_volume / (c.gas * s[T_EX])
+    we, te = orifice(
+        c, c.exhaust_area, s[P_EX], s[T_EX], c.throttle_ambient_pressure_Pa, c.supply_temperature_K
+    )
+    d[P_EX] = c.gamma * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
+    mass = s[P_EX] * c.volumes_exhaust_m3 / (c.gas * s[T_EX])
     d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
     out[W31], out[W_THROTTLE], out[W_EXHAUST] = w31, wt, we
 
 
 @_compile
-def _before(
-    c: Constants, s: FloatArray, p25: float, q: float, d: FloatArray, out: FloatArray
-) -> None:
+def _before(c: Any, s: FloatArray, p25: float, q: float, d: FloatArray, out: FloatArray) -> None:
     """Fill in inlet volume and face: supply, compressor, and what recirculation stirs and heats."""
     t25 = s[T_FACE]
-    supply = max(c.supply_flow - c.supply_slope * (s[P_IN] - c.supply_pressure), 0.0)
-    t_supply = c.supply_temperature + c.coil * (s[T_COIL] - c.supply_temperature)
-    stirred = q * c.recirculation * p25 / (c.gas * t25) * c.velocity * c.area
-    mixed = c.exchange * stirred
+    supply = max(c.supply_flow - c.supply_slope_kg_s_Pa * (s[P_IN] - c.supply_pressure), 0.0)
+    t_supply = c.supply_temperature_K + c.supply_coil_effectiveness * (
+        s[T_COIL] - c.supply_temperature_K
+    )
+    stirred = q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area
+    mixed = c.heat_recirculation_exchange * stirred
     out_flow, back = max(s[W], 0.0), max(-s[W], 0.0)
     heat = supply * t_supply - out_flow * s[T_IN] + back * t25 + mixed * (t25 - s[T_IN])
-    d[P_IN] = c.gamma * c.gas / c.inlet_volume * heat
-    mass = s[P_IN] * c.inlet_volume / (c.gas * s[T_IN])
+    d[P_IN] = c.gamma * c.gas / c.volumes_inlet_m3 * heat
+    mass = s[P_IN] * c.volumes_inlet_m3 / (c.gas * s[T_IN])
     d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - s[W]) / mass)
-    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.supply_coil_lag_s
     warming = (
         (out_flow + mixed) * (s[T_IN] - t25)
-        + back * c.reverse_heat * (s[T31] - t25)
+        + back * c.heat_reverse_heat_frac * (s[T31] - t25)
         + stirred * c.recirculation_heat
-        + c.face_volume / c.heat * d[P_IN]
+        + c.volumes_face_m3 / c.heat * d[P_IN]
     )
-    d[T_FACE] = warming * c.gas * t25 / (s[P_IN] * c.face_volume)
+    d[T_FACE] = warming * c.gas * t25 / (s[P_IN] * c.volumes_face_m3)
     out[W_SUPPLY] = supply
 
 
 @_compile
 def _switch(
-    c: Constants, latch: FloatArray, t25: float, old: float, new: float, time: float, h: float
+    c: Any, latch: FloatArray, t25: float, old: float, new: float, time: float, h: float
 ) -> bool:
     """Move the latch after φ went from ``old`` to ``new`` in the step that ends at ``time``.
 
     Out of stall above φ_rec, armed only once φ has been below φ_rec − rearm; into stall below
     φ_s, armed only once φ has been above it, and in any case below φ_rec − rearm.
     """
-    low = c.recovery_phi - c.rearm_phi
+    low = c.compressor_recovery_phi - c.compressor_rearm_phi
     phi_s, _ = _stall_point(c, t25)
     edge = 0.0
     if latch[STALLED] > 0.5:
         if new < low:
             latch[ARMED] = 1.0
-        if latch[ARMED] < 0.5 or new <= c.recovery_phi:
+        if latch[ARMED] < 0.5 or new <= c.compressor_recovery_phi:
             return False
-        edge = c.recovery_phi
+        edge = c.compressor_recovery_phi
     else:
         if new > phi_s:
             latch[ARMED] = 1.0
@@ -311,24 +262,24 @@ def _switch(
 
 @_compile
 def _step(
-    c: Constants, inlet: Inlet, time: float, h: float, s: FloatArray, latch: FloatArray,
-    work: FloatArray, row: FloatArray,
+    c: Any, time: float, h: float, s: FloatArray, latch: FloatArray, work: FloatArray,
+    row: FloatArray,
 ) -> None:  # fmt: skip
     """Advance the state by one classical Runge-Kutta step whose first rates are in ``work[0]``."""
     k1, k2, k3, k4, trial = work[0], work[1], work[2], work[3], work[4]
     trial[:] = s + 0.5 * h * k1
-    _rates(c, inlet, time + 0.5 * h, trial, latch, k2, row)
+    _rates(c, time + 0.5 * h, trial, latch, k2, row)
     trial[:] = s + 0.5 * h * k2
-    _rates(c, inlet, time + 0.5 * h, trial, latch, k3, row)
+    _rates(c, time + 0.5 * h, trial, latch, k3, row)
     trial[:] = s + h * k3
-    _rates(c, inlet, time + h, trial, latch, k4, row)
+    _rates(c, time + h, trial, latch, k4, row)
     s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
 @_compile
 def integrate(
-    c: Constants, inlet: Inlet, state: FloatArray, begin_latch: FloatArray, begin: float,
-    first: float, n_rows: int, row_s: float, substeps: int, forced: FloatArray,
+    c: Any, state: FloatArray, begin_latch: FloatArray, begin: float, first: float,
+    n_rows: int, row_s: float, substeps: int, forced: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Integrate from ``begin`` and return one row at ``first`` and each ``row_s`` after it.
 
@@ -354,19 +305,19 @@ def integrate(
                 # A switch inside the row is written to the latch of the next one.
                 after = time >= forced[i + 1, SINCE] and forced[i + 1, SINCE] > first
                 latch[:] = forced[i + 1] if after else forced[i]
-            _rates(c, inlet, time, s, latch, work[0], row)
+            _rates(c, time, s, latch, work[0], row)
             if not np.isnan(phi) and forced.shape[0] == 0:
                 new = row[PHI]
                 if _switch(c, latch, s[T_FACE], phi, new, time, last_h):
-                    _rates(c, inlet, time, s, latch, work[0], row)
+                    _rates(c, time, s, latch, work[0], row)
             phi, last_h = row[PHI], h
             if i < n_rows - 1:
-                _step(c, inlet, time, h, s, latch, work, scratch)
+                _step(c, time, h, s, latch, work, scratch)
     return rows
 
 
 @_compile
-def latches(c: Constants, inlet: Inlet, phi: FloatArray, first: float, row_s: float) -> FloatArray:
+def latches(c: Any, phi: FloatArray, t25: FloatArray, first: float, row_s: float) -> FloatArray:
     """Return the latch of each row of a measured φ, in stall from the surge start on."""
     out = np.empty((phi.size, 4))
     latch = np.zeros(4)
@@ -378,19 +329,19 @@ def latches(c: Constants, inlet: Inlet, phi: FloatArray, first: float, row_s: fl
             begun = True
             latch[STALLED], latch[ARMED], latch[SINCE], latch[FROM] = 1.0, 0.0, c.start, 0.0
         elif begun:
-            _switch(c, latch, _t25(inlet, time), phi[i - 1], phi[i], time, row_s)
+            _switch(c, latch, t25[i], phi[i - 1], phi[i], time, row_s)
         out[i] = latch
     return out
 
 
 @_compile
 def observe(
-    c: Constants, inlet: Inlet, measured: FloatArray, latch: FloatArray, first: float,
-    row_s: float, state: FloatArray,
+    c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float,
+    state: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Return the model's states at each row with the measured ones put in for the compressor.
 
-    ``measured`` has the columns W25, ψ', P31, P_in, P25 and φ. What no probe reads (gas
+    ``measured`` has the columns W25, ψ', P31, P_in, P25, φ and T25. What no probe reads (gas
     temperatures of the volumes, exhaust pressure, ψ) follows from the same balances, driven by
     what was measured; nothing unstable is left in them, so that they forget their start.
     """
@@ -400,27 +351,27 @@ def observe(
     here, there = np.zeros(N_STATES), np.zeros(N_STATES)
     for i in range(n):
         s[W], s[PSI_P], s[P31], s[P_IN] = measured[i, :4]
-        s[T_FACE] = _t25(inlet, first + i * row_s)
+        s[T_FACE] = measured[i, 6]
         rows[i] = s
         if i == n - 1:
             break
         slopes = (measured[i + 1] - measured[i]) / row_s
-        _unmeasured(c, inlet, first + i * row_s, measured[i], slopes, latch[i], s, here)
+        _unmeasured(c, first + i * row_s, measured[i], slopes, latch[i], s, here)
         ahead[:] = s + row_s * here
         j = i + 1
-        _unmeasured(c, inlet, first + j * row_s, measured[j], slopes, latch[j], ahead, there)
+        _unmeasured(c, first + j * row_s, measured[j], slopes, latch[j], ahead, there)
         s += 0.5 * row_s * (here + there)
     return rows
 
 
 @_compile
 def _unmeasured(
-    c: Constants, inlet: Inlet, time: float, at: FloatArray, slopes: FloatArray, latch: FloatArray,
+    c: Any, time: float, at: FloatArray, slopes: FloatArray, latch: FloatArray,
     s: FloatArray, d: FloatArray,
 ) -> None:  # fmt: skip
     """Fill in the rates of the states that no probe reads, with the measured ones put in."""
-    flow, p31, p_in, p25, phi = at[0], at[2], at[3], at[4], at[5]
-    t25, q = _t25(inlet, time), _blend(c, latch, time)
+    flow, p31, p_in, p25, phi, t25 = at[0], at[2], at[3], at[4], at[5], at[6]
+    q = _blend(c, latch, time)
     k = (c.gamma - 1.0) / c.gamma
     t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
     _, quasi_w = _characteristics(c, phi, t25, q)
@@ -429,16 +380,20 @@ def _unmeasured(
     w31 = flow - c.storage_volume / (c.gas * 0.5 * (t25 + t2)) * slopes[2]
     mass = p31 * c.discharge_volume / (c.gas * s[T31])
     d[T31] = k * s[T31] * slopes[2] / p31 + max(w31, 0.0) * (t2 - s[T31]) / mass
-    wt, tt = orifice(c, c.throttle * _throttle(c, time), p31, s[T31], s[P_EX], s[T_EX])
-    we, te = orifice(c, c.exhaust, s[P_EX], s[T_EX], c.ambient, c.supply_temperature)
-    mass = s[P_EX] * c.exhaust_volume / (c.gas * s[T_EX])
-    d[P_EX] = c.gamma * c.gas / c.exhaust_volume * (wt * tt - we * te)
+    wt, tt = orifice(c, c.throttle_area * _throttle(c, time), p31, s[T31], s[P_EX], s[T_EX])
+    we, te = orifice(
+        c, c.exhaust_area, s[P_EX], s[T_EX], c.throttle_ambient_pressure_Pa, c.supply_temperature_K
+    )
+    mass = s[P_EX] * c.volumes_exhaust_m3 / (c.gas * s[T_EX])
+    d[P_EX] = c.gamma * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
     d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
-    supply = max(c.supply_flow - c.supply_slope * (p_in - c.supply_pressure), 0.0)
-    t_supply = c.supply_temperature + c.coil * (s[T_COIL] - c.supply_temperature)
-    stirred = q * c.recirculation * p25 / (c.gas * t25) * c.velocity * c.area
-    mixed = c.exchange * stirred + max(-flow, 0.0)
-    mass = p_in * c.inlet_volume / (c.gas * s[T_IN])
+    supply = max(c.supply_flow - c.supply_slope_kg_s_Pa * (p_in - c.supply_pressure), 0.0)
+    t_supply = c.supply_temperature_K + c.supply_coil_effectiveness * (
+        s[T_COIL] - c.supply_temperature_K
+    )
+    stirred = q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area
+    mixed = c.heat_recirculation_exchange * stirred + max(-flow, 0.0)
+    mass = p_in * c.volumes_inlet_m3 / (c.gas * s[T_IN])
     gained = supply * (t_supply - s[T_IN]) + mixed * (t25 - s[T_IN])
     d[T_IN] = k * s[T_IN] * slopes[3] / p_in + gained / mass
-    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag
+    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.supply_coil_lag_s

@@ -1,4 +1,4 @@
-"""What was measured, as the total-system fit takes it: three outputs, one input, the start."""
+"""What was measured, as the total-system fit takes it: three outputs, the states, the start."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from classic_ml.filters import period_average
 from classic_ml.flow import corrected_from_physical, physical_flow
 from classic_ml.readers.test_description import TestDescription
 from classic_ml.records import Record
-from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
-from comparisons.total_system.model import STATES, Drive, TotalSystemModel
+from classic_ml.reduction import ReductionSettings, reduce_record
+from comparisons.total_system.model import STATES, TotalSystemModel
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -21,7 +21,6 @@ __all__ = ["OUTPUTS", "Measured", "measured_signals", "observed_states", "state_
 
 # Channels that are fitted, and their units.
 OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
-_NEEDED = ("W25_kg_s", "P25_Pa", "P31_Pa", "T25_K")
 # One period of the stall cells (82.5 Hz on this machine, claim 17) leaves no ripple.
 SMOOTHING_S = 1.0 / 82.5
 # The collapse takes 17 ms; a cell period would move its zero by 3 to 4 ms, 3 ms by less than one.
@@ -76,11 +75,6 @@ class Measured:
         """P31, P25 and W25, of shape (n, 3), in the order of `OUTPUTS`."""
         return np.column_stack([self.P31, self.P25, self.W25])
 
-    @property
-    def drive(self) -> Drive:
-        """The measured T25 as a boundary of the model."""
-        return Drive(float(self.time_s[0]), self.period_s, self.smooth(self.T25))
-
     def smooth(self, values: FloatArray) -> FloatArray:
         """Return a signal averaged over the smoothing width."""
         return period_average(values, self.smoothing_s, 1.0 / self.period_s)
@@ -103,16 +97,15 @@ class Measured:
 
 
 def measured_signals(
-    data: Record | Reduction, test: TestDescription, smoothing_s: float = SMOOTHING_S
+    record: Record, test: TestDescription, smoothing_s: float = SMOOTHING_S
 ) -> Measured:
     """Take the signals of the fit out of a record.
 
     Parameters
     ----------
-    data : Record or Reduction
-        A raw record, which is reduced without a low-pass filter; a reduction, whose unfiltered
-        plane averages are taken; or a record of ``W25_kg_s``, ``P25_Pa``, ``P31_Pa`` and
-        ``T25_K``.
+    record : Record
+        A raw record, which is reduced without a low-pass filter; or a record of ``W25_kg_s``,
+        ``P25_Pa``, ``P31_Pa`` and ``T25_K``.
     test : TestDescription
         The test it belongs to.
     smoothing_s : float
@@ -127,69 +120,41 @@ def measured_signals(
     Raises
     ------
     InputError
-        When a channel is missing or not finite, no near-stall reading is in the record, or the
-        flow never reverses.
+        When a channel is missing, no near-stall reading is in the record, or the flow never
+        reverses.
     """
-    if not (np.isfinite(smoothing_s) and 0.0 <= smoothing_s < 0.1):
-        raise InputError(
-            "smoothing_s", expected="0 to 0.1 s", found=f"{smoothing_s}", remedy="one cell period"
-        )
     window: tuple[float, float] | None = None
-    if isinstance(data, Record) and all(name in data for name in test.channel_names):
-        data = reduce_record(
-            data, test, ReductionSettings(phase="none", thermocouple_inversion=True)
-        )
-    if isinstance(data, Reduction):
-        window, data = data.window_s, _unfiltered(data.record)
-    signals = {name: data[name] for name in _NEEDED}
-    for name, values in signals.items():
-        if not np.all(np.isfinite(values)):
-            row = int(np.argmin(np.isfinite(values)))
-            raise InputError(
-                f"{data.source}: channel {name}",
-                expected="finite values",
-                found=f"{values[row]} in row {row + 1}",
-            )
-    w25, p25, p31, t25 = (signals[name] for name in _NEEDED)
-    near = test.near_stall
-    reading = (data.time_s >= near.from_s) & (data.time_s <= near.to_s)
+    if all(name in record for name in test.channel_names):
+        settings = ReductionSettings(phase="none", thermocouple_inversion=True)
+        reduction = reduce_record(record, test, settings)
+        window, record = reduction.window_s, reduction.record
+        p25, p31 = record["P25_unfiltered_Pa"], record["P31_unfiltered_Pa"]
+        t25 = record["T25_K"]
+        w25 = physical_flow(record["Wc25_unfiltered_kg_s"], p25, t25)
+    else:
+        w25, p25, p31, t25 = (record[n] for n in ("W25_kg_s", "P25_Pa", "P31_Pa", "T25_K"))
+    near, time_s = test.near_stall, record.time_s
+    reading = (time_s >= near.from_s) & (time_s <= near.to_s)
     if not np.any(reading):
         raise InputError(
-            data.source,
+            record.source,
             expected=f"the near-stall reading of {near.from_s:g} to {near.to_s:g} s in the record",
-            found=f"{data.time_s[0]:g} to {data.time_s[-1]:g} s",
+            found=f"{time_s[0]:g} to {time_s[-1]:g} s",
         )
     width = min(smoothing_s, _CROSSING_S)
-    reversal = _first_reversal(data, period_average(w25, width, data.sample_rate_hz))
+    reversal = _first_reversal(record, period_average(w25, width, record.sample_rate_hz))
     return Measured(
         test,
-        data.time_s,
+        time_s,
         w25,
         p25,
         p31,
         t25,
         float(np.mean(w25[reading])),
         reversal,
-        window or (reversal + SMOOTHING_S, float(data.time_s[-1])),
+        window or (reversal + SMOOTHING_S, float(time_s[-1])),
         smoothing_s,
-        data.source,
-    )
-
-
-def _unfiltered(record: Record) -> Record:
-    """Return the plane averages before the low-pass filter, as the reduction keeps them."""
-    p25 = record["P25_unfiltered_Pa"]
-    flow = physical_flow(record["Wc25_unfiltered_kg_s"], p25, record["T25_K"])
-    return Record.from_arrays(
-        {
-            "W25_kg_s": (flow, "kg/s"),
-            "P25_Pa": (p25, "Pa"),
-            "P31_Pa": (record["P31_unfiltered_Pa"], "Pa"),
-            "T25_K": (record["T25_K"], "K"),
-        },
-        sample_rate_hz=record.sample_rate_hz,
-        start_s=record.start_s,
-        source=record.source,
+        record.source,
     )
 
 
@@ -231,26 +196,33 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     from comparisons.total_system import kernel
 
     test, machine, c = measured.test, measured.test.compressor, model.constants()
-    flow, p25, p31 = (measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31))
-    t25 = measured.drive.T25_K
+    flow, p25, p31, t25 = (
+        measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31, measured.T25)
+    )
     slope = rate_of_change(flow, measured.period_s)
     phi = measured.phi()
     psi_p = pressure_coefficient(
         p25, p31, t25, slope, machine.inertia_per_m, test.rotor_velocity_m_s, machine
     )
-    lagged = psi_p - c.reverse_loss * np.minimum(phi, 0.0) ** 2
-    p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia * slope
-    inlet, first = measured.drive.inlet(), float(measured.time_s[0])
-    latch = kernel.latches(c, inlet, phi, first, measured.period_s)
-    columns = np.column_stack([flow, lagged, p31, p_in, p25, phi])
-    states = kernel.observe(
-        c, inlet, columns, latch, first, measured.period_s, model.near_stall_state()
-    )
+    lagged = psi_p - c.compressor_reverse_loss * np.minimum(phi, 0.0) ** 2
+    p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia_per_m * slope
+    first = float(measured.time_s[0])
+    latch = kernel.latches(c, phi, t25, first, measured.period_s)
+    columns = np.column_stack([flow, lagged, p31, p_in, p25, phi, t25])
+    states = kernel.observe(c, columns, latch, first, measured.period_s, model.near_stall_state())
     return states, latch
 
 
 def state_before_surge(measured: Measured, states: FloatArray) -> FloatArray:
-    """Return the mean state of the 20 ms before the flow collapses, of shape (11,)."""
+    """Return the mean state of the 20 ms before the flow collapses, of shape (11,).
+
+    Parameters
+    ----------
+    measured : Measured
+        The record.
+    states : ndarray of shape (n, 11)
+        Observed states.
+    """
     early, late = _BEFORE_S
     rows = measured.rows(measured.reversal_s - early, measured.reversal_s - late)
     if rows.stop - rows.start < 2:
@@ -260,6 +232,6 @@ def state_before_surge(measured: Measured, states: FloatArray) -> FloatArray:
             found=f"a first reversal at {measured.reversal_s:.3f} s",
         )
     mean = states[rows].mean(axis=0)
-    plain = np.column_stack([measured.W25, measured.P31])[rows].mean(axis=0)
-    mean[STATES.index("W25")], mean[STATES.index("P31")] = plain
+    mean[STATES.index("W25")] = np.mean(measured.W25[rows])
+    mean[STATES.index("P31")] = np.mean(measured.P31[rows])
     return np.asarray(mean)

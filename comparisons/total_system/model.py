@@ -6,8 +6,7 @@
     mass and energy of a discharge, an exhaust and an inlet volume; compressible orifices; the gas
     at the face, heated by reversed flow and by in-stall recirculation
 
-The throttle follows its schedule from the surge start on. T25 may drive the model as measured.
-Source: ``paper/equations-claims-rig.md`` sections 5 and 8; the idea is that of the paper's
+The throttle follows its schedule from the surge start on. Source: the idea is that of the paper's
 Reference 6.
 """
 
@@ -15,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +24,7 @@ from comparisons.total_system.facility import Facility
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-if TYPE_CHECKING:
-    from comparisons.total_system.kernel import Constants, Inlet
-
-__all__ = ["COLUMNS", "STATES", "Drive", "TotalSystemModel"]
+__all__ = ["COLUMNS", "STATES", "STEPS_PER_SECOND", "TotalSystemModel"]
 
 
 # In the order of the compiled loops.
@@ -41,31 +37,6 @@ _STORAGE_SHARE = 0.5
 # millisecond change P31 and W25 by 1e-4 of their swing; half as many miss P25 in the blowdown by a
 # third of its swing.
 STEPS_PER_SECOND = 5_000.0
-
-
-@dataclass(frozen=True)
-class Drive:
-    """The measured boundary of the model.
-
-    Parameters
-    ----------
-    begin_s, period_s : float
-        First row and distance of rows, in seconds.
-    T25_K : ndarray of shape (n,)
-        Inlet total temperature.
-    """
-
-    begin_s: float
-    period_s: float
-    T25_K: FloatArray
-
-    def inlet(self) -> Inlet:
-        """Return it as the compiled loops take it."""
-        from comparisons.total_system.kernel import Inlet
-
-        values = np.ascontiguousarray(self.T25_K, dtype=np.float64)
-        values = values if values.flags.writeable else values.copy()
-        return Inlet(self.begin_s, self.period_s, values)
 
 
 @dataclass(frozen=True)
@@ -85,14 +56,9 @@ class TotalSystemModel:
     tau_s : float
         Time constant of ψ' and ψ, in seconds.
     start_s : float
-        Surge start: when the first stall begins, on the clock of the record.
-    measured_t25 : bool
-        Let the measured T25 drive the model in place of its own face temperature.
-
-    Raises
-    ------
-    InputError
-        When a number cannot be.
+        Surge start: when the first stall begins, on the clock of the record; infinite for none.
+    volume_factor : float
+        Multiplies the discharge volume.
     """
 
     test: TestDescription
@@ -101,20 +67,7 @@ class TotalSystemModel:
     beta: tuple[float, float, float]
     tau_s: float
     start_s: float = np.inf
-    measured_t25: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("near_stall_flow_kg_s", "tau_s"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(
-                    f"TotalSystemModel.{name}",
-                    expected="a number above 0",
-                    found=f"{getattr(self, name)}",
-                )
-        if len(self.beta) != 3 or not np.all(np.isfinite(self.beta)):
-            raise InputError(
-                "TotalSystemModel.beta", expected="three finite numbers", found=f"{self.beta}"
-            )
+    volume_factor: float = 1.0
 
     def near_stall_state(self) -> FloatArray:
         """Return the state of the near-stall reading, of shape (11,), in the order of `STATES`."""
@@ -127,9 +80,9 @@ class TotalSystemModel:
             "psi": work * (near.T31_K - near.T25_K),
             "P31": near.P31_Pa,
             "T31": near.T31_K,
-            "P_in": near.P25_Pa * (1.0 + self.facility.inlet_loss_frac),
+            "P_in": near.P25_Pa * (1.0 + self.facility.inlet.loss_frac),
             "T_in": near.T25_K,
-            "P_ex": self._exhaust_pressure_pa,
+            "P_ex": self._exhaust_pressure_Pa,
             "T_ex": near.T31_K,
             "T_coil": near.T25_K,
             "T25": near.T25_K,
@@ -137,79 +90,48 @@ class TotalSystemModel:
         return np.array([state[name] for name in STATES])
 
     @property
-    def _exhaust_pressure_pa(self) -> float:
-        pressure = self.facility.exhaust_pressure_frac * self.test.near_stall.P31_Pa
-        if not pressure > self.facility.ambient_pressure_pa:
+    def _exhaust_pressure_Pa(self) -> float:
+        throttle = self.facility.throttle
+        pressure = throttle.exhaust_pressure_frac * self.test.near_stall.P31_Pa
+        if not pressure > throttle.ambient_pressure_Pa:
             raise InputError(
-                "Facility.exhaust_pressure_frac",
+                "[throttle] exhaust_pressure_frac",
                 expected="an exhaust pressure above ambient near stall, "
-                f"{self.facility.ambient_pressure_pa:g} Pa",
+                f"{throttle.ambient_pressure_Pa:g} Pa",
                 found=f"{pressure:g} Pa",
             )
         return pressure
 
-    def constants(self) -> Constants:
+    def constants(self) -> Any:
         """Return the numbers of the compiled loops, orifices sized by the near-stall reading."""
-        from comparisons.total_system.kernel import Constants, orifice
+        from comparisons.total_system.kernel import FACILITY_FIELDS, Constants, orifice
 
         test, f, near = self.test, self.facility, self.test.near_stall
         machine, flow = test.compressor, self.near_stall_flow_kg_s
-        g = machine.gamma
-        loss = f.inlet_loss_frac * near.P25_Pa / flow**2
+        g, velocity = machine.gamma, test.rotor_velocity_m_s
+        loss = f.inlet.loss_frac * near.P25_Pa / flow**2
+        tables = f.model_dump().items()
+        known = [float(value) for _, table in tables for value in table.values()]
         c = Constants(
+            **dict(zip(FACILITY_FIELDS, known, strict=True)),
             beta1=self.beta[0],
             beta2=self.beta[1],
             beta3=self.beta[2],
             tau=self.tau_s,
-            reverse_loss=f.reverse_loss,
-            recovery_phi=f.recovery_phi,
-            rearm_phi=f.rearm_phi,
-            speed_low=f.stall_speed_low_frac,
-            speed_high=f.stall_speed_high_frac,
-            phi_low=f.stall_phi_low,
-            phi_high=f.stall_phi_high,
-            psi_low=f.stall_psi_p_low,
-            psi_high=f.stall_psi_p_high,
-            droop=f.unstalled_droop,
-            efficiency=f.unstalled_efficiency,
-            blend=f.blend_s,
-            work0=f.work_intercept,
-            work1=f.work_slope_1,
-            work2=f.work_slope_2,
-            work3=f.work_slope_3,
-            break1=f.work_break_1,
-            break2=f.work_break_2,
             inertia=machine.inertia_per_m,
-            inlet_inertia=f.inlet_inertia_per_m,
             storage_volume=_STORAGE_SHARE * machine.internal_volume_m3,
-            discharge_volume=f.discharge_volume_m3,
-            exhaust_volume=f.exhaust_volume_m3,
-            inlet_volume=f.inlet_volume_m3,
+            discharge_volume=self.volume_factor * f.volumes.discharge_m3,
             loss=loss,
             supply_flow=flow,
             supply_pressure=near.P25_Pa + loss * flow**2,
-            supply_temperature=f.supply_temperature_k,
-            supply_slope=f.supply_slope_kg_s_pa,
-            coil=f.coil_effectiveness,
-            coil_lag=f.coil_lag_s,
-            recirculation=f.recirculation_frac,
-            recirculation_heat=f.recirculation_work
-            * test.rotor_velocity_m_s**2
+            recirculation_heat=f.heat.recirculation_work
+            * velocity**2
             / (2.0 * machine.specific_heat_J_kg_K),
-            exchange=f.recirculation_exchange,
-            reverse_heat=f.reverse_heat_frac,
-            face_volume=f.face_volume_m3,
-            face_measured=self.measured_t25,
-            throttle=1.0,
-            exhaust=1.0,
-            ambient=f.ambient_pressure_pa,
-            close_start=f.close_start_s,
-            close_rate=f.close_rate_per_s,
-            open_ratio=f.open_ratio,
-            open_lag=f.open_lag_s,
+            throttle_area=1.0,
+            exhaust_area=1.0,
             start=self.start_s,
             speed=test.rotor_speed_rpm * np.sqrt(T_STANDARD_K) / test.design_corrected_speed_rpm,
-            velocity=test.rotor_velocity_m_s,
+            velocity=velocity,
             area=test.areas_m2[25],
             flow_constant=test.areas_m2[25] * np.sqrt(g / machine.gas_constant_J_kg_K),
             choke=(2.0 / (g + 1.0)) ** ((g + 1.0) / (2.0 * (g - 1.0))),
@@ -217,17 +139,15 @@ class TotalSystemModel:
             gas=machine.gas_constant_J_kg_K,
             heat=machine.specific_heat_J_kg_K,
         )
-        middle = self._exhaust_pressure_pa
+        middle, ambient = self._exhaust_pressure_Pa, f.throttle.ambient_pressure_Pa
         through, _ = orifice(c, 1.0, near.P31_Pa, near.T31_K, middle, near.T31_K)
-        out, _ = orifice(c, 1.0, middle, near.T31_K, f.ambient_pressure_pa, near.T31_K)
+        out, _ = orifice(c, 1.0, middle, near.T31_K, ambient, near.T31_K)
         return c._replace(
-            throttle=f.throttle_area_factor * flow / through,
-            exhaust=flow / out,
+            throttle_area=f.throttle.area_factor * flow / through, exhaust_area=flow / out
         )
 
     def simulate(
         self,
-        drive: Drive,
         *,
         n_rows: int,
         period_s: float,
@@ -235,19 +155,16 @@ class TotalSystemModel:
         state: FloatArray | None = None,
         steps_per_second: float = STEPS_PER_SECOND,
     ) -> Mapping[str, FloatArray]:
-        """Run the model from its surge start, or at rest before one.
+        """Run the model from its surge start, or at rest without one.
 
         Parameters
         ----------
-        drive : Drive
-            Measured T25.
         n_rows : int
             Rows wanted.
         period_s : float
             Distance of rows.
         first_s : float, optional
-            Time of the first row, from ``start_s`` on; without it the surge start, or the
-            begin of the drive when there is no surge start.
+            Time of the first row, from ``start_s`` on; without it the surge start, or 0.
         state : ndarray of shape (11,), optional
             State to start from; the near-stall reading without it.
         steps_per_second : float
@@ -261,14 +178,12 @@ class TotalSystemModel:
         from comparisons.total_system import kernel
 
         surging = bool(np.isfinite(self.start_s))
-        begin = self.start_s if surging else drive.begin_s
-        # Branch, armed, when it was switched to, and the blend it was switched from.
-        latch = np.array([1.0, 0.0, begin, 0.0]) if surging else np.array([0.0, 0.0, begin, 0.0])
+        begin = self.start_s if surging else 0.0
         rows = kernel.integrate(
             self.constants(),
-            drive.inlet(),
             self.near_stall_state() if state is None else np.array(state, dtype=np.float64),
-            latch,
+            # Branch, armed, when it was switched to, and the blend it was switched from.
+            np.array([float(surging), 0.0, begin, 0.0]),
             begin,
             begin if first_s is None else first_s,
             n_rows,

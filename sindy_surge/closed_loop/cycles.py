@@ -48,7 +48,7 @@ class Cycles:
 def measure_cycles(states: FloatArray, sample_period_s: float) -> Cycles | None:
     """Measure the cycles that the first channel shows.
 
-    A cycle runs from one rise of φ through the middle of its range to the next, told apart with
+    A cycle runs from one rise of φ through the middle of its range to the next, with
     a hysteresis of a third of the range. The amplitude is that of the mean cycle, averaged at
     equal phase: a peak-to-peak value of single noisy cycles is too large by several times the
     noise.

@@ -29,8 +29,8 @@ from sindy_surge.closed_loop.structure import (
 )
 from sindy_surge.closed_loop.terms import StateTerms, surge_library
 from sindy_surge.closed_loop.windows import Supports, Windows
-from sindy_surge.free_run import Segments
-from sindy_surge.whitening import difference_noise
+from sindy_surge.noise import difference_noise
+from sindy_surge.segments import Segments
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -61,7 +61,7 @@ def discover_surge_model(
     Three equations dx/dt = Σ c_j s_j(φ, ψ', Ψ) for the flow through the duct, the compressor's
     lag behind its characteristic and the pressure of the plenum (Greitzer 1976, with the lag of
     the E3 surge paper). One library serves all three. Sparse regression in the weak form proposes
-    the terms; all coefficients are then fitted together by simulation that starts anew in every
+    the terms; all coefficients are then fitted together by simulation that restarts in every
     cycle, and the structure is tested against its neighbours there.
 
     Parameters
@@ -153,7 +153,7 @@ class _Task:
 
     @property
     def allowed(self) -> Supports:
-        """Terms that each equation may have: those that can be told apart on this record."""
+        """Terms that each equation may have: those that this record can separate."""
         usable = tuple(int(i) for i in independent_columns(self.library.values(self.record)))
         if self.duct_gain_per_s is None:
             return usable, usable, usable

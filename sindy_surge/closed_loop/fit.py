@@ -9,13 +9,13 @@ import numpy as np
 
 from sindy_surge.closed_loop.terms import StateTerms
 from sindy_surge.closed_loop.windows import Supports, Windows, simulate_windows
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.leave_out import newey_west, unit_norms
+from sindy_surge.linear_problem import LinearProblem, without_nuisances
 from surge_core.types import FloatArray
 
 __all__ = [
     "JointFit",
     "coefficient_covariance",
-    "compressed",
     "fit_jointly",
     "library_equations",
 ]
@@ -145,25 +145,14 @@ def fit_jointly(
     """Fit all coefficients and the start of every window by damped Gauss-Newton.
 
     A simulation of a whole record is too sensitive to its start and its coefficients to be
-    fitted; one that starts anew in every cycle is not (Bock 1981).
+    fitted; one that restarts in every cycle is not (Bock 1981).
 
     Parameters
     ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    supports : tuple of three tuples of int
-        The terms of each equation.
     coefficients : ndarray of shape (n_coefficients,)
         First values.
     starts : ndarray of shape (n_windows, 3)
         First values of the windows' first states.
-
-    Returns
-    -------
-    JointFit
-        The fit; `converged` says whether it ended by itself.
     """
 
     def trial(coefficients: FloatArray, starts: FloatArray) -> JointFit:
@@ -205,17 +194,6 @@ def library_equations(
     Its target is what the fit leaves plus what its own terms explain, so that the fit's own
     support returns the fit's coefficients.
 
-    Parameters
-    ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    allowed : tuple of three tuples of int
-        The terms that each equation may have.
-    fit : JointFit
-        The fit.
-
     Returns
     -------
     LinearProblem or None
@@ -233,33 +211,7 @@ def library_equations(
     # The tie has one column a free coefficient, with a one in the row of the first it drives.
     free = np.linalg.lstsq(tie, values)[0]
     flat = columns.reshape(-1, columns.shape[-1])
-    return compressed(flat, left.ravel() + flat @ free)
-
-
-def compressed(columns: FloatArray, target: FloatArray) -> LinearProblem:
-    """Put a regression into triangular form, its columns of unit norm.
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n_equations, n_terms)
-        The terms.
-    target : ndarray of shape (n_equations,)
-        What they should add up to.
-
-    Returns
-    -------
-    LinearProblem
-        The regression.
-    """
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0] = 1.0
-    stacked = np.column_stack((columns / norms, target))
-    triangle: FloatArray = np.asarray(np.linalg.qr(stacked, mode="r"))
-    width = min(columns.shape[1], len(triangle))
-    left = triangle[width:, -1]
-    return LinearProblem(
-        triangle[:width, :-1], triangle[:width, -1], norms, float(left @ left), target.size
-    )
+    return without_nuisances(flat[:, :0], flat, left.ravel() + flat @ free)
 
 
 def coefficient_covariance(windows: Windows, library: StateTerms, fit: JointFit) -> FloatArray:
@@ -267,15 +219,6 @@ def coefficient_covariance(windows: Windows, library: StateTerms, fit: JointFit)
 
     H⁻¹ M H⁻¹ with M the Newey-West sum of the scores within each window: the inverse
     information alone is too small where the residual is not white.
-
-    Parameters
-    ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    fit : JointFit
-        The fit.
 
     Returns
     -------
@@ -287,18 +230,14 @@ def coefficient_covariance(windows: Windows, library: StateTerms, fit: JointFit)
     if about is None:
         return np.full((fit.coefficients.size, fit.coefficients.size), np.nan)
     columns, left = about.projected()
-    sizes = np.linalg.norm(columns, axis=(0, 1))
-    sizes[sizes == 0] = 1.0
     n_windows, n_samples, n_channels = fit.residual.shape
-    shape = (n_windows, n_samples, n_channels, columns.shape[-1])
-    scores = (columns / sizes * left[..., None]).reshape(shape).sum(axis=2)
-    middle = np.einsum("wtp,wtq->pq", scores, scores)
-    reach = max(1, round(_LAG_SHARE * n_samples))
-    for lag in range(1, reach + 1):
-        cross = np.einsum("wtp,wtq->pq", scores[:, lag:], scores[:, :-lag])
-        middle += (1 - lag / (reach + 1)) * (cross + cross.T)
-    flat = (columns / sizes).reshape(-1, sizes.size)
-    bread = np.linalg.pinv(flat.T @ flat, rcond=1e-13, hermitian=True)
+    flat = columns.reshape(-1, columns.shape[-1])
+    sizes = unit_norms(flat)
+    scaled = flat / sizes
+    scores = (scaled * left.ravel()[:, None]).reshape(-1, n_channels, sizes.size).sum(axis=1)
+    runs = [slice(k, k + n_samples) for k in range(0, len(scores), n_samples)]
+    middle = newey_west(scores, runs, max(1, round(_LAG_SHARE * n_samples)))
+    bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
     spent = 3 * n_windows + sizes.size
     inner = bread @ middle @ bread * left.size / max(left.size - spent, 1)
     carried = tie / sizes

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from sindy_surge.closed_loop.cycles import Cycles, measure_cycles
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
+from surge_core.validation import positive
 
 __all__ = ["FEWEST_CYCLES", "half_width_samples", "hidden_plenum", "read_record", "record_cycles"]
 
@@ -43,65 +44,48 @@ def read_record(
     record : ndarray of shape (n_rows, 2 or 3)
         The channels.
     sample_period_s : float
-        The sample period.
+        The sample period in seconds.
 
     Raises
     ------
     InputError
         If a channel cannot be used.
     """
+    positive("sample_period_s", sample_period_s)
     channels = {"phi": phi, "psi_p": psi_p}
     if plenum is not None:
         channels["plenum"] = plenum
-    columns = {name: _channel(name, values) for name, values in channels.items()}
-    for name, column in columns.items():
-        if column.size != columns["phi"].size:
+    columns: list[FloatArray] = []
+    for name, values in channels.items():
+        try:
+            column = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(name, expected="numbers", found=f"{type(values).__name__}") from None
+        n_rows = columns[0].size if columns else column.size
+        if column.shape != (n_rows,):
             raise InputError(
                 name,
-                expected=f"as many samples as phi, {columns['phi'].size}",
-                found=f"{column.size}",
+                expected=f"one value for each of {n_rows} samples, as phi",
+                found=f"an array of shape {column.shape}",
                 remedy="cut the channels to the same rows",
             )
-    return np.column_stack(list(columns.values())), _period(sample_period_s)
-
-
-def _channel(name: str, values: ArrayLike) -> FloatArray:
-    try:
-        column = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(name, expected="numbers", found=f"{type(values).__name__}") from None
-    if column.ndim != 1:
-        raise InputError(
-            name, expected="one value for each sample", found=f"an array of shape {column.shape}"
-        )
-    bad = np.flatnonzero(~np.isfinite(column))
-    if bad.size:
-        raise InputError(
-            name,
-            expected="finite values",
-            found=f"{bad.size} NaN or infinite, the first in row {bad[0]}",
-            remedy="cut the record there; a gap cannot be simulated across",
-        )
-    if column.size < 2 or not np.ptp(column) > 1e-9 * np.max(np.abs(column)):
-        raise InputError(
-            name,
-            expected="a signal that changes with the surge cycles",
-            found=f"a constant over {column.size} samples",
-            remedy="choose a part of the record that surges",
-        )
-    return column
-
-
-def _period(sample_period_s: float) -> float:
-    try:
-        period = float(sample_period_s)
-    except (TypeError, ValueError):
-        period = np.nan
-    if not (np.isfinite(period) and period > 0):
-        raise InputError(
-            "sample_period_s", expected="a positive number of seconds", found=repr(sample_period_s)
-        )
-    return period
+        bad = np.flatnonzero(~np.isfinite(column))
+        if bad.size:
+            raise InputError(
+                name,
+                expected="finite values",
+                found=f"{bad.size} NaN or infinite, the first in row {bad[0]}",
+                remedy="cut the record there; a gap cannot be simulated across",
+            )
+        if n_rows < 2 or not np.ptp(column) > 1e-9 * np.max(np.abs(column)):
+            raise InputError(
+                name,
+                expected="a signal that changes with the surge cycles",
+                found=f"a constant over {n_rows} samples",
+                remedy="choose a part of the record that surges",
+            )
+        columns.append(column)
+    return np.column_stack(columns), float(sample_period_s)
 
 
 def record_cycles(record: FloatArray, sample_period_s: float) -> Cycles:
@@ -113,11 +97,6 @@ def record_cycles(record: FloatArray, sample_period_s: float) -> Cycles:
         φ first.
     sample_period_s : float
         Sample period in seconds.
-
-    Returns
-    -------
-    Cycles
-        The measures.
 
     Raises
     ------
@@ -161,13 +140,6 @@ def half_width_samples(phi: FloatArray, period_samples: float) -> int:
     ----------
     phi : ndarray of shape (n_rows,)
         Flow coefficient.
-    period_samples : float
-        Period of the cycles in samples.
-
-    Returns
-    -------
-    int
-        Half width in samples, at least 4.
     """
     most = max(round(period_samples / _MOST_SHARE), _LEAST_HALF_WIDTH)
     half = np.ptp(phi) / 2
@@ -192,8 +164,6 @@ def hidden_plenum(
         φ and ψ'.
     sample_period_s : float
         Sample period in seconds.
-    half_width : int
-        Half width of the test functions in samples.
 
     Returns
     -------

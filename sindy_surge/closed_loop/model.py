@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from sindy_surge.closed_loop.cycles import Cycles
 from sindy_surge.closed_loop.structure import StructureRow
 from sindy_surge.closed_loop.terms import STATES, StateTerms
-from sindy_surge.equations import format_uncertain
+from sindy_surge.text import signed_sum, uncertain
 from surge_core.errors import InputError
+from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
 
 __all__ = ["CycleRow", "LoopState", "SurgeModel"]
@@ -24,8 +25,6 @@ _RTOL = 1e-8
 _RANGES = 5.0
 # Factors of a term before this one are functions of ψ' and Ψ, but for the first, which is φ.
 _FLOW_FACTOR = 4
-_SYMBOLS = {"phi": "φ", "psi_p": "ψ'", "plenum": "Ψ"}
-_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class LoopState(StrEnum):
@@ -261,7 +260,7 @@ class SurgeModel:
         measured, simulated = self.measured_cycles, self.amplitude
         rows = [CycleRow("period, s", measured.period_s, self.period_s)]
         for name, before, after in zip(STATES, measured.amplitude, simulated, strict=False):
-            rows.append(CycleRow(f"amplitude of {_SYMBOLS[name]}", before, float(after)))
+            rows.append(CycleRow(f"amplitude of {pretty_term(name)}", before, float(after)))
         return tuple(rows)
 
     @property
@@ -333,24 +332,22 @@ class SurgeModel:
         The second is written as the lag τ dψ'/dt + ψ' = ψ'_QS where it has the term -ψ'/τ.
         """
         texts = [
-            f"d{_SYMBOLS[STATES[k]]}/dt = {self._sum(k)}   [1/s; φ, ψ', Ψ dimensionless]"
+            f"d{pretty_term(STATES[k])}/dt = {self._sum(k)}   [1/s; φ, ψ', Ψ dimensionless]"
             for k in range(3)
         ]
         decay = self._decay()
         if decay is not None and len(self.terms[1]) > 1:
-            tau = format_uncertain(self.time_constant_s, self.time_constant_stderr_s)
+            tau = uncertain(self.time_constant_s, self.time_constant_stderr_s)
             beta, covariance = self._lag_coefficients(decay)
             names = [name for i, name in enumerate(self.terms[1].names) if i != decay]
-            right = _signed_sum(names, beta, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+            errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+            right = signed_sum(list(zip(names, beta.tolist(), errors, strict=True)))
             texts[1] = f"{tau} s · dψ'/dt + ψ' = {right}   [φ, ψ', Ψ dimensionless, t in s]"
         return texts[0], texts[1], texts[2]
 
     def _sum(self, equation: int) -> str:
-        return _signed_sum(
-            self.terms[equation].names,
-            self.coefficients[equation],
-            self.standard_errors[equation],
-        )
+        columns = (self.coefficients[equation].tolist(), self.standard_errors[equation].tolist())
+        return signed_sum(list(zip(self.terms[equation].names, *columns, strict=True)))
 
     def _lag_coefficients(self, decay: int) -> tuple[FloatArray, FloatArray]:
         """Return β_i = -c_i / c_ψ' of the terms beside -ψ'/τ, and their covariance."""
@@ -371,25 +368,3 @@ def _checked_start(start: ArrayLike) -> FloatArray:
             "start", expected="three finite numbers φ, ψ', Ψ", found=np.array2string(first)
         )
     return first
-
-
-def _signed_sum(names: list[str] | tuple[str, ...], values: FloatArray, errors: FloatArray) -> str:
-    parts: list[str] = []
-    for name, value, error in zip(names, values.tolist(), errors.tolist(), strict=True):
-        sign = "−" if value < 0 else "+"
-        glue = f" {sign} " if parts else ("−" if value < 0 else "")
-        number = format_uncertain(abs(value), error)
-        parts.append(f"{glue}{number}{'' if name == '1' else ' ' + _pretty(name)}")
-    return "".join(parts)
-
-
-def _pretty(name: str) -> str:
-    factors = []
-    for factor in name.split(" "):
-        text = factor.replace("sqrt(plenum)", "√Ψ")
-        for plain, symbol in _SYMBOLS.items():
-            text = text.replace(plain, symbol)
-        head, caret, power = text.partition("^")
-        digits, bracket, rest = power.partition("[")
-        factors.append(head + digits.translate(_SUPERSCRIPTS) + (bracket + rest if caret else ""))
-    return " ".join(factors)

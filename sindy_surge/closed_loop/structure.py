@@ -10,17 +10,16 @@ import numpy as np
 
 from sindy_surge.closed_loop.fit import (
     JointFit,
-    compressed,
     fit_jointly,
     library_equations,
 )
 from sindy_surge.closed_loop.terms import STATES, StateTerms
 from sindy_surge.closed_loop.windows import Supports, Windows
-from sindy_surge.free_run import Segments
-from sindy_surge.linear_problem import LinearProblem
+from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
+from sindy_surge.segments import Segments
 from sindy_surge.selection import information_penalty
-from sindy_surge.sparse_paths import Support, proposals, support_chi2
-from sindy_surge.weak_form import weak_rows
+from sindy_surge.sparse_paths import proposals
+from sindy_surge.weak import WeakEquations
 from surge_core.types import FloatArray
 
 __all__ = ["StructureRow", "WeakStructure", "settle_structure", "weak_structure"]
@@ -96,49 +95,32 @@ def weak_structure(
     ----------
     record : ndarray of shape (n_rows, 3)
         φ, ψ' and Ψ.
-    library : StateTerms
-        The candidate terms.
-    allowed : tuple of int
-        Positions of the terms that this equation may have.
-    equation : int
-        0 for dφ/dt, 1 for dψ'/dt, 2 for dΨ/dt.
-    half_width : int
-        Half width of the test function in samples.
     sample_period_s : float
         Sample period in seconds.
-    max_terms : int
-        Largest number of terms.
-
-    Returns
-    -------
-    WeakStructure
-        The choice.
     """
     terms = library.subset(allowed)
     whole = Segments.from_labels(None, len(record))
-    change, _, columns = weak_rows(
+    weak = WeakEquations.integrate(
         record[:, equation], terms.values(record), whole, half_width, sample_period_s
     )
-    linear = compressed(columns, change)
+    change = weak.derivative
+    linear = without_nuisances(weak.columns[:, :0], weak.columns, change)
     n_independent = len(record) / half_width
     penalty = information_penalty(round(n_independent), len(terms))
     floor = _QUADRATURE**2 * float(change @ change)
     best: dict[int, tuple[float, Support]] = {}
     for support in proposals(linear, "SSR", max_terms):
-        chi2 = support_chi2(linear, support) + floor
+        chi2 = linear.chi2(support) + floor
         score = n_independent * float(np.log(chi2 / change.size)) + penalty * len(support)
         if len(support) not in best or score < best[len(support)][0]:
             best[len(support)] = score, support
     score, chosen = min(best.values())
-    solution = np.linalg.lstsq(linear.columns[:, list(chosen)], linear.target, rcond=1e-12)[0]
     names = terms.names
     rows = tuple(
         StructureRow("weak", STATES[equation], tuple(names[i] for i in s), value, s == chosen)
         for value, s in best.values()
     )
-    return WeakStructure(
-        tuple(allowed[i] for i in chosen), solution / linear.norms[list(chosen)], rows
-    )
+    return WeakStructure(tuple(allowed[i] for i in chosen), linear.coefficients(chosen), rows)
 
 
 def settle_structure(
@@ -149,19 +131,6 @@ def settle_structure(
     All candidate terms enter the sensitivities of the simulation about the fit; supports that
     differ by up to two terms dropped and one added are scored there. The best is fitted, and
     taken if its extended BIC is less indeed.
-
-    Parameters
-    ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    allowed : tuple of three tuples of int
-        Positions of the terms that each equation may have.
-    fit : JointFit
-        The first structure, fitted.
-    max_terms : int
-        Largest number of terms of one equation.
 
     Returns
     -------
@@ -248,20 +217,18 @@ class _Neighbourhood:
         labels = self.labels
         support = tuple(n for n, (k, i) in enumerate(labels) if i in own[k])
         n = linear.n_equations
-        least = self.score(support_chi2(linear, support), own, n) - _TIE
+        least = self.score(linear.chi2(support), own, n) - _TIE
         best: tuple[Supports, Support] | None = None
         for other in _neighbours(support, len(labels)):
             grouped = self._grouped([labels[n] for n in other])
             if grouped in tried or not all(grouped) or self._too_large(grouped):
                 continue
-            score = self.score(support_chi2(linear, other), grouped, n)
+            score = self.score(linear.chi2(other), grouped, n)
             if score < least:
                 least, best = score, (grouped, other)
         if best is None:
             return None
-        chosen = list(best[1])
-        solution = np.linalg.lstsq(linear.columns[:, chosen], linear.target, rcond=1e-12)[0]
-        return best[0], solution / linear.norms[chosen]
+        return best[0], linear.coefficients(best[1])
 
     def _too_large(self, supports: Supports) -> bool:
         """Whether an equation has too many terms; that of a hidden plenum's duct is fixed."""

@@ -144,12 +144,6 @@ def simulate_windows(
 
     Parameters
     ----------
-    windows : Windows
-        The record.
-    library : StateTerms
-        The candidate terms.
-    supports : tuple of three tuples of int
-        The terms of each equation.
     coefficients : ndarray of shape (n_coefficients,)
         Their coefficients.
     starts : ndarray of shape (n_windows, 3)

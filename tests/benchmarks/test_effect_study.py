@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
-import comparisons.missing_effect
-from comparisons.rig.coefficient_tests import EFFECTS, OUTSIDE, simulate_test
+from comparisons.rig.coefficient_tests import EFFECTS, simulate_test
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -88,16 +86,6 @@ def test_outcome_of_one_effect(
     assert tables.outcome(row(verdict, *missing)) == wanted
 
 
-def test_what_is_ranked_first(tables: ModuleType) -> None:
-    first = tables.first_ranked
-    assert first(row("alias_set", item(SECOND, DELAY))) == SECOND
-    assert first(row("provisional", item(BIAS, provisional=True))) == BIAS
-    assert first(row("unnamed_term", item("phi psi"))) == "unnamed_term"
-    assert first(row("nothing_missing")) == "nothing_missing"
-    assert first(row("", error="ValueError: no")) == "error"
-    assert {*EFFECTS, "flow_noise"} < set(tables.SHORT)
-
-
 @pytest.mark.parametrize(
     ("noise", "verdict", "name", "n_false"),
     [
@@ -135,124 +123,10 @@ def test_outcome_of_a_pair(
     assert tables.pair_outcome(row(verdict, *missing, planted=[DELAY, BIAS])) == wanted
 
 
-def test_figures_count_what_they_say(tables: ModuleType) -> None:
-    rows = [row("named", item(DELAY)) for _ in range(6)]
-    rows += [row("alias_set", item(SECOND, DELAY)), row("provisional", item(DELAY))]
-    rows += [row("named", item(BIAS)), row("named", item(DELAY), item(BIAS))]
-    rows += [row("named", item("hysteresis"), planted=["characteristic_shape"])]
-    rows += [row("nothing_missing", kind="null", planted=[]) for _ in range(3)]
-    rows += [row("named", item(BIAS), kind="null", planted=[])]
-    weak = {OUTSIDE[0]: 1.2}
-    rows += [row("named", item(BIAS), kind="outside", planted=[OUTSIDE[0]], reached=weak)]
-    told = " ".join(tables.figures(rows).split())
-    assert "exact-form effects, 10 tests" in told
-    assert "truth inside the named set 90.0 % (wanted: 99; firmly 80.0)" in told
-    assert "named uniquely and rightly 60.0 %" in told
-    assert "largest set 2 " in told
-    assert "wrong names 20.00 % (wanted: at most 0.3; 1 of 2 beside the right one)" in told
-    assert "a bump in the characteristic, 1 tests" in told
-    assert "white 1 of 4" in told
-    assert "in 1000 250.0" in told
-    assert "firm names 1 (wanted: none)" in told
-    assert "held-out gap closed at 1.5 sigma 100.0 %" in told
-    assert "error of tau after 0.100 % (median, wanted: at most 0.2; before 5.000)" in told
-    assert "a diagnosis 0.50" in told
-    assert told.endswith(f"stronger: {{'{OUTSIDE[0]}': 1}}")
-    listed = tables.failures(rows)
-    assert listed.count("seed") == 5
-    # The rule of three.
-    assert tables.upper_bound(0, 1000) == pytest.approx(3.0 / 1000.0, rel=0.01)
-    assert tables.upper_bound(1, 1) == 1.0
-
-
 def test_gap_is_closed_down_to_the_true_noise(tables: ModuleType) -> None:
     half = row("named", item(DELAY), before_rms=3.0, after_rms=np.sqrt(5.0), sigma=1.0)
     assert tables.gap_closed(half) == pytest.approx(0.5)
     assert np.isnan(tables.gap_closed(row("nothing_missing", before_rms=0.9)))
-
-
-def test_time_by_length(tables: ModuleType) -> None:
-    rows = [
-        row("nothing_missing", kind="speed", n_samples=n, seconds=n / 4000.0)
-        for n in (1000, 2000, 4000)
-    ]
-    assert "power 1.00" in tables.speed_table(rows)
-
-
-def answer(*names: str) -> SimpleNamespace:
-    return SimpleNamespace(
-        verdict="named" if names else "nothing_missing",
-        missing=tuple(SimpleNamespace(effect=n, alias_set=(n,), provisional=False) for n in names),
-        gap=SimpleNamespace(before_rms=2.0, after_rms=1.0, floor_rms=1.0, shrink=1.0),
-        tau_before_s=0.1,
-        tau_after_s=0.1,
-        tau_by_alias_s=dict.fromkeys(names, 0.1),
-    )
-
-
-def test_study_of_an_engine_that_always_says_the_same(
-    study: ModuleType,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    seen: list[bool] = []
-
-    def diagnose(records: Any, degree: int) -> SimpleNamespace:
-        assert degree == 3
-        assert [r.time_s[0] for r in records] == sorted(r.time_s[0] for r in records)
-        seen.append(records[0].in_stall is not None)
-        return answer(BIAS)
-
-    monkeypatch.setattr(comparisons.missing_effect, "diagnose", diagnose, raising=False)
-    file = tmp_path / "rows.json"
-    effects = f"{BIAS},sensitivity_drift"
-    arguments = ["--seeds", "2", "--null-seeds", "1", "--strengths", "3", "--effects", effects]
-    study.main([*arguments, "--only", "effects,nulls,pairs", "--json", str(file)])
-    told = capsys.readouterr().out
-    rows = json.loads(file.read_text("utf-8"))
-    assert len(rows) == 2 * 2 + 6 + 5 * 2
-    # The flag is in the records of even seeds: the warm-up and half of the pairs and effects.
-    assert 0 < sum(seen) < len(seen)
-    flat = " ".join(told.split())
-    assert "named uniquely and rightly 50.0 %" in flat
-    assert "in 1000 1000.0" in flat
-    assert "flow_inertia + bias_drift 2" in flat
-    right = {
-        row["planted"][0] for row in rows if row["kind"] == "effect" and row["pysindy"]["right"]
-    }
-    assert right == {BIAS, "sensitivity_drift"}
-    study.main(["--from", str(file)])
-    assert capsys.readouterr().out == told
-
-
-def test_study_outlives_an_engine_that_breaks(
-    study: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def diagnose(records: Any, degree: int) -> SimpleNamespace:
-        raise ArithmeticError(f"{len(records)} records of degree {degree}")
-
-    monkeypatch.setattr(comparisons.missing_effect, "diagnose", diagnose, raising=False)
-    arguments = ["--seeds", "1", "--strengths", "1.5", "--effects", BIAS, "--without-pysindy"]
-    study.main([*arguments, "--only", "effects"])
-    told = capsys.readouterr().out
-    assert "ArithmeticError: 3 records of degree 3" in told
-
-
-def test_what_the_study_plants(study: ModuleType) -> None:
-    cases = study.cases_of(study.options_of(["--seeds", "20"]))
-    kinds = [case.kind for case in cases]
-    assert kinds.count("effect") == 15 * 20 * 3
-    assert kinds.count("null") >= 1000
-    assert kinds.count("outside") == len(OUTSIDE) * 20 * 3
-    assert kinds.count("pair") == 5 * 20
-    assert {case.noise for case in cases if case.kind == "null"} == {
-        "white", "ar1", "t3", "outliers", "phi1", "phi3",
-    }  # fmt: skip
-    alone = study.cases_of(study.options_of(["--only", "pysindy", "--null-seeds", "1"]))
-    assert {case.kind for case in alone} == {"effect", "null"}
-    with pytest.raises(SystemExit):
-        study.options_of(["--only", "efects"])
 
 
 def test_published_recipe_finds_what_it_can_say(study: ModuleType) -> None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
-from dense_reference import block_jackknife
 from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 
 from classic_ml import LagRegressor
-from classic_ml.lag.covariance import block_edges, correlation_length
+from surge_core.leave_out import block_edges, correlation_length, leave_out, scatter
+
+
+def jackknife(jacobian: np.ndarray, errors: np.ndarray, n_blocks: int) -> np.ndarray:
+    edges = np.linspace(0, errors.size, n_blocks + 1).astype(int)
+    blocks = [slice(low, high) for low, high in pairwise(edges)]
+    return scatter(leave_out(jacobian, errors, blocks).moves)
 
 
 def test_white_errors_give_the_textbook_covariance() -> None:
@@ -17,34 +24,35 @@ def test_white_errors_give_the_textbook_covariance() -> None:
         rng = np.random.default_rng(seed)
         jacobian = rng.standard_normal((2000, 3)) * [1.0, 10.0, 0.01]
         errors = 0.5 * rng.standard_normal(2000)
-        covariance, n_blocks = block_jackknife(jacobian, errors, [2000], 1)
+        errors -= jacobian @ np.linalg.lstsq(jacobian, errors)[0]
         textbook = 0.25 * np.linalg.inv(jacobian.T @ jacobian)
-        ratios.append(np.diag(covariance) / np.diag(textbook))
-        assert n_blocks == 20
+        ratios.append(np.diag(jackknife(jacobian, errors, 20)) / np.diag(textbook))
     # One variance from twenty blocks is known to 32 %, the mean of ninety of them to 4 %.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
-def test_few_segments_are_cut_into_enough_blocks() -> None:
-    rng = np.random.default_rng(5)
-    jacobian = rng.standard_normal((300, 2))
-    for lengths in ([300], [150, 150], [100, 100, 100]):
-        _, n_blocks = block_jackknife(jacobian, rng.standard_normal(300), lengths, 1000)
-        assert n_blocks >= 4
-
-
 def test_it_is_the_jackknife_of_a_linear_fit() -> None:
     rng = np.random.default_rng(1)
-    jacobian = rng.standard_normal((60, 2))
-    y = jacobian @ [1.0, -2.0] + rng.standard_normal(60)
-    beta = np.linalg.lstsq(jacobian, y)[0]
-    covariance, _ = block_jackknife(jacobian, y - jacobian @ beta, [10] * 6, 1000)
+    columns = rng.standard_normal((60, 2))
+    y = columns @ [1.0, -2.0] + rng.standard_normal(60)
+    beta = np.linalg.lstsq(columns, y)[0]
+    covariance = jackknife(-columns, y - columns @ beta, 6)
     left_out = []
     for block in range(6):
         keep = np.arange(60) // 10 != block
-        left_out.append(np.linalg.lstsq(jacobian[keep], y[keep])[0])
+        left_out.append(np.linalg.lstsq(columns[keep], y[keep])[0])
     spread = np.array(left_out) - np.mean(left_out, axis=0)
     np.testing.assert_allclose(covariance, 5.0 / 6.0 * spread.T @ spread, rtol=1e-9)
+
+
+def test_a_direction_of_one_block_alone_does_not_move_without_it() -> None:
+    rng = np.random.default_rng(3)
+    jacobian = np.column_stack([rng.standard_normal(40), np.repeat([1.0, 0.0, 0.0, 0.0], 10)])
+    errors = rng.standard_normal(40)
+    errors -= jacobian @ np.linalg.lstsq(jacobian, errors)[0]
+    moves = leave_out(jacobian, errors, [slice(10 * k, 10 * k + 10) for k in range(4)]).moves
+    assert moves[0, 1] == pytest.approx(0.0, abs=1e-9)
+    assert np.all(np.abs(moves) < 10.0)
 
 
 def test_correlation_length_sees_colour() -> None:
@@ -76,7 +84,8 @@ def test_correlation_is_that_of_the_definition_however_long_the_stretches() -> N
 
 def test_blocks_are_stretches_or_pieces_of_long_ones() -> None:
     assert [e.tolist() for e in block_edges([100] * 30, 5)] == [[]] * 30
-    assert [e.size + 1 for e in block_edges([2000], 1)] == [20]
+    # Twenty times the shortest block is twenty blocks, also where the quotient is rounded.
+    assert all(block_edges([n], 1)[0].size + 1 == 20 for n in range(1900, 2100))
     assert [e.size + 1 for e in block_edges([2000], 400)] == [5]
     assert sum(e.size + 1 for e in block_edges([150, 150], 1000)) >= 4
 

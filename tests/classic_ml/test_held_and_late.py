@@ -1,4 +1,4 @@
-"""A held time constant, a dead time, and a ripple with a phase of its own in each segment."""
+"""A held time constant, and a dead time."""
 
 from __future__ import annotations
 
@@ -136,79 +136,6 @@ def test_rows_that_answer_to_inputs_from_before_their_segment_are_not_scored() -
         assert m.time_constant_s_ == pytest.approx(TAU_S, rel=1e-5)
 
 
-def rippled(
-    noise: str, seed: int, frequencies: tuple[float, ...]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[list[float]]]:
-    rng = np.random.default_rng(seed)
-    X, y, labels, truth = [], [], [], []
-    for label in range(4):
-        phi = flow(700, rng)
-        t = np.arange(700) * PERIOD_S
-        wave = np.zeros(700)
-        amplitudes = []
-        for f in frequencies:
-            sine, cosine = rng.normal(0.0, 0.03, 2)
-            wave += sine * np.sin(2 * np.pi * f * t) + cosine * np.cos(2 * np.pi * f * t)
-            amplitudes += [sine, cosine]
-        errors = coloured(700, {"arx": 0.0}.get(noise, -0.6), 0.001, rng)
-        X.append(phi)
-        y.append(lagged(phi, "zero") + wave + errors)
-        labels.append(np.full(700, label))
-        truth.append(amplitudes)
-    return np.concatenate(X)[:, None], np.concatenate(y), np.concatenate(labels), truth
-
-
-@pytest.mark.parametrize("drift", [None, "spline"])
-@pytest.mark.parametrize("noise", NOISES)
-def test_a_ripple_has_an_amplitude_and_phase_in_each_segment(noise: str, drift: str | None) -> None:
-    X, y, labels, truth = rippled(noise, 6, (82.0, 164.0))
-    m = LagRegressor(
-        PERIOD_S, noise=noise, drift=drift, knot_spacing_s=0.25, ripple_hz=(82.0, 164.0)
-    )
-    m.fit(X, y, labels)
-    assert m.ripple_coef_.shape == (4, 4)
-    np.testing.assert_allclose(m.ripple_coef_, truth, atol=1e-3)
-    assert abs(m.time_constant_s_ - TAU_S) < 4.5 * m.time_constant_stderr_s_
-    assert m.time_constant_s_ == pytest.approx(TAU_S, rel=0.12)
-
-
-def test_without_its_columns_a_ripple_shortens_the_lag_of_an_equation_error_model() -> None:
-    X, y, labels, _ = rippled("armax", 7, (82.0,))
-    blind = LagRegressor(PERIOD_S, noise="arx").fit(X, y, labels)
-    told = LagRegressor(PERIOD_S, noise="arx", ripple_hz=82.0).fit(X, y, labels)
-    assert blind.time_constant_s_ < 0.7 * TAU_S
-    assert told.time_constant_s_ > 0.8 * TAU_S
-
-
-def test_ripple_and_drift_are_the_columns_of_a_plain_least_squares() -> None:
-    X, y, labels, _ = rippled("output-error", 8, (82.0,))
-    m = LagRegressor(
-        PERIOD_S, noise="output-error", drift="spline", knot_spacing_s=0.25, ripple_hz=82.0
-    )
-    m.fit(X, y, labels, np.random.default_rng(0).uniform(0.5, 2.0, y.size))
-    assert m.fit_state_ is FitState.CONVERGED
-    a = np.exp(-PERIOD_S / m.time_constant_s_)
-    columns = []
-    for label in range(4):
-        own = (labels == label).astype(float)
-        k = np.cumsum(own) - 1
-        angle = 2 * np.pi * 82.0 * PERIOD_S * k
-        place = k * (3 / 699)
-        columns += [own * np.sin(angle), own * np.cos(angle), own * a**k]
-        columns += [own * np.maximum(0.0, 1.0 - np.abs(place - j)) for j in range(4)]
-    lag_run = LagRegressor(PERIOD_S, noise="output-error", time_constant_s=m.time_constant_s_)
-    lag_run.fit(X, y, labels)
-    responses = []
-    for power in (1, 2):
-        lag_run.coef_ = np.eye(3)[power]
-        responses.append(lag_run.predict(X, labels))
-    table = np.column_stack([*responses, *columns])
-    root = np.sqrt(np.random.default_rng(0).uniform(0.5, 2.0, y.size))
-    solution = np.linalg.lstsq(table * root[:, None], y * root)[0]
-    np.testing.assert_allclose(m.coef_[1:], solution[:2], rtol=1e-5)
-    np.testing.assert_allclose(m.ripple_coef_[:, 0], solution[2::7], atol=1e-7)
-
-
 @pytest.mark.parametrize(
     ("parameters", "name"),
     [
@@ -220,10 +147,6 @@ def test_ripple_and_drift_are_the_columns_of_a_plain_least_squares() -> None:
         ({"dead_time_s": None}, "dead_time_s"),
         ({"dead_time_s": True}, "dead_time_s"),
         ({"dead_time_s": 0.15}, "dead_time_s"),
-        ({"ripple_hz": 0.0}, "ripple_hz"),
-        ({"ripple_hz": 500.0}, "ripple_hz"),
-        ({"ripple_hz": (82.0, "x")}, "ripple_hz"),
-        ({"ripple_hz": (82.0, 82.0)}, "ripple_hz"),
     ],
 )
 def test_nonsense_is_refused_by_name(parameters: dict[str, object], name: str) -> None:
@@ -234,10 +157,9 @@ def test_nonsense_is_refused_by_name(parameters: dict[str, object], name: str) -
 
 def test_too_few_rows_leave_all_attributes() -> None:
     rng = np.random.default_rng(10)
-    m = LagRegressor(ripple_hz=82.0, dead_time_s="fit", drift="spline")
+    m = LagRegressor(dead_time_s="fit", drift="spline")
     m.fit(rng.standard_normal((5, 1)), rng.standard_normal(5))
     assert m.fit_state_ is FitState.TOO_FEW_ROWS
-    assert m.ripple_coef_.shape == (1, 2)
     assert np.isnan(m.dead_time_s_)
     assert m.joint_covariance_.shape == (5, 5)
     assert np.all(np.isfinite(m.predict(np.zeros((3, 1)))))

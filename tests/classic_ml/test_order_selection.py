@@ -7,7 +7,7 @@ import pytest
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from classic_ml.order_selection import select_order
+from classic_ml.orders import select_order
 from surge_core.errors import InputError
 
 A = float(np.exp(-PERIOD_S / TAU_S))

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import kurtosis
 
 from classic_ml import LagRegressor
-from classic_ml.residual_checks import (
+from classic_ml.checks import (
     CheckRow,
     coverage,
     input_correlation,

@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from sklearn.preprocessing import FunctionTransformer
 
 from classic_ml import LagRegressor
-from classic_ml.lag.covariance import correlation_length, slow_correlation_length
+from surge_core.leave_out import correlation_length, slow_correlation_length
 
 POLE = float(np.exp(-PERIOD_S / TAU_S))
 

@@ -1,18 +1,17 @@
-"""The one-pass fit against whole matrices: same τ, β, C, drift, cost and covariance."""
+"""The fit against whole matrices in scipy: same τ, β, C, drift, cost and stated error."""
 
 from __future__ import annotations
 
-import tracemalloc
-
 import numpy as np
 import pytest
-from dense_reference import dense_fit
+from dense_reference import Dense
 from lag_data import PERIOD_S, coloured, flow, lagged
 from sklearn.preprocessing import FunctionTransformer
 
 from classic_ml import LagRegressor
-from classic_ml.lag.conditioning import condition
+from classic_ml.lag_data import nearly_orthogonal
 from surge_core.fit_state import FitState
+from surge_core.leave_out import block_edges, correlation_length
 
 FITS = [
     ("arx", 0, True),
@@ -51,19 +50,6 @@ def test_same_answers_as_with_whole_matrices(
     noise: str, order: int, exact: bool, hold: str, layout: str, drift: bool
 ) -> None:
     phi, y, labels, weight = made(hold, layout, drift)
-    dense = dense_fit(
-        phi,
-        y,
-        sample_period_s=PERIOD_S,
-        noise=noise,
-        hold=hold,
-        order=order,
-        drift=drift,
-        knot_spacing_s=0.2,
-        segments=labels,
-        weight=weight,
-        exact_start=exact,
-    )
     m = LagRegressor(
         PERIOD_S,
         noise=noise,
@@ -74,71 +60,62 @@ def test_same_answers_as_with_whole_matrices(
         exact_start=exact,
     ).fit(phi[:, None], y, labels, weight)
     assert m.fit_state_ is FitState.CONVERGED
-    assert m.time_constant_s_ == pytest.approx(dense.time_constant_s, rel=1e-6)
-    np.testing.assert_allclose(m.coef_, dense.coef, rtol=1e-6)
-    if noise == "armax":
-        np.testing.assert_allclose(m.moving_average_, dense.moving_average, atol=1e-6)
-    np.testing.assert_allclose(m.drift_coef_, dense.drift_coef, atol=1e-7)
-    assert m.residual_std_ == pytest.approx(dense.residual_std, rel=1e-9)
-    assert (m.n_blocks_, m.residual_lag_) == (dense.n_blocks, dense.n_lags)
-    scale = np.sqrt(np.diag(dense.parameter_covariance))
-    np.testing.assert_allclose(
-        m.parameter_covariance_ / np.outer(scale, scale),
-        dense.parameter_covariance / np.outer(scale, scale),
-        atol=3e-6,
+    model = Dense(
+        phi, y, PERIOD_S, noise, hold, order, exact, labels, weight, 0.2 if drift else None
     )
+    dense = model.fit(np.array([np.log(0.02), *[-0.3] * order]))
+    assert m.time_constant_s_ == pytest.approx(float(np.exp(dense.theta[0])), rel=2e-6)
+    np.testing.assert_allclose(m.coef_, dense.coef[:3], rtol=1e-5)
+    np.testing.assert_allclose(m.moving_average_, model.c(dense.theta), atol=1e-5)
+    np.testing.assert_allclose(m.drift_coef_, dense.coef[3 : 3 + m.drift_coef_.size], atol=1e-6)
+    n_parameters = order + 1 + dense.coef.size
+    mean_weight = 1.0 if weight is None else weight.sum() / np.count_nonzero(weight)
+    std = np.sqrt(dense.cost / (dense.errors.size - n_parameters) / mean_weight)
+    assert m.residual_std_ == pytest.approx(std, rel=1e-8)
+    n_lags = correlation_length(dense.errors, dense.lengths)
+    assert m.residual_lag_ == n_lags
+    edges = block_edges(dense.lengths, n_lags)
+    first = np.concatenate([[0], np.cumsum(dense.lengths)])
+    cuts = np.concatenate([a + np.r_[0, inner] for a, inner in zip(first, edges, strict=False)])
+    blocks = np.split(np.arange(dense.errors.size), cuts[1:].astype(int))
+    assert m.n_blocks_ == len(blocks)
+    stderr = np.exp(dense.theta[0]) * np.sqrt(dense.covariance_of_shape(blocks)[0, 0])
+    assert m.time_constant_stderr_s_ == pytest.approx(stderr, rel=1e-3)
 
 
 @pytest.mark.parametrize("noise", ["arx", "armax", "output-error"])
 def test_a_drift_keeps_its_zero_mean_where_no_term_is_constant(noise: str) -> None:
     phi, y, labels, weight = made("first", "segments and weights", True)
-    wave = np.column_stack([phi, phi**2])
-    dense = LagRegressor(
+    m = LagRegressor(
         PERIOD_S,
         noise=noise,
         hold="first",
         drift="spline",
         knot_spacing_s=0.2,
         basis=FunctionTransformer(),
-    ).fit(wave, y, labels, weight)
-    values = np.concatenate([dense.drift_coef_, [0.0]])
-    assert values.size == dense.drift_coef_.size + 1
+    ).fit(np.column_stack([phi, phi**2]), y, labels, weight)
     # A constant of 0.3 has nowhere to go but into these two terms: the same as by least squares.
-    from dense_reference import EquationError, LagData, OutputError, runs_of, search, spline_columns
-
-    runs = runs_of(labels, y.size)
-    data = LagData(
-        y,
-        wave,
-        spline_columns(weight, runs, PERIOD_S, 0.2),
-        weight,
-        tuple(runs),
-        PERIOD_S,
-        "first",
-    )
     order = int(noise == "armax")
-    model = OutputError(data) if noise == "output-error" else EquationError(data, order)
-    start = np.concatenate([[np.log(dense.time_constant_s_)], np.zeros(order)])
-    outcome = search(model, [start])
-    assert dense.time_constant_s_ == pytest.approx(float(np.exp(outcome.shape[0])), rel=1e-5)
-    np.testing.assert_allclose(dense.coef_, outcome.coef[:2], rtol=1e-5)
-    np.testing.assert_allclose(dense.drift_coef_, outcome.coef[2:], atol=1e-5)
+    model = Dense(phi, y, PERIOD_S, noise, "first", order, True, labels, weight, 0.2, powers=(1, 2))
+    start = np.concatenate([[np.log(m.time_constant_s_)], np.arctanh(m.moving_average_)])
+    dense = model.fit(start)
+    assert m.time_constant_s_ == pytest.approx(float(np.exp(dense.theta[0])), rel=1e-5)
+    np.testing.assert_allclose(m.coef_, dense.coef[:2], rtol=1e-5)
+    np.testing.assert_allclose(m.drift_coef_, dense.coef[2 : 2 + m.drift_coef_.size], atol=1e-5)
 
 
-@pytest.mark.parametrize("noise", ["armax", "output-error"])
-def test_a_long_record_fits_in_constant_memory_a_row(noise: str) -> None:
-    rng = np.random.default_rng(0)
-    n = 250_000
-    phi = 0.3 + 0.1 * np.sin(np.arange(n) / 130.0) + 0.02 * rng.standard_normal(n)
-    y = 0.3 + 1.2 * phi - 1.5 * phi**2 + 0.01 * rng.standard_normal(n)
-    m = LagRegressor(PERIOD_S, noise=noise, drift="spline")
-    m.fit(phi[:3000, None], y[:3000])
-    tracemalloc.start()
-    m.fit(phi[:, None], y)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert m.drift_coef_.size == 250
-    assert peak / 8 / n < 30
+@pytest.mark.parametrize("noise", ["arx", "armax", "output-error"])
+def test_many_knots_are_fitted_as_few_are(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hats as a sparse table give what a plain table gives."""
+    phi, y, labels, weight = made("first", "segments and weights", True)
+    m = LagRegressor(PERIOD_S, noise=noise, hold="first", drift="spline", knot_spacing_s=0.05)
+    m.fit(phi[:, None], y, labels, weight)
+    tau, stderr, drift = m.time_constant_s_, m.time_constant_stderr_s_, m.drift_coef_
+    monkeypatch.setattr("classic_ml.lag_data.MOST_DENSE", 0)
+    m.fit(phi[:, None], y, labels, weight)
+    assert m.time_constant_s_ == pytest.approx(tau, rel=1e-8)
+    assert m.time_constant_stderr_s_ == pytest.approx(stderr, rel=1e-5)
+    np.testing.assert_allclose(m.drift_coef_, drift, atol=1e-8)
 
 
 def test_the_head_of_a_long_record_does_not_decide() -> None:
@@ -166,16 +143,13 @@ def test_terms_that_are_nearly_alike_keep_their_digits() -> None:
     np.testing.assert_allclose(m.predict(phi[:, None]), y, atol=1e-9)
 
 
-def test_combinations_span_the_terms_and_leave_the_constant_out_when_told() -> None:
+def test_combinations_span_the_terms_and_are_nearly_orthogonal() -> None:
     rng = np.random.default_rng(4)
     phi = rng.uniform(0.1, 0.5, 400)
     terms = phi[:, None] ** np.arange(4)
-    plain = condition(terms, without_constant=False)
-    np.testing.assert_allclose(plain.rows, (terms @ plain.back).T, atol=1e-9)
-    np.testing.assert_allclose(plain.rows @ plain.rows.T / 400, np.eye(4), atol=1e-5)
-    bare = condition(terms, without_constant=True)
-    assert bare.rows.shape == (3, 400)
-    np.testing.assert_allclose(terms @ bare.constant, 1.0, atol=1e-9)
-    twice = condition(np.column_stack([terms, terms[:, 1]]), without_constant=False)
+    plain = nearly_orthogonal(terms)
+    np.testing.assert_allclose(plain.columns, terms @ plain.back, atol=1e-9)
+    np.testing.assert_allclose(plain.columns.T @ plain.columns / 400, np.eye(4), atol=1e-5)
+    twice = nearly_orthogonal(np.column_stack([terms, terms[:, 1]]))
     assert twice.deficient
-    assert twice.rows.shape == (4, 400)
+    assert twice.columns.shape == (400, 4)

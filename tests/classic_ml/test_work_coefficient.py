@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,7 +12,6 @@ import numpy as np
 import pytest
 from raw_data import GAMMA, GAS, U_M_S, make_test
 
-from classic_ml.coefficients import coefficients
 from classic_ml.flow import corrected_flow
 from classic_ml.readers import TestDescription, read_raw
 from classic_ml.records import Channel, LedgerEntry, Record
@@ -26,7 +26,10 @@ from classic_ml.work.balance import (
     psi_weight,
 )
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
+from classic_ml.work.forms import with_work
 from comparisons.rig import simulate, write_run
+from comparisons.show.json_output import to_strict_json
+from comparisons.show.work_output import work_document, work_table
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 
@@ -273,6 +276,23 @@ def test_too_few_cycles_are_answered_by_a_code() -> None:
     assert np.isnan(work.characteristic(PHI)[0]).all()
 
 
+@pytest.mark.parametrize(
+    ("tau_s", "state"), [(0.0005, FitState.AT_LOWER_BOUND), (0.6, FitState.AT_UPPER_BOUND)]
+)
+def test_a_fit_that_ends_at_a_bound_states_no_number(tau_s: float, state: FitState) -> None:
+    work = fitted(*planes(tau_s))
+    assert work.fit_state is state
+    assert np.isnan(work.time_constant_s)
+    assert np.isnan(work.characteristic(PHI)).all()
+    text = work_table(work)
+    assert "not stated" in text
+    assert state.advice in text
+    document = json.loads(to_strict_json(work_document(work, "planes")))
+    assert document["time_constant_s"] == {"value": None, "stderr": None}
+    assert set(document["characteristic"]["psi"]) == {None}
+    assert document["state"]["code"] == state.code
+
+
 @pytest.mark.parametrize("name", ["time_constant_s", "pressure_delay_s", "mixing_phi"])
 @pytest.mark.parametrize("bad", [-1e-3, float("nan")])
 def test_arguments_below_zero_are_refused(name: str, bad: float) -> None:
@@ -346,7 +366,8 @@ def test_the_mass_balance_shows_psi_row_by_row_where_the_other_forms_do_not() ->
     rows &= (truth["phi"] > 0.07) & (record["phi"] > 0.07)
 
     def rms(form: str, cell_period_s: float | None) -> float:
-        out = coefficients(record, reduction.test, work_form=form, cell_period_s=cell_period_s)
+        machine = reduction.test.compressor
+        out = with_work(record, reduction.test, machine.inertia_per_m, form, cell_period_s)
         return float(np.sqrt(np.mean((out["psi"] - truth["psi"])[rows] ** 2)))
 
     balanced = rms("mass-balance", 1 / CELL_HZ)

@@ -15,7 +15,6 @@ from raw_data import RawTest, make_test, to_toml, write_csv
 
 from classic_ml.inspection import Inspection, inspect_file
 from classic_ml.inspection_draft import draft_test_toml
-from classic_ml.inspection_with_test import preview
 from classic_ml.readers.test_toml import read_test_description
 from comparisons.cli import main
 
@@ -121,38 +120,6 @@ def test_the_clock_is_followed_over_gaps_repeats_and_steps_back(tmp_path: Path) 
     assert clock.rate_hz == pytest.approx(500.0, rel=1e-3)
 
 
-def test_what_is_found_does_not_depend_on_the_chunks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rng = np.random.default_rng(2)
-    held = np.repeat(rng.integers(0, 9, 400), rng.integers(1, 9, 400))[:1000].astype(float)
-    time_s = np.arange(1000) / 100.0
-    time_s[500:] += 0.3
-    wave = np.sin(np.arange(1000) / 15.0) + 1e-3 * rng.standard_normal(1000)
-    columns = {
-        "t": time_s,
-        "held": held,
-        "nan": np.where(held > 7, np.nan, held),
-        "cut": np.minimum(wave, 0.8),
-        "pairs": np.repeat(np.cumsum(rng.standard_normal(500)), 2),
-    }
-    whole = inspected(tmp_path, columns)
-    facts = {channel.name: channel for channel in whole.channels}
-    assert facts["cut"].plateaus == ("maximum",)
-    assert facts["pairs"].held_rows == 2.0
-    monkeypatch.setattr("classic_ml.inspection.BLOCK_ROWS", 13)
-    pieces = inspect_file(tmp_path / "raw.csv")
-    assert [c.name for c in pieces.channels] == [c.name for c in whole.channels]
-    for one, other in zip(whole.channels, pieces.channels, strict=True):
-        assert one.mean == pytest.approx(other.mean, rel=1e-12)
-        same = [f for f in type(one).__dataclass_fields__ if f != "mean"]
-        assert [getattr(one, f) for f in same] == [getattr(other, f) for f in same]
-    assert whole.clock is not None
-    assert pieces.clock is not None
-    assert (whole.clock.gaps, whole.clock.first_gap) == (1, 501)
-    assert (pieces.clock.gaps, pieces.clock.first_gap) == (1, 501)
-
-
 def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
     code = main(["inspect", *map(str, arguments)])
     captured = capsys.readouterr()
@@ -181,16 +148,6 @@ def test_a_record_is_shown_with_its_test(
     assert found["reduction"]["refusal"] == ""
     assert 10 <= found["reduction"]["cycles"] <= 20
     assert 0.3 < found["reduction"]["window_s"][0] < found["reduction"]["window_s"][1] <= 3.0
-
-
-def test_a_long_record_is_worked_on_in_files_to_the_same_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    paths = make_test(seconds=2.0).write(tmp_path)
-    monkeypatch.setattr("classic_ml.inspection_with_test.MOST_ROWS_IN_MEMORY", 1000)
-    found = [preview(*paths, rows=rows) for rows in (0, 2001)]
-    assert found[0].refusal == ""
-    assert found[0] == found[1]
 
 
 def test_what_does_not_fit_the_test_is_told(

@@ -12,8 +12,9 @@ from classic_ml import LagRegressor
 from classic_ml.readers import read_raw
 from classic_ml.reduction import ReductionSettings, reduce_record
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.compare import Comparison, compare_records
+from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import EstimatorSpec, default_estimators
+from comparisons.results import Comparison
 from comparisons.rig import simulate, write_run
 from comparisons.show.json_output import comparison_document
 
@@ -123,12 +124,31 @@ def test_a_record_of_one_blowdown_after_another_is_refused(folder: Path) -> None
     assert "none is stated" in result.advice
     document = comparison_document(comparison)["estimators"]["classic_ml"]
     assert np.isnan(document["time_constant_s"]["value"])
+    assert np.isnan(document["characteristic"]["psi_p"]).all()  # null in the file
     # Nothing recommends, checks or keeps a refused number.
     assert comparison.quotable == ()
     assert document["checks"] == []
     assert not any(
         "which τ to quote" in words for words in comparison_document(comparison)["cautions"]
     )
+
+
+def test_at_ninety_percent_speed_the_recommended_row_leads_and_is_right(folder: Path) -> None:
+    """φ of the rows that a whole run does not score, reversed flow, is no part of its coverage."""
+    chosen = only("paper", "classic_ml_output_error", "classic_ml")
+    comparison = compare_records([own_series("90", 0, folder)], estimators=chosen)
+    assert comparison.recommended == "classic_ml"
+    first, *others = comparison.table
+    assert (first.estimator, first.rank) == ("classic_ml", 1)
+    assert abs(first.time_constant_s - TAU_S) < 0.0025
+    # The least held-out error belongs to a fit on filtered rows, whose τ is far too long.
+    least = min(comparison.table, key=lambda row: row.held_out_rms)
+    assert least in others
+    assert least.time_constant_s > 1.5 * TAU_S
+    (coverage,) = [
+        check for check in comparison.result("classic_ml").checks if check.check == "phi_coverage"
+    ]
+    assert coverage.passed
 
 
 @pytest.mark.parametrize("probes", ["tip", "hub"])
@@ -141,7 +161,7 @@ def test_with_half_of_the_probes_no_tau_is_recommended(probes: str, folder: Path
     comparison = compare_records([series], estimators=only("classic_ml"))
     assert abs(comparison.result("classic_ml").model.time_constant_s - TAU_S) > 0.004
     assert comparison.quotable == ()
-    assert any(f"that of the {probes} alone" in caution for caution in comparison.cautions)
+    assert any(f"that of the {probes} alone" in caution.text for caution in comparison.cautions)
 
 
 def test_two_speeds_or_zero_hold_recommend_no_tau(folder: Path) -> None:

@@ -11,7 +11,6 @@ from comparisons.harness.residual_analysis import (
     autocorrelation,
     cross_correlation,
     dwelt_on,
-    phi_density,
     segment_spectrum,
     stall_inception,
 )
@@ -112,19 +111,6 @@ def test_bartletts_band_holds_for_two_signals_with_memory() -> None:
         narrow.append(np.mean(np.abs(correlation.value) > 2.576 / np.sqrt(2000)))
     assert np.mean(outside) < 0.03
     assert np.mean(narrow) > 0.1  # without the memory the band would be too narrow
-
-
-def test_lags_longer_than_a_segment_are_zero() -> None:
-    correlation = autocorrelation(np.ones(30), segments(10, 20), PERIOD_S, n_lags=25)
-    assert np.all(correlation.value[19:] == 0.0)
-    assert np.all(correlation.value[:19] > 0.0)
-    assert np.all(autocorrelation(np.zeros(30), segments(30), PERIOD_S, 5).value == 0.0)
-
-
-def test_the_density_of_phi_integrates_to_one() -> None:
-    density = phi_density(np.random.default_rng(9).normal(0.1, 0.05, 5000))
-    assert float(np.sum(density.density * np.diff(density.edges))) == pytest.approx(1.0)
-    assert density.edges[np.argmax(density.density)] == pytest.approx(0.1, abs=0.03)
 
 
 def test_a_hole_in_phi_is_not_dwelt_on() -> None:

@@ -12,10 +12,10 @@ from made_pages import EVIL
 from made_systems import machine
 from made_systems import made_diagnosis as made_system
 
-from comparisons.missing_effect.extended_lag import ExtendedLag
+from comparisons.missing_effect.extended_refit import value_of
 from comparisons.missing_effect.quantities import tau_ms
-from comparisons.show.table import FIELDS, comparison_cells
-from comparisons.study.comparison import compare_methods, pairwise
+from comparisons.results import FIELDS, Caution, comparison_cells
+from comparisons.study.comparison import compare_methods
 
 
 def shown(value: Any) -> tuple[str, str]:
@@ -31,7 +31,9 @@ def shown(value: Any) -> tuple[str, str]:
 
 
 def test_a_comparison_shows_the_table_of_the_terminal() -> None:
-    comparison = made_comparison(made_series(source=EVIL), cautions=(EVIL,))
+    comparison = made_comparison(
+        made_series(source=EVIL), cautions=(Caution.of("estimator", remark=EVIL),)
+    )
     text, html = shown(comparison)
     for field in FIELDS:
         assert field.heading in text
@@ -60,7 +62,7 @@ def test_a_diagnosis_shows_its_verdict_and_what_it_does_to_the_lag(verdict: str)
 
 
 def test_a_lag_model_with_effects_shows_their_numbers_with_units() -> None:
-    model = ExtendedLag.from_fit(made_diagnosis("alias_set"))
+    model = value_of(made_diagnosis("alias_set"))
     text, _ = shown(model)
     assert "transport_delay" in text
     (added,) = model.effects
@@ -111,6 +113,3 @@ def test_methods_of_a_study_are_shown_with_errors_and_units() -> None:
     assert "[ms]" in text
     assert "±" in text
     assert html.count('class="chosen"') == 1
-    matrix = pairwise(table, "tau_error_ms")
-    text, _ = shown(matrix)
-    assert f"{matrix.difference[0, 1]:.1f}"[:3] in text

@@ -14,11 +14,12 @@ from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs
-from comparisons.harness.compare import Comparison, compare_records
+from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
-from comparisons.harness.lag_value import load_models, save_models
+from comparisons.harness.saved_models import load_models, save_models
 from comparisons.harness.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
 from comparisons.harness.tau_trial import trial_of
+from comparisons.results import Comparison
 from comparisons.rig import simulate, write_run
 from comparisons.show.json_output import comparison_document, to_strict_json
 from sindy_surge import SparseLagRegressor

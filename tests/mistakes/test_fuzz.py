@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from mistake import REDUCE
 from mistake_checks import check_printable, check_sentence
 from mistake_desk import Answer, ledger_of, rms_errors, run_in
-from mistakes_live import LIVE_COMMAND
 from spoiling import toml_text
 
 FUZZ = settings(
@@ -135,6 +134,9 @@ def test_a_damaged_study(clean: Path, change: Any) -> None:
         study = folder / "study.toml"
         study.write_bytes(change(study.read_bytes()))
         answered(run_in(folder, command))
+
+
+LIVE_COMMAND = "live - --test test.toml -o reduced.csv --no-estimate --quiet"
 
 
 @settings(FUZZ, max_examples=15)

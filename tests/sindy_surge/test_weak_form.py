@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sindy_surge.free_run import Segments
-from sindy_surge.weak_form import MIN_HALF_WIDTH, half_width_samples, weak_lag, weak_rows
+from sindy_surge.segments import Segments
+from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations, half_width_samples, weak_lag
 
 
 def _powers(phi: np.ndarray) -> np.ndarray:
@@ -18,7 +18,8 @@ def test_weak_derivative_of_a_line_and_a_parabola_is_exact() -> None:
     time = np.arange(400) * 1e-3
     whole = Segments.from_labels(None, 400)
     for signal, slope in ((3 * time, np.full(400, 3.0)), (time**2, 2 * time)):
-        change, value, columns = weak_rows(signal, slope[:, None], whole, 20, 1e-3)
+        weak = WeakEquations.integrate(signal, slope[:, None], whole, 20, 1e-3)
+        change, value, columns = weak.derivative, weak.signal, weak.columns
         np.testing.assert_allclose(change, columns[:, 0], rtol=1e-3)
         assert change.size == value.size == (400 - 40 - 1) // 5 + 1
 
@@ -53,8 +54,8 @@ def test_no_test_function_reaches_across_segments(surge: Callable[..., Any]) -> 
     runs = Segments.from_labels(np.repeat([1, 2, 3], [500, 300, 400]), 1200)
     jump = np.repeat([0.0, 5.0, -3.0], [500, 300, 400])
     terms = _powers(record.phi)
-    change, _, _ = weak_rows(record.psi_p, terms, runs, 30, 1e-3)
-    moved, _, _ = weak_rows(record.psi_p + jump, terms, runs, 30, 1e-3)
+    change = WeakEquations.integrate(record.psi_p, terms, runs, 30, 1e-3).derivative
+    moved = WeakEquations.integrate(record.psi_p + jump, terms, runs, 30, 1e-3).derivative
     np.testing.assert_allclose(moved, change, atol=1e-9)
 
 

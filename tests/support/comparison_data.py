@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 from lag_data import BETA, PERIOD_S, flow, lagged
 
+from classic_ml.checks import CheckRow
 from classic_ml.records import Dropped, LedgerEntry
-from classic_ml.residual_checks import CheckRow
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.compare import Comparison, ComparisonRow, EstimatorResult
-from comparisons.harness.fit_quality import FitScore, block_errors, score_fit, trusted_range
-from comparisons.harness.lag_value import FittedLag
+from comparisons.harness.fit_quality import block_errors, score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
+from comparisons.results import (
+    Caution,
+    Comparison,
+    ComparisonRow,
+    EstimatorResult,
+    FitScore,
+    FittedLag,
+)
 
 LOW_PASS = LedgerEntry(
     "filter",
@@ -60,7 +66,7 @@ def made_series(
 
 
 def made_comparison(
-    *records: CoefficientSeries, cautions: tuple[str, ...] = (), seed: int = 1
+    *records: CoefficientSeries, cautions: tuple[Caution, ...] = (), seed: int = 1
 ) -> Comparison:
     records = records or (made_series(),)
     rows = stack_rows(records)
@@ -114,6 +120,7 @@ def made_comparison(
                 label,
                 rank,
                 held_out_rms,
+                0.1 * held_out_rms,
                 difference,
                 paired_error,
                 tau_s,
@@ -121,4 +128,6 @@ def made_comparison(
                 trust,
             )
         )
-    return Comparison(records, rows, tuple(results), tuple(table), valid_phi, cautions)
+    return Comparison(
+        records, rows, tuple(results), tuple(table), valid_phi, cautions, quotable=("sindy",)
+    )

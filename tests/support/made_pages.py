@@ -13,7 +13,7 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.structure_fit import FoundStructure
-from comparisons.harness.truth import Truth
+from comparisons.results import Caution, Truth
 from comparisons.show.report import Part, ReportSection, Words, render_report
 
 __all__ = ["EVIL", "PAGES", "made_page"]
@@ -42,7 +42,8 @@ def _compare(name: str) -> str:
     from comparisons.harness.reconstruction import reconstruct_record
 
     comparison = made_comparison(
-        made_series(source=name), cautions=(f"{name}: P25_A: 40 rows clipped",)
+        made_series(source=name),
+        cautions=(Caution("ledger", name, "inspect", {"finding": "P25_A: 40 rows clipped"}),),
     )
     phi = np.linspace(0.0, 1.0, 50)
     section = ReportSection(
@@ -111,6 +112,7 @@ def _structure(name: str) -> str:
 
 def _study(name: str) -> str:
     from comparisons.study.report import render_study_report
+    from comparisons.study.spec import spec_from
 
     rng = np.random.default_rng(2)
     rows = [
@@ -120,8 +122,7 @@ def _study(name: str) -> str:
             "reduction": f"d-{k}",
             "method": method,
             "seed": k,
-            f"record.{name}": (0.0, 1.0, 5.0)[k % 3],
-            "record.case": (name, "b")[k % 2],
+            "record.hide": (name, "b")[k % 2],
             "state": "failed" if place == 2 and k == 3 else "ok",
             "reason": name if place == 2 and k == 3 else "",
             "tau_error_ms": 5.0 + 0.5 * place + rng.normal(),
@@ -132,30 +133,32 @@ def _study(name: str) -> str:
         for k in range(12)
         for place, method in enumerate(("classic_ml", "sindy", f"mine {name}"))
     ]
-    spec = {"title": name, "record": {name: [name, 1.0]}}
-    return render_study_report(
-        pd.DataFrame(rows),
-        spec,
-        ["tau_error_ms"],
-        by=("record.case",),
-        title=name,
-        command=f"sindy-surge study {name}",
+    spec = spec_from(
+        {
+            "title": name,
+            "scores": ["tau_error_ms"],
+            "record": {"hide": ["none", "sensitivity_drift"]},
+            "by": ["record.hide"],
+            "method": [{"name": "classic_ml"}, {"name": name, "class": "a:B"}],
+        }
     )
+    return render_study_report(pd.DataFrame(rows), spec, command=f"sindy-surge study {name}")
 
 
 def _reproduce(name: str) -> str:
     from comparisons.cli.reproduce import claims_sections
-    from comparisons.paper.claims_base import Claim
-    from comparisons.paper.figures_common import PaperFigure, one_panel
+    from comparisons.page.style import new_figure
+    from comparisons.paper.claim import Claim
+    from comparisons.paper.figures import PaperFigure
 
-    figure, ax = one_panel()
-    ax.plot([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
+    figure = new_figure()
+    figure.add_subplot().plot([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
     claims = [
-        Claim(1, f"p. 3 {name}", f"The filter cuts at 48 Hz {name}", 48.0, 47.9, True, name, "Hz"),
-        Claim(2, "p. 5", "The time constant is 18 ms", 18.0, 29.1, False, "by trial", "ms"),
-        Claim(3, "p. 6", "Cells turn", "half speed", name, True, "spectrum", ""),
+        Claim(1, f"p. 3 {name}", f"The filter {name}", "built in", 48.0, 47.9, True, name, "Hz"),
+        Claim(2, "p. 5", "The lag is 18 ms", "tested", 18.0, 29.1, False, "by trial", "ms"),
+        Claim(3, "p. 6", "Cells turn", "tested", "half speed", name, True, "spectrum", ""),
     ]
-    drawn = [PaperFigure(3, name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
+    drawn = [PaperFigure(name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
     return render_report(
         claims_sections(claims, drawn), title=name, command=f"sindy-surge reproduce {name}"
     )

@@ -20,7 +20,8 @@ from mistake import REDUCE, Mistake
 from raw_data import RawTest, make_test
 
 from comparisons.cli import main
-from comparisons.harness.lag_value import FittedLag, save_models
+from comparisons.harness.saved_models import save_models
+from comparisons.results import FittedLag
 from comparisons.total_system import facility_toml
 from comparisons.total_system.rig_facility import facility_of_case
 

@@ -6,7 +6,6 @@ from mistake import Mistake
 from mistakes_clocks import CLOCKS, TESTS
 from mistakes_formats import FORMATS
 from mistakes_hostile import HOSTILE
-from mistakes_live import LIVE
 from mistakes_models import EXPERIMENTS, FACILITIES, MODELS, STUDIES
 from mistakes_options import OPTIONS, TARGETS
 from mistakes_raw_files import RAW_FILES
@@ -29,7 +28,6 @@ GROUPS: dict[str, tuple[Mistake, ...]] = {
     "Series files": SERIES,
     "Ledgers": LEDGERS,
     "netCDF series": NETCDF,
-    "Running tests": LIVE,
     "Saved models": MODELS,
     "Models of your own, and their records": EXPERIMENTS,
     "Studies": STUDIES,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,46 +23,37 @@ TRUE_TAU_S = 0.018
 
 
 @cache
-def ideal(case: str, duration_s: float) -> tuple[RigRun, Record, TestDescription]:
-    """A short record with sensors that hide nothing."""
-    return _run(case, duration_s, SensorSettings.ideal())
-
-
-@cache
-def real(case: str, duration_s: float) -> tuple[RigRun, Record, TestDescription]:
-    """A record with the paper's instrumentation."""
-    return _run(case, duration_s, None)
-
-
-def _run(
-    case: str, duration_s: float, sensors: SensorSettings | None
-) -> tuple[RigRun, Record, TestDescription]:
-    run = simulate(case, seed=3, duration_s=duration_s, sensors=sensors)
+def ideal(case: str) -> tuple[RigRun, Record, TestDescription]:
+    """Two seconds of the rig with sensors that hide nothing."""
+    run = simulate(case, seed=3, duration_s=2.0, sensors=SensorSettings.ideal())
     with TemporaryDirectory() as folder:
         write_run(run, Path(folder) / "run")
-        record, test = read_raw(
-            Path(folder) / "run" / "raw.csv", Path(folder) / "run" / "test.toml"
-        )
+        record, test = read_raw(Path(folder) / "run/raw.csv", Path(folder) / "run/test.toml")
     return run, record, test
 
 
 @cache
-def signals(case: str, duration_s: float) -> Measured:
-    run, _, test = ideal(case, duration_s)
+def signals(case: str) -> Measured:
+    """The truth as a record without noise."""
+    run, _, test = ideal(case)
     return measured_signals(run.truth, test, smoothing_s=0.0)
 
 
 def settings(case: str, **given: object) -> TotalSystemSettings:
-    return TotalSystemSettings(facility_of_case(case), smoothing_s=0.0, **given)  # type: ignore[arg-type]
+    """Settings with the rig's own facility."""
+    return TotalSystemSettings(facility_of_case(case), **given)  # type: ignore[arg-type]
 
 
 def near_truth(case: str, **given: object) -> TotalSystemSettings:
+    """The same, started at the truth."""
     beta = CASES[case].pressure_terms
     return settings(case, initial_beta=beta, initial_tau_s=TRUE_TAU_S, **given)
 
 
-def model_of(case: str, start_s: float = np.inf, **facility: float) -> TotalSystemModel:
-    plant, (_, _, test) = CASES[case], ideal(case, 2.0)
-    changed = replace(facility_of_case(case), **facility)
-    flow = signals(case, 2.0).near_stall_flow_kg_s
-    return TotalSystemModel(test, changed, flow, plant.pressure_terms, plant.tau_s, start_s)
+def model_of(case: str, start_s: float = np.inf) -> TotalSystemModel:
+    """The model with the rig's own numbers."""
+    plant, flow = CASES[case], signals(case).near_stall_flow_kg_s
+    test = ideal(case)[2]
+    return TotalSystemModel(
+        test, facility_of_case(case), flow, plant.pressure_terms, plant.tau_s, start_s
+    )

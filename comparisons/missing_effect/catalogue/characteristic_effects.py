@@ -18,7 +18,7 @@ __all__ = ["CHARACTERISTIC_EFFECTS"]
 
 HEATING_TIMES = (0.03, 0.1, 0.3, 0.7, 2.0)
 BRANCH_QUANTILES = (0.06, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.94)
-# Intervals between the knots of the free characteristic over the range of φ; how many is told by
+# Intervals between the knots of the free characteristic over the range of φ; how many is set by
 # the data. One means no knots but two more powers of φ, which go on beyond the range.
 INTERVALS = (1, 4, 7, 12, 20, 34)
 MORE_POWERS = 2
@@ -53,7 +53,7 @@ def on_branch(phi: FloatArray, low: float, high: float, data: LagData) -> FloatA
     """Return S: 1 from φ < low until φ > high, in each run by itself.
 
     The step in which a threshold is crossed counts by its share, so that the thresholds can be
-    told to less than a step. Before its first crossing a run stands where its φ tells, or on the
+    known to less than a step. Before its first crossing a run stands where its φ tells, or on the
     side that it crosses away from.
 
     Parameters

@@ -83,7 +83,7 @@ def stall_episodes(data: LagData, gate: float) -> list[slice]:
 
 
 def _ripple_grid(data: LagData) -> FloatArray:
-    """Return the gates; the frequency is told from the spectrum of the residual."""
+    """Return the gates; the frequency is found from the spectrum of the residual."""
     if "in_stall" in data or "stalled" in data:
         return np.array([[0.0, 0.0]])
     phi = data["phi"]
@@ -164,7 +164,7 @@ def _unchanged(ports: Ports, data: LagData, values: FloatArray) -> Ports:
     return ports
 
 
-# Not searched among the others: it is told from the errors, as noise (noise.py).
+# Not searched among the others: it is found from the errors, as noise (noise.py).
 FLOW_NOISE = Effect(
     "flow_noise",
     "noise",

@@ -1,7 +1,7 @@
 """The functions of a user's model as machine code, behind addresses that kernels call.
 
 The kernels are compiled once an installation and cached; only the two short functions of the
-model are compiled anew in each process.
+model are compiled again in each process.
 """
 
 from __future__ import annotations
@@ -133,5 +133,5 @@ def _returns_tuple(model: Model, part: str) -> bool:
 
 def _first_line(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [line for line in lines if not line.startswith(("Failed in", "During", "<source"))]
-    return (told or lines or [type(error).__name__])[0][:200]
+    kept = [line for line in lines if not line.startswith(("Failed in", "During", "<source"))]
+    return (kept or lines or [type(error).__name__])[0][:200]

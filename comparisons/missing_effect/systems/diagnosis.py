@@ -82,16 +82,16 @@ def diagnose_model(
     InputError
         When records do not fit the model.
     """
-    told = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     records = Records.of(model, [fit] if isinstance(fit, Experiment) else list(fit))
     given = [check] if isinstance(check, Experiment) else list(check)
     checks = [_checkable(e.of(model), records) for e in given]
-    told("fitting the model")
+    report("fitting the model")
     bench = base_bench(records)
     base = bench
     rounds: list[Round] = []
     while len(rounds) < most_effects and not bench.fit.failed:
-        told(f"round {len(rounds) + 1}")
+        report(f"round {len(rounds) + 1}")
         rounds.append(search_round(bench, catalogue, OPEN_TERMS))
         winner = rounds[-1].winner
         if winner is None or winner.fit is None:
@@ -104,7 +104,7 @@ def diagnose_model(
         bench = moved
         if winner.placed.effect.unnamed:
             break
-    told("fitting all rows")
+    report("fitting all rows")
     return _concluded(base, bench, tuple(rounds), checks)
 
 
@@ -113,15 +113,15 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
     period_s = records.whole[0].sample_period_s
     if abs(experiment.sample_period_s - period_s) > 1e-6 * period_s:
         raise InputError(
-            experiment.told("sample period"),
+            experiment.named("sample period"),
             expected=f"that of the training records, {period_s:g} s",
             found=f"{experiment.sample_period_s:g} s",
-            remedy="resample it: lags and timing offsets are told in samples",
+            remedy="resample it: lags and timing offsets are given in samples",
         )
     settle = experiment.settle or _settle_rows(records.model)
     if settle >= experiment.n_samples // 2:
         raise InputError(
-            experiment.told("rows"),
+            experiment.named("rows"),
             expected=f"more than twice the {settle} rows from which its start is estimated",
             found=f"{experiment.n_samples}",
         )
@@ -159,7 +159,7 @@ def _concluded(
     missing = tuple(_found(after, after_cov, r, records) for r in won)
     model = records.model
     checked = tuple(_checked(records, e, before, after, bool(missing)) for e in checks)
-    told = [text for run in checked for text in _refitted_words(run)]
+    remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
         model,
         _verdict(missing, base),
@@ -174,7 +174,7 @@ def _concluded(
         checked,
         metric.sigma,
         rounds[-1].refused if rounds else {},
-        (*_remarks(base, rounds, missing), *told),
+        (*_remarks(base, rounds, missing), *remarks),
     )
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["merged_test_rmse", "system_document", "test_rmse"]
 
-# Below this an error is told in thousandths of a unit that carries no prefix and no power itself.
+# Below this an error is given in thousandths of a unit that carries no prefix and no power itself.
 LEAST_PLAIN = 0.1
 PLAIN_UNIT = re.compile(r"(V|m|A|N|Pa|K|rad|s|W|J|T|C|F|H)([/· ].*)?")
 SHARE_UNIT = "1 (share of swing)"
@@ -50,7 +50,7 @@ def system_document(d: SystemDiagnosis, where: Mapping[str, Any] | None = None) 
         Numbers that are not finite are NaN here; `to_strict_json` writes
         them as null.
     """
-    told = NO_WHERE if where is None else where
+    panels = NO_WHERE if where is None else where
     return {
         "schema": DIAGNOSE_SCHEMA,
         "verdict": d.verdict,
@@ -59,7 +59,7 @@ def system_document(d: SystemDiagnosis, where: Mapping[str, Any] | None = None) 
         "gap": _gap(d),
         "time_constant_s": {"before": math.nan, "after": math.nan, "by_alias": {}},
         "where": {
-            name: list(rows) if isinstance(rows, tuple) else rows for name, rows in told.items()
+            name: list(rows) if isinstance(rows, tuple) else rows for name, rows in panels.items()
         },
         "candidates": [
             _candidate(d, number, step, candidate)
@@ -101,7 +101,7 @@ def test_rmse(d: SystemDiagnosis) -> Errors:
 
 
 def merged_test_rmse(diagnoses: Mapping[str, SystemDiagnosis]) -> Errors:
-    """Return the errors of several diagnoses; a split that two of them have is told apart.
+    """Return the errors of several diagnoses; a split that two of them have is separated.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _free_name(name: str, taken: Mapping[str, Any]) -> str:
 
 
 def _readable(unit: str, largest: float) -> tuple[float, str]:
-    """Return the factor and the unit in which an error is told: plain or thousandths."""
+    """Return the factor and the unit in which an error is reported: plain or thousandths."""
     if largest < LEAST_PLAIN and PLAIN_UNIT.fullmatch(unit):
         return 1e3, f"m{unit}"
     return 1.0, unit

@@ -54,7 +54,7 @@ class Experiment:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sample_period_s) and self.sample_period_s > 0.0):
             raise InputError(
-                self.told("sample period"),
+                self.named("sample period"),
                 expected="a positive number of seconds",
                 found=f"{self.sample_period_s!r}",
             )
@@ -65,29 +65,29 @@ class Experiment:
         sizes = {values.size for values in made.values()}
         if len(sizes) != 1:
             raise InputError(
-                self.told("channels"), expected="one length", found=f"lengths {sorted(sizes)}"
+                self.named("channels"), expected="one length", found=f"lengths {sorted(sizes)}"
             )
         if min(sizes) < FEWEST_ROWS:
             raise InputError(
-                self.told("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{min(sizes)}"
+                self.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{min(sizes)}"
             )
         object.__setattr__(self, "channels", MappingProxyType(made))
 
     def _check(self, name: str, values: FloatArray) -> None:
         if values.ndim != 1:
             raise InputError(
-                self.told(name), expected="one value a row", found=f"shape {values.shape}"
+                self.named(name), expected="one value a row", found=f"shape {values.shape}"
             )
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise InputError(
-                self.told(name),
+                self.named(name),
                 expected="finite values",
                 found=f"{values[bad[0]]} in row {bad[0] + 1}",
                 remedy="cut the record there, or give the pieces as experiments of their own",
             )
 
-    def told(self, what: str) -> str:
+    def named(self, what: str) -> str:
         """Return a place for a message: file or name of the run, and what in it."""
         return f"{self.origin or self.name}: {what}"
 
@@ -113,7 +113,7 @@ class Experiment:
         for name in wanted:
             if name not in self.channels:
                 raise InputError(
-                    self.told(name),
+                    self.named(name),
                     expected=f"channels {', '.join(wanted)}",
                     found=f"{', '.join(self.channels)}",
                     remedy=f"name the column '{name}' in the file, or as it is in the model",
@@ -121,7 +121,7 @@ class Experiment:
         for name in model.output_names:
             if float(np.ptp(self.channels[name])) == 0.0:
                 raise InputError(
-                    self.told(name), expected="an output that changes", found="a constant"
+                    self.named(name), expected="an output that changes", found="a constant"
                 )
         return Experiment(
             self.name,

@@ -105,7 +105,7 @@ def read_experiment(
 def load_model(path: str | os.PathLike[str]) -> Model:
     """Return the model of a Python file, its variable ``model`` or the only `Model` in it.
 
-    A model file is a program: it is executed with all rights of whoever calls this. Only files
+    A model file is a program: it is executed with all rights of the calling user. Only files
     that one would run as ``python model.py`` may be given. Records, in contrast, are only read.
 
     Parameters

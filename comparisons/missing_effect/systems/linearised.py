@@ -7,6 +7,8 @@ loops.
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numba import njit
 
@@ -26,6 +28,9 @@ from surge_core.types import FloatArray, IntArray
 __all__ = ["FINE", "along", "forced", "output_slopes", "parameter_forcing", "propagators"]
 
 
+# θ, ints, floats and pieces of a system, as of `dynamics.extended_rhs`.
+System: TypeAlias = tuple[FloatArray, IntArray, FloatArray, FloatArray]
+
 # Points a sample on which a run is kept.
 FINE = 4
 RELATIVE_STEP = 1e-6
@@ -41,11 +46,11 @@ def _jacobian(
     pieces: FloatArray,
     clock: FloatArray,
     scale: FloatArray,
-    space: FloatArray,
-    scratch: FloatArray,
+    room: tuple[FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
-    """Fill out with ∂f/∂X by central differences; space has three rows of n_X."""
+    """Fill out with ∂f/∂X by central differences; room is three rows of n_X, and scratch."""
+    space, scratch = room
     moved, above, below = space[0], space[1], space[2]
     moved[:] = X
     for i in range(X.size):
@@ -154,7 +159,7 @@ def propagators(
     scratch, rows, space = scratch_for(ints), np.empty((3, n)), np.empty((4, n, n))
     first, middle, last = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     ahead, back, power = np.empty((n, n)), np.empty((n, n)), space[3]
-    given = (theta, ints, floats, pieces, clock, scale, rows, scratch)
+    given = (theta, ints, floats, pieces, clock, scale, (rows, scratch))
     _jacobian(0.0, states[0], *given, first)
     for k in range(steps):
         _jacobian((k + 0.5) * step_s, states[2 * k + 1], *given, middle)
@@ -314,14 +319,8 @@ def along(
     states: FloatArray,
     own: float,
     has_own: bool,
-    theta: FloatArray,
-    theta_base: FloatArray,
-    ints: IntArray,
-    ints_base: IntArray,
-    floats: FloatArray,
-    floats_base: FloatArray,
-    pieces: FloatArray,
-    pieces_base: FloatArray,
+    changed: System,
+    unchanged: System,
     clock: FloatArray,
     n_y: int,
 ) -> tuple[FloatArray, FloatArray]:
@@ -333,8 +332,9 @@ def along(
         The run.
     own : float
         Where the state of a new effect begins, if it has one (``has_own``).
-    theta, theta_base, ints, ints_base, floats, floats_base, pieces, pieces_base : ndarray
-        Of the changed system and of the run's own.
+    changed, unchanged : tuple of ndarray
+        θ, ints, floats and pieces of the changed system and of the run's own, as of
+        `dynamics.extended_rhs`.
     clock : ndarray of shape (4,)
         As of `dynamics.extended_rhs`.
     n_y : int
@@ -345,6 +345,8 @@ def along(
     forcing : ndarray of shape (4(n − 1) + 1, n_X, 1)
     direct : ndarray of shape (n, n_y)
     """
+    theta, ints, floats, pieces = changed
+    theta_base, ints_base, floats_base, pieces_base = unchanged
     m, n = states.shape
     forcing = np.empty((m, n, 1))
     direct = np.empty(((m - 1) // FINE + 1, n_y))
@@ -399,8 +401,7 @@ def output_slopes(
     states: FloatArray,
     answers_: FloatArray,
     theta: FloatArray,
-    which: IntArray,
-    steps: FloatArray,
+    differences: tuple[IntArray, FloatArray],
     ints: IntArray,
     floats: FloatArray,
     pieces: FloatArray,
@@ -418,10 +419,8 @@ def output_slopes(
         How the state answers.
     theta, ints, floats, pieces, clock : ndarray
         As of `dynamics.extended_rhs`.
-    which : ndarray of int, shape (m,)
-        Numbers of θ that the first columns stand for.
-    steps : ndarray of shape (m,)
-        Steps of their differences.
+    differences : (ndarray of int, shape (m,), ndarray of shape (m,))
+        Numbers of θ that the first columns stand for, and the steps of their differences.
     scale : ndarray of shape (n_X,)
         Size of each state, for the differences.
     n_y : int
@@ -431,6 +430,7 @@ def output_slopes(
     -------
     ndarray of shape (n, n_y, columns)
     """
+    which, steps = differences
     n, n_x, n_c = answers_.shape
     out = np.zeros((n, n_y, n_c))
     above, below = np.empty(n_y), np.empty(n_y)

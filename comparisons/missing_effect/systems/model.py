@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-from surge_core.display import Displayed, Sheet
+from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 
 __all__ = ["BetweenSamples", "Model", "P"]
@@ -60,7 +60,7 @@ class Model(Displayed):
         deviation, or the first sample of the output of that name. The start is always estimated.
     balance : mapping of str to (str, str)
         ``{"v": ("M", "N")}`` says that the equation of v is M dv/dt = a sum of forces in N, so
-        that effects in it are told in N.
+        that effects in it are given in N.
     name : str
         How it is called in reports.
 
@@ -144,9 +144,23 @@ class Model(Displayed):
         return kinds[0](*x), kinds[1](*u), kinds[2](*p)
 
     def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import model_sheet
+        signals = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
+        fields = tuple(
+            Field(kind, ", ".join(f"{n} [{_shown(u)}]" for n, u in units.items()) or "none")
+            for kind, units in signals
+        )
+        rows = tuple(
+            (name, f"{p.start:g}", f"{p.low:g} to {p.high:g}", _shown(p.unit))
+            for name, p in self.params.items()
+        )
+        header = ("parameter", "start", "bounds", "unit")
+        grid = Grid("Parameters", header, rows, frozenset({0, 3}))
+        between = Field("inputs between samples", self.input_between_samples)
+        return Sheet(f"Model: {self.name}", (*fields, between), (grid,) if rows else ())
 
-        return model_sheet(self)
+
+def _shown(unit: str) -> str:
+    return "-" if unit == "1" else unit
 
 
 def as_numbers(value: Any) -> tuple[float, ...]:

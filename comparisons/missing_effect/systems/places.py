@@ -109,7 +109,7 @@ class SystemEffect:
 
     @property
     def resists(self) -> bool:
-        """Whether its amplitude is told as a resistance: positive against the signal."""
+        """Whether its amplitude is reported as a resistance: positive against the signal."""
         return self.equation.startswith("−")
 
 
@@ -165,25 +165,25 @@ class Placed:
         """
         signals = signal_names(model)
         at, kind = self.place.at, self.effect.kind
-        told: dict[str, str] = {}
+        names: dict[str, str] = {}
         if kind in (Kind.TERM, Kind.HYSTERESIS):
-            told["equation"] = f"d{model.state_names[at]}/dt"
+            names["equation"] = f"d{model.state_names[at]}/dt"
         elif kind in (Kind.INPUT_MAP, Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY):
-            told["input"] = model.input_names[at]
+            names["input"] = model.input_names[at]
         elif kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
-            told["sensor"] = model.output_names[at]
+            names["sensor"] = model.output_names[at]
         elif kind == Kind.DRIFT:
-            told["parameter"] = model.param_names[at]
+            names["parameter"] = model.param_names[at]
         elif kind == Kind.RECORDING:
-            told["channels"] = "all channels"
+            names["channels"] = "all channels"
         else:
-            told["state"] = model.state_names[at]
+            names["state"] = model.state_names[at]
         if self.place.signal >= 0:
-            told["signal"] = signals[self.place.signal]
+            names["signal"] = signals[self.place.signal]
         if self.place.other >= 0:
             key = "into" if kind == Kind.OVERFLOW else "times"
-            told[key] = signals[self.place.other]
-        return told
+            names[key] = signals[self.place.other]
+        return names
 
     def label(self, model: Model) -> str:
         """Return name and place in one line, for tables.
@@ -193,17 +193,17 @@ class Placed:
         model : Model
             The model that it sits in.
         """
-        told = self.where(model)
-        inner = "·".join(told[k] for k in ("signal", "times") if k in told)
+        names = self.where(model)
+        inner = "·".join(names[k] for k in ("signal", "times") if k in names)
         outer = next(
             (
-                told[k]
+                names[k]
                 for k in ("equation", "input", "sensor", "parameter", "state", "channels")
-                if k in told
+                if k in names
             ),
             "",
         )
-        into = f" into {told['into']}" if "into" in told else ""
+        into = f" into {names['into']}" if "into" in names else ""
         joined = f"({inner}) in {outer}" if inner else f" of {outer}"
         return f"{self.name}{joined}{into}"
 

@@ -58,7 +58,7 @@ LOGARITHMIC_RATIO = 8.0
 FATES = ("added", "alias", "too little", "accepted", "refused")
 _MEANT = {
     "added": "added",
-    "alias": "cannot be told from it by these records",
+    "alias": "cannot be separated from it by these records",
     "too little": "best, but not added",
     "accepted": "accepted",
     "refused": "not accepted",
@@ -97,8 +97,8 @@ def draw_runs(d: SystemDiagnosis, run: CheckRun | None = None) -> Figure:
         unit = d.model.outputs[name]
         fall = printable(_fall(d, chosen, j, unit))
         _heading(upper, f"{printable(name, LONGEST_NAME)}: {fall}")
-    told = f"time [s], {printable(chosen.experiment.name, LONGEST_NAME)} ({split_of(chosen)})"
-    figure.supxlabel(told, fontsize=9)
+    label = f"time [s], {printable(chosen.experiment.name, LONGEST_NAME)} ({split_of(chosen)})"
+    figure.supxlabel(label, fontsize=9)
     legend_above(figure, *panels, columns=3)
     return figure
 
@@ -143,8 +143,8 @@ def _fall(d: SystemDiagnosis, run: CheckRun, j: int, unit: str) -> str:
     before, after = float(run.before_rms[j]), float(run.after_rms[j])
     scale = scale_of(unit, [typical([before, after])])
     if not d.missing:
-        return f"rms {scale.told(after)}"
-    return f"rms {significant(before * scale.factor, 3)} → {scale.told(after)}"
+        return f"rms {scale.text(after)}"
+    return f"rms {significant(before * scale.factor, 3)} → {scale.text(after)}"
 
 
 def draw_residuals(d: SystemDiagnosis, run: CheckRun | None = None) -> Figure:
@@ -228,8 +228,8 @@ def _over_signal(ax: Axes, d: SystemDiagnosis, where: SystemWhere) -> None:
             ax.plot(at, part, color=colour, marker=sign, ms=3.0, lw=0, alpha=0.45)
     ax.set_ylabel(printable(f"mean residual {scale.bracketed}"), fontsize=SMALL)
     name = printable(where.signal, LONGEST_NAME)
-    told = f"{name} simulated" if where.simulated else name
-    ax.set_xlabel(f"{told} {printable(over.bracketed)}", fontsize=9)
+    label = f"{name} simulated" if where.simulated else name
+    ax.set_xlabel(f"{label} {printable(over.bracketed)}", fontsize=9)
     ax.locator_params(axis="x", nbins=6)
     _heading(ax, f"{printable(where.output, LONGEST_NAME)}: mean residual over {name}")
 
@@ -305,10 +305,10 @@ def _round_panel(ax: Axes, d: SystemDiagnosis, step: Round, number: int) -> set[
 
 
 def _score(candidate: Candidate) -> str:
-    told = (
+    label = (
         significant(candidate.score, 3) if abs(candidate.score) < 100 else f"{candidate.score:.0f}"
     )
-    return told.replace("-", "−")
+    return label.replace("-", "−")
 
 
 def _look(fate: str) -> dict[str, Any]:
@@ -407,9 +407,9 @@ def _floor(ax: Axes, d: SystemDiagnosis, j: int, scale: Scale) -> FloatArray:
 def _annotated(ax: Axes, before: FloatArray, after: FloatArray, both: bool) -> None:
     """Write the numbers outside of each pair, so that they cannot meet."""
     for place, pair in enumerate(zip(before.tolist(), after.tolist(), strict=True)):
-        told = sorted(zip(pair, (BEFORE, AFTER), strict=True))
-        sides = [(told[0], -8, "right"), (told[1], 8, "left")]
-        for (value, colour), shift, anchor in sides if both else [(told[1], 8, "left")]:
+        ends = sorted(zip(pair, (BEFORE, AFTER), strict=True))
+        sides = [(ends[0], -8, "right"), (ends[1], 8, "left")]
+        for (value, colour), shift, anchor in sides if both else [(ends[1], 8, "left")]:
             if math.isfinite(value):
                 ax.annotate(
                     significant(value, 3),

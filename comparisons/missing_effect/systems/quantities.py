@@ -21,7 +21,7 @@ from surge_core.types import FloatArray
 __all__ = ["covariance", "numbers_of"]
 
 # Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
-# number in such directions from which on it is not told.
+# number in such directions from which on it is not reported.
 LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3
 POWER_SIGNS = ("", "", "²", "³")
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
@@ -76,10 +76,10 @@ def _sandwich(normal: FloatArray, spread: FloatArray) -> FloatArray:
     unit = np.sqrt(np.diag(normal))
     unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 0.0)
     values, vectors = np.linalg.eigh(normal * np.outer(unit, unit))
-    told = values > LEAST_INFORMATION * values[-1]
-    inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T * np.outer(unit, unit)
+    known = values > LEAST_INFORMATION * values[-1]
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T * np.outer(unit, unit)
     out = np.asarray(inverse @ spread @ inverse)
-    blind = np.flatnonzero(np.sum(vectors[:, ~told] ** 2, axis=1) > BLIND_SHARE)
+    blind = np.flatnonzero(np.sum(vectors[:, ~known] ** 2, axis=1) > BLIND_SHARE)
     out[blind, blind] = np.inf
     return out
 

@@ -81,7 +81,7 @@ class Records:
         for e in whole:
             if e.n_samples < FEWEST_ROWS:
                 raise InputError(
-                    e.told("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{e.n_samples}"
+                    e.named("rows"), expected=f"at least {FEWEST_ROWS}", found=f"{e.n_samples}"
                 )
         total = sum(e.n_samples for e in whole)
         fitted, held_out = [], []

@@ -30,6 +30,7 @@ from comparisons.missing_effect.systems.shown import (
 from comparisons.missing_effect.systems.where import where_of
 from comparisons.missing_effect.systems.words import number_words, system_words
 from comparisons.page.blocks import Block, Bullets, Cell, Head, Part, Picture, Table, Words
+from comparisons.page.html import render_page
 from surge_core.rounding import round_to_error, significant
 
 if TYPE_CHECKING:
@@ -86,10 +87,8 @@ def system_report(
     str
         HTML with its style and its pictures in it; all text is escaped.
     """
-    from comparisons.show.report import ReportSection, render_report
-
-    return render_report(
-        [ReportSection(title=name, extra=system_parts(d)) for name, d in diagnoses.items()],
+    return render_page(
+        [(name, system_parts(d)) for name, d in diagnoses.items()],
         title=f"What is missing in {', '.join(diagnoses)}",
         command=command,
         version=version,
@@ -124,14 +123,14 @@ def _where(d: SystemDiagnosis) -> tuple[Block, ...]:
     from_s = e.first_s + rows.start * e.sample_period_s
     to_s = e.first_s + rows.stop * e.sample_period_s
     wheres = [where_of(run, d.missing, output=output, model=d.model) for output in run.outputs]
-    told = tuple(words for where in wheres for words in where_words(d, where))
+    listed = tuple(words for where in wheres for words in where_words(d, where))
     how = (
         "the stretch on which what was added changes most"
         if d.missing
         else "the stretch on which the residual is largest"
     )
     return (
-        Bullets(told, heading=f"On {name}"),
+        Bullets(listed, heading=f"On {name}"),
         Picture.of(
             f"Measured and simulated, {name}",
             draw_runs(d, run),
@@ -143,14 +142,14 @@ def _where(d: SystemDiagnosis) -> tuple[Block, ...]:
         Picture.of(
             f"Residuals over frequency and over a signal, {name}",
             draw_residuals(d, run),
-            " ".join(told),
+            " ".join(listed),
             "Left: power densities; where a residual reaches the measured line, the model knows "
             "nothing of that band. Right: mean residual in ranges of a signal with two standard "
             "errors, and small triangles for the rows where the signal rises (up) and falls "
             "(down): a bend is a missing characteristic, two branches are a lag, a friction or a "
             "hysteresis. An output is laid over its own simulated value, since its residual is "
             "part of the measured one.",
-            told_above=True,
+            said_above=True,
         ),
     )
 
@@ -228,24 +227,24 @@ def _added(d: SystemDiagnosis) -> tuple[Block, ...]:
 
 
 def _alias_sets(d: SystemDiagnosis) -> tuple[Block, ...]:
-    told = tuple(
+    listed = tuple(
         f"{item.label}: or {', '.join(label for label in item.alias_labels if label != item.label)}"
         for item in d.missing
         if len(item.alias_labels) > 1
     )
-    return (Bullets(told, "caution", "What these records cannot tell apart"),) if told else ()
+    return (Bullets(listed, "caution", "What these records cannot separate"),) if listed else ()
 
 
 def _confirmations(d: SystemDiagnosis) -> tuple[Block, ...]:
     """Return the measurement that would confirm each name, those of alias sets included."""
-    told: dict[str, str] = {item.label: item.confirm for item in d.missing if item.confirm}
+    listed: dict[str, str] = {item.label: item.confirm for item in d.missing if item.confirm}
     kept = {label for item in d.missing for label in item.alias_labels}
     for step in d.rounds:
         for candidate in step.aliases:
             label = candidate.placed.label(d.model)
             if label in kept and candidate.placed.effect.confirm:
-                told.setdefault(label, candidate.placed.effect.confirm)
-    items = tuple(f"{label}: {words}" for label, words in told.items())
+                listed.setdefault(label, candidate.placed.effect.confirm)
+    items = tuple(f"{label}: {words}" for label, words in listed.items())
     return (Bullets(items, heading="What would confirm it"),) if items else ()
 
 
@@ -313,9 +312,9 @@ def _error_cells(d: SystemDiagnosis, run: CheckRun, j: int) -> tuple[str, ...]:
     swing = float(run.measured[run.settle :, j].std())
     share = f"{significant(100.0 * after / swing, 3)} %" if swing > 0.0 else ""
     if not d.missing:
-        return (run.outputs[j], scale.told(after), share)
+        return (run.outputs[j], scale.text(after), share)
     ratio = significant(before / after, 3) if after > 0.0 else ""
-    return (run.outputs[j], scale.told(before), scale.told(after), ratio, share)
+    return (run.outputs[j], scale.text(before), scale.text(after), ratio, share)
 
 
 def _timing(d: SystemDiagnosis) -> tuple[Block, ...]:
@@ -325,7 +324,7 @@ def _timing(d: SystemDiagnosis) -> tuple[Block, ...]:
     scale = scale_of("s", [period_s])
     rows = []
     for row in d.offsets:
-        time = scale.told(row.value * period_s)
+        time = scale.text(row.value * period_s)
         held = row.stderr <= 0.0
         value = significant(row.value, 3) if held else round_to_error(row.value, row.stderr)
         rows.append((row.name, value, time))

@@ -35,7 +35,7 @@ MOST_TOLD = 6
 CLEAR_Z = 3.0
 FATES = {
     "added": "added",
-    "alias": "cannot be told from the best",
+    "alias": "cannot be separated from the best",
     "too little": "best, but too little to add",
     "accepted": "accepted, not the best",
     "refused": "not accepted",
@@ -57,17 +57,17 @@ def errors_words(d: SystemDiagnosis) -> str:
     d : SystemDiagnosis
         The diagnosis.
     """
-    told = []
+    listed = []
     for run in all_runs(d)[:MOST_TOLD]:
         parts = []
         for j, output in enumerate(run.outputs):
             before, after = float(run.before_rms[j]), float(run.after_rms[j])
             scale = scale_of(d.model.outputs[output], [typical([before, after])])
-            fell = f"{scale.told(before)} to " if d.missing else ""
-            parts.append(f"{output} {fell}{scale.told(after)}")
-        told.append(f"{run.experiment.name} ({split_of(run)}) {', '.join(parts)}")
+            fell = f"{scale.text(before)} to " if d.missing else ""
+            parts.append(f"{output} {fell}{scale.text(after)}")
+        listed.append(f"{run.experiment.name} ({split_of(run)}) {', '.join(parts)}")
     more = len(all_runs(d)) - MOST_TOLD
-    return "; ".join(told) + (f"; and {more} more" if more > 0 else "")
+    return "; ".join(listed) + (f"; and {more} more" if more > 0 else "")
 
 
 def stretch_words(d: SystemDiagnosis, run: CheckRun, rows: slice) -> str:
@@ -82,7 +82,7 @@ def stretch_words(d: SystemDiagnosis, run: CheckRun, rows: slice) -> str:
     rows : slice
         The stretch.
     """
-    told = []
+    listed = []
     for j, output in enumerate(run.outputs):
         measured = run.measured[rows, j]
         before, after = (
@@ -90,10 +90,10 @@ def stretch_words(d: SystemDiagnosis, run: CheckRun, rows: slice) -> str:
             for simulated in (run.before, run.after)
         )
         scale = scale_of(d.model.outputs[output], [typical([before, after])])
-        fell = f"{scale.told(before)} before and " if d.missing else ""
+        fell = f"{scale.text(before)} before and " if d.missing else ""
         later = " after" if d.missing else ""
-        told.append(f"{output} rms {fell}{scale.told(after)}{later}")
-    return "; ".join(told)
+        listed.append(f"{output} rms {fell}{scale.text(after)}{later}")
+    return "; ".join(listed)
 
 
 def where_words(d: SystemDiagnosis, where: SystemWhere) -> tuple[str, ...]:
@@ -117,7 +117,7 @@ def _time_words(d: SystemDiagnosis, where: SystemWhere) -> str:
     sizes = [row.before_rms for row in known]
     unit = d.model.outputs[where.output]
     top, median, after = (
-        scale_of(unit, [size]).told(size)
+        scale_of(unit, [size]).text(size)
         for size in (worst.before_rms, float(np.median(sizes)), worst.after_rms)
     )
     return (
@@ -136,8 +136,8 @@ def _band_words(where: SystemWhere) -> str:
     beside = ""
     if row.measured_psd > 0.0:
         part = 100.0 * row.before_psd / row.measured_psd
-        told = "more than" if part > 100.0 else f"{significant(part, 2)} % of"
-        beside = f", {told} what was measured there"
+        listed = "more than" if part > 100.0 else f"{significant(part, 2)} % of"
+        beside = f", {listed} what was measured there"
     return (
         f"{where.output} over frequency: the band from {row.low_hz:.3g} to {row.high_hz:.3g} Hz "
         f"holds {share:.0f} % of its power{beside}."
@@ -162,7 +162,7 @@ def _signal_words(d: SystemDiagnosis, where: SystemWhere) -> str:
     beyond = sum(abs(_z(row)) >= CLEAR_Z for row in known)
     return (
         f"{lead}the mean residual is beyond {CLEAR_Z:.0f} standard errors in {beyond} of "
-        f"{len(where.flow)} ranges, most clearly at {over.told(top.at)}: {mean}."
+        f"{len(where.flow)} ranges, most clearly at {over.text(top.at)}: {mean}."
     )
 
 
@@ -178,19 +178,19 @@ def rounds_words(d: SystemDiagnosis) -> str:
     d : SystemDiagnosis
         The diagnosis.
     """
-    told = []
+    listed = []
     for number, step in enumerate(d.rounds, start=1):
         if step.winner is None:
-            told.append(f"Round {number}: nothing accepted out of {len(step.candidates)} tried.")
+            listed.append(f"Round {number}: nothing accepted out of {len(step.candidates)} tried.")
             continue
         fate = "added" if added(d, step.winner) else "not added"
         beside = len(step.aliases) - 1
-        same = f", {beside} more cannot be told from it" if beside > 0 else ""
-        told.append(
+        same = f", {beside} more cannot be separated from it" if beside > 0 else ""
+        listed.append(
             f"Round {number}: {step.winner.placed.label(d.model)} {fate}, score "
             f"{step.winner.score:.1f}{same}."
         )
-    return " ".join(told)
+    return " ".join(listed)
 
 
 def candidate_cells(d: SystemDiagnosis, step: Round, candidate: Candidate) -> tuple[str, ...]:
@@ -286,7 +286,7 @@ def floor_words(d: SystemDiagnosis) -> tuple[tuple[str, ...], ...]:
         rows.append(
             (
                 output,
-                scale_of(unit, [floor]).told(floor),
+                scale_of(unit, [floor]).text(floor),
                 f"{significant(100.0 * floor / swing, 3)} %" if swing > 0.0 else "",
                 f"{100.0 * (floor / size) ** 2:.0f} %" if size > 0.0 else "",
             )

@@ -12,7 +12,8 @@ from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.search import Round
-from surge_core.display import Displayed, Sheet
+from surge_core.display import Displayed, Field, Grid, Sheet
+from surge_core.rounding import round_to_error, significant
 from surge_core.types import FloatArray
 
 __all__ = ["CheckRun", "FittedNumber", "FoundEffect", "ParameterRow", "SystemDiagnosis"]
@@ -51,7 +52,7 @@ class FoundEffect:
     place : mapping of str to str
         Equation, signal, input, sensor, parameter or state, as they apply.
     alias_set : tuple of str
-        Names that these records cannot tell apart, the first among them.
+        Names that these records cannot separate, the first among them.
     alias_labels : tuple of str
         The same with their places.
     provisional : bool
@@ -215,6 +216,50 @@ class SystemDiagnosis(Displayed):
         return next(row for row in self.parameters if row.name == name)
 
     def _sheet(self) -> Sheet:
-        from comparisons.show.sheets import system_sheet
+        found = tuple((" or ".join(item.alias_labels), item.equation) for item in self.missing)
+        parameters = tuple(
+            (
+                row.name,
+                round_to_error(row.after, row.after_stderr),
+                _shown(row.unit),
+                "at its bound" if row.at_bound else "",
+            )
+            for row in self.parameters
+        )
+        errors = tuple(
+            (
+                f"{run.experiment.name} ({'check' if run.held_out else 'training'})",
+                f"{output} [{_shown(self.model.outputs[output])}]",
+                *((significant(float(run.before_rms[j])),) if found else ()),
+                significant(float(run.after_rms[j])),
+            )
+            for run in (*self.training, *self.checks)
+            for j, output in enumerate(run.outputs)
+        )
+        columns = ("record", "output", *(("before", "after") if found else ("rms",)))
+        grids = [
+            Grid("rms error of the free run", columns, errors, frozenset({0, 1})),
+            Grid(
+                "Parameters with what was added" if found else "Parameters",
+                ("parameter", "value ± std error", "unit", "note"),
+                parameters,
+                frozenset({0, 2, 3}),
+                folded=len(parameters) > 8,
+            ),
+        ]
+        if found:
+            grids.insert(0, Grid("Missing", ("effect", "adds"), found, frozenset({0, 1}), marked=0))
+        clear = self.verdict in ("named", "nothing_missing", "alias_set")
+        verdict = self.verdict.replace("_", " ")
+        return Sheet(
+            f"Diagnosis of {self.model.name}: {verdict}",
+            (
+                Field("verdict", verdict, "good" if clear else "advice"),
+                *((Field("remarks", self.remarks, "advice"),) if self.remarks else ()),
+            ),
+            tuple(grids),
+        )
 
-        return system_sheet(self)
+
+def _shown(unit: str) -> str:
+    return "-" if unit == "1" else unit

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from comparisons.cli.progress import shown_steps
 from surge_core.errors import InputError
+from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.experiments import Experiment
@@ -89,7 +89,7 @@ def contents_of(
     """
     out = []
     if json:
-        from comparisons.show.json_output import to_strict_json
+        from surge_core.files import to_strict_json
 
         out.append(("numbers", json, to_strict_json(_document(diagnoses))))
     if report:
@@ -121,14 +121,14 @@ def _run(
         check_target(path, (".html", ".htm") if path is arguments.report else ())
     check_apart([], targets)
     found: dict[str, SystemDiagnosis] = {}
-    with shown_steps(len(cases) * steps_of(arguments.max_effects)) as told:
+    with shown_steps(len(cases) * steps_of(arguments.max_effects)) as listed:
         for name, (model, fit, check) in cases.items():
             found[name] = diagnose_model(
                 model,
                 fit,
                 check,
                 most_effects=arguments.max_effects,
-                progress=lambda words, name=name: told(f"{name}: {words}"),  # type: ignore[misc]
+                progress=lambda words, name=name: listed(f"{name}: {words}"),  # type: ignore[misc]
             )
     command = " ".join([prog, *(sys.argv[1:] if argv is None else argv)])
     contents = contents_of(found, command, arguments.json, arguments.report)

@@ -30,7 +30,7 @@ __all__ = [
 PREFIXED = frozenset(
     ("m", "V", "A", "s", "N", "rad", "K", "Pa", "W", "J", "T", "C", "F", "H", "Ω", "bar", "l", "L")
 )
-# Below these a number is told in thousandths, millionths, … of its unit.
+# Below these a number is given in thousandths, millionths, … of its unit.
 STEPS_DOWN = ((1e-7, 1e9, "n", "10⁻⁹"), (1e-4, 1e6, "µ", "10⁻⁶"), (0.1, 1e3, "m", "10⁻³"))
 # Of units that take no prefix: smaller numbers read badly as decimals.
 PLAIN_BELOW = 1e-2
@@ -57,7 +57,7 @@ class Scale:
         self.factor = factor
         self.unit = "" if unit == "1" else unit
 
-    def told(self, value: float, digits: int = 3) -> str:
+    def text(self, value: float, digits: int = 3) -> str:
         """Return a number of the model's unit in this one, with the unit.
 
         Parameters

@@ -168,7 +168,7 @@ def answers(
         )
     start = np.hstack([np.zeros((n_X, m)), np.eye(n_X)])
     moved = forced(whole, half, forcing, start, run.sample_period_s / FINE)
-    slopes = output_slopes(path.states, moved, theta, which, steps, *given, scale, n_y)
+    slopes = output_slopes(path.states, moved, theta, (which, steps), *given, scale, n_y)
     return structure.recorded(slopes, theta) + direct
 
 
@@ -184,14 +184,8 @@ def _filter_forcing(
         path.states,
         0.0,
         False,
-        theta,
-        theta,
-        ints,
-        ints,
-        floats,
-        floats,
-        run.pieces_for(structure, above),
-        run.pieces_for(structure, below),
+        (theta, ints, floats, run.pieces_for(structure, above)),
+        (theta, ints, floats, run.pieces_for(structure, below)),
         run.clock,
         run.outputs.shape[1],
     )
@@ -224,8 +218,7 @@ def output_answers(
         path.states,
         moved,
         theta,
-        np.zeros(0, dtype=np.int64),
-        np.zeros(0),
+        (np.zeros(0, dtype=np.int64), np.zeros(0)),
         ints,
         floats,
         run.pieces_for(structure, theta),

@@ -75,9 +75,9 @@ def _parameters(d: SystemDiagnosis) -> list[str]:
         rows.append((row.name, before, after, row.unit, note))
     lines = ["Parameters; errors in the last digits", _aligned(rows)] if d.parameters else []
     if d.offsets:
-        told = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in d.offsets)
+        listed = ", ".join(f"{o.name} {bracketed(o.value, o.stderr)} samples" for o in d.offsets)
         lines += _wrapped(
-            f"Inputs between samples: {d.after.structure.between}; timing offsets: {told}."
+            f"Inputs between samples: {d.after.structure.between}; timing offsets: {listed}."
         )
     return lines
 
@@ -93,8 +93,8 @@ def _errors(d: SystemDiagnosis) -> list[str]:
                 (
                     run.experiment.name,
                     output,
-                    scale.told(before, 4),
-                    scale.told(after, 4),
+                    scale.text(before, 4),
+                    scale.text(after, 4),
                     ratio if math.isfinite(before) else "n/a",
                     "check" if run.held_out else "fitted",
                 )
@@ -128,12 +128,12 @@ def _candidates(d: SystemDiagnosis) -> list[str]:
 def _untried(d: SystemDiagnosis) -> list[str]:
     if not d.unavailable:
         return []
-    told = [
+    listed = [
         line
         for name, why in d.unavailable.items()
         for line in _wrapped(f"  {plain_name(name)}: {why}", "    ")
     ]
-    return ["What these records cannot show", *told]
+    return ["What these records cannot show", *listed]
 
 
 def _gain(gain: float) -> str:

@@ -24,7 +24,7 @@ _LEADS = {
     "of the errors than chance does.",
     "unexplained_structure": "These records do not let say what is missing; the remarks tell why.",
 }
-# Alias labels beyond these are told in the table and in the JSON.
+# Alias labels beyond these are given in the table and in the JSON.
 MOST_ALIASES = 4
 
 
@@ -61,8 +61,8 @@ def number_words(number: FittedNumber) -> str:
 
 
 def _missing_words(d: SystemDiagnosis) -> str:
-    told = [_effect_words(item) for item in d.missing]
-    listed = told[0] if len(told) == 1 else "; ".join(told[:-1]) + f"; and {told[-1]}"
+    noted = [_effect_words(item) for item in d.missing]
+    listed = noted[0] if len(noted) == 1 else "; ".join(noted[:-1]) + f"; and {noted[-1]}"
     return f"The model '{d.model.name}' lacks {listed}."
 
 
@@ -100,17 +100,17 @@ def _place_words(item: FoundEffect) -> str:
 def _fall_words(d: SystemDiagnosis) -> str:
     """Say how the error falls on records that were not fitted, or on the fitted ones."""
     runs = d.checks or d.training
-    told = []
+    noted = []
     for j, output in enumerate(d.model.outputs):
         before, after = (_pooled(runs, j, before=which) for which in (True, False))
         if not (np.isfinite(before) and np.isfinite(after)):
             return f"The simulation of {output} failed on these records."
         scale = scale_of(d.model.outputs[output], (before, after))
-        told.append(
-            f"{output} from {scale.told(before)} to {scale.told(after)} ({_times(before, after)})"
+        noted.append(
+            f"{output} from {scale.text(before)} to {scale.text(after)} ({_times(before, after)})"
         )
     kind = "the check records, of which nothing was fitted," if d.checks else "the fitted records"
-    return f"With it the rms error on {kind} goes: {'; '.join(told)}."
+    return f"With it the rms error on {kind} goes: {'; '.join(noted)}."
 
 
 def _pooled(runs: tuple[CheckRun, ...], j: int, *, before: bool) -> float:
@@ -126,20 +126,20 @@ def _times(before: float, after: float) -> str:
 
 
 def _alias_words(d: SystemDiagnosis) -> str:
-    told = []
+    noted = []
     for item in d.missing:
         others = [label for label in item.alias_labels if label != item.label]
         if not others:
             continue
         shown = ", ".join(others[:MOST_ALIASES])
         more = len(others) - MOST_ALIASES
-        told.append(
+        noted.append(
             f"these records cannot tell {item.label} from {shown}"
             + (f" and {more} more" if more > 0 else "")
         )
-    if not told:
+    if not noted:
         return ""
-    text = "; ".join(told)
+    text = "; ".join(noted)
     confirm = next(item.confirm for item in d.missing if len(item.alias_labels) > 1)
     what = f"; what would: {confirm}" if confirm else ""
     return f"{text[0].upper()}{text[1:]}{what}."
@@ -164,12 +164,12 @@ def _bound_words(d: SystemDiagnosis) -> str:
 
 def _left_words(d: SystemDiagnosis) -> str:
     runs = d.checks or d.training
-    told, new = [], []
+    noted, new = [], []
     for j, (output, unit) in enumerate(d.model.outputs.items()):
         left = _pooled(runs, j, before=True)
         scale = scale_of(unit, (left,))
-        told.append(f"{scale.told(left)} in {output}")
-        new += [scale.told(v) for v in d.floor[j : j + 1]]
+        noted.append(f"{scale.text(left)} in {output}")
+        new += [scale.text(v) for v in d.floor[j : j + 1]]
     kind = "check" if d.checks else "fitted"
     noise = f"; what is new in each sample is {', '.join(new)}" if new else ""
-    return f"The rms error on the {kind} records is {', '.join(told)}{noise}."
+    return f"The rms error on the {kind} records is {', '.join(noted)}{noise}."

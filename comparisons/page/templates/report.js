@@ -1,140 +1,49 @@
 "use strict";
 (() => {
-  const collator = new Intl.Collator("en", { numeric: true, sensitivity: "base" });
-  const empty = new Set(["", "—", "–", "-", "?", "n/a", "nan", "none", "not known"]);
-  const prefixes = { p: 1e-12, n: 1e-9, u: 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, m: 1e-3, k: 1e3, M: 1e6, G: 1e9 };
-  const bases = /^(?:Hz|Pa|rad|bar|s|V|A|N|K|W|J|T|C|F|H|Ω|l|L|g|m)(?![A-Za-z])/;
-  const superscripts = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+  const text = (cell) => (cell.dataset.value ?? cell.firstChild?.textContent ?? "").trim();
 
-  // Small print below a cell's value stands in an element of its own.
-  const textOf = (cell) => (cell?.dataset.value ?? cell?.firstChild?.textContent ?? "").trim();
-
-  function powerOfTen(digits) {
-    const plain = [...digits].map((c) => (c === "⁻" ? "-" : superscripts.indexOf(c))).join("");
-    return 10 ** Number(plain);
+  // "−0.12 ± 0.03 ms" is sorted as −0.12; null for what is no number.
+  function number(words) {
+    const plain = words.replace(/\u2212/g, "-").replace(/^[~≈<>≤≥(\s]+/, "");
+    const scaled = /^([-+]?[\d.]+)(?: ± [\d.]+\))?e([-+]?\d+)/.exec(plain);
+    if (scaled) return Number(scaled[1]) * 10 ** Number(scaled[2]);
+    const value = parseFloat(plain);
+    return Number.isNaN(value) ? null : value;
   }
 
-  // "−0.12 ± 0.03 ms": a value and its unit; null for what does not begin with a number.
-  function quantity(text) {
-    const plain = text
-      .replace(/\u2212/g, "-")
-      .replace(/(\d)[\u00a0\u2009\u202f,](?=\d{3}(?!\d))/g, "$1")
-      .replace(/^[~≈<>≤≥=(\s]+/, "");
-    const endless = /^([+-]?)(?:∞|inf(?![a-z]))/i.exec(plain);
-    if (endless) return { value: endless[1] === "-" ? -Infinity : Infinity, unit: "" };
-    const number = /^[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?/i.exec(plain);
-    if (!number) return null;
-    let rest = plain.slice(number[0].length);
-    if (!/^(?:$|[\s·×%°±…);,])/.test(rest)) return null;
-    rest = rest.replace(/^\s*±\s*(?:[\d.]+(?:e[+-]?\d+)?|\?)\)?/i, "");
-    rest = rest.replace(/^\s*(?:…|to)\s*[+-]?[\d.]+(?:e[+-]?\d+)?/i, "");
-    let value = Number(number[0]);
-    const power = /^\s*(?:e([+-]?\d+)|[·×]\s*10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))/.exec(rest);
-    if (power) {
-      value *= power[1] ? 10 ** Number(power[1]) : powerOfTen(power[2]);
-      rest = rest.slice(power[0].length);
-    }
-    return { value, unit: rest.trim() };
-  }
-
-  function parted(unit) {
-    if (!bases.test(unit) && unit[0] in prefixes && bases.test(unit.slice(1))) {
-      return { base: unit.slice(1), scale: prefixes[unit[0]] };
-    }
-    return { base: unit, scale: 1 };
-  }
-
-  // Keys of a column: numbers where its cells are numbers, else text; null where a cell is empty.
-  function keysOf(rows, column, numeric) {
-    const texts = rows.map((row) => textOf(row.cells[column]));
-    const read = texts.map((text) => (empty.has(text.toLowerCase()) ? null : quantity(text)));
-    const known = read.filter(Boolean);
-    const filled = texts.filter((text) => !empty.has(text.toLowerCase())).length;
-    if (!known.length || (!numeric && known.length < filled)) {
-      return { keys: texts.map((text) => (empty.has(text.toLowerCase()) ? null : text)), compare: collator.compare };
-    }
-    const units = known.map((one) => parted(one.unit));
-    const alike = units.every((unit) => unit.base === units[0].base);
-    const keys = read.map((one) => one && one.value * (alike ? parted(one.unit).scale : 1));
-    return { keys, compare: (a, b) => (a === b ? 0 : a < b ? -1 : 1) };
-  }
-
-  function sort(table, column, direction) {
-    const body = table.tBodies[0];
-    const rows = table.unsorted;
-    const head = table.tHead.rows[0].cells;
-    for (const cell of head) cell.removeAttribute("aria-sort");
-    if (direction === "none") {
-      body.append(...rows);
-      return;
-    }
-    head[column].setAttribute("aria-sort", direction);
-    const { keys, compare } = keysOf(rows, column, head[column].classList.contains("numeric"));
-    const sign = direction === "ascending" ? 1 : -1;
-    const order = rows.map((_, place) => place);
-    order.sort((a, b) => {
-      if (keys[a] === null || keys[b] === null) return (keys[a] === null) - (keys[b] === null);
-      return sign * compare(keys[a], keys[b]);
+  function sort(table, column, descending) {
+    const heads = [...table.tHead.rows[0].cells];
+    heads.forEach((head) => head.removeAttribute("aria-sort"));
+    heads[column].setAttribute("aria-sort", descending ? "descending" : "ascending");
+    const numeric = heads[column].classList.contains("numeric");
+    const rows = [...table.tBodies[0].rows].map((row) => {
+      const words = text(row.cells[column]);
+      return { row, key: numeric ? number(words) : words || null };
     });
-    body.append(...order.map((place) => rows[place]));
+    const sign = descending ? -1 : 1;
+    rows.sort((a, b) => {
+      // What is not known comes last either way.
+      if (a.key === null || b.key === null) return (a.key === null) - (b.key === null);
+      return sign * (numeric ? a.key - b.key : a.key.localeCompare(b.key, "en", { numeric: true }));
+    });
+    table.tBodies[0].append(...rows.map(({ row }) => row));
   }
 
-  const following = { none: "ascending", ascending: "descending", descending: "none" };
-
-  function makeSortable(table) {
-    table.unsorted = [...table.tBodies[0].rows];
-    [...table.tHead.rows[0].cells].forEach((cell, column) => {
+  for (const table of document.querySelectorAll("table.sortable")) {
+    [...table.tHead.rows[0].cells].forEach((head, column) => {
       const button = document.createElement("button");
       button.type = "button";
       button.className = "sort";
-      button.append(...cell.childNodes);
-      cell.append(button);
-      cell.addEventListener("click", () => {
-        sort(table, column, following[cell.getAttribute("aria-sort") ?? "none"]);
+      button.append(...head.childNodes);
+      head.append(button);
+      button.addEventListener("click", () => {
+        sort(table, column, head.getAttribute("aria-sort") === "ascending");
       });
     });
   }
 
-  function enlarger() {
-    const dialog = document.createElement("dialog");
-    dialog.className = "enlarged";
-    const close = document.createElement("button");
-    close.type = "button";
-    close.textContent = "Close";
-    const picture = document.createElement("img");
-    dialog.append(close, picture);
-    dialog.addEventListener("click", () => dialog.close());
-    document.body.append(dialog);
-    return (title, image, opener) => {
-      dialog.setAttribute("aria-label", title);
-      picture.src = image.src;
-      picture.alt = image.alt;
-      // Closing gives the focus back to what had it.
-      opener.focus();
-      dialog.showModal();
-      dialog.scrollTo(0, 0);
-    };
-  }
-
-  function makeLarger(figure, enlarge) {
-    const image = figure.querySelector("img");
-    const heading = figure.querySelector("h4");
-    const button = document.createElement("button");
-    button.type = "button";
-    button.className = "enlarge";
-    button.textContent = "Enlarge";
-    button.setAttribute("aria-label", `Enlarge: ${heading.textContent}`);
-    const open = () => enlarge(heading.textContent, image, button);
-    button.addEventListener("click", open);
-    image.addEventListener("click", open);
-    image.classList.add("enlargeable");
-    heading.after(button);
-  }
-
-  for (const table of document.querySelectorAll("table.sortable")) makeSortable(table);
-  const figures = document.querySelectorAll("figure");
-  if (figures.length) {
-    const enlarge = enlarger();
-    for (const figure of figures) makeLarger(figure, enlarge);
+  // A picture is shown in its own size, and small again, at a click.
+  for (const image of document.querySelectorAll("figure img")) {
+    image.addEventListener("click", () => image.classList.toggle("large"));
   }
 })();

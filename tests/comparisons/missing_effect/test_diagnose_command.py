@@ -237,41 +237,6 @@ def test_options_that_cannot_be_are_refused(
     assert words in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--report", "page.txt"), "ending in .html or .htm"),
-        (("--json", "nowhere/n.json"), "an existing folder"),
-        (("--json", "n.json", "--save", "n.json"), "a file of its own for each output"),
-        (("--degree", 2, "--base", "sindy"), "--degree"),
-    ],
-)
-def test_targets_and_options_are_checked_before_any_work(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    options: tuple[object, ...],
-    words: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    # The series is not even there: that would be said if it were read first.
-    assert run("diagnose", "missing.csv", *options) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("sindy-surge: ")
-    assert words in error
-    assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_input_is_never_written_over(
-    untouched: Case, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = untouched.paths[0].read_bytes()
-    assert run("diagnose", *untouched.paths, "--json", untouched.paths[0]) == 2
-    assert "an input of this command" in capsys.readouterr().err
-    assert untouched.paths[0].read_bytes() == before
-
-
 def test_a_record_given_twice_is_refused(
     untouched: Case, capsys: pytest.CaptureFixture[str]
 ) -> None:

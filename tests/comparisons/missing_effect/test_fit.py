@@ -11,7 +11,7 @@ from effect_data import CUBIC, STUDY, TRUE_NAMES, diagnosed, hidden, series_of
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose, find_effect
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.diagnosis import first_bench
-from comparisons.missing_effect.extended_lag import ExtendedLag
+from comparisons.missing_effect.extended_refit import value_of
 from comparisons.missing_effect.fit import Fit, fit_structure, solved
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
@@ -63,7 +63,7 @@ def test_every_effect_is_recovered_with_tau_and_the_characteristic(
         stated = {p.name: p.value for p in d.missing[0].parameters}
         assert stated == pytest.approx({p.name: p.value for p in numbers[effect]}, rel=1e-3)
     if effect != "characteristic_shape":
-        model = ExtendedLag.from_fit(fit, bench.data)
+        model = value_of(fit, bench.data)
         off = np.abs(np.array(model.coefficients) - test.beta) / np.array(model.stderr)
         assert np.max(off) < 4.0
 
@@ -80,7 +80,7 @@ def test_a_bump_of_the_characteristic_is_drawn_where_the_flow_dwells(
     truth = np.polynomial.polynomial.polyval(phi, test.beta)
     bare = truth.copy()
     truth += bump["height"] * np.exp(-0.5 * ((phi - bump["centre"]) / bump["width"]) ** 2)
-    found = ExtendedLag.from_fit(d).quasi_steady(phi)
+    found = value_of(d).quasi_steady(phi)
     # The noise is the scale on which a curve through thousands of rows is known.
     assert np.sqrt(np.mean((found - truth) ** 2)) < 0.5 * test.sigma
     assert np.sqrt(np.mean((bare - truth) ** 2)) > 3.0 * test.sigma

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect.catalogue import CATALOGUE, find_effect
 from comparisons.missing_effect.diagnosis import Diagnosis, diagnose
 from comparisons.missing_effect.fit import fit_structure
-from comparisons.missing_effect.limits import Limit, Limits, planted_limits
+from comparisons.missing_effect.limits import Limits, planted_limits
 from comparisons.missing_effect.metric import Metric
 from comparisons.missing_effect.planting import Planter
 from comparisons.rig.coefficient_tests import Noise, simulate_test
@@ -172,34 +171,6 @@ def test_beside_a_term_without_a_name_nothing_is_named() -> None:
     found = planted_limits(diagnosis)
     assert not any(row.found for row in found.rows)
     assert len({row.why_none for row in found.rows if row.effect not in diagnosis.names}) == 1
-
-
-def test_the_limits_are_told_in_lines_and_in_json(limits: Limits) -> None:
-    text = "\n".join(limits.lines)
-    assert "named in 90 % of 6 trials" in text
-    assert "flow_inertia" in text
-    assert " ms" in text
-    assert "check: 1.5 times the limit" in text
-    row = json.loads(json.dumps(limits.to_json()))["effects"][1]
-    assert row["effect"] == "hysteresis"
-    assert set(row["at"]) == {"phi_lo", "phi_hi"}
-    assert row["size"] > 0.0
-
-
-def test_progress_sees_each_limit_as_it_is_found(nothing_missing: Diagnosis) -> None:
-    seen: list[Limit] = []
-
-    def watch(rows):  # type: ignore[no-untyped-def]
-        for row in rows:
-            seen.append(row)
-            yield row
-
-    wanted = ["thermocouple_lag", "bias_drift"]
-    found = planted_limits(
-        nothing_missing, effects=wanted, trials=1, share=1.0, check=False, progress=watch
-    )
-    assert [row.effect for row in seen] == wanted
-    assert found.rows == tuple(seen)
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from effect_data import CUBIC, hidden, series_of
 
-from classic_ml.faults import search
 from classic_ml.readers import read_raw
 from classic_ml.reduction import reduce_record
-from comparisons.missing_effect import diagnose, find_effect
+from comparisons.missing_effect import find_effect
 from comparisons.missing_effect.candidates import Bench
 from comparisons.missing_effect.conclusion import concluded
 from comparisons.missing_effect.diagnosis import first_bench
@@ -28,7 +27,6 @@ from comparisons.missing_effect.uncertainty import (
     without_amplitude,
 )
 from comparisons.missing_effect.whole_runs import plain_bench, weighed_by_share
-from comparisons.missing_effect.words import verdict_words
 
 SHORT = {"seed": 3, "n_samples": 1000}
 
@@ -131,52 +129,6 @@ def test_a_name_whose_effect_is_told_stays_firm() -> None:
     assert d.verdict == "named"
 
 
-@pytest.fixture(scope="module")
-def clipped(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
-    """A late record whose clipped pressures nobody noticed: what is fitted begins in them."""
-    from comparisons.rig import simulate, write_run
-
-    folder = tmp_path_factory.mktemp("clipped")
-    write_run(simulate("985", hide="transport_delay"), folder)
-    record, test = read_raw(folder / "raw.csv", folder / "test.toml")
-    with pytest.MonkeyPatch.context() as patch:
-        # Their converter is said to go on, so that its codes are readings like others.
-        patch.setattr(search, "_cut_off", lambda *_: iter(()))
-        return diagnose([reduce_record(record, test).series])
-
-
-def test_a_lower_low_of_the_errors_is_no_effect(clipped: Diagnosis) -> None:
-    """The search once named a heating of a = 0 ± 400000: its fit had found another τ, no more."""
-    assert "facility_heating" not in clipped.names
-    assert "transport_delay" in clipped.names
-    for item in clipped.missing:
-        assert item.provisional or item.evidence[SIZE] > LEAST_SIZE
-    later = [c for step in clipped.rounds[1:] for c in step.candidates]
-    heating = next(c for c in later if c.name == "facility_heating")
-    assert not heating.evidence.accepted
-    assert heating.evidence.share < 0.1
-
-
-def test_what_a_candidate_wins_is_weighed_against_the_model_from_where_it_ended(
-    clipped: Diagnosis,
-) -> None:
-    data, terms = clipped.data, clipped.before.structure.terms
-    base = plain_bench(data, terms, 15, clipped.rounds[0].bench.block_rows)
-    # The model with a delay has two lows; the search starts in the one of the longer τ.
-    long = fit_structure(
-        base.fit.structure.with_effect(find_effect("transport_delay")),
-        data,
-        base.metric,
-        [np.array([np.log(0.053), 0.005])],
-    )
-    assert long.tau_s > 0.05
-    heating = [find_effect("facility_heating")]
-    bench, (candidate,) = weighed_by_share(replace(base, fit=long), heating)
-    assert bench.fit.tau_s < 0.035
-    assert bench.fit.cost < 0.9 * long.cost
-    assert candidate.evidence.share < 0.1
-
-
 def test_a_longer_tau_is_not_followed_however_low_the_errors(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
@@ -200,22 +152,3 @@ def test_a_longer_tau_is_not_followed_however_low_the_errors(
     # Of what a lag of the thermocouple would win, the τ of a second alone wins most.
     late = next(c for c in candidates if c.name == "thermocouple_lag")
     assert late.evidence.share < 0.5 < 1.0 - late.fit.cost / base.fit.cost
-
-
-def test_doubt_and_togetherness_are_said(clipped: Diagnosis) -> None:
-    item = clipped.missing[0]
-    wide = tuple(replace(item.parameters[0], name=name, stderr=1.0) for name in ("a", "b"))
-    told = replace(item, parameters=wide, evidence={SIZE: 12.6})
-    words = verdict_words(replace(clipped, missing=(told,)))
-    assert "not told one by one; what they do together is 13 standard errors large" in words
-    doubted = replace(item, provisional=True, evidence={SIZE: 0.4})
-    words = verdict_words(replace(clipped, missing=(doubted,), verdict="provisional"))
-    assert (
-        f"What {item.effect} does to ψ' is not told from nothing (0.4 standard errors, all its "
-        "numbers together): the name stands for something that may be another effect." in words
-    )
-    assert "leaves more than untouched records do" not in words
-    both = (doubted, replace(told, effect="flow_inertia", provisional=True))
-    words = verdict_words(replace(clipped, missing=both, verdict="provisional"))
-    assert "is not told from nothing" in words
-    assert "leaves more than untouched records do: the names stand" in words

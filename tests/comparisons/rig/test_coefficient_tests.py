@@ -10,10 +10,8 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from classic_ml.series import CoefficientSeries
-from comparisons.rig.coefficient_signals import Excitation
 from comparisons.rig.coefficient_tests import (
     EFFECTS,
-    NOISES,
     OUTSIDE,
     PAIRS,
     CoefficientTest,
@@ -77,15 +75,6 @@ def test_nothing_is_left_of_a_test_without_effect() -> None:
     assert excess_of(test, 2) > test.sigma
 
 
-@pytest.mark.parametrize("name", ["transport_delay", "reverse_flow_branch", "bias_drift"])
-def test_strength_zero_leaves_the_test_untouched(name: str) -> None:
-    nothing, none = simulate_test(None, seed=4), simulate_test(name, strength=0.0, seed=4)
-    for a, b in zip(nothing.records, none.records, strict=True):
-        np.testing.assert_allclose(a.psi_p, b.psi_p, atol=1e-10)
-    assert nothing.strengths == {}
-    assert none.strengths == {name: 0.0}
-
-
 def test_effects_of_one_seed_share_compressor_flow_and_noise() -> None:
     one, other = simulate_test("bias_drift", seed=4), simulate_test("flow_inertia", seed=4)
     assert (one.tau_s, one.beta, one.sigma) == (other.tau_s, other.beta, other.sigma)
@@ -93,14 +82,6 @@ def test_effects_of_one_seed_share_compressor_flow_and_noise() -> None:
         np.testing.assert_array_equal(one.records[i].phi, other.records[i].phi)
         noises = [t.records[i].psi_p - t.clean[i] for t in (one, other)]
         np.testing.assert_allclose(noises[0], noises[1], atol=1e-14)
-
-
-def test_a_seed_says_all() -> None:
-    one, again, other = (simulate_test("hysteresis", seed=s) for s in (7, 7, 8))
-    np.testing.assert_array_equal(one.records[2].psi_p, again.records[2].psi_p)
-    assert one.effects == again.effects
-    assert one.effects != other.effects
-    assert np.std(one.records[0].phi - other.records[0].phi) > 0.01
 
 
 def test_records_are_those_of_a_surge_test() -> None:
@@ -174,27 +155,6 @@ def test_each_of_a_pair_is_what_it_is_alone(pair: tuple[str, str]) -> None:
     assert excess_of(both, 3) > 1.5 * both.sigma
 
 
-def test_two_effects_on_the_output_add_up() -> None:
-    names = ("flow_inertia", "bias_drift")
-    both, none = simulate_test(names, seed=6), simulate_test(None, seed=6)
-    alone = [simulate_test(name, seed=6) for name in names]
-    for i in range(3):
-        added = sum(test.clean[i] - none.clean[i] for test in alone)
-        np.testing.assert_allclose(both.clean[i] - none.clean[i], added, atol=1e-12)
-
-
-def test_excitation_is_what_was_asked_for() -> None:
-    slow = Excitation(surge_hz=(0.25, 0.4), amplitude=0.3, harmonics=0.0, broadband=0.001)
-    test = simulate_test(None, seed=1, excitation=slow, n_records=2)
-    plain = simulate_test(None, seed=1, n_records=2)
-    assert len(test.records) == 2
-    for a, b in zip(test.records, plain.records, strict=True):
-        # Without harmonics the wave is smaller as well.
-        assert 0.25 < np.std(a.phi) / np.std(b.phi) < 0.32
-        crossings = np.sum(np.diff(np.sign(a.phi - a.phi.mean())) > 0)
-        assert 0.2 < crossings / 20.0 < 0.45
-
-
 def test_records_in_segments() -> None:
     gapped = simulate_test("bias_drift", seed=3, gaps=True)
     whole = simulate_test("bias_drift", seed=3)
@@ -218,10 +178,6 @@ def test_records_in_segments() -> None:
         assert off[after[int(9.0 * gapped.tau_s / 0.01)]] < 0.2 * gapped.sigma
 
 
-def test_records_without_the_flag() -> None:
-    assert all(r.in_stall is None for r in simulate_test(None, in_stall=False).records)
-
-
 @pytest.mark.parametrize(
     ("asked", "where"),
     [
@@ -240,11 +196,3 @@ def test_records_without_the_flag() -> None:
 def test_what_cannot_be_simulated_is_refused(asked: dict[str, object], where: str) -> None:
     with pytest.raises(InputError, match=where):
         simulate_test(**asked)  # type: ignore[arg-type]
-
-
-def test_names_are_those_of_the_design() -> None:
-    assert len(EFFECTS) == len(set(EFFECTS)) == 15
-    assert not set(EFFECTS) & set(OUTSIDE)
-    assert len(OUTSIDE) >= 5
-    assert len(PAIRS) >= 5
-    assert len(NOISES) == 6

@@ -16,20 +16,10 @@ def test_flow_constant_is_that_of_the_paper_in_both_systems_of_units() -> None:
     assert choked == pytest.approx(49.4, abs=0.05)
 
 
-def test_specific_heat_is_a_quarter_btu() -> None:
-    assert pytest.approx(1004.7, abs=0.05) == gas.CP_J_KG_K
-
-
 def test_mach_and_corrected_flow_invert_each_other() -> None:
     mach = np.linspace(-0.95, 0.95, 381)
     flow = gas.corrected_flow_kg_s(mach, 0.2938)
     assert np.max(np.abs(gas.mach_from_corrected_flow(flow, 0.2938) - mach)) < 1e-9
-
-
-def test_flow_beyond_choking_is_sonic_not_an_error() -> None:
-    choke = gas.corrected_flow_kg_s(1.0, 0.1)
-    mach = gas.mach_from_corrected_flow(np.array([1.0, 1.5, -1.5]) * choke, 0.1)
-    assert mach == pytest.approx([1.0, 1.0, -1.0], abs=1e-3)
 
 
 @given(

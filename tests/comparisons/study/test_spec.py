@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from comparisons.study.design import CELLS_A_TASK, count_cells, points_of, tasks_of
-from comparisons.study.spec import Range, StudySpec, read_spec, spec_from
+from comparisons.study.design import CELLS_A_TASK, cells_of, points_of, tasks_of
+from comparisons.study.spec import Range, StudySpec, spec_from
 from surge_core.errors import InputError
-
-EXAMPLE = Path(__file__).parents[3] / "examples" / "study.toml"
 
 
 def spec(**given: Any) -> StudySpec:
@@ -21,22 +17,18 @@ def spec(**given: Any) -> StudySpec:
     return spec_from({"record": {"duration_s": 5.0}, **given})
 
 
-def test_the_example_is_about_sixty_cells() -> None:
-    assert 50 <= count_cells(read_spec(EXAMPLE)) <= 80
-
-
 def test_a_grid_has_every_combination_once() -> None:
     made = spec(
         record={"noise_percent": [1.0, 2.0, 5.0], "hide": ["none", "sensitivity_drift"]},
         series={"keep_every": [1, 2]},
         seeds=2,
+        first_seed=7,
     )
     points = list(points_of(made))
-    assert len(points) == 3 * 2 * 2 * 2
-    assert len({(point.settings, point.seed) for point in points}) == len(points)
-    assert [point.number for point in points] == list(range(len(points)))
-    assert made.axes == ("record.noise_percent", "record.hide", "series.keep_every")
+    assert len({(point.settings, point.seed) for point in points}) == len(points) == 3 * 2 * 2 * 2
+    assert set(made.axes) == {"record.noise_percent", "record.hide", "series.keep_every"}
     assert {dict(p.settings)["record.hide"] for p in points} == {None, "sensitivity_drift"}
+    assert {point.seed for point in points} == {7, 8}
 
 
 def test_points_that_share_a_record_share_its_key_and_no_others_do() -> None:
@@ -56,34 +48,24 @@ def test_points_that_share_a_record_share_its_key_and_no_others_do() -> None:
         assert len({p.reduction for p in same}) == 2
 
 
-def test_tasks_cover_what_is_not_finished_and_keep_records_together() -> None:
+def test_tasks_hold_every_cell_once_and_keep_records_together() -> None:
     made = spec(
         record={"noise_percent": [1.0, 2.0]}, series={"keep_every": list(range(1, 20))}, seeds=3
     )
-    total = count_cells(made)
-    finished = frozenset(range(0, total, 3))
-    tasks = list(tasks_of(made, finished))
-    cells = [number for task in tasks for number, _, _ in task.cells]
-    assert sorted(cells) == sorted(set(range(total)) - finished)
-    for task in tasks:
-        assert len({point.record for _, point, _ in task.cells}) == 1
-        assert len(task.cells) <= CELLS_A_TASK
-    # As few tasks as records and the size of a task allow.
-    left = Counter(
-        point.record
-        for point in points_of(made)
-        for m in (0, 1)
-        if point.number * 2 + m not in finished
-    )
-    assert len(left) == 6
-    assert len(tasks) == sum(-(-count // CELLS_A_TASK) for count in left.values())
+    cells = cells_of(made)
+    for workers in (1, 4):
+        tasks = tasks_of(cells, workers)
+        assert sorted(c.number for task in tasks for c in task) == list(range(len(cells)))
+        assert all(len({c.point.record for c in task}) == 1 for task in tasks)
+        assert max(map(len, tasks)) <= CELLS_A_TASK
+    assert len(tasks_of(cells_of(spec(fit={"degree": list(range(1, 11))})), workers=4)) >= 4
 
 
-def test_one_record_keeps_several_workers_busy_and_many_are_made_once() -> None:
-    one = spec(fit={"degree": list(range(1, 11))}, seeds=1)
-    assert len(list(tasks_of(one, workers=4))) >= 4
-    many = spec(fit={"degree": [1, 2, 3]}, seeds=20)
-    assert len(list(tasks_of(many, workers=4))) == 20
+def test_a_cell_has_the_same_key_in_every_study_and_no_other_has_it() -> None:
+    few, more = (cells_of(spec(fit={"degree": d}, seeds=2)) for d in ([2], [2, 3]))
+    keys = [cell.key for cell in more]
+    assert len(set(keys)) == len(keys)
+    assert {cell.key for cell in few} < set(keys)
 
 
 def test_a_random_design_draws_the_same_points_for_its_seed_alone() -> None:
@@ -132,52 +114,40 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown setting": ({"record": {"noise_pct": 1.0}}, "noise_pct"),
     "setting of another source": ({"record": {"case": "985"}}, "case"),
     "text for a number": ({"record": {"noise_percent": "high"}}, "high"),
-    "bool for a number": ({"record": {"noise_percent": True}}, "True"),
     "infinite": ({"record": {"noise_percent": float("inf")}}, "inf"),
     "fraction for a count": ({"record": {"n_records": 1.5}}, "1.5"),
-    "empty axis": ({"record": {"noise_percent": []}}, "an empty list"),
+    "empty axis": ({"record": {"noise_percent": []}}, "each once, found []"),
     "value twice": ({"record": {"noise_percent": [1.0, 1]}}, "[1.0, 1]"),
-    "range in a grid": ({"record": {"noise_percent": {"from": 1.0, "to": 2.0}}}, "steps"),
+    "range in a grid": ({"record": {"noise_percent": {"from": 1.0, "to": 2.0}}}, "'steps'"),
     "range upside down": (
         {"record": {"noise_percent": {"from": 2.0, "to": 1.0, "steps": 2}}},
         "'from' below 'to'",
     ),
     "log of zero": (
         {"record": {"noise_percent": {"from": 0.0, "to": 1.0, "log": True, "steps": 2}}},
-        "above 0",
+        "more than 0",
     ),
-    "range of texts": ({"record": {"hide": {"from": 1, "to": 2, "steps": 2}}}, "numbers alone"),
+    "range of texts": ({"record": {"hide": {"from": 1, "to": 2, "steps": 2}}}, "found 1.0"),
     "reduction of coefficients": ({"reduction": {"cutoff_hz": 20.0}}, "no counts to reduce"),
     "no seeds": ({"seeds": 0}, "from 1 on"),
     "seed twice": ({"seeds": [1, 1]}, "each once"),
-    "negative seed": ({"seeds": [-1]}, "-1"),
-    "first seed beside a list": ({"seeds": [1], "first_seed": 2}, "a list of seeds"),
     "unknown score": ({"scores": ["beauty"]}, "beauty"),
-    "unknown reference": ({"reference": "nobody"}, "nobody"),
-    "unknown axis": ({"by": ["record.noise_percent"]}, "of which there are none"),
+    "unknown reference": ({"reference": "magic"}, "magic"),
     "unknown design": ({"design": "latin"}, "latin"),
     "random without points": ({"design": {"seed": 1}}, "random"),
     "unknown method": ({"method": [{"name": "magic"}]}, "magic"),
-    "method without a name": ({"method": [{"class": "a:B"}]}, "None"),
     "method twice": ({"method": [{"name": "sindy"}, {"name": "sindy"}]}, "sindy"),
     "built-in with parameters": (
         {"method": [{"name": "sindy", "parameters": {"a": 1}}]},
         "with parameters",
     ),
     "path without a class": ({"method": [{"name": "m", "class": "package.module"}]}, "module"),
-    "path with code": ({"method": [{"name": "m", "class": "os:system('x')"}]}, "os:system"),
-    "table for a list": ({"method": {"name": "sindy"}}, "[[method]]"),
     "negative noise": ({"record": {"noise_percent": -1.0}}, "-1.0"),
-    "no length": ({"record": {"duration_s": 0}}, "above 0"),
-    "keep none": ({"series": {"keep_every": 0}}, "from 1 on"),
     "unknown effect": ({"record": {"hide": "gremlins"}}, "gremlins"),
     "unknown case": ({"record": {"source": "rig", "case": "50"}}, "'50'"),
-    "unknown hold": ({"fit": {"hold": "second"}}, "zero, first"),
-    "list of sources": ({"record": {"source": ["rig", "files"]}}, "['rig', 'files']"),
-    "no scores": ({"scores": []}, "found none"),
-    "far too many seeds": ({"seeds": 10**11}, "100000000000"),
-    "a seed beyond 64 bits": ({"seeds": [2**70]}, "below"),
-    "title of two lines": ({"title": "one\ntwo"}, "one line"),
+    "unknown hold": ({"fit": {"hold": "second"}}, "'zero' or 'first'"),
+    "no scores": ({"scores": []}, "one or more of"),
+    "a seed beyond 64 bits": ({"seeds": [2**70]}, "less than"),
     "files have no seeds": ({"record": {"source": "files", "path": "a"}, "seeds": 2}, "files"),
     "nothing": ({}, "an empty file"),
     "files without a path": ({"record": {"source": "files"}}, "nothing"),
@@ -187,23 +157,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_mistake_is_named_before_anything_is_computed(case: str) -> None:
-    given, told = BAD[case]
+    given, found = BAD[case]
     with pytest.raises(InputError, match="expected") as caught:
         spec_from(given)
-    assert told in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [(b"title = ", "a TOML file"), (b"\xff\xfe\x00", "UTF-8"), (None, "no such file")],
-)
-def test_a_file_that_is_no_declaration_is_named(
-    tmp_path: Path, content: bytes | None, told: str
-) -> None:
-    path = tmp_path / "study.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(InputError, match=told):
-        read_spec(path)
-    with pytest.raises(InputError, match="a folder"):
-        read_spec(tmp_path)
+    assert found in str(caught.value)

@@ -136,41 +136,6 @@ def test_nothing_missing_is_said_with_the_error_that_is_left(whole: SystemDiagno
     assert " mm in y" in found["words"]
 
 
-def test_words_name_effect_place_fall_and_other_names(hidden: SystemDiagnosis) -> None:
-    said = system_words(hidden)
-    for words in ("cubic stiffness", "dv/dt", "acting on q", "times smaller", "of which nothing"):
-        assert words in said
-    (item,) = hidden.missing
-    doubted = replace(
-        item,
-        provisional=True,
-        alias_labels=(item.label, "dead_zone(q) in dv/dt"),
-        confirm="a slow pull",
-    )
-    said = system_words(replace(hidden, missing=(doubted,)))
-    assert "cannot tell cubic_stiffness(q) in dv/dt from dead_zone(q) in dv/dt" in said
-    assert "what would: a slow pull" in said
-    assert "provisional" in said
-    assert said.count(". ") < 5
-
-
-def test_the_text_holds_every_part(hidden: SystemDiagnosis) -> None:
-    told = replace(hidden, unavailable={"dry_friction": "needs a sign"}, remarks=("A remark.",))
-    text = system_text(told)
-    for part in (
-        f"VERDICT: {hidden.verdict}",
-        "cubic stiffness",
-        "Parameters",
-        "rms errors",
-        "Who was tried",
-        "dry friction: needs a sign",
-        "A remark.",
-        "fitted",
-        "check",
-    ):
-        assert part in text
-
-
 def two_outputs(d: SystemDiagnosis, unit: str, factor: float) -> SystemDiagnosis:
     """The same errors in y, and twice these in a second output of another unit and size."""
     (run,) = d.checks

@@ -1,1 +1,0 @@
-"""The first-order lag in compiled loops: simulation, derivatives, the Gauss-Newton step."""

@@ -1,0 +1,445 @@
+"""A record and the lag model that is to predict it: stretches, drift, nearly orthogonal terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from classic_ml.noise_models import NoiseKind
+from surge_core.errors import InputError
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.segments import scored_pieces, with_known_inputs
+from surge_core.types import BoolArray, FloatArray, IntArray
+
+__all__ = [
+    "Drift",
+    "LagData",
+    "Piece",
+    "Terms",
+    "drift_of_runs",
+    "lag_data",
+    "nearly_orthogonal",
+    "rows_late",
+]
+
+# A knot every other row leaves nothing for the lag to explain.
+FEWEST_ROWS_A_KNOT = 4
+# Up to here the eigenvectors of the Gram matrix keep half of all digits; beyond, QR is called.
+MILD = 1e-8
+# Values of the hats that are kept as a plain table: 16 MB.
+MOST_DENSE = 2_000_000
+# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
+MOST_DEAD_SAMPLES = 250
+MOST_OF_A_RUN = 0.1
+MOST_OF_A_GIVEN_RUN = 0.5
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Combinations of the terms of a characteristic, of mean square one, no two alike.
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n, r)
+        The combinations, ``terms @ back``.
+    back : ndarray of shape (q, r)
+        What turns their coefficients into those of the terms.
+    """
+
+    columns: FloatArray
+    back: FloatArray
+
+    @property
+    def deficient(self) -> bool:
+        """Whether some terms are copies of others within rounding."""
+        return bool(self.back.shape[1] < self.back.shape[0])
+
+
+def nearly_orthogonal(terms: FloatArray) -> Terms:
+    """Return nearly orthogonal combinations of the terms, so that inner products keep their digits.
+
+    Parameters
+    ----------
+    terms : ndarray of shape (n, q)
+        The s_i(φ) at each sample.
+    """
+    n, q = terms.shape
+    gram = terms.T @ terms
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    kept = np.ones(q, dtype=np.bool_)
+    if q and values[0] < MILD * max(values[-1], 1e-300):
+        triangle = np.linalg.qr(terms / scale, mode="r")
+        _, singular, right = np.linalg.svd(triangle)
+        kept = singular > max(max(n, 1000) * np.finfo(np.float64).eps * singular[0], 1e-300)
+        vectors, values = right[: singular.size].T, singular**2
+    back = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None] * np.sqrt(n)
+    return Terms(np.asfortranarray(terms @ back), back)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A slow drift of the output: hats at the knots of each run, a continuous broken line.
+
+    Parameters
+    ----------
+    first : tuple of int
+        Number of the first hat of each run.
+    intervals : tuple of int
+        Intervals between the knots of each run; 0 is one level for the whole run.
+    steps : tuple of float
+        Knots passed from row to row in each run.
+    hats : ndarray or sparse array of shape (n, n_hats)
+        Value of each hat at each row; sparse where there are many.
+    """
+
+    first: tuple[int, ...]
+    intervals: tuple[int, ...]
+    steps: tuple[float, ...]
+    hats: Any
+
+    @property
+    def n_hats(self) -> int:
+        """Number of all hats."""
+        return int(self.hats.shape[1])
+
+
+def drift_of_runs(runs: list[slice], sample_period_s: float, knot_spacing_s: float) -> Drift:
+    """Return the hats of a continuous piecewise-linear drift.
+
+    Parameters
+    ----------
+    runs : list of slice
+        The segments. The time between two of them is not known, so each drifts on its own: as
+        a spline where it is longer than the knots are apart, else as one level.
+    sample_period_s : float
+        Sample period, in seconds.
+    knot_spacing_s : float
+        Distance of the knots, in seconds; 0.25 to 2 s serve equally well where the lag is tens
+        of milliseconds.
+
+    Raises
+    ------
+    InputError
+        When there would be a knot every few rows.
+    """
+    from scipy.sparse import coo_array
+
+    if knot_spacing_s < FEWEST_ROWS_A_KNOT * sample_period_s:
+        raise InputError(
+            "knot_spacing_s",
+            expected=f"at least {FEWEST_ROWS_A_KNOT} sample periods of {sample_period_s:g} s",
+            found=f"{knot_spacing_s:g} s",
+            remedy="raise knot_spacing_s to many times the time constant",
+        )
+    first, intervals, steps, parts = [], [], [], []
+    at = 0
+    for run in runs:
+        n = run.stop - run.start
+        count = round((n - 1) * sample_period_s / knot_spacing_s)
+        step = count / (n - 1) if count else 0.0
+        place = np.arange(n) * step
+        left = np.clip(np.floor(place + 1e-9), 0, max(count - 1, 0)).astype(np.int64)
+        rows = np.arange(run.start, run.stop)
+        parts.append((rows, at + left, 1.0 - (place - left)))
+        if count:
+            parts.append((rows, at + left + 1, place - left))
+        first.append(at)
+        intervals.append(count)
+        steps.append(step)
+        at += count + 1
+    rows, numbers, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+    hats: Any = coo_array((values, (rows, numbers)), shape=(runs[-1].stop, at)).tocsr()
+    if hats.shape[0] * hats.shape[1] <= MOST_DENSE:
+        hats = hats.toarray()
+    return Drift(tuple(first), tuple(intervals), tuple(steps), hats)
+
+
+def rows_late(dead: float) -> int:
+    """Return how many rows of a run answer to inputs from before it.
+
+    Parameters
+    ----------
+    dead : float
+        Dead time, in samples.
+    """
+    return int(np.ceil(dead)) + 1 if dead > 0.0 else 0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Rows that are predicted as one, without a gap.
+
+    Parameters
+    ----------
+    rows : slice
+        The rows.
+    run : slice
+        The segment that they are a part of.
+    number : int
+        Number of that segment.
+    errors : slice
+        Place of their errors, those ahead of the piece included.
+    """
+
+    rows: slice
+    run: slice
+    number: int
+    errors: slice
+
+
+@dataclass(frozen=True)
+class LagData:
+    """A record and the model that is to predict it.
+
+    Parameters
+    ----------
+    y : ndarray of shape (n,)
+        ψ' as measured.
+    terms : ndarray of shape (n, r)
+        The terms of the characteristic.
+    weight : ndarray of shape (n,)
+        Non-negative; rows of weight 0 are simulated through, not scored.
+    runs : tuple of slice
+        Rows of each segment; no equation straddles two.
+    sample_period_s : float
+        Sample period, in seconds.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    noise : {"arx", "armax", "output-error"}
+        What the error is taken to be.
+    order : int
+        Degree of C.
+    exact_start : bool
+        Give the errors before each stretch their share in the likelihood.
+    held_log_tau : float, optional
+        log τ, where it is not to be fitted.
+    dead : float
+        Dead time in samples, held or to start from.
+    longest_dead : float
+        Longest dead time that is tried, in samples.
+    fit_dead : bool
+        Fit the dead time.
+    drift : Drift, optional
+        A slow drift of zero mean; the constant belongs to the characteristic.
+    """
+
+    y: FloatArray
+    terms: FloatArray
+    weight: FloatArray
+    runs: tuple[slice, ...]
+    sample_period_s: float
+    hold: Hold
+    noise: NoiseKind
+    order: int = 0
+    exact_start: bool = True
+    held_log_tau: float | None = None
+    dead: float = 0.0
+    longest_dead: float = 0.0
+    fit_dead: bool = False
+    drift: Drift | None = None
+
+    @property
+    def is_output_error(self) -> bool:
+        """Whether the free run is fitted."""
+        return self.noise == "output-error"
+
+    @property
+    def ahead(self) -> int:
+        """Scored errors before each stretch."""
+        return 0 if self.is_output_error or not self.exact_start else self.order
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """Which of [log τ, dead time, ρ] are fitted."""
+        moves = [self.held_log_tau is None, self.fit_dead, *[True] * self.order]
+        return np.array(moves, dtype=np.bool_)
+
+    @property
+    def log_tau_bounds(self) -> tuple[float, float]:
+        """Range of log τ that is searched."""
+        longest = max(run.stop - run.start for run in self.runs)
+        low = 0.02 * self.sample_period_s
+        return float(np.log(low)), float(np.log(20.0 * longest * self.sample_period_s))
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """The stretches that are predicted as one.
+
+        For output error a stretch is a run; an equation looks one row back, so that a row of
+        weight 0 ends a stretch and the next begins one row behind it.
+        """
+        found: list[Piece] = []
+        at = 0
+        for number, run in enumerate(self.runs):
+            if self.is_output_error:
+                stretches = [run] if np.any(self.weight[run] > 0.0) else []
+            else:
+                stretches = [slice(s.start + 1, s.stop) for s in scored_pieces(self.weight, run)]
+            for rows in stretches:
+                stop = at + self.ahead + rows.stop - rows.start
+                found.append(Piece(rows, run, number, slice(at, stop)))
+                at = stop
+        return tuple(found)
+
+    @cached_property
+    def rows_of_errors(self) -> IntArray:
+        """Row of each error; that of the first behind it for errors ahead of a piece."""
+        ahead = [np.full(self.ahead, piece.rows.start) for piece in self.pieces]
+        rows = [np.arange(piece.rows.start, piece.rows.stop) for piece in self.pieces]
+        parts = [part for pair in zip(ahead, rows, strict=True) for part in pair]
+        return np.concatenate([*parts, np.zeros(0, dtype=np.int64)]).astype(np.int64)
+
+    @cached_property
+    def ahead_places(self) -> IntArray:
+        """Places of the errors ahead of the pieces."""
+        begins = [piece.errors.start for piece in self.pieces]
+        return np.add.outer(begins, np.arange(self.ahead)).astype(np.int64).ravel()
+
+    @cached_property
+    def root(self) -> FloatArray | None:
+        """Square root of the weight of each error, None where all are one."""
+        if np.all(self.weight == 1.0):
+            return None
+        return np.asarray(np.sqrt(self.weight[self.rows_of_errors]))
+
+    @cached_property
+    def scored(self) -> IntArray:
+        """Places of the errors that count."""
+        if self.root is None:
+            return np.arange(self.rows_of_errors.size)
+        return np.flatnonzero(self.root > 0.0)
+
+    @property
+    def piece_lengths(self) -> IntArray:
+        """Scored errors of each piece."""
+        ends = [0, *(piece.errors.stop for piece in self.pieces)]
+        return np.diff(np.searchsorted(self.scored, ends)).astype(np.int64)
+
+    def n_parameters(self, n_terms: int) -> int:
+        """Return the number of fitted parameters, the start of each piece among them.
+
+        Parameters
+        ----------
+        n_terms : int
+            Terms of the characteristic, as the user counts them.
+        """
+        hats = 0 if self.drift is None else max(self.drift.n_hats - 1, 0)
+        starts = (1 if self.is_output_error else self.ahead) * len(self.pieces)
+        return int(self.free.sum()) + n_terms + hats + starts
+
+    def lag(self, log_tau: float, dead: float) -> FirstOrderLag:
+        """Return the lag of a trial time constant and dead time in samples."""
+        period = self.sample_period_s
+        return FirstOrderLag(float(np.exp(log_tau)), period, self.hold, dead * period)
+
+    def head(self, n_rows: int) -> LagData:
+        """Return the same on the first runs, up to about ``n_rows`` rows."""
+        runs: list[slice] = []
+        left = n_rows
+        for run in self.runs:
+            if left <= 0:
+                break
+            runs.append(slice(run.start, min(run.stop, run.start + left)))
+            left -= run.stop - run.start
+        end = runs[-1].stop
+        return replace(
+            self,
+            y=self.y[:end],
+            terms=self.terms[:end],
+            weight=self.weight[:end],
+            runs=tuple(runs),
+            drift=None if self.drift is None else replace(self.drift, hats=self.drift.hats[:end]),
+        )
+
+
+class LagSettings(Protocol):
+    """Parameters of :class:`classic_ml.LagRegressor` that make the model."""
+
+    sample_period_s: float
+    noise: NoiseKind
+    drift: Literal["spline"] | None
+    hold: Hold
+    noise_order: int
+    knot_spacing_s: float
+    exact_start: bool
+    time_constant_s: float | None
+    dead_time_s: float | Literal["fit"]
+
+
+def lag_data(
+    settings: LagSettings,
+    y: FloatArray,
+    terms: FloatArray,
+    weight: FloatArray,
+    runs: list[slice],
+    about: float | None = None,
+) -> LagData:
+    """Set up the fit.
+
+    Parameters
+    ----------
+    settings : LagSettings
+        The model, its parameters checked.
+    y : ndarray of shape (n,)
+        ψ' as measured.
+    terms : ndarray of shape (n, r)
+        The terms of the characteristic.
+    weight : ndarray of shape (n,)
+        Weight of each row.
+    runs : list of slice
+        The segments.
+    about : float, optional
+        The dead time in samples, where it is roughly known.
+
+    Raises
+    ------
+    InputError
+        When the dead time or the drift's knots do not suit the segments.
+    """
+    period, held = float(settings.sample_period_s), settings.time_constant_s
+    dead, longest = _dead_samples(settings, runs, about)
+    if longest > 0.0:
+        weight = with_known_inputs(weight, runs, rows_late(longest))
+    drift = None
+    if settings.drift is not None:
+        drift = drift_of_runs(runs, period, settings.knot_spacing_s)
+    return LagData(
+        y,
+        terms,
+        weight,
+        tuple(runs),
+        period,
+        settings.hold,
+        settings.noise,
+        settings.noise_order if settings.noise == "armax" else 0,
+        bool(settings.exact_start),
+        None if held is None else float(np.log(held)),
+        dead,
+        longest,
+        settings.dead_time_s == "fit",
+        drift,
+    )
+
+
+def _dead_samples(
+    settings: LagSettings, runs: list[slice], about: float | None
+) -> tuple[float, float]:
+    """Return the dead time to start from and the longest that is tried, in samples."""
+    period = float(settings.sample_period_s)
+    shortest = min(run.stop - run.start for run in runs)
+    if settings.dead_time_s == "fit":
+        longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
+        return (0.0, longest) if about is None else (about, min(longest, about + 1.0))
+    dead = float(settings.dead_time_s) / period
+    if dead > MOST_OF_A_GIVEN_RUN * shortest:
+        raise InputError(
+            "dead_time_s",
+            expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
+            found=f"{settings.dead_time_s:g}",
+        )
+    return dead, dead

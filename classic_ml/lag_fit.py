@@ -1,0 +1,385 @@
+"""From a record to τ, the characteristic and their covariance: scan, head, whole record, blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from classic_ml.lag_data import LagData, Terms
+from classic_ml.likelihood import Profile, jacobian, profile
+from classic_ml.noise_models import MovingAverage
+from surge_core.fit_state import FitState
+from surge_core.leave_out import (
+    BLOCKS,
+    Rest,
+    block_edges,
+    correlation_length,
+    eliminate,
+    leave_out,
+    scatter,
+    slow_correlation_length,
+)
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["LagFit", "Newton", "fit_lag", "newton", "without_blocks"]
+
+# A first-order lag looks much the same over a factor of three in τ. The equations' sum of squares
+# is a parabola in a and b, so that there a search ends at its one minimum from anywhere.
+SCAN_POINTS = 8
+FEW_SCAN_POINTS = 5
+SCAN_ROWS = 4_000
+# A search is brought to its end on this share of a long record before the first pass over all.
+HEAD_SHARE = 0.05
+HEAD_ROWS = 20_000
+BEST_DEAD_TIMES = 3
+MAXIMUM_ITERATIONS = 200
+# With C near the unit circle the last steps shrink slowly: a hundredth of a standard error short of
+# the minimum is still at it.
+COARSE_DECREMENT = 1e-4
+# One standard error short of the minimum says which of several minima is the lower.
+CHOICE_DECREMENT = 1.0
+# A step of 1e-4 standard errors changes nothing that is ever printed; of 1e-6 no test.
+NEWTON_DECREMENT = 1e-8
+FINE_DECREMENT = 1e-12
+LONG_RECORD = 200_000
+# Of the cost: smaller differences between two passes are rounding.
+BLIND = 1e-11
+# Normalised eigenvalue of the terms' own normal equations: below it they cannot be separated.
+RANK_LIMIT = 1e-13
+
+
+@dataclass(frozen=True)
+class LagFit:
+    """What a fit found, in the units of the user.
+
+    Parameters
+    ----------
+    shape : ndarray
+        Logarithm of τ in seconds, dead time in samples, ρ of C.
+    coef : ndarray of shape (q,)
+        β of the terms as the user knows them.
+    drift : ndarray
+        Values of the drift at its knots.
+    moves : ndarray of shape (n_blocks, 2 + q)
+        By how much log τ, dead time and β move without each block.
+    curve_moves : ndarray of shape (n_blocks, r)
+        Moves of the coefficients of nearly orthogonal terms, their mean taken out. In powers of
+        φ the moves of β all but cancel in those of the curve; these do not.
+    cost : float
+        Sum of squared weighted errors.
+    n_errors, n_lags : int
+        Scored errors, and lags over which they hang together.
+    state : FitState
+        How it ended.
+    """
+
+    shape: FloatArray
+    coef: FloatArray
+    drift: FloatArray
+    moves: FloatArray
+    curve_moves: FloatArray
+    cost: float
+    n_errors: int
+    n_lags: int
+    state: FitState
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of log τ, dead time in samples and β."""
+        return scatter(self.moves)
+
+    @property
+    def moving_average(self) -> FloatArray:
+        """Coefficients of C."""
+        return MovingAverage(self.shape[2:]).coefficients
+
+
+@dataclass(frozen=True)
+class Newton:
+    """The cost near a profile, as a parabola in the free shape parameters.
+
+    Parameters
+    ----------
+    slope : ndarray of shape (s,)
+        Half the downhill slope of the cost.
+    curvature : ndarray of shape (s, s)
+        Half its curvature (Gauss-Newton), everything linear following.
+    may_move : ndarray of bool, shape (s,)
+        Not those pressed against a bound.
+    jacobian : ndarray of shape (m, s + r)
+        ∂e/∂(free shape, β).
+    normal : ndarray of shape (r, r)
+        Inner products of its columns of β, the drift apart.
+    """
+
+    slope: FloatArray
+    curvature: FloatArray
+    may_move: BoolArray
+    jacobian: FloatArray
+    normal: FloatArray
+
+    def step(self, damping: float) -> FloatArray:
+        """Return a damped step to the minimum."""
+        damped = self.curvature + damping * np.diag(np.diag(self.curvature) + 1e-300)
+        move = np.zeros(self.slope.size)
+        at = np.ix_(self.may_move, self.may_move)
+        move[self.may_move] = np.linalg.lstsq(damped[at], self.slope[self.may_move])[0]
+        # log τ and ρ are of order one: longer moves leave the region where the slope holds.
+        return move * min(1.0, 1.5 / max(float(np.max(np.abs(move), initial=0.0)), 1e-300))
+
+    @property
+    def decrement(self) -> float:
+        """What a full step would take from the cost."""
+        slope = self.slope[self.may_move]
+        inner = self.curvature[np.ix_(self.may_move, self.may_move)]
+        return float(slope @ np.linalg.lstsq(inner, slope)[0]) if slope.size else 0.0
+
+
+def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
+    """Return slope and curvature of the cost in the free shape parameters.
+
+    Parameters
+    ----------
+    data : LagData
+        Record and model.
+    at : Profile
+        Where.
+    at_kink : bool
+        Hold the dead time: the cost has a kink in it at whole samples, and it came to one.
+    """
+    s = int(data.free.sum())
+    both = jacobian(data, at)
+    gram = both.T @ both
+    if at.local is not None:
+        columns = at.local.columns
+        gram, _ = eliminate(gram, columns.T @ both, columns.T @ columns, at.local.mean)
+    cross = gram[:s, s:]
+    curvature = gram[:s, :s] - cross @ np.linalg.lstsq(gram[s:, s:], cross.T)[0]
+    slope = -both[:, :s].T @ at.errors
+    movable = np.ones(s, dtype=np.bool_)
+    if data.fit_dead:
+        place, dead = s - data.order - 1, float(at.shape[1])
+        outward = (dead <= 0.0 and slope[place] < 0.0) or (
+            dead >= data.longest_dead and slope[place] > 0.0
+        )
+        movable[place] = not (outward or at_kink)
+    return Newton(slope, curvature, movable, both, gram[s:, s:])
+
+
+def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
+    """Fit a lag model to a record.
+
+    Parameters
+    ----------
+    data : LagData
+        Record and model, its terms those of ``terms``.
+    terms : Terms
+        How they come from the user's.
+    start : LagFit, optional
+        An earlier fit to start from, in place of a scan.
+    """
+    starts = _starts(data) if start is None else [start.shape]
+    at, near, state = _search(data, starts)
+    scored = at.errors[data.scored]
+    n_lags = correlation_length(scored, data.piece_lengths)
+    shortest = n_lags
+    if n_lags > scored.size / BLOCKS:
+        shortest = min(n_lags, slow_correlation_length(scored, data.piece_lengths))
+    rest = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
+    s = int(data.free.sum())
+    moves = np.zeros((len(rest.moves), 2))
+    moves[:, data.free[:2]] = rest.moves[:, : s - data.order]
+    curve_moves = rest.moves[:, s:]
+    if terms.deficient or _is_deficient(near.normal):
+        state = FitState.RANK_DEFICIENT
+    return LagFit(
+        at.shape,
+        terms.back @ at.beta,
+        at.levels,
+        np.column_stack([moves, curve_moves @ terms.back.T]),
+        curve_moves - curve_moves.mean(axis=0),
+        at.cost,
+        scored.size,
+        n_lags,
+        state,
+    )
+
+
+def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> Rest:
+    """Return the fits without each block of errors, linearised.
+
+    Parameters
+    ----------
+    data : LagData
+        Record and model.
+    at : Profile
+        The whole fit.
+    both : ndarray of shape (m, s + r)
+        Its ∂e/∂(free shape, β).
+    blocks : list of slice
+        Errors of each block, in one stretch.
+    """
+    if at.local is None or data.drift is None:
+        return leave_out(both, at.errors, blocks)
+    # The drift of the other rows has zero mean over them: within the block it is extrapolated.
+    means = np.zeros((len(blocks), at.local.mean.size))
+    for number, block in enumerate(blocks):
+        rows = np.unique(data.rows_of_errors[block])
+        means[number] = data.drift.hats[rows].T @ data.weight[rows]
+    errors = at.errors + at.local.columns @ at.levels
+    return leave_out(both, errors, blocks, at.local, means)
+
+
+def _blocks(data: LagData, n_lags: int) -> list[slice]:
+    """Return the blocks of the jackknife as slices of the errors."""
+    blocks = []
+    lengths = data.piece_lengths
+    at = np.concatenate([[0], np.cumsum(lengths)])
+    for number, inner in enumerate(block_edges(lengths, n_lags)):
+        edges = at[number] + np.concatenate([[0], inner, [lengths[number]]])
+        places = np.append(data.scored, data.scored[-1] + 1)[edges]
+        blocks += [slice(int(a), int(b)) for a, b in pairwise(places)]
+    return blocks
+
+
+def _is_deficient(gram: FloatArray) -> bool:
+    scale = np.sqrt(np.diag(gram))
+    if np.any(scale == 0.0):
+        return True
+    values = np.linalg.eigvalsh(gram / np.outer(scale, scale))
+    return bool(values.size and values[0] <= RANK_LIMIT * values[-1])
+
+
+def _search(
+    data: LagData, starts: list[FloatArray], fine: float | None = None
+) -> tuple[Profile, Newton, FitState]:
+    """Refine from each start and return the best fit, and how it ended."""
+    if fine is None:
+        fine = NEWTON_DECREMENT if data.rows_of_errors.size > LONG_RECORD else FINE_DECREMENT
+    if len(starts) > 1:
+        # The choice among them needs no more digits than their costs differ in.
+        ends = [_refine(data, start, CHOICE_DECREMENT)[0] for start in starts]
+        starts = [min(ends, key=lambda end: end.cost).shape]
+    return _refine(data, starts[0], fine)
+
+
+def _refine(data: LagData, start: FloatArray, tolerance: float) -> tuple[Profile, Newton, FitState]:
+    low, high = data.log_tau_bounds
+    fitted = data.held_log_tau is None
+    if fitted:
+        start = np.concatenate([[np.clip(start[0], low, high)], start[1:]])
+    at = profile(data, start)
+    near = newton(data, at)
+    n_errors = max(data.scored.size, 1)
+    damping, state, at_kink = 1e-3, FitState.NOT_CONVERGED, False
+    for _ in range(MAXIMUM_ITERATIONS):
+        left = near.decrement
+        if left <= tolerance * at.cost / n_errors:
+            state = FitState.CONVERGED
+            break
+        trial, damping = _step(data, at, near, damping, left)
+        if trial is None and (at_kink or not data.fit_dead):
+            # No downhill step is left within rounding: that is the minimum.
+            state = FitState.CONVERGED
+            break
+        if trial is None:
+            damping, at_kink = 1e-3, True
+        else:
+            at = trial
+        near = newton(data, at, at_kink=at_kink)
+    if near.decrement <= COARSE_DECREMENT * at.cost / n_errors:
+        state = FitState.CONVERGED
+    if fitted and at.shape[0] <= low + 1e-9:
+        state = FitState.AT_LOWER_BOUND
+    elif fitted and at.shape[0] >= high - 1e-9:
+        state = FitState.AT_UPPER_BOUND
+    return at, near, state
+
+
+def _step(
+    data: LagData, at: Profile, near: Newton, damping: float, left: float
+) -> tuple[Profile | None, float]:
+    """Take a damped Gauss-Newton step that lowers the cost, or None when there is none."""
+    # So near the end the cost itself has no digits left to compare.
+    blind = left <= BLIND * at.cost
+    while damping < 1e8:
+        shape = at.shape.copy()
+        shape[data.free] += near.step(damping)
+        if data.held_log_tau is None:
+            shape[0] = np.clip(shape[0], *data.log_tau_bounds)
+        if data.fit_dead:
+            shape[1] = np.clip(shape[1], 0.0, data.longest_dead)
+        trial = profile(data, shape)
+        if trial.cost < at.cost or (blind and trial.cost <= at.cost * (1.0 + BLIND)):
+            return trial, max(damping / 10.0, 1e-12)
+        damping = max(damping * 10.0, 1e-6)
+    return None, damping
+
+
+def _starts(data: LagData) -> list[FloatArray]:
+    """Scan log τ on the head of the record, and search on longer and longer heads."""
+    n_rows = sum(run.stop - run.start for run in data.runs)
+    heads = [SCAN_ROWS]
+    while heads[-1] < HEAD_SHARE * n_rows:
+        heads.append(int(HEAD_SHARE * n_rows) if len(heads) > 1 else HEAD_ROWS)
+    heads = [rows for rows in heads if rows < n_rows and _is_enough(data.head(rows))]
+    starts = _shapes(data.head(heads[0]) if heads else data)
+    for rows in heads:
+        head = data.head(rows)
+        at, _, state = _search(head, starts, COARSE_DECREMENT)
+        if state is not FitState.CONVERGED:
+            # φ stands still there, say: the choice is made on the whole record.
+            return _shapes(data)
+        starts = [at.shape]
+    return starts
+
+
+def _is_enough(data: LagData) -> bool:
+    return bool(data.scored.size > data.n_parameters(data.terms.shape[1]) + 3)
+
+
+def _shapes(data: LagData) -> list[FloatArray]:
+    """Return the shapes from which to search: armax starts from arx and from output error."""
+    if data.is_output_error or data.order == 0:
+        points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
+        return [np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(data, points)]
+    plain = replace(data, noise="arx", order=0)
+    shapes = [
+        np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(plain, FEW_SCAN_POINTS)
+    ]
+    free_run = replace(data, noise="output-error", order=0)
+    for pair in _pairs(free_run, FEW_SCAN_POINTS):
+        # Output error is armax with C = A: the other end of the family.
+        c = np.zeros(data.order)
+        c[0] = -data.lag(pair[0], 0.0).a
+        shapes.append(np.concatenate([pair, MovingAverage.from_coefficients(c).free]))
+    return shapes
+
+
+def _pairs(data: LagData, points: int) -> list[FloatArray]:
+    """Scan log τ, and the dead time where it is fitted; several dead times may be worth a try."""
+    low, high = data.log_tau_bounds
+    grid = np.linspace(low + np.log(10.0), high, points)
+    held = data.held_log_tau
+    if held is not None:
+        grid = np.array([held])
+    if not data.fit_dead and held is not None:
+        return [np.array([held, data.dead])]
+    found = []
+    for dead in _dead_times(data.longest_dead) if data.fit_dead else [data.dead]:
+        costs = [profile(data, np.array([value, dead])).cost for value in grid]
+        best = int(np.argmin(costs))
+        found.append((costs[best], float(grid[best]), dead))
+    found.sort()
+    return [np.array([log_tau, dead]) for _, log_tau, dead in found[:BEST_DEAD_TIMES]]
+
+
+def _dead_times(longest: float) -> list[float]:
+    """Return trial dead times in samples, each half as long again as the one before."""
+    times, step = [0.5], 1.0
+    while times[-1] + step < longest:
+        times.append(times[-1] + step)
+        step = max(1.0, 0.5 * times[-1])
+    return times

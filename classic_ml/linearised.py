@@ -1,0 +1,126 @@
+"""The errors of a fitted lag model and their derivatives, on rows like those of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from classic_ml.lag_data import LagData, Terms
+from classic_ml.likelihood import jacobian, profile
+from surge_core.leave_out import LocalColumns
+from surge_core.types import FloatArray, IntArray
+
+__all__ = ["LinearisedFit", "linearised", "linearised_static"]
+
+
+@dataclass(frozen=True)
+class LinearisedFit:
+    """The errors of a fit and their derivatives.
+
+    Parameters
+    ----------
+    errors : ndarray of shape (n,)
+        Prediction errors of the scored rows, times the root of their weights.
+    jacobian : ndarray of shape (n, p)
+        ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms, dead time, C).
+    back : ndarray of shape (q, r)
+        What turns those coefficients into β.
+    rows : ndarray of int, shape (n,)
+        Row of the data that each error belongs to.
+    pieces : tuple of slice
+        Stretches of ``errors`` that follow each other without a gap.
+    segment : ndarray of int, shape (n,)
+        Number of the segment, from 0, of each error.
+    aside : ndarray of shape (n,)
+        What the drift of the fit adds to ψ' at each row.
+    local : LocalColumns, optional
+        Columns of the drift, which few rows see.
+    before : ndarray of shape (n,)
+        The errors before the drift takes its part; ``errors`` where there is none.
+    """
+
+    errors: FloatArray
+    jacobian: FloatArray
+    back: FloatArray
+    rows: IntArray
+    pieces: tuple[slice, ...]
+    segment: IntArray
+    aside: FloatArray
+    local: LocalColumns | None
+    before: FloatArray
+
+
+def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray) -> LinearisedFit:
+    """Linearise about given parameters; starts and drift are the best for these.
+
+    Parameters
+    ----------
+    data : LagData
+        Record and model.
+    terms : Terms
+        How its terms come from the user's.
+    shape : ndarray
+        log τ, dead time in samples, ρ.
+    beta : ndarray of shape (r,)
+        Coefficients of the nearly orthogonal terms.
+    """
+    at = profile(data, shape, beta)
+    both, n_shape = jacobian(data, at), int(data.free.sum())
+    # ∂e/∂τ from ∂e/∂log τ; a held τ does not move.
+    fitted = int(data.held_log_tau is None)
+    tau = both[:, :1] / np.exp(shape[0]) if fitted else np.zeros((both.shape[0], 1))
+    keep = data.scored
+    rows = data.rows_of_errors[keep]
+    errors, local, aside = at.errors[keep], at.local, np.zeros(data.y.size)
+    before = errors
+    if local is not None and data.drift is not None:
+        local = replace(local, columns=local.columns[keep])
+        aside = data.drift.hats @ at.levels
+        before = errors + local.columns @ at.levels
+    segment = _numbers(list(data.runs))[rows]
+    return LinearisedFit(
+        errors,
+        np.column_stack([tau, both[:, n_shape:], both[:, fitted:n_shape]])[keep],
+        terms.back,
+        rows,
+        _stretches(rows, segment),
+        segment,
+        aside[rows],
+        local,
+        before,
+    )
+
+
+def linearised_static(
+    errors: FloatArray, terms: Terms, weight: FloatArray, runs: list[slice]
+) -> LinearisedFit:
+    """Linearise a static curve, which has no lag.
+
+    Parameters
+    ----------
+    errors : ndarray of shape (n,)
+        ψ' less the curve.
+    terms : Terms
+        The terms of the curve.
+    weight : ndarray of shape (n,)
+        Weights of the rows.
+    runs : list of slice
+        The segments.
+    """
+    root, rows = np.sqrt(weight), np.flatnonzero(weight)
+    columns = np.column_stack([np.zeros(errors.size), -terms.columns * root[:, None]])[rows]
+    scaled, segment = (errors * root)[rows], _numbers(runs)[rows]
+    pieces, aside = _stretches(rows, segment), np.zeros(rows.size)
+    return LinearisedFit(scaled, columns, terms.back, rows, pieces, segment, aside, None, scaled)
+
+
+def _numbers(runs: list[slice]) -> IntArray:
+    return np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
+
+
+def _stretches(rows: IntArray, labels: IntArray) -> tuple[slice, ...]:
+    cuts = np.flatnonzero((np.diff(rows) != 1) | (np.diff(labels) != 0)) + 1
+    edges = [0, *cuts.tolist(), rows.size]
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(edges) if b > a)

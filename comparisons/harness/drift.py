@@ -1,0 +1,182 @@
+"""What makes τ doubtful on the rows themselves: a slow drift, and φ and ψ' out of step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.lag_regressor import LagRegressor
+from comparisons.harness.fit_quality import rms
+from comparisons.results import FitRows
+from surge_core.fit_state import FitState
+from surge_core.lag import Hold
+
+__all__ = ["TAUS_A_KNOT", "Drift", "Misalignment", "drift_of", "misalignment"]
+
+FALSE_ALARM = 0.01
+# With knots five time constants apart the error of τ is twice that with knots of a second, with
+# knots two apart six times (white noise, a well excited record).
+TAUS_A_KNOT = 5.0
+# A share of a sample is what the hold of φ between its samples is worth.
+LEAST_DELAY_SAMPLES = 0.5
+MARGIN_ROWS = 30
+FEWEST_ROWS = 200
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What wanders slowly in a record.
+
+    Parameters
+    ----------
+    rms : float
+        Of the drift, in the unit of the coefficient.
+    error_rms : float
+        Of what lag and drift leave.
+    time_s : float
+        Time scale, rms over rms of the slope: T of exp(-t/T), 1/ω of a sine.
+    tau_s, stderr_s : float
+        τ of the fit with the drift, and its standard error, in seconds.
+    knot_spacing_s : float
+        Knots of the spline, in seconds.
+    """
+
+    rms: float
+    error_rms: float
+    time_s: float
+    tau_s: float
+    stderr_s: float
+    knot_spacing_s: float
+
+    @property
+    def dominates(self) -> bool:
+        """Whether the drift is larger than the errors: a smaller one moves no τ."""
+        return self.rms > self.error_rms
+
+
+@dataclass(frozen=True)
+class Misalignment:
+    """How much later ψ' follows φ than a lag says.
+
+    Parameters
+    ----------
+    delay_s, stderr_s : float
+        Dead time and its standard error, in seconds; negative where ψ' comes first.
+    threshold : float
+        Standard errors beyond which it is significant.
+    sample_period_s : float
+        Sample period, in seconds.
+    """
+
+    delay_s: float
+    stderr_s: float
+    threshold: float
+    sample_period_s: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is more than chance, and more than the hold of φ is worth."""
+        return (
+            abs(self.delay_s) > self.threshold * self.stderr_s
+            and abs(self.delay_s) > LEAST_DELAY_SAMPLES * self.sample_period_s
+        )
+
+
+def drift_of(
+    rows: FitRows, *, degree: int = 2, hold: Hold = "first", knot_spacing_s: float = 1.0
+) -> Drift | None:
+    """Fit output error with a slow spline and return what the spline took.
+
+    Parameters
+    ----------
+    rows : FitRows
+        The rows.
+    degree : int
+        Degree of the characteristic.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    knot_spacing_s : float
+        Knots of the spline, in seconds.
+
+    Returns
+    -------
+    Drift or None
+        None where that fit did not end well.
+    """
+    model = LagRegressor(
+        rows.sample_period_s,
+        noise="output-error",
+        drift="spline",
+        degree=degree,
+        hold=hold,
+        knot_spacing_s=knot_spacing_s,
+    ).fit(rows.X, rows.measured, rows.labels)
+    if model.fit_state_ is not FitState.CONVERGED:
+        return None
+    fit = model.linearised(rows.X, rows.measured, rows.labels)
+    slopes = [np.diff(fit.aside[p]) / rows.sample_period_s for p in fit.pieces]
+    steepness = rms(np.concatenate(slopes))
+    size = rms(fit.aside - np.mean(fit.aside))
+    return Drift(
+        size,
+        rms(fit.errors),
+        size / steepness if steepness > 0.0 else math.inf,
+        float(model.time_constant_s_),
+        float(model.time_constant_stderr_s_),
+        knot_spacing_s,
+    )
+
+
+def misalignment(rows: FitRows, *, degree: int = 2, hold: Hold = "first") -> Misalignment | None:
+    """Fit a dead time of either sign beside the lag, by output error with a drift.
+
+    Parameters
+    ----------
+    rows : FitRows
+        The rows.
+    degree : int
+        Degree of the characteristic.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+
+    Returns
+    -------
+    Misalignment or None
+        None where the segments are too short for it or the fit did not end well.
+    """
+    from scipy.stats import norm, t
+
+    shortest = min(run.stop - run.start for run in rows.runs)
+    margin = min(MARGIN_ROWS, shortest // 25)
+    if margin < 1 or rows.phi.size < FEWEST_ROWS:
+        return None
+    late = _late(rows, margin)
+    model = LagRegressor(
+        late.sample_period_s,
+        noise="output-error",
+        drift="spline",
+        degree=degree,
+        hold=hold,
+        dead_time_s="fit",
+    ).fit(late.X, late.measured, late.labels)
+    if model.fit_state_ is not FitState.CONVERGED:
+        return None
+    n = model.n_blocks_
+    tail = 0.5 * FALSE_ALARM
+    return Misalignment(
+        float(model.dead_time_s_) - margin * rows.sample_period_s,
+        float(model.dead_time_stderr_s_),
+        float(t.isf(tail, n - 1) if n > 1 else norm.isf(tail)),
+        rows.sample_period_s,
+    )
+
+
+def _late(rows: FitRows, margin: int) -> FitRows:
+    """Let ψ' come some rows later than it did, so that a dead time of either sign is positive."""
+    keep = np.zeros(rows.phi.size, dtype=np.bool_)
+    for run in rows.runs:
+        keep[run.start + margin : run.stop] = True
+    earlier = np.maximum(np.arange(rows.phi.size) - margin, 0)
+    return replace(rows, measured=rows.measured[earlier]).part(keep)

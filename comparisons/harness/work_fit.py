@@ -1,0 +1,90 @@
+"""The work characteristic of a raw record, its breakpoints searched where they are not given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from classic_ml.reduction import ReductionSettings, reduce_record
+from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
+from comparisons.harness.cautions import unknown_work
+from surge_core.errors import InputError
+
+if TYPE_CHECKING:
+    from classic_ml.readers import TestDescription
+    from classic_ml.records import Record
+
+__all__ = ["fit_work"]
+
+# Slopes over less than this share of the range are not separated from the errors of φ.
+LEAST_PIECE = 0.25
+GRID_POINTS = 7
+FEWEST_ROWS = 60
+
+
+def fit_work(
+    record: Record,
+    test: TestDescription,
+    *,
+    breakpoints: tuple[float, float] | None = None,
+    time_constant_s: float | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> WorkCharacteristic:
+    """Reduce a raw record without any low-pass and fit its work characteristic.
+
+    Parameters
+    ----------
+    record : Record
+        Counts and kelvin, as :func:`classic_ml.readers.read_raw` returns them.
+    test : TestDescription
+        The test they belong to.
+    breakpoints : tuple of float, optional
+        Where the straight pieces of Fig 22 meet; without them the pair with the least error is
+        taken from a grid over the flow that the record visits.
+    time_constant_s : float, optional
+        Hold τ at this value.
+    progress : callable
+        Wraps the iteration over the pairs, to show how far it is.
+
+    Raises
+    ------
+    InputError
+        In one sentence when there is no T31 that counts, so no W31 and no ψ.
+    """
+    settings = ReductionSettings(phase="none", thermocouple_inversion=True)
+    reduction = reduce_record(record, test, settings)
+    if "W31_kg_s" not in reduction.record:
+        raise InputError(
+            f"{record.source}: ψ",
+            expected="T31 inside the range of its acquisition in the surge cycles",
+            found=str(unknown_work(reduction.record.history) or "none"),
+        )
+    # All rows of the settled machine: cycles that do not repeat each other serve as well.
+    window = reduction.record["free_run"] > 0.5
+
+    def fitted(pair: tuple[float, float]) -> WorkCharacteristic:
+        return fit_work_characteristic(
+            reduction.record, test, window, breakpoints=pair, time_constant_s=time_constant_s
+        )
+
+    if breakpoints is not None:
+        return fitted(breakpoints)
+    phi = reduction.series.phi[reduction.record["free_run"] == 2.0]
+    if phi.size < FEWEST_ROWS:
+        raise InputError(
+            f"{record.source}: ψ",
+            expected=f"at least {FEWEST_ROWS} rows of forward flow in stall",
+            found=f"{phi.size}",
+            remedy="name a longer [window] in the test description",
+        )
+    low, high = np.percentile(phi, [5.0, 95.0])
+    apart = LEAST_PIECE * (high - low)
+    # A little off the grid's own spacing, so that rounding decides nothing.
+    grid = np.linspace(low, high, GRID_POINTS + 2)[1:-1]
+    pairs = [(float(a), float(b)) for a, b in combinations(grid, 2) if b - a >= 0.99 * apart]
+    fits = [fitted(pair) for pair in progress(pairs)]
+    return min(fits, key=lambda fit: (math.isnan(fit.residual_std), fit.residual_std))

@@ -1,0 +1,136 @@
+"""What a reader should know before using a result: a code, its numbers, and one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+__all__ = ["Caution", "texts_of"]
+
+# Of the findings of one step in one ledger so many are written out, the rest counted.
+FINDINGS_SHOWN = 3
+
+_BIAS = (
+    "the pressures were low-passed at {cutoff_hz} Hz before the flow equation, and on data "
+    "low-passed at 48 Hz there the τ of ψ' is known to come out high (about 30 ms where 18 ms is "
+    "true, on a rig with known truth at 98.5 % speed: “sindy-surge demo” prints it). Standard "
+    "errors and intervals state scatter and do not contain this bias"
+)
+SENTENCES: Mapping[str, str] = {
+    # Which τ to quote, and what the ranking of held-out errors is worth.
+    "quote_tau": "which τ to quote: that of {estimators}, which comes from one free run through "
+    "the unfiltered signals. For the others " + _BIAS,
+    "tau_biased": "what τ can be trusted for: " + _BIAS + ": compare estimators on the same data, "
+    "but do not quote this τ as the time constant of the compressor",
+    "held_out_is_prediction": "held-out rms says how well {symbol} is predicted from this record's "
+    "φ, not how near the characteristic is",
+    # Of the records.
+    "ledger": "{finding}",
+    "no_ledger": "no ledger lies beside it, so it is not known how it was filtered; a low-pass "
+    "before the flow equation makes τ come out high",
+    "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
+    "in-stall",
+    "odd_rate": "{rate_hz:g} rows a second: is time_s in seconds?",
+    "same_rows": "holds the same rows as {other}: errors are stated too small",
+    "speeds_apart": "the records lie between {low_percent:.0f} and {high_percent:.0f} % corrected "
+    "speed: one curve is fitted to all of them",
+    "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "
+    "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
+    "rows_left_out": "{rows} rows in a stretch of fewer than {fewest} were not fitted",
+    "rows_left_out_psi": "{rows} rows without a known ψ or in a stretch of fewer than {fewest} "
+    "were not fitted",
+    "psi_unknown": "ψ is not known: {why}",
+    # Of the fits.
+    "estimator": "{remark}",
+    "taus_apart": "{who} put τ between {low_ms:.3g} and {high_ms:.3g} ms: what they disagree on is "
+    "not measured by those rows",
+    "noise_models_disagree": "noise models disagree on τ by more than their errors allow "
+    "({one} {one_ms:.3g} ms against {two} {two_ms:.3g} ms, the widest of {pairs}): at most one of "
+    "them is right about the errors, and where none passes the whiteness check none may be; output "
+    "error with a drift holds whatever the errors' colour",
+    "knots_too_close": "τ of {tau_ms:.3g} ms is not short against the {knots_s:g} s between the "
+    "knots of the drift, which takes up much of what identifies τ: set the knots {taus_a_knot:g} "
+    "or more time constants apart",
+    "tau_near_drift": "τ of {tau_ms:.3g} ms nears the {drift_s:.2g} s over which the level drifts: "
+    "it may be the drift's time and not the compressor's",
+    "drift_read_as_lag": "τ is {tau_ms:.3g} ms without and {with_drift_ms:.3g} ms with a slow "
+    "drift of the level ({drift_rms:.2g} rms against errors of {error_rms:.2g}): the drift is read "
+    "as lag",
+    "several_low_passes": "the ledger shows {count} different low-passes ({filters}): unless each "
+    "went over all channels, φ and ψ' were filtered differently",
+    "psi_low_passed": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ is not: ψ' "
+    "was low-passed and φ was not, or differently; filter ψ' and every s_i(φ) alike",
+    "corners_apart": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ from "
+    "{phi_hz:.2g} Hz on: they were low-passed differently; filter ψ' and every s_i(φ) alike",
+    "misaligned": "{late} comes {delay_ms:.3g} ± {stderr_ms:.2g} ms later than the lag on {early} "
+    "says: filtered differently, misaligned, or a lag of higher order; that much delay moves τ by "
+    "as much or more",
+}
+
+
+@dataclass(frozen=True)
+class Caution:
+    """One thing to know.
+
+    Parameters
+    ----------
+    code : str
+        What it is; a key of ``SENTENCES``.
+    where : str
+        The record or estimator that it concerns; empty where it concerns all.
+    step : str
+        Of the ledger, where it comes from one.
+    numbers : mapping of str to float, int or str
+        What its sentence states.
+    """
+
+    code: str
+    where: str = ""
+    step: str = ""
+    numbers: Mapping[str, float | int | str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, code: str, where: str = "", **numbers: float | int | str) -> Caution:
+        """Return a caution with its numbers by name."""
+        return cls(code, where, "", numbers)
+
+    @property
+    def text(self) -> str:
+        """The sentence."""
+        said = SENTENCES[self.code].format(**self.numbers)
+        return f"{self.where}: {said}" if self.where else said
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def texts_of(cautions: Iterable[Caution]) -> tuple[str, ...]:
+    """Return the sentences of cautions for a reader: each once, those of a ledger step together.
+
+    Parameters
+    ----------
+    cautions : iterable of Caution
+        In the order in which they are read.
+
+    Returns
+    -------
+    tuple of str
+        Of one step of one ledger the first findings, and how many more there are.
+    """
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for caution in cautions:
+        together = caution.code == "ledger"
+        key = (caution.where, caution.step) if together else (caution.text,)
+        said = str(caution.numbers["finding"]) if together else caution.text
+        known = groups.setdefault(key, [])
+        if said not in known:
+            known.append(said)
+    return tuple(_joined(key, said) for key, said in groups.items())
+
+
+def _joined(key: tuple[str, ...], said: list[str]) -> str:
+    if len(key) == 1:
+        return said[0]
+    more = len(said) - FINDINGS_SHOWN
+    rest = [f"and {more} more of the step “{key[1]}” in the ledger"] if more > 0 else []
+    return f"{key[0]}: {'; '.join([*said[:FINDINGS_SHOWN], *rest])}"

@@ -1,0 +1,350 @@
+"""Estimators side by side: what each made of the rows, and the table that sets them in order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+from classic_ml.checks import CheckRow
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_run import WholeRunFit
+from comparisons.results.caution import Caution, texts_of
+from comparisons.results.lag import FittedLag, LagModel
+from comparisons.results.rows import FitRows, FitScore
+from comparisons.results.tables import SYMBOLS, TableField
+from comparisons.results.tau import TauEstimate
+from surge_core.display import Displayed, Field, Grid, Sheet
+from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
+from surge_core.types import FloatArray
+
+__all__ = [
+    "FIELDS",
+    "Comparison",
+    "ComparisonRow",
+    "EstimatorResult",
+    "StructureChoice",
+    "comparison_cells",
+]
+
+ONE_SIDED_95 = 1.645
+
+
+@dataclass(frozen=True)
+class StructureChoice:
+    """How sure a choice of terms is.
+
+    Parameters
+    ----------
+    n_candidates : int
+        Terms that were searched.
+    rivals : tuple of tuple of str
+        Structures that the data do not separate from the chosen one.
+    aliases : dict of str to str
+        Terms left out because they are sums of others on this record, and what they equal.
+    inclusion_probability : dict of str to float
+        Share of resampled records whose structure holds a term; empty where it was not asked.
+    path : tuple of (int, tuple of str, float)
+        The best structure of each size: size, terms and held-out rms (NaN where unknown).
+    """
+
+    n_candidates: int
+    rivals: tuple[tuple[str, ...], ...]
+    aliases: dict[str, str]
+    inclusion_probability: dict[str, float]
+    path: tuple[tuple[int, tuple[str, ...], float], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the choice as plain JSON types."""
+        return {
+            "n_candidates": self.n_candidates,
+            "rivals": [list(terms) for terms in self.rivals],
+            "aliases": dict(self.aliases),
+            "inclusion_probability": dict(self.inclusion_probability),
+            "path": [
+                {"size": size, "terms": list(terms), "held_out_rms": rms}
+                for size, terms, rms in self.path
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class EstimatorResult:
+    """What one estimator made of the rows.
+
+    Parameters
+    ----------
+    name, label : str
+        Key and what people call it.
+    model : FittedLag
+        The fitted model as a value, from all rows.
+    state, advice : str
+        Code of how the fit ended and what to do about it.
+    equation : str
+        The model in one line.
+    free_run, one_step : FitScore
+        Scores over all rows.
+    held_out : FitScore or None
+        Free run on the rows held out, by a fit to the others; None where there were too few.
+    reconstruction : ndarray of shape (n,)
+        Free run over the fitted rows from each segment's measured start.
+    trained : ndarray of shape (n,)
+        The same by the fit to the training rows alone: what the held-out rows are scored with.
+    errors_one_step : ndarray of shape (n,)
+        One-step errors.
+    held_out_blocks : ndarray of shape (n_blocks, 2)
+        Squared error and rows of each held-out block, for paired differences.
+    checks : tuple of CheckRow
+        Residual checks.
+    seconds : float
+        Time of the fit.
+    whole_run : WholeRunFit or None
+        The free run through whole records behind it; None where it was fitted to the rows.
+    structure : StructureChoice or None
+        How sure the choice of terms is; None where they were given.
+    remarks : tuple of str
+        What the estimator itself warns of.
+    extended : LagModel or None
+        The model with its effects, where it has any; ``model`` is then its characteristic and τ.
+    """
+
+    name: str
+    label: str
+    model: FittedLag
+    state: str
+    advice: str
+    equation: str
+    free_run: FitScore
+    one_step: FitScore
+    held_out: FitScore | None
+    reconstruction: FloatArray
+    trained: FloatArray
+    errors_one_step: FloatArray
+    held_out_blocks: FloatArray
+    checks: tuple[CheckRow, ...]
+    seconds: float
+    whole_run: WholeRunFit | None = None
+    structure: StructureChoice | None = None
+    remarks: tuple[str, ...] = ()
+    extended: LagModel | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit ended well."""
+        return self.state == "converged"
+
+    @property
+    def states_curve(self) -> bool:
+        """Whether its characteristic may be read; else it is written as null."""
+        return self.state not in ("rank_deficient", "blowdown")
+
+    @property
+    def on_rows(self) -> bool:
+        """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
+        return self.whole_run is None and self.extended is None
+
+    @property
+    def estimate(self) -> TauEstimate:
+        """Its τ."""
+        model = self.model
+        return TauEstimate(
+            self.name,
+            self.label,
+            model.time_constant_s,
+            model.time_constant_stderr_s,
+            self.free_run.rms,
+        )
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the checks that failed."""
+        return tuple(check.check for check in self.checks if not check.passed)
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """One line of the comparison table.
+
+    Parameters
+    ----------
+    estimator, label : str
+        Key and what people call it.
+    rank : int
+        Place in the table: 1 for the recommended estimator, where there is one; then by trust.
+    held_out_rms, held_out_stderr : float
+        Free-run error on held-out rows and its standard error over the blocks.
+    difference, paired_error : float
+        Of that rms to the least one, on the same blocks.
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error.
+    trust : str
+        A word on what to trust in this line.
+    """
+
+    estimator: str
+    label: str
+    rank: int
+    held_out_rms: float
+    held_out_stderr: float
+    difference: float
+    paired_error: float
+    time_constant_s: float
+    time_constant_stderr_s: float
+    trust: str
+
+
+@dataclass(frozen=True)
+class Comparison(Displayed):
+    """Estimators side by side on the same rows of one or several records.
+
+    Parameters
+    ----------
+    records : tuple of CoefficientSeries
+        What was compared.
+    rows : FitRows
+        The rows that were fitted.
+    results : tuple of EstimatorResult
+        One for each estimator.
+    table : tuple of ComparisonRow
+        The recommended estimator first, then by trust.
+    valid_phi : tuple of float
+        Range of φ in which the curves can be trusted.
+    cautions : tuple of Caution
+        What a reader should know of all lines.
+    quotable : tuple of str
+        Keys of the estimators whose τ may be quoted as that of the compressor, the recommended
+        first.
+    """
+
+    records: tuple[CoefficientSeries, ...]
+    rows: FitRows
+    results: tuple[EstimatorResult, ...]
+    table: tuple[ComparisonRow, ...]
+    valid_phi: tuple[float, float]
+    cautions: tuple[Caution, ...] = ()
+    quotable: tuple[str, ...] = ()
+
+    @property
+    def recommended(self) -> str | None:
+        """Key of the estimator whose τ is to be quoted; None where none may be."""
+        return next(iter(self.quotable), None)
+
+    @property
+    def has_whole_run(self) -> bool:
+        """Whether an estimator was fitted to whole unfiltered records and not refused."""
+        return any(
+            result.whole_run is not None and math.isfinite(result.model.time_constant_s)
+            for result in self.results
+        )
+
+    def result(self, name: str) -> EstimatorResult:
+        """Return the result of one estimator."""
+        return next(result for result in self.results if result.name == name)
+
+    def _sheet(self) -> Sheet:
+        rows = self.rows
+        low, high = self.valid_phi
+        cautions = texts_of(self.cautions)
+        fields = (
+            Field("records", tuple(PurePath(record.source).name for record in self.records)),
+            Field(
+                "rows",
+                f"{rows.phi.size} in {rows.n_segments} segments, {1 / rows.sample_period_s:g} Hz",
+            ),
+            Field("φ dwells", f"{low:.3f} to {high:.3f} (5th to 95th percentile)"),
+            Field("τ to quote", _quoted(self)),
+            *((Field("cautions", cautions, "advice"),) if cautions else ()),
+        )
+        grid = Grid(
+            f"Estimators of {SYMBOLS[rows.target]}",
+            tuple(column.heading for column in FIELDS),
+            tuple(map(tuple, comparison_cells(self))),
+            frozenset(i for i, column in enumerate(FIELDS) if not column.numeric),
+            marked=None if self.recommended is None else 0,
+        )
+        return Sheet(f"Comparison of {len(self.results)} estimators", fields, (grid,))
+
+
+def _quoted(comparison: Comparison) -> str:
+    if comparison.recommended is None:
+        return "none of these"
+    model = comparison.result(comparison.recommended).model
+    tau = round_to_error(1e3 * model.time_constant_s, 1e3 * model.time_constant_stderr_s)
+    return f"{tau} ms by {comparison.recommended}"
+
+
+def _held_out(row: ComparisonRow, _: EstimatorResult) -> str:
+    known = math.isfinite(row.held_out_rms)
+    return round_to_error(row.held_out_rms, row.held_out_stderr) if known else NOT_KNOWN
+
+
+def _difference(row: ComparisonRow, _: EstimatorResult) -> str:
+    if not math.isfinite(row.held_out_rms):
+        return NOT_KNOWN
+    return "least" if row.difference == 0.0 else round_to_error(row.difference, row.paired_error)
+
+
+def _tau(row: ComparisonRow, _: EstimatorResult) -> str:
+    return round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
+
+
+def _interval(row: ComparisonRow, result: EstimatorResult) -> str:
+    low, high = result.model.ci95_s
+    if row.time_constant_stderr_s == 0.0:
+        return "held"
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return NOT_KNOWN
+    if not row.time_constant_stderr_s < row.time_constant_s:
+        # The lower end of so wide an interval says nothing: the bound from above does.
+        bound_s = row.time_constant_s + ONE_SIDED_95 * row.time_constant_stderr_s
+        return f"< {significant(1e3 * bound_s, 2)}"
+    error = 1e3 * row.time_constant_stderr_s
+    return f"{round_like(1e3 * low, error)} … {round_like(1e3 * high, error)}"
+
+
+FIELDS: tuple[TableField, ...] = (
+    TableField(
+        "#",
+        "the estimator whose τ is to be quoted first, then by trust",
+        lambda row, _: str(row.rank),
+    ),
+    TableField(
+        "estimator",
+        "how τ and the characteristic were estimated",
+        lambda row, _: row.label,
+        False,
+    ),
+    TableField("τ [ms]", "time constant ± standard error", _tau),
+    TableField(
+        "95 % [ms]",
+        "95 % interval of τ: on log τ where τ is well separated from zero, symmetric and cut at "
+        "zero where it is less so, an upper bound where it is not separated from zero",
+        _interval,
+    ),
+    TableField(
+        "held-out rms",
+        "root mean square of measurement minus free run on the rows held out",
+        _held_out,
+    ),
+    TableField(
+        "Δ to least", "difference of that rms to the least ± paired jackknife error", _difference
+    ),
+    TableField(
+        "trust", "what in this line should not be relied on", lambda row, _: row.trust, False
+    ),
+)
+
+
+def comparison_cells(comparison: Comparison) -> list[list[str]]:
+    """Return the text of every cell, one list a row, in the order of the table.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Estimators side by side.
+    """
+    return [
+        [field.text(row, comparison.result(row.estimator)) for field in FIELDS]
+        for row in comparison.table
+    ]

@@ -1,0 +1,323 @@
+"""A fitted lag model as a value: it can be saved, read back and run on another record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from classic_ml.series import CoefficientSeries
+from comparisons.results.rows import FitRows
+from comparisons.results.tables import SYMBOLS
+from comparisons.results.terms import evaluate_terms, is_known_term
+from surge_core.display import Displayed, Field, Grid, Sheet
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.rounding import bracketed, round_to_error
+from surge_core.segments import runs_of
+from surge_core.types import FloatArray, IntArray
+
+__all__ = ["FittedLag", "LagModel"]
+
+
+class LagModel(Protocol):
+    """A fitted model that can be run over another record, whatever it holds beside the lag."""
+
+    @property
+    def estimator(self) -> str:
+        """Name of what found it."""
+
+    @property
+    def target(self) -> str:
+        """The coefficient it gives, "psi_p" or "psi"."""
+
+    @property
+    def time_constant_s(self) -> float:
+        """τ, in seconds."""
+
+    @property
+    def valid_phi(self) -> tuple[float, float]:
+        """Range of φ in which the curve can be trusted."""
+
+    def equation(self) -> str:
+        """Return the model in one line."""
+
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return the characteristic at φ, of shape (n,)."""
+
+    def free_run_over(
+        self,
+        rows: FitRows,
+        records: Sequence[CoefficientSeries],
+        labels: IntArray | None = None,
+    ) -> FloatArray:
+        """Return the free run over rows of records, each segment from its measured start."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the model as plain JSON types."""
+
+
+@dataclass(frozen=True)
+class FittedLag(Displayed):
+    """τ dy/dt + y = Σ β_i s_i(φ) with numbers in it.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator that found it.
+    target : {"psi_p", "psi"}
+        The coefficient it gives.
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error, in seconds.
+    terms : tuple of str
+        Names of the s_i.
+    coefficients, stderr : tuple of float
+        β_i and their standard errors.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    valid_phi : tuple of float
+        Range of φ in which the curve can be trusted.
+    table : tuple of tuple of float
+        The characteristic as (φ, value, standard error), for plots and for terms whose function
+        is not known by name.
+    n_blocks : int
+        Blocks behind the standard errors; 0 where the estimator does not say.
+    dead_time_s : float
+        How much later than φ the coefficient was measured, in seconds; negative if φ was late.
+    """
+
+    estimator: str
+    target: str
+    time_constant_s: float
+    time_constant_stderr_s: float
+    terms: tuple[str, ...]
+    coefficients: tuple[float, ...]
+    stderr: tuple[float, ...]
+    hold: Hold
+    valid_phi: tuple[float, float]
+    table: tuple[tuple[float, float, float], ...]
+    n_blocks: int = 0
+    dead_time_s: float = 0.0
+
+    @classmethod
+    def from_estimator(
+        cls,
+        estimator: Any,
+        name: str,
+        target: str,
+        hold: Hold,
+        phi: FloatArray,
+        valid_phi: tuple[float, float],
+    ) -> FittedLag:
+        """Take the numbers out of a fitted estimator.
+
+        Parameters
+        ----------
+        estimator : object
+            Fitted, with ``time_constant_s_``, ``time_constant_stderr_s_``, ``terms_``, ``coef_``,
+            ``covariance_`` and ``characteristic(phi)``.
+        name, target : str
+            How it is called and which coefficient it gives.
+        hold : {"zero", "first"}
+            The hold it was fitted with.
+        phi : ndarray of shape (n,)
+            Points at which its characteristic is kept.
+        valid_phi : tuple of float
+            Range of trust.
+        """
+        value, stderr = estimator.characteristic(phi)
+        return cls(
+            name,
+            target,
+            float(estimator.time_constant_s_),
+            float(estimator.time_constant_stderr_s_),
+            tuple(estimator.terms_),
+            tuple(float(b) for b in estimator.coef_),
+            tuple(float(s) for s in np.sqrt(np.maximum(np.diag(estimator.covariance_), 0.0))),
+            hold,
+            valid_phi,
+            tuple(zip(phi.tolist(), value.tolist(), stderr.tolist(), strict=True)),
+            int(getattr(estimator, "n_blocks_", 0)),
+            float(np.nan_to_num(getattr(estimator, "dead_time_s_", 0.0))),
+        )
+
+    @property
+    def measured(self) -> bool:
+        """Whether τ was measured: fitted, and two standard errors or more above zero."""
+        return 0.0 < 2.0 * self.time_constant_stderr_s < self.time_constant_s < math.inf
+
+    @property
+    def ci95_s(self) -> tuple[float, float]:
+        """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
+        if not math.isfinite(self.time_constant_stderr_s):
+            return (math.nan, math.nan)
+        reach = self._quantile * self.time_constant_stderr_s
+        if reach > 0.5 * self.time_constant_s:
+            # So wide, log τ is no longer normal either: a bound from above is what is known.
+            return (max(0.0, self.time_constant_s - reach), self.time_constant_s + reach)
+        factor = math.exp(reach / self.time_constant_s)
+        return (self.time_constant_s / factor, self.time_constant_s * factor)
+
+    @property
+    def _quantile(self) -> float:
+        """97.5 % quantile of Student's t: a variance from few blocks is itself uncertain."""
+        from scipy.stats import norm, t
+
+        return float(t.isf(0.025, self.n_blocks - 1) if self.n_blocks > 1 else norm.isf(0.025))
+
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return the characteristic at φ, of shape (n,)."""
+        if all(is_known_term(term) for term in self.terms):
+            terms = evaluate_terms(list(self.terms), phi)
+            return np.asarray(terms @ np.asarray(self.coefficients))
+        grid, value, _ = np.asarray(self.table).T
+        return np.asarray(np.interp(np.asarray(phi, dtype=np.float64), grid, value))
+
+    def free_run(
+        self,
+        phi: FloatArray,
+        sample_period_s: float,
+        labels: ArrayLike | None = None,
+        start: FloatArray | None = None,
+    ) -> FloatArray:
+        """Reconstruct the coefficient from φ: no measurement of it but each segment's start.
+
+        Parameters
+        ----------
+        phi : ndarray of shape (n,)
+            Measured flow coefficient.
+        sample_period_s : float
+            Sample period of φ, in seconds; need not be that of the fit.
+        labels : array-like of int, shape (n,), optional
+            Segments.
+        start : ndarray of shape (n,), optional
+            Measured coefficient; only the first row of each segment is used.
+        """
+        quasi_steady = self.quasi_steady(phi)
+        if not math.isfinite(self.time_constant_s):
+            return quasi_steady
+        begin = quasi_steady if start is None else start
+        lag = self.lag(sample_period_s)
+        out = np.empty_like(quasi_steady)
+        for run in runs_of(labels, quasi_steady.size):
+            forcing = self._late(quasi_steady[run], sample_period_s)
+            out[run] = lag.respond(forcing, begin[run.start])
+        return out
+
+    def free_run_over(
+        self,
+        rows: FitRows,
+        records: Sequence[CoefficientSeries],
+        labels: IntArray | None = None,
+    ) -> FloatArray:
+        """Return the free run over rows, each segment from its measured start.
+
+        Parameters
+        ----------
+        rows : FitRows
+            The rows.
+        records : sequence of CoefficientSeries
+            The records they come from; a plain lag needs φ alone.
+        labels : ndarray of int, shape (n,), optional
+            In place of the rows' own segments.
+        """
+        marks = rows.labels if labels is None else labels
+        return self.free_run(rows.phi, rows.sample_period_s, marks, start=rows.measured)
+
+    def one_step(
+        self,
+        phi: FloatArray,
+        target: FloatArray,
+        sample_period_s: float,
+        labels: ArrayLike | None = None,
+    ) -> FloatArray:
+        """Predict each row from the measured row before it; first rows predict themselves."""
+        quasi_steady = self.quasi_steady(phi)
+        if not math.isfinite(self.time_constant_s):
+            return quasi_steady
+        lag = self.lag(sample_period_s)
+        out = target.copy()
+        for run in runs_of(labels, target.size):
+            before = target[run][:-1]
+            forcing = self._late(quasi_steady[run], sample_period_s)
+            out[run.start + 1 : run.stop] = lag.a * before + lag.drive(forcing)
+        return out
+
+    def lag(self, sample_period_s: float) -> FirstOrderLag:
+        """Return the discrete lag for a sample period."""
+        return FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
+
+    def _late(self, forcing: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the forcing of one segment as it acts, dead_time_s later, its ends prolonged."""
+        if self.dead_time_s == 0.0:
+            return forcing
+        rows = np.arange(forcing.size, dtype=np.float64)
+        return np.interp(rows - self.dead_time_s / sample_period_s, rows, forcing)
+
+    def equation(self) -> str:
+        """Return the model in one line, each number rounded to its standard error."""
+        symbol = SYMBOLS.get(self.target, self.target)
+        terms = [
+            _term(name, value, stderr)
+            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
+        ]
+        right = " ".join(terms).removeprefix("+ ") or "0"
+        if not math.isfinite(self.time_constant_s):
+            return f"{symbol} = {right}"
+        tau_ms = bracketed(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
+        late = f", φ at t - {1e3 * self.dead_time_s:.3g} ms" if self.dead_time_s else ""
+        return f"{tau_ms} ms · d{symbol}/dt + {symbol} = {right}{late}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the value as plain JSON types, null for what is not known."""
+        return {
+            "estimator": self.estimator,
+            "target": self.target,
+            "time_constant_s": _finite(self.time_constant_s),
+            "time_constant_stderr_s": _finite(self.time_constant_stderr_s),
+            "terms": [
+                {"name": name, "coefficient": value, "stderr": _finite(stderr)}
+                for name, value, stderr in zip(
+                    self.terms, self.coefficients, self.stderr, strict=True
+                )
+            ],
+            "hold": self.hold,
+            "valid_phi": list(self.valid_phi),
+            "n_blocks": self.n_blocks,
+            "dead_time_s": self.dead_time_s,
+            "characteristic": [[_finite(v) for v in row] for row in self.table],
+        }
+
+    def _sheet(self) -> Sheet:
+        low, high = (1e3 * end for end in self.ci95_s)
+        known = math.isfinite(self.time_constant_s)
+        tau = round_to_error(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
+        fields = [Field("time constant τ", f"{tau} ms" if known else "not known")]
+        if math.isfinite(low) and math.isfinite(high):
+            fields.append(Field("τ, 95 % interval", f"{low:.3g} to {high:.3g} ms"))
+        if self.dead_time_s:
+            fields.append(Field("dead time", f"{1e3 * self.dead_time_s:.3g} ms"))
+        fields += [
+            Field("hold", self.hold),
+            Field("φ dwells", f"{self.valid_phi[0]:.3f} to {self.valid_phi[1]:.3f}"),
+        ]
+        rows = tuple(
+            (name, round_to_error(value, error))
+            for name, value, error in zip(self.terms, self.coefficients, self.stderr, strict=True)
+        )
+        terms = Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
+        title = f"Lag model of {SYMBOLS[self.target]} by {self.estimator}"
+        return Sheet(title, tuple(fields), (terms,))
+
+
+def _term(name: str, value: float, stderr: float) -> str:
+    sign = "-" if value < 0.0 else "+"
+    factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
+    return f"{sign} {bracketed(abs(value), stderr)}{factor}"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

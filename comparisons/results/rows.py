@@ -1,0 +1,96 @@
+"""The rows of a comparison, and how well a prediction matches them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from surge_core.segments import runs_of
+from surge_core.types import BoolArray, FloatArray, IntArray
+
+__all__ = ["FitRows", "FitScore"]
+
+
+@dataclass(frozen=True)
+class FitRows:
+    """Rows to be fitted, with their segments.
+
+    Parameters
+    ----------
+    phi, measured : ndarray of shape (n,)
+        Flow coefficient and the coefficient that is modelled.
+    time_s : ndarray of shape (n,)
+        Facility clock.
+    labels : ndarray of int, shape (n,)
+        Segment of each row, counted through over all records.
+    record : ndarray of int, shape (n,)
+        Index of the record of each row.
+    sample_period_s : float
+        Sample period, in seconds.
+    target : {"psi_p", "psi"}
+        Which coefficient ``measured`` is.
+    train : ndarray of bool, shape (n,)
+        Rows that the held-out score is fitted to; the rest is held out.
+    """
+
+    phi: FloatArray
+    measured: FloatArray
+    time_s: FloatArray
+    labels: IntArray
+    record: IntArray
+    sample_period_s: float
+    target: str
+    train: BoolArray
+
+    @property
+    def X(self) -> FloatArray:
+        """φ as the one column scikit-learn's estimators take."""
+        return self.phi[:, None]
+
+    @property
+    def runs(self) -> list[slice]:
+        """Rows of each segment."""
+        return runs_of(self.labels, self.labels.size)
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments."""
+        return len(self.runs)
+
+    def part(self, keep: BoolArray) -> FitRows:
+        """Return some of the rows."""
+        return FitRows(
+            self.phi[keep],
+            self.measured[keep],
+            self.time_s[keep],
+            self.labels[keep],
+            self.record[keep],
+            self.sample_period_s,
+            self.target,
+            self.train[keep],
+        )
+
+
+@dataclass(frozen=True)
+class FitScore:
+    """How well a prediction matches a measurement.
+
+    Parameters
+    ----------
+    rms : float
+        Root mean square of measurement minus prediction.
+    fit_percent : float
+        100 (1 - ||y - ŷ|| / ||y - mean y||).
+    r2 : float
+        Share of the variance explained; negative when the mean would do better.
+    n_rows : int
+        Rows that were scored.
+    """
+
+    rms: float
+    fit_percent: float
+    r2: float
+    n_rows: int
+
+    def to_json(self) -> dict[str, float]:
+        """Return rms, fit_percent and r2."""
+        return {"rms": self.rms, "fit_percent": self.fit_percent, "r2": self.r2}

@@ -1,0 +1,99 @@
+"""Time constants: as estimators found them, as a trial scores them, as a simulation had them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from surge_core.types import FloatArray
+
+__all__ = ["TauEstimate", "TauTrial", "Truth"]
+
+
+@dataclass(frozen=True)
+class TauEstimate:
+    """τ as an estimator found it.
+
+    Parameters
+    ----------
+    name, label : str
+        Key and what people call it.
+    tau_s, stderr_s : float
+        τ and its standard error, in seconds.
+    rms : float
+        Error of that estimator's own reconstruction, its curve and starts as in the comparison.
+    """
+
+    name: str
+    label: str
+    tau_s: float
+    stderr_s: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class TauTrial:
+    """Reconstruction error over τ.
+
+    Parameters
+    ----------
+    tau_s : ndarray of shape (n,)
+        Values at which τ was held, in seconds.
+    refitted_rms : ndarray of shape (n,)
+        Error of the free run with the curve refitted to each τ.
+    held_rms : ndarray of shape (n,)
+        The same with the curve of the best τ.
+    best_tau_s : float
+        τ of least error with a curve of its own, between the values by a parabola.
+    interval_s : tuple of float
+        Values of τ whose error exceeds the least by no more than two paired standard errors; an
+        end that the values do not reach is that of the values.
+    least_rms : float
+        Error at the best τ: below it no lag with such a curve gets.
+    noise_rms : float
+        Standard deviation of the white noise on the measurement: below it no model gets. nan
+        where a low-pass has taken the noise out of the band from which it is read.
+    n_rows : int
+        Rows that were scored.
+    target : {"psi_p", "psi"}
+        Which coefficient it is.
+    estimates : tuple of TauEstimate
+        What estimators found on the same rows.
+    """
+
+    tau_s: FloatArray
+    refitted_rms: FloatArray
+    held_rms: FloatArray
+    best_tau_s: float
+    interval_s: tuple[float, float]
+    least_rms: float
+    noise_rms: float
+    n_rows: int
+    target: str
+    estimates: tuple[TauEstimate, ...] = ()
+
+    def at(self, tau_s: float) -> float:
+        """Return the error with a refitted curve at one τ, between the values by straight lines."""
+        return float(np.interp(math.log(tau_s), np.log(self.tau_s), self.refitted_rms))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Time constant and characteristic that a simulated record was made with.
+
+    Parameters
+    ----------
+    time_constant_s : float
+        τ, in seconds.
+    phi, quasi_steady : ndarray of shape (n,)
+        The quasi-steady characteristic at increasing φ.
+    label : str
+        What pictures call it.
+    """
+
+    time_constant_s: float
+    phi: FloatArray
+    quasi_steady: FloatArray
+    label: str

@@ -1,0 +1,237 @@
+"""What is in a file, and what reduce would make of it, as text and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from classic_ml.inspection import ChannelFacts, ClockFacts, Inspection
+    from classic_ml.inspection_with_test import ChannelMatch, ReductionPreview, TestMatch
+
+__all__ = ["INSPECT_SCHEMA", "inspect_document", "inspect_text"]
+
+INSPECT_SCHEMA = "sindy-surge/inspect/1"
+# Beyond this share of the facility's reading the near-stall match refuses a channel.
+FAR_OFF = 0.2
+MOST_LEFT_ASIDE = 12
+
+
+def inspect_text(
+    inspection: Inspection,
+    *,
+    match: TestMatch | None = None,
+    reduction: ReductionPreview | None = None,
+    remarks: tuple[str, ...] = (),
+) -> str:
+    """Return the findings as text.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        What is in the file.
+    match : TestMatch, optional
+        The file beside its test.toml.
+    reduction : ReductionPreview, optional
+        What reduce would make of it.
+    remarks : tuple of str
+        What else was found: a test.toml that cannot be read, what kind of series it is.
+    """
+    parts = [_file_text(inspection)]
+    if inspection.fault:
+        parts.append(f"reading ended: {inspection.fault}")
+    parts += remarks
+    if match is not None:
+        parts.append(_match_text(match))
+    if reduction is not None:
+        parts.append(_reduction_text(reduction))
+    return "\n\n".join(parts)
+
+
+def inspect_document(
+    inspection: Inspection,
+    *,
+    match: TestMatch | None = None,
+    reduction: ReductionPreview | None = None,
+    remarks: tuple[str, ...] = (),
+) -> dict[str, Any]:
+    """Return the findings as plain JSON types; arguments as for :func:`inspect_text`."""
+    return {
+        "schema": INSPECT_SCHEMA,
+        "file": inspection.source,
+        "rows": inspection.rows,
+        "fault": inspection.fault,
+        "clock": None if inspection.clock is None else asdict(inspection.clock),
+        "channels": [
+            {**asdict(c), "constant": c.constant, "plateaus": list(c.plateaus)}
+            for c in inspection.channels
+        ],
+        "left_aside": dict(inspection.left_aside),
+        "other_groups": dict(inspection.other_groups),
+        "sampled_apart": inspection.sampled_apart,
+        "remarks": list(remarks),
+        "test": None if match is None else _match_document(match),
+        "reduction": None if reduction is None else asdict(reduction),
+    }
+
+
+def _match_document(match: TestMatch) -> dict[str, Any]:
+    pairs = [{**asdict(pair), "exchanged": pair.exchanged} for pair in match.pairs]
+    return {**asdict(match), "pairs": pairs}
+
+
+def _file_text(inspection: Inspection) -> str:
+    n = len(inspection.channels)
+    lines = [f"{inspection.source}: {inspection.rows} rows, {n} columns"]
+    clock = inspection.clock
+    lines.append("clock: no column looks like one" if clock is None else _clock_text(clock))
+    width = max([len("column"), *(len(c.name) for c in inspection.channels)])
+    units = max([len("unit"), *(len(c.unit) for c in inspection.channels)])
+    head = "".join(f"{word:>12s}" for word in ("minimum", "mean", "maximum"))
+    lines += ["", f"{'column':{width}s}  {'unit':{units}s}{head}  notes"]
+    rate_hz = clock.rate_hz if clock is not None else 0.0
+    for channel in inspection.channels:
+        is_clock = clock is not None and channel.name == clock.name
+        notes = () if is_clock else _notes(channel, rate_hz)
+        lines.append(
+            f"{channel.name:{width}s}  {channel.unit or '-':{units}s}{channel.minimum:12.6g}"
+            f"{channel.mean:12.6g}{channel.maximum:12.6g}  {'; '.join(notes)}".rstrip()
+        )
+    return "\n".join((*lines, *_beside(inspection)))
+
+
+def _beside(inspection: Inspection) -> Iterator[str]:
+    """Yield lines on what is in the file beside the columns of the record."""
+    if inspection.sampled_apart:
+        yield from ("", inspection.sampled_apart)
+    if inspection.other_groups:
+        yield ""
+        yield "other groups, which are no part of this record, since their length is another:"
+        yield 'resample what is needed of them, or take one alone (--group NAME, or group = "NAME"'
+        yield "in [file] of test.toml)"
+        yield from _listed(inspection.other_groups)
+    groups = tuple(f"{name}/" for name in inspection.other_groups)
+    aside = {n: why for n, why in inspection.left_aside.items() if not n.startswith(groups)}
+    if aside:
+        yield from ("", "left aside:", *_listed(aside))
+
+
+def _listed(items: Mapping[str, str]) -> Iterator[str]:
+    yield from (f"  {name}: {what}" for name, what in islice(items.items(), MOST_LEFT_ASIDE))
+    if len(items) > MOST_LEFT_ASIDE:
+        yield f"  and {len(items) - MOST_LEFT_ASIDE} more (--json holds all)"
+
+
+def _clock_text(clock: ClockFacts) -> str:
+    about = f" ({clock.about})" if clock.about else ""
+    text = (
+        f"clock: {clock.name} [{clock.unit}]{about}, {clock.first_s:.9g} to {clock.last_s:.9g} s, "
+        f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
+    )
+    troubles = [
+        f"{_counted(count, one, more)} (the first before row {first})"
+        for count, first, one, more in (
+            (clock.gaps, clock.first_gap, "gap", "gaps"),
+            (clock.repeats, clock.first_repeat, "repeat", "repeats"),
+            (clock.steps_back, clock.first_step_back, "step back", "steps back"),
+        )
+        if count
+    ]
+    return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
+
+
+def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
+    from classic_ml.faults.held import times_held
+    from classic_ml.inspection import is_still
+
+    notes = []
+    if channel.not_finite == channel.rows:
+        return ("no number in it",)
+    if channel.not_finite:
+        first = channel.first_not_finite
+        notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite, from row {first}")
+    if channel.constant:
+        return (*notes, "constant")
+    for end in channel.plateaus:
+        rows = channel.at_minimum if end == "minimum" else channel.at_maximum
+        run = channel.run_at_minimum if end == "minimum" else channel.run_at_maximum
+        share = rows / max(1, channel.rows - channel.not_finite)
+        notes.append(f"{rows} rows ({share:.2%}) at its {end}, up to {run} together: saturated?")
+    if channel.held_rows > 1.0:
+        notes.append(f"each value {times_held(channel.held_rows)}: held from a lower rate?")
+    if is_still(channel, rate_hz):
+        notes.append(f"{channel.longest_run} rows alike from row {channel.longest_run_row}: stuck?")
+    return tuple(notes)
+
+
+def _counted(count: int, one: str, more: str) -> str:
+    return f"{count} {one if count == 1 else more}"
+
+
+def _match_text(match: TestMatch) -> str:
+    lines = [f"as the test '{match.test}':"]
+    rows = [
+        (
+            c.channel,
+            c.column or "(made)",
+            c.unit,
+            f"{_in_shown_unit(c.minimum, c.si_unit)} to {_in_shown_unit(c.maximum, c.si_unit)}"
+            if c.present and c.column
+            else "",
+            _near_stall_text(c),
+            _match_notes(c),
+        )
+        for c in match.channels
+    ]
+    head = ("channel", "column", "unit", "range", "near stall (facility)", "notes")
+    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+    for row in (head, *rows):
+        cells = (f"{cell:{width}s}" for cell, width in zip(row, widths, strict=True))
+        lines.append("  ".join(cells).rstrip())
+    if match.left_over:
+        lines.append("columns that feed nothing: " + ", ".join(match.left_over))
+    exchanged = [pair for pair in match.pairs if pair.exchanged]
+    lines += [
+        f"{pair.pair}: the aft probe is {-pair.above_Pa / 1e3:.3g} kPa above the forward one near "
+        "stall: exchanged?"
+        for pair in exchanged
+    ]
+    if match.pairs and not exchanged:
+        lines.append("near stall every forward probe is above its aft one, as it should be")
+    if match.refusal:
+        lines.append(f"they do not go together: {match.refusal}")
+    return "\n".join(lines)
+
+
+def _match_notes(match: ChannelMatch) -> str:
+    if not match.present:
+        return "no such column" + (f": {match.why_not}" if match.why_not else "")
+    notes = []
+    if match.stated_unit and match.stated_unit != match.unit:
+        notes.append(f"the file says {match.stated_unit}")
+    if abs(match.near_stall - match.facility) > FAR_OFF * match.facility:
+        notes.append("far off the facility's reading: its unit?")
+    return "; ".join(notes)
+
+
+def _near_stall_text(match: ChannelMatch) -> str:
+    if not (match.near_stall == match.near_stall and match.facility == match.facility):
+        return ""
+    found = _in_shown_unit(match.near_stall, match.si_unit)
+    return f"{found} ({_in_shown_unit(match.facility, match.si_unit)})"
+
+
+def _in_shown_unit(value: float, si_unit: str) -> str:
+    return f"{value / 1e3:.4g} kPa" if si_unit == "Pa" else f"{value:.5g} {si_unit}"
+
+
+def _reduction_text(reduction: ReductionPreview) -> str:
+    if reduction.refusal:
+        return f"reduce would refuse it: {reduction.refusal}"
+    lines = ["reduce would do this:"]
+    lines += [f"  {step}" for step in reduction.steps]
+    lines += [f"  left out {dropped}" for dropped in reduction.dropped]
+    lines += [f"  note: {flag}" for flag in reduction.flags]
+    return "\n".join(lines)

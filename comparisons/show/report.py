@@ -1,0 +1,311 @@
+"""The report: one HTML file that holds everything and asks the network for nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from classic_ml.series import CoefficientSeries
+from comparisons.page.blocks import (
+    Block,
+    Bullets,
+    Cell,
+    Head,
+    Part,
+    Picture,
+    Table,
+    Words,
+)
+from comparisons.page.html import render_page
+from comparisons.results import Comparison, Reconstruction, Truth
+from comparisons.show import plots_fit, plots_record, plots_residuals
+from comparisons.show.plots_tau_trial import tau_trial
+from comparisons.show.report_tables import (
+    checks_table,
+    coefficients_table,
+    ledger_tables,
+    summary_table,
+    validation_table,
+)
+from comparisons.show.report_words import (
+    cautions_list,
+    ranking_words,
+    summary_list,
+    tau_words,
+    truth_list,
+    unknown_work_list,
+)
+from surge_core.files import check_target, write_whole
+
+if TYPE_CHECKING:
+    from classic_ml.records import LedgerEntry
+    from classic_ml.reduction import Reduction
+
+__all__ = [
+    "Bullets",
+    "Cell",
+    "Head",
+    "Part",
+    "Picture",
+    "ReportSection",
+    "Table",
+    "Truth",
+    "Words",
+    "render_report",
+    "write_report",
+]
+
+# Of many records fitted together the first few are drawn; the tables hold all.
+RECORDS_DRAWN = 4
+
+
+@dataclass(frozen=True)
+class ReportSection:
+    """What one section of a report is about: a record, or several that are fitted together.
+
+    Parameters
+    ----------
+    title : str
+        Its heading.
+    comparison : Comparison, optional
+        Estimators of the pressure coefficient ψ' side by side.
+    work : Comparison, optional
+        The same of the work coefficient ψ.
+    reduction : Reduction, optional
+        How the record was reduced from raw counts; without it the pictures show φ and ψ' alone.
+    truth, work_truth : Truth, optional
+        Of a simulated record, for ψ' and ψ.
+    validation : tuple of Reconstruction
+        Models fitted elsewhere, run over other records.
+    extra : tuple of Part
+        Further parts, set before the ledger.
+    """
+
+    title: str
+    comparison: Comparison | None = None
+    work: Comparison | None = None
+    reduction: Reduction | None = None
+    truth: Truth | None = None
+    work_truth: Truth | None = None
+    validation: tuple[Reconstruction, ...] = ()
+    extra: tuple[Part, ...] = ()
+
+    @property
+    def fits(self) -> tuple[tuple[Comparison, Truth | None], ...]:
+        """Its comparisons, each with the truth where that is known."""
+        pairs = ((self.comparison, self.truth), (self.work, self.work_truth))
+        return tuple((fit, truth) for fit, truth in pairs if fit is not None)
+
+    @property
+    def ledgers(self) -> dict[str, tuple[LedgerEntry, ...]]:
+        """The ledger of each record, by its source."""
+        found: dict[str, tuple[LedgerEntry, ...]] = {}
+        if self.reduction is not None:
+            found[self.reduction.series.source] = self.reduction.record.history
+        records = [record for fit, _ in self.fits for record in fit.records]
+        for record in (*records, *(run.record for run in self.validation)):
+            found.setdefault(record.source, record.history)
+        return found
+
+
+def render_report(
+    sections: Sequence[ReportSection],
+    *,
+    title: str,
+    command: str,
+    version: str | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> str:
+    """Return a report as one self-contained HTML page.
+
+    Parameters
+    ----------
+    sections : sequence of ReportSection
+        What it is about.
+    title : str
+        Title of the page.
+    command : str
+        The command line that made it.
+    version : str, optional
+        Version of this package; that of the installed one without it.
+    progress : callable
+        Wraps the iteration over the pictures, to show how far the drawing is.
+
+    Returns
+    -------
+    str
+        HTML with its style and its images in it. All text is escaped: names of files and
+        channels, and what ledgers say, are data.
+    """
+    return render_page(
+        [(section.title, section_parts(section)) for section in sections],
+        title=title,
+        command=command,
+        version=version,
+        progress=progress,
+    )
+
+
+def write_report(
+    path: str | Path,
+    sections: Sequence[ReportSection],
+    *,
+    title: str,
+    command: str,
+    version: str | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> None:
+    """Write a report, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or path
+        Target, ending in ``.html``.
+    sections, title, command, version, progress
+        See :func:`render_report`.
+
+    Raises
+    ------
+    InputError
+        When the target cannot be written; it is refused before any picture is drawn.
+    """
+    target = Path(path)
+    check_target(target, (".html", ".htm"))
+    page = render_report(sections, title=title, command=command, version=version, progress=progress)
+    write_whole(target, page)
+
+
+def section_parts(section: ReportSection) -> tuple[Part, ...]:
+    """Return the parts of a section that hold anything, in the order of the report.
+
+    Parameters
+    ----------
+    section : ReportSection
+        What it is about.
+    """
+    fits = [fit for fit, _ in section.fits]
+    characteristics = tuple(plots_fit.characteristics(fit, truth) for fit, truth in section.fits)
+    residuals = tuple(
+        picture
+        for fit in fits
+        for picture in (
+            plots_residuals.errors_in_time(fit),
+            plots_residuals.residual_structure(fit),
+        )
+    )
+    parts = (
+        Part("In short", _summary(section)),
+        Part("Operating-point migration", _migration(section)),
+        Part("Surge cycles in time", _in_time(section)),
+        Part("Spectra before and after the filter", _spectra(section)),
+        Part("Quasi-steady characteristics", characteristics),
+        Part("Reconstruction against measurement", _reconstructions(section)),
+        Part("Time constant by trial", _trial(section)),
+        Part("Residuals", residuals),
+        Part("Residual checks", tuple(map(checks_table, fits))),
+        Part("Equations", tuple(block for fit in fits for block in _equations(fit))),
+        *section.extra,
+        Part("Ledger of the reduction", ledger_tables(section.ledgers)),
+        Part("Settings", _settings(section)),
+    )
+    return tuple(part for part in parts if part.blocks)
+
+
+def _summary(section: ReportSection) -> tuple[Block, ...]:
+    fits = [fit for fit, _ in section.fits]
+    histories = list(section.ledgers.values())
+    reduced = section.ledgers if section.reduction is not None else {}
+    blocks: list[Block] = [*tau_words(fits, histories), *cautions_list(fits, reduced)]
+    for fit, truth in section.fits:
+        blocks += [summary_list(fit), summary_table(fit), ranking_words(fit)]
+        if truth is not None:
+            blocks.append(truth_list(fit, truth))
+    if section.work is None:
+        blocks += unknown_work_list(histories)
+    return tuple(blocks)
+
+
+def _migration(section: ReportSection) -> tuple[Block, ...]:
+    if section.reduction is not None:
+        both = plots_record.hub_and_tip(section.reduction)
+        return (plots_record.operating_points(section.reduction), *([both] if both else []))
+    pictures = tuple(
+        plots_record.loops(series, fit.rows.target)
+        for fit, _ in section.fits
+        for series in fit.records[:RECORDS_DRAWN]
+    )
+    return (*pictures, *_left_out(section))
+
+
+def _in_time(section: ReportSection) -> tuple[Block, ...]:
+    if section.reduction is not None:
+        return (plots_record.surge_cycles(section.reduction),)
+    drawn = _records(section)[:RECORDS_DRAWN]
+    return (*map(plots_record.series_in_time, drawn), *_left_out(section))
+
+
+def _spectra(section: ReportSection) -> tuple[Block, ...]:
+    """Return the spectra before and after the filter, which only a reduction has."""
+    if section.reduction is None:
+        return ()
+    return (plots_record.inlet_spectra(section.reduction),)
+
+
+def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    for fit, _ in section.fits:
+        drawn = [i for i in range(len(fit.records)) if np.any(fit.rows.record == i)]
+        blocks += [plots_fit.reconstruction(fit, i) for i in drawn[:RECORDS_DRAWN]]
+    blocks += _left_out(section)
+    groups: dict[tuple[str, str], list[Reconstruction]] = {}
+    for run in section.validation:
+        groups.setdefault((run.record.source, run.model.target), []).append(run)
+    blocks += map(plots_fit.validation, groups.values())
+    if groups:
+        blocks.append(validation_table(section.validation))
+    return tuple(blocks)
+
+
+def _trial(section: ReportSection) -> tuple[Block, ...]:
+    from comparisons.harness.tau_trial import trial_of
+
+    fit, truth = section.comparison, section.truth
+    if fit is None or fit.rows.target != "psi_p":
+        return ()
+    true_s = None if truth is None else truth.time_constant_s
+    return (tau_trial(trial_of(fit), true_s, whole_runs=fit.has_whole_run),)
+
+
+def _equations(fit: Comparison) -> tuple[Block, ...]:
+    lines = [
+        Words(f"{result.label}:\n    {result.equation}", "code")
+        for result in fit.results
+        if result.equation
+    ]
+    return (*lines, coefficients_table(fit))
+
+
+def _settings(section: ReportSection) -> tuple[Table, ...]:
+    if section.reduction is None:
+        return ()
+    reduction = section.reduction
+    from_s, to_s = reduction.window_s
+    rows = [("test", reduction.test.name), ("window", f"{from_s:.3f} to {to_s:.3f} s")]
+    for name, value in asdict(reduction.settings).items():
+        rows.append((name, "from the description of the test" if value is None else str(value)))
+    return (Table("Settings of the reduction", (Head("setting"), Head("value")), tuple(rows)),)
+
+
+def _records(section: ReportSection) -> tuple[CoefficientSeries, ...]:
+    return section.fits[0][0].records if section.fits else ()
+
+
+def _left_out(section: ReportSection) -> list[Words]:
+    n = len(_records(section))
+    if n <= RECORDS_DRAWN:
+        return []
+    return [Words(f"The first {RECORDS_DRAWN} of {n} records are drawn; all were fitted.")]

@@ -1,0 +1,174 @@
+"""The report's tables of comparisons and ledgers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from classic_ml.records import Dropped, LedgerEntry
+from comparisons.page.blocks import Cell, Head, Table
+from comparisons.results import (
+    FIELDS,
+    RECONSTRUCTION_FIELDS,
+    Comparison,
+    EstimatorResult,
+    Reconstruction,
+    comparison_cells,
+    estimator_label,
+    reconstruction_cells,
+)
+from comparisons.show.plots_fit import NAMES
+from surge_core.rounding import round_to_error, significant
+
+__all__ = [
+    "checks_table",
+    "coefficients_table",
+    "ledger_tables",
+    "summary_table",
+    "validation_table",
+]
+
+
+def summary_table(fit: Comparison) -> Table:
+    """Return the comparison table, from the same fields as that of the terminal.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    first = fit.recommended
+    heads = tuple(
+        Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1], "least" if f.numeric else "")
+        for f in FIELDS
+    )
+    rows = tuple(
+        _with_name(cells, row.label, row.estimator)
+        for cells, row in zip(comparison_cells(fit), fit.table, strict=True)
+    )
+    order = "the recommended first" if first else "none is recommended"
+    marks = ("best",) if first else ()
+    return Table(f"Estimators of the {NAMES[fit.rows.target]}, {order}", heads, rows, marks)
+
+
+def checks_table(fit: Comparison) -> Table:
+    """Return the residual checks of all estimators.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    checks = [(result.label, check) for result in fit.results for check in result.checks]
+    rows = tuple(
+        (
+            label,
+            check.check.replace("_", " "),
+            significant(check.statistic, 3),
+            f"{check.operator} {significant(check.threshold, 3)}",
+            "passed" if check.passed else "failed",
+            check.meaning,
+        )
+        for label, check in checks
+    )
+    heads = (
+        Head("estimator"),
+        Head("check"),
+        Head("statistic", "what was computed", numeric=True),
+        Head("threshold", "where the statistic should lie", numeric=True),
+        Head("outcome"),
+        Head("meaning", prose=True),
+    )
+    marks = tuple("" if check.passed else "failed" for _, check in checks)
+    return Table(f"Residual checks, {NAMES[fit.rows.target]}", heads, rows, marks)
+
+
+def validation_table(runs: Sequence[Reconstruction]) -> Table:
+    """Return the scores of models that were fitted elsewhere.
+
+    Parameters
+    ----------
+    runs : sequence of Reconstruction
+        Models and the records they were run on.
+    """
+    heads = tuple(Head(f.heading, f.meaning, f.numeric) for f in RECONSTRUCTION_FIELDS)
+    rows = tuple(
+        _with_name(cells, estimator_label(run.model.estimator), run.model.estimator)
+        for cells, run in zip(reconstruction_cells(runs), runs, strict=True)
+    )
+    return Table("Validation: models fitted elsewhere, nothing refitted", heads, rows)
+
+
+def coefficients_table(fit: Comparison) -> Table:
+    """Return the terms of each characteristic with their coefficients, side by side.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    models = [result.model for result in fit.results]
+    tau = (round_to_error(1e3 * m.time_constant_s, 1e3 * m.time_constant_stderr_s) for m in models)
+    terms = dict.fromkeys(term for model in models for term in model.terms)
+    rows = [
+        ("τ [ms]", *tau),
+        *((term, *(_coefficient(each, term) for each in fit.results)) for term in terms),
+    ]
+    hold = models[0].hold if models else ""
+    words = {"first": "joined by straight lines", "zero": "held from one sample to the next"}
+    return Table(
+        f"Coefficients of the {NAMES[fit.rows.target]} ± standard error; φ {words.get(hold, '')} "
+        f"(hold “{hold}”)",
+        (Head("term"), *(Head(each.label, each.name, numeric=True) for each in fit.results)),
+        tuple(rows),
+    )
+
+
+def ledger_tables(ledgers: Mapping[str, Sequence[LedgerEntry]]) -> tuple[Table, ...]:
+    """Return the ledger of each record: every step, what it did, and what it dropped.
+
+    Parameters
+    ----------
+    ledgers : mapping of str to sequence of LedgerEntry
+        By the record they belong to.
+    """
+    prose = ("did", "parameters", "dropped", "flags")
+    heads = (Head("#", numeric=True), Head("step"), *(Head(text, prose=True) for text in prose))
+    tables = []
+    for source, history in ledgers.items():
+        rows = tuple(
+            (
+                str(number),
+                entry.step,
+                entry.did,
+                "; ".join(f"{name} = {_value(v)}" for name, v in entry.parameters.items())
+                or "none",
+                "; ".join(map(_dropped, entry.dropped)) or "nothing dropped",
+                "; ".join(entry.flags) or "none",
+            )
+            for number, entry in enumerate(history, start=1)
+        )
+        empty = "" if history else ": no ledger came with this record"
+        tables.append(Table(f"{source}{empty}", heads, rows))
+    return tuple(tables)
+
+
+def _with_name(cells: list[str], label: str, name: str) -> tuple[str | Cell, ...]:
+    """Print below the label of an estimator the name that the command line knows it by."""
+    named = label != name
+    return tuple(Cell(cell, name) if named and cell == label else cell for cell in cells)
+
+
+def _coefficient(result: EstimatorResult, term: str) -> str:
+    model = result.model
+    if term not in model.terms:
+        return "—"
+    place = model.terms.index(term)
+    return round_to_error(model.coefficients[place], model.stderr[place])
+
+
+def _value(value: str | int | float | bool) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _dropped(dropped: Dropped) -> str:
+    return f"{dropped.what} ({dropped.count}): {dropped.why}"

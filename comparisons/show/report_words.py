@@ -1,0 +1,234 @@
+"""The report's sentences: what came out, what it can be trusted for, what to beware of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from classic_ml.records import LedgerEntry
+from comparisons.harness.cautions import tau_caution, unknown_work
+from comparisons.page.blocks import Bullets, Words
+from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Truth, texts_of
+from comparisons.show.agreement import dwelling_words
+from comparisons.show.plots_fit import NAMES
+from surge_core.rounding import round_to_error, significant
+
+__all__ = [
+    "cautions_list",
+    "ranking_words",
+    "summary_list",
+    "tau_words",
+    "truth_list",
+    "unknown_work_list",
+]
+
+# Which τ to quote stands above all, what the ranking is worth below the table.
+SAID_ELSEWHERE = ("quote_tau", "tau_biased", "held_out_is_prediction")
+
+_Histories = Sequence[Sequence[LedgerEntry]]
+
+
+def tau_words(fits: Sequence[Comparison], histories: _Histories) -> tuple[Words, ...]:
+    """Say what τ can be trusted for, where the ledger shows a low-pass before the flow equation.
+
+    Parameters
+    ----------
+    fits : sequence of Comparison
+        What was fitted.
+    histories : sequence of ledgers
+        Of the records.
+    """
+    fitted = any(fit.rows.target == "psi_p" for fit in fits)
+    whole = tuple(dict.fromkeys(name for fit in fits for name in fit.quotable))
+    target = "psi_p" if fitted else "psi"
+    caution = tau_caution(histories, target=target, quotable=whole)
+    if caution is None:
+        return ()
+    return (Words(caution.text[0].upper() + caution.text[1:], "caution"),)
+
+
+def cautions_list(
+    fits: Sequence[Comparison], reduced: Mapping[str, Sequence[LedgerEntry]]
+) -> tuple[Bullets, ...]:
+    """List the cautions of the comparisons, or those of the ledger where nothing was fitted.
+
+    Parameters
+    ----------
+    fits : sequence of Comparison
+        What was fitted.
+    reduced : mapping of str to sequence of LedgerEntry
+        Ledger of a record that was reduced here.
+    """
+    found: list[str] = []
+    for fit in fits:
+        # The ledger's hold for both coefficients and are said once; a fit's own say which it is.
+        sources = tuple(f"{record.source}: " for record in fit.records)
+        for caution in texts_of(each for each in fit.cautions if each.code not in SAID_ELSEWHERE):
+            own = "" if caution.startswith(sources) else f"{SYMBOLS[fit.rows.target]}: "
+            found.append(f"{own}{caution}")
+    if not fits:
+        found += texts_of(
+            Caution("ledger", source, entry.step, {"finding": flag})
+            for source, history in reduced.items()
+            for entry in history
+            for flag in entry.flags
+        )
+    if not found:
+        return ()
+    return (Bullets(tuple(dict.fromkeys(found)), "caution", "Cautions"),)
+
+
+def summary_list(fit: Comparison) -> Bullets:
+    """Say in words what came out of a comparison.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    rows = fit.rows
+    held_out = int(np.count_nonzero(~rows.train))
+    low, high = fit.valid_phi
+    items = (
+        _tau_sentence(fit),
+        f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
+        f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
+        f"the last {held_out} rows were held out for the score.",
+        _least_sentence(fit),
+        "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
+        f"rewarded on held-out cycles too: {_ranking(fit)}.",
+        f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
+        f"{dwelling_words(fit)}",
+        _checks_sentence(fit),
+    )
+    name = NAMES[rows.target]
+    return Bullets(items, "plain", name[0].upper() + name[1:])
+
+
+def truth_list(fit: Comparison, truth: Truth) -> Bullets:
+    """Say how far each estimator is from the truth that a simulated record was made with.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    truth : Truth
+        The truth.
+    """
+    items = []
+    low, high = max(fit.valid_phi[0], truth.phi[0]), min(fit.valid_phi[1], truth.phi[-1])
+    for row in fit.table:
+        phi, value, _ = np.asarray(fit.result(row.estimator).model.table).T
+        known = (phi >= low) & (phi <= high)
+        off = np.abs(value[known] - np.interp(phi[known], truth.phi, truth.quasi_steady))
+        curve = f"; curve off by at most {significant(float(off.max()), 2)}" if off.size else ""
+        items.append(f"{row.label}: {_tau_off(row, truth)}{curve}.")
+    return Bullets(
+        tuple(items),
+        "plain",
+        f"Found against true ({truth.label}, τ = {1e3 * truth.time_constant_s:g} ms); curves where "
+        f"φ dwells and the truth is known, from {low:.3f} to {high:.3f}",
+    )
+
+
+def ranking_words(fit: Comparison) -> Words:
+    """Say below the table what a low held-out error means.
+
+    Parameters
+    ----------
+    fit : Comparison
+        Estimators side by side.
+    """
+    meaning = _ranking(fit)
+    return Words(f"{meaning[0].upper()}{meaning[1:]}.", "quiet")
+
+
+def unknown_work_list(histories: _Histories) -> tuple[Bullets, ...]:
+    """Say why ψ is not known, where the ledger shows that it could not be found.
+
+    Parameters
+    ----------
+    histories : sequence of ledgers
+        Of the records.
+    """
+    found = filter(None, map(unknown_work, histories))
+    reasons = dict.fromkeys(f"{reason.text}." for reason in found)
+    return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
+
+
+def _ranking(fit: Comparison) -> str:
+    return Caution.of("held_out_is_prediction", symbol=SYMBOLS[fit.rows.target]).text
+
+
+def _tau_off(row: ComparisonRow, truth: Truth) -> str:
+    off_ms = 1e3 * (row.time_constant_s - truth.time_constant_s)
+    stderr_ms = 1e3 * row.time_constant_stderr_s
+    if not math.isfinite(off_ms):
+        return "no τ"
+    words = f"τ off by {off_ms:+.1f} ms"
+    if math.isfinite(stderr_ms) and stderr_ms > 0.0:
+        words += f" ({abs(off_ms) / stderr_ms:.1f} of its standard errors)"
+    return words
+
+
+def _tau_sentence(fit: Comparison) -> str:
+    """Say the τ that is to be quoted, or that there is none, and the range of all."""
+    chosen = fit.recommended
+    all_ms = [1e3 * row.time_constant_s for row in fit.table if math.isfinite(row.time_constant_s)]
+    words = "No estimator's τ is recommended; the table says why."
+    if chosen is not None:
+        row = next(row for row in fit.table if row.estimator == chosen)
+        tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
+        words = (
+            f"Recommended: {row.label}, from one free run through the unfiltered signals: τ = "
+            f"{tau} ms (standard error)."
+        )
+    if len(all_ms) > 1:
+        words += (
+            f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
+        )
+    return words
+
+
+def _least_sentence(fit: Comparison) -> str:
+    scored = [row for row in fit.table if math.isfinite(row.held_out_rms)]
+    if not scored:
+        return "There were too few rows to hold any out: none is scored."
+    least = min(scored, key=lambda row: row.held_out_rms)
+    score = fit.result(least.estimator).held_out
+    percent = math.nan if score is None else score.fit_percent
+    words = (
+        f"Least held-out error: {least.label}, rms {significant(least.held_out_rms, 3)}, "
+        f"{percent:.0f} % of the signal's spread explained (fit)."
+    )
+    level = [
+        row.label
+        for row in scored
+        if row is not least and abs(row.difference) < 2.0 * row.paired_error
+    ]
+    if level:
+        words += f" Within twice the paired error of it: {', '.join(level)}."
+    elif len(fit.table) > 1:
+        words += " All others are worse by more than twice the paired error."
+    return words
+
+
+def _checks_sentence(fit: Comparison) -> str:
+    failed: dict[str, list[str]] = {}
+    for result in fit.results:
+        for check in result.checks:
+            if not check.passed:
+                failed.setdefault(check.check, []).append(result.label)
+    if not failed:
+        return "All residual checks passed."
+    each = [
+        f"{check} for " + ("all" if len(labels) == len(fit.results) else ", ".join(labels))
+        for check, labels in failed.items()
+    ]
+    return "Residual checks that failed: " + "; ".join(each) + "."
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")

@@ -1,0 +1,100 @@
+"""The work characteristic as text and as JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from surge_core.rounding import bracketed, round_to_error
+
+if TYPE_CHECKING:
+    from classic_ml.work.coefficient import WorkCharacteristic
+    from surge_core.types import FloatArray
+
+__all__ = ["WORK_SCHEMA", "work_document", "work_table"]
+
+WORK_SCHEMA = "sindy-surge/work/1"
+
+
+def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
+    """Return the fit as plain JSON types.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        The fit.
+    source : str
+        The record.
+    """
+    phi, value, stderr = _curve(fit)
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    return {
+        "schema": WORK_SCHEMA,
+        "record": source,
+        "time_constant_s": {
+            "value": fit.time_constant_s,
+            "stderr": fit.time_constant_stderr_s,
+        },
+        "breakpoints": list(fit.breakpoints),
+        "terms": [
+            {"name": name, "coefficient": float(b), "stderr": float(s)}
+            for name, b, s in zip(fit.terms, fit.coef, errors, strict=True)
+        ],
+        "characteristic": {
+            "phi": phi.tolist(),
+            "psi": value.tolist(),
+            "stderr": stderr.tolist(),
+        },
+        "valid_phi": list(fit.valid_phi),
+        "rows_scored": fit.n_scored,
+        "cycles": fit.n_cycles,
+        "fit_state": {"code": fit.fit_state.code, "advice": fit.fit_state.advice},
+        # The key of files written before `fit_state`.
+        "state": {"code": fit.fit_state.code, "advice": fit.fit_state.advice},
+        "history": [asdict(fit.entry)],
+    }
+
+
+def work_table(fit: WorkCharacteristic, *, searched: bool = False) -> str:
+    """Return the fit as text.
+
+    Parameters
+    ----------
+    fit : WorkCharacteristic
+        The fit.
+    searched : bool
+        The breakpoints were searched: then the errors do not say all.
+    """
+    low, high = fit.valid_phi
+    if not math.isfinite(fit.time_constant_s):
+        return (
+            f"ψ_QS is not stated, nor τ: {fit.n_cycles} cycles, {fit.n_scored} rows. "
+            f"{fit.fit_state.advice}\n{fit.entry.did}"
+        )
+    lines = [
+        f"work characteristic ψ_QS from {fit.n_scored} rows in {fit.n_cycles} cycles, φ "
+        f"{low:.3f} to {high:.3f}, pieces meeting at φ "
+        + " and ".join(f"{point:.3g}" for point in fit.breakpoints),
+        "τ = "
+        + bracketed(1e3 * fit.time_constant_s, 1e3 * fit.time_constant_stderr_s)
+        + f" ms; {fit.fit_state.advice}",
+        "    φ    ψ_QS",
+    ]
+    inside = [(p, v, s) for p, v, s in zip(*_curve(fit), strict=True) if low <= p <= high]
+    lines += [f"{p:.3f}   {round_to_error(v, s)}" for p, v, s in inside]
+    lines.append(fit.entry.did)
+    if searched:
+        lines.append(
+            "the breakpoints were searched: errors of the curve do not contain this choice and are "
+            "two to three times too small; name them with --breakpoints where they are known"
+        )
+    return "\n".join(lines)
+
+
+def _curve(fit: WorkCharacteristic) -> tuple[FloatArray, FloatArray, FloatArray]:
+    last = fit.valid_phi[1] if math.isfinite(fit.valid_phi[1]) else 0.0
+    phi = np.round(np.arange(0.0, max(last, 0.01) + 0.005, 0.01), 3)
+    return (phi, *fit.characteristic(phi))

@@ -1,0 +1,163 @@
+"""An identified model that runs by itself: over new inputs, and at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sindy_surge.candidate_terms import CandidateTerms
+from sindy_surge.free_run import DelayedLag, run_lag
+from sindy_surge.segments import Segments
+from surge_core.lag import FirstOrderLag
+from surge_core.types import FloatArray, IndexArray
+
+__all__ = ["FreeModel"]
+
+
+_MOST_STEPS = 60
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class FreeModel:
+    """τ dψ'/dt + ψ' = Σ β_i s_i(φ(t - d), ψ') with its numbers.
+
+    Parameters
+    ----------
+    terms : CandidateTerms
+        The library.
+    selected : ndarray of int of shape (n_terms,)
+        The terms of the model.
+    coefficients : ndarray of shape (n_terms,)
+        β.
+    lag : FirstOrderLag
+        τ, the dead time, the sample period and the hold.
+    seen : tuple of float
+        Least and greatest ψ' of the record. A model with terms in ψ' may run away far from its
+        record; it is stopped ten ranges outside.
+    """
+
+    terms: CandidateTerms
+    selected: IndexArray
+    coefficients: FloatArray
+    lag: FirstOrderLag
+    seen: tuple[float, float]
+
+    @property
+    def holds_state(self) -> bool:
+        """Whether a term holds ψ'."""
+        return bool(np.any(self.selected >= self.terms.n_without_state))
+
+    def values(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Evaluate the terms: from (n, n_inputs) when they act and ψ' then to (n, n_terms)."""
+        order = np.argsort(self.selected, kind="stable")
+        rising = self.terms(inputs, psi_p, self.selected[order].tolist())
+        values = np.empty_like(rising)
+        values[:, order] = rising
+        return values
+
+    def forcing(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Return Σ β_i s_i; see `values`."""
+        result: FloatArray = self.values(inputs, psi_p) @ self.coefficients
+        return result
+
+    def gain(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Return ∂(Σ β_i s_i)/∂ψ'; see `values`."""
+        if not self.holds_state:
+            return np.zeros(psi_p.size)
+        step = _STEP * max(1.0, float(np.max(np.abs(psi_p), initial=0.0)))
+        above, below = self.forcing(inputs, psi_p + step), self.forcing(inputs, psi_p - step)
+        return (above - below) / (2 * step)
+
+    def at_rest(self, inputs: FloatArray) -> FloatArray:
+        """Return the ψ' at which nothing changes, by Newton's method from ψ' = 0.
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n, n_inputs)
+            The inputs.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            ψ'_QS; nan where terms with ψ' leave none.
+        """
+        state = self.forcing(inputs, np.zeros(inputs.shape[0]))
+        if not self.holds_state:
+            return state
+        state = self._bounded(state)
+        with np.errstate(all="ignore"):
+            for _ in range(_MOST_STEPS):
+                gap = self.forcing(inputs, state) - state
+                state = self._bounded(state - gap / (self.gain(inputs, state) - 1.0))
+            gap = self.forcing(inputs, state) - state
+        return np.where(np.abs(gap) < 1e-9 * (1.0 + np.abs(state)), state, np.nan)
+
+    def _bounded(self, state: FloatArray) -> FloatArray:
+        low, high = self.seen
+        reach = 10.0 * max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-300)
+        return np.clip(np.nan_to_num(state), low - reach, high + reach)
+
+    def run(self, inputs: FloatArray, segments: Segments, initial: FloatArray) -> FloatArray:
+        """Run the model freely, each segment from an initial state.
+
+        Before a segment begins its inputs are taken to have been what they are at its first
+        row (after its end, for a dead time below zero, at its last).
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n_rows, n_inputs)
+            Inputs at the samples.
+        segments : Segments
+            The runs of rows.
+        initial : ndarray of shape (n_segments,)
+            ψ' at the first row of each segment.
+
+        Returns
+        -------
+        ndarray of shape (n_rows,)
+            ψ'.
+        """
+        delayed, lag = DelayedLag.of(self.lag), self.lag
+        rows = np.arange(segments.n_rows)
+        weights = delayed.weights[0]
+        sources = [segments.within(rows - delayed.shift - i) for i in range(weights.size)]
+
+        def driven(forcing: FloatArray) -> FloatArray:
+            pairs = zip(weights, sources, strict=True)
+            return np.asarray(sum(weight * forcing[source] for weight, source in pairs))
+
+        state = np.repeat(initial, segments.lengths)
+        if not self.holds_state:
+            return run_lag(driven(self.forcing(inputs, state)), segments, lag.a, initial)
+        samples = lag.dead_time_s / lag.sample_period_s
+        ahead = int(np.floor(samples))
+        near, far = segments.within(rows + ahead), segments.within(rows + ahead + 1)
+        for _ in range(_MOST_STEPS):
+            # ψ' at the times when the inputs of each row act.
+            acting = (1 - samples + ahead) * state[near] + (samples - ahead) * state[far]
+            gain = np.clip(self.gain(inputs, acting), -np.inf, 1.0)
+            target = driven(self.forcing(inputs, acting)) - state
+            target[1:] += lag.a * state[:-1]
+            target[segments.starts] = initial - state[segments.starts]
+            now, before = 1.0 - lag.gain_now * gain, lag.a + lag.gain_before * gain
+            change = _bidiagonal(now, before, target, segments)
+            state = self._bounded(state + change)
+            if float(np.max(np.abs(change))) < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
+                break
+        return state
+
+
+def _bidiagonal(
+    ahead: FloatArray, behind: FloatArray, target: FloatArray, segments: Segments
+) -> FloatArray:
+    """Solve ahead[k] x[k] - behind[k-1] x[k-1] = target[k], each segment's first x given."""
+    from scipy.linalg import solve_banded
+
+    band = np.zeros((2, target.size))
+    band[0], band[1] = ahead, -behind
+    band[0, segments.starts] = 1.0
+    # No equation reaches across the start of a segment.
+    band[1, segments.starts[1:] - 1] = 0.0
+    return np.asarray(solve_banded((1, 0), band, target))

@@ -1,0 +1,334 @@
+"""The identified equation as text, as LaTeX and as pysindy writes it; its terms as formulas."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from surge_core.errors import InputError
+from surge_core.rounding import bracketed
+from surge_core.terms import pretty_term
+
+if TYPE_CHECKING:
+    import sympy
+
+__all__ = [
+    "FUNCTIONS",
+    "EquationParts",
+    "formula",
+    "pysindy_equations",
+    "signed_sum",
+    "symbol_of",
+    "uncertain",
+    "write_equation",
+]
+
+# Functions that the name of a term may call, by their names in sympy.
+FUNCTIONS = {
+    "relu": "relu",
+    "abs": "Abs",
+    "sign": "sign",
+    "sqrt": "sqrt",
+    "exp": "exp",
+    "log": "log",
+    "sin": "sin",
+    "cos": "cos",
+    "tan": "tan",
+    "sinh": "sinh",
+    "cosh": "cosh",
+    "tanh": "tanh",
+    "arctan": "atan",
+}
+_LATEX_NAMES = {"phi": r"\varphi", "psi_p": r"{\psi'}", "psi": r"\psi"}
+# An error below this share of the value is rounding: the value is taken as exact.
+_EXACT = 1e-12
+
+Token = tuple[Literal["function", "name", "number", "operator", "space"], str]
+
+
+@dataclass(frozen=True)
+class EquationParts:
+    """What the equation τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') is written from.
+
+    Parameters
+    ----------
+    terms : tuple of str
+        Names s_i of the terms, in pysindy's manner; the lag's own ψ' is not among them.
+    coef, stderr : tuple of float
+        Coefficients β_i and their standard errors, in physical units.
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error in seconds; nan for a static fit.
+    dead_time_s, dead_time_stderr_s : float
+        Dead time d of the inputs and its standard error in seconds. A d of 0 with an error of
+        nan was not looked for and is not written.
+    input_names : tuple of str
+        Names of the inputs, in the order of their columns.
+    output_name : str
+        Name of ψ' in the terms.
+    """
+
+    terms: tuple[str, ...]
+    coef: tuple[float, ...]
+    stderr: tuple[float, ...]
+    time_constant_s: float
+    time_constant_stderr_s: float
+    dead_time_s: float = 0.0
+    dead_time_stderr_s: float = math.nan
+    input_names: tuple[str, ...] = ("phi",)
+    output_name: str = "psi_p"
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the fit has no time constant."""
+        return math.isnan(self.time_constant_s)
+
+    @property
+    def has_dead_time(self) -> bool:
+        """Whether a dead time was fitted or given."""
+        return self.dead_time_s != 0.0 or math.isfinite(self.dead_time_stderr_s)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the inputs, then of ψ'."""
+        return (*self.input_names, self.output_name)
+
+    def rate_or_refuse(self) -> float:
+        """Return τ, or refuse a static fit where dψ'/dt is asked for."""
+        if not self.time_constant_s > 0:
+            raise InputError(
+                "time constant",
+                expected="a positive one, for dψ'/dt",
+                found="none, for the fit is static"
+                if self.is_static
+                else f"{self.time_constant_s}",
+                remedy="`equation()` and `characteristic` give the curve; `fit_state_.advice` says "
+                "why there is no lag",
+            )
+        return self.time_constant_s
+
+
+def uncertain(value: float, stderr: float) -> str:
+    """Round a value to its standard error, e.g. ``1.21(4)``; six digits without one.
+
+    Parameters
+    ----------
+    value, stderr : float
+        The value and its standard error.
+    """
+    known = math.isfinite(value) and math.isfinite(stderr) and stderr > _EXACT * abs(value)
+    return bracketed(value, stderr) if known else f"{value:.6g}"
+
+
+def signed_sum(
+    terms: Sequence[tuple[str, float, float]], write: Callable[[str], str] = pretty_term
+) -> str:
+    """Write a sum of terms, each coefficient rounded to its error.
+
+    Parameters
+    ----------
+    terms : sequence of (str, float, float)
+        Name, coefficient and standard error.
+    write : callable
+        How to write a name.
+    """
+    text = ""
+    for name, value, error in terms:
+        sign = "−" if value < 0 else "+"
+        glue = f" {sign} " if text else ("−" if value < 0 else "")
+        text += f"{glue}{uncertain(abs(value), error)}{'' if name == '1' else ' ' + write(name)}"
+    return text or "0"
+
+
+def write_equation(parts: EquationParts, style: Literal["text", "latex"] = "text") -> str:
+    """Write τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') with its numbers, rounded to their errors.
+
+    Parameters
+    ----------
+    parts : EquationParts
+        Terms, coefficients and times.
+    style : {"text", "latex"}
+        How to write it.
+
+    Returns
+    -------
+    str
+        The equation, as text with its units.
+    """
+    tau = uncertain(parts.time_constant_s, parts.time_constant_stderr_s)
+    dead = uncertain(abs(parts.dead_time_s), parts.dead_time_stderr_s)
+    late = "−" if parts.dead_time_s >= 0 else "+"
+    terms = list(zip(parts.terms, parts.coef, parts.stderr, strict=True))
+    if style == "latex":
+        output = {"psi_p": r"\psi'"}.get(parts.output_name, _latex_name(parts.output_name))
+        slope = rf"{tau}\,\mathrm{{s}}\,\frac{{\mathrm{{d}}{output}}}{{\mathrm{{d}}t}} + "
+        right = signed_sum(terms, lambda name: r"\," + _latex_term(name, parts.names))
+        text = f"{'' if parts.is_static else slope}{output} = {right}"
+        if parts.has_dead_time:
+            inputs = r",\,".join(map(_latex_name, parts.input_names))
+            text += rf",\quad {inputs}\;\text{{at}}\;t {late} {dead}\,\mathrm{{s}}"
+        text = re.sub(r"e([+-]\d+)", lambda m: rf"\times 10^{{{int(m.group(1))}}}", text)
+        return text.replace("−", "-")
+    output = pretty_term(parts.output_name)
+    left = output if parts.is_static else f"{tau} s · d{output}/dt + {output}"
+    delayed = ""
+    if parts.has_dead_time:
+        delayed = f", with {', '.join(map(pretty_term, parts.input_names))} at t {late} {dead} s"
+    units = f"{output} dimensionless"
+    units += ", t in s" if parts.has_dead_time or not parts.is_static else ""
+    if any(re.search(r"\bphi\b", term) for term in parts.terms):
+        units = "φ, " + units
+    return f"{left} = {signed_sum(terms)}{delayed}   [{units}]"
+
+
+def _latex_name(name: str) -> str:
+    if name in _LATEX_NAMES:
+        return _LATEX_NAMES[name]
+    escaped = re.sub(r"([#$%&_{}])", r"\\\1", " ".join(name.replace("\\", " ").split()))
+    escaped = re.sub(r"([~^])", r"\\\1{}", escaped)
+    return rf"\text{{{escaped}}}"
+
+
+def _latex_term(term: str, names: Sequence[str]) -> str:
+    from sympy import latex
+
+    expression = formula(term, names)
+    if expression is None:
+        return _latex_name(term)
+    return str(latex(expression, symbol_names={symbol_of(n): _latex_name(n) for n in names}))
+
+
+def pysindy_equations(parts: EquationParts, precision: int = 3) -> list[str]:
+    """Write dψ'/dt as ``SINDy.equations`` does: −ψ'/τ + Σ (β_i/τ) s_i, in 1/s.
+
+    Parameters
+    ----------
+    parts : EquationParts
+        Terms, coefficients and times.
+    precision : int
+        Decimals of a coefficient as in pysindy, and as many significant digits where the
+        decimals alone would round it away.
+
+    Returns
+    -------
+    list of str
+        One equation, e.g. ``-55.556 psi_p + 19.444 1 + 66.667 phi``; a delayed input is
+        written ``phi(t-0.002)``, t in seconds.
+
+    Raises
+    ------
+    InputError
+        For a static fit, which has no rate, or a precision below 1.
+    """
+    if not precision >= 1:
+        raise InputError(
+            "precision", expected="a whole number of at least 1", found=repr(precision)
+        )
+    tau = parts.rate_or_refuse()
+    rates = [(-1.0, parts.output_name)]
+    rates += [(v, _delayed(term, parts)) for v, term in zip(parts.coef, parts.terms, strict=True)]
+    return [" + ".join(f"{_digits(value / tau, precision)} {term}" for value, term in rates)]
+
+
+def _digits(value: float, precision: int) -> str:
+    size = abs(value)
+    if size == 0 or not math.isfinite(size):
+        return f"{value:.{precision}f}"
+    if size < 1e-4 or size >= 1e9:
+        return f"{value:.{precision - 1}e}"
+    return f"{value:.{max(precision, precision - 1 - math.floor(math.log10(size)))}f}"
+
+
+def _delayed(term: str, parts: EquationParts) -> str:
+    if not parts.dead_time_s:
+        return term
+    when = f"t{-parts.dead_time_s:+.6g}"
+    tokens = _tokens(term, parts.names)
+    if tokens is None:
+        return f"({term})({when})"
+    return "".join(
+        f"{text}({when})" if kind == "name" and text in parts.input_names else text
+        for kind, text in tokens
+    )
+
+
+def _tokens(term: str, names: Sequence[str]) -> list[Token] | None:
+    """Split a name into inputs, numbers, functions and operators; None if it is not all these."""
+    longest_first = sorted({name for name in names if name}, key=len, reverse=True)
+    known = "|".join(rf"(?<!\w){re.escape(name)}(?!\w)" for name in longest_first) or "(?!)"
+    pattern = re.compile(
+        rf"(?P<function>(?:{'|'.join(FUNCTIONS)})(?=\())|(?P<name>{known})"
+        r"|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+        r"|(?P<operator><=|>=|\*\*|[-+*/^()\[\]|<>])|(?P<space>\s+)"
+    )
+    tokens: list[Token] = []
+    position = 0
+    while position < len(term):
+        match = pattern.match(term, position)
+        if match is None:
+            return None
+        kind: Any = match.lastgroup
+        tokens.append((kind, match.group()))
+        position = match.end()
+    return tokens
+
+
+def symbol_of(name: str) -> sympy.Symbol:
+    """Return the real symbol of an input or of ψ'."""
+    from sympy import Symbol
+
+    return Symbol(name, real=True)
+
+
+def formula(term: str, names: Sequence[str]) -> sympy.Expr | None:
+    """Read the name of a term as a formula.
+
+    Parameters
+    ----------
+    term : str
+        E.g. ``phi^2[phi<0]`` or ``relu(phi-0.05)``.
+    names : sequence of str
+        Names of the inputs and of ψ'; they may hold anything.
+
+    Returns
+    -------
+    sympy expression or None
+        Of real symbols with these names; None if something else is in it, e.g. ``f0(phi)``.
+    """
+    import sympy
+
+    tokens = _tokens(term, names)
+    if not tokens:
+        return None
+    space: dict[str, Any] = {code: getattr(sympy, code, None) for code in FUNCTIONS.values()}
+    space["relu"] = lambda x: sympy.Max(x, 0)
+    space["only"] = lambda condition: sympy.Piecewise((1, condition), (0, True))
+    space.update({f"_{number}": symbol_of(name) for number, name in enumerate(names)})
+    plain = {"^": "**", "[": "only(", "]": ")"}
+    words: list[str] = []
+    in_bars = operand_before = False
+    for kind, text in tokens:
+        if kind == "space":
+            continue
+        closes = text in (")", "]") or (text == "|" and in_bars)
+        opens = kind != "operator" or text in ("(", "[") or (text == "|" and not in_bars)
+        if operand_before and opens:
+            words.append("*")
+        if kind == "name":
+            words.append(f"_{list(names).index(text)}")
+        elif kind == "function":
+            words.append(FUNCTIONS[text])
+        elif text == "|":
+            words.append(")" if in_bars else "Abs(")
+            in_bars = not in_bars
+        else:
+            words.append(plain.get(text, text))
+        operand_before = kind in ("name", "number") or closes
+    try:
+        # Nothing but known names, numbers, operators and functions is in it.
+        found = sympy.sympify(" ".join(words), locals=space)
+    except (sympy.SympifyError, SyntaxError, TypeError, ValueError):
+        return None
+    return found if isinstance(found, sympy.Expr) else None

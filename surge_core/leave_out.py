@@ -1,0 +1,335 @@
+"""Standard errors by leaving out one block at a time, linearised about a least-squares fit.
+
+Errors that hang together, grow with the signal or sit in few blocks make textbook errors several
+times too small; the scatter of the fits without each block allows for all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surge_core.types import FloatArray, IndexArray, IntArray
+
+__all__ = [
+    "LocalColumns",
+    "Rest",
+    "block_edges",
+    "correlation_length",
+    "eliminate",
+    "leave_out",
+    "pseudo_inverse",
+    "scatter",
+    "slow_correlation_length",
+]
+
+# A long record is cut into twenty: enough to estimate a variance to a sixth, few enough that a
+# block is long against the memory of its errors.
+BLOCKS = 20
+FEWEST_BLOCKS = 4
+BINS_A_BLOCK = 10
+MOST_LAGS = 4000
+# White errors are seen to be white within the first few lags, without a transform.
+FEW_LAGS = 24
+# Of a scaled eigenvalue: less is a copy of other columns within the rounding of inner products.
+NO_DIRECTION = 1e-13
+# Of its own diagonal, added to each local unknown: one that no row sees then stays where it is.
+RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class LocalColumns:
+    """Columns that few rows see, such as the hats of a slow drift.
+
+    Parameters
+    ----------
+    columns : ndarray or sparse array of shape (n, d)
+        The columns; sparse ones in compressed rows.
+    mean : ndarray of shape (d,)
+        Weights of the sum of their coefficients that is held at zero.
+    """
+
+    columns: Any
+    mean: FloatArray
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The fits without each block.
+
+    Parameters
+    ----------
+    moves : ndarray of shape (n_blocks, p)
+        Parameters without the block less those of the whole fit.
+    inverse : ndarray of shape (n_blocks, p, p)
+        Inverse of the normal matrix of the other blocks.
+    """
+
+    moves: FloatArray
+    inverse: FloatArray
+
+
+def pseudo_inverse(matrix: FloatArray) -> FloatArray:
+    """Invert normal matrices after scaling them, leaving out what is rounding.
+
+    Parameters
+    ----------
+    matrix : ndarray of shape (…, p, p)
+        Symmetric, positive semi-definite.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 0.0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    both = scale[..., :, None] * scale[..., None, :]
+    return np.asarray(_inverse(matrix / both) / both)
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > NO_DIRECTION
+    half = vectors * np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[..., None, :]
+    return np.asarray(half @ np.swapaxes(half, -1, -2))
+
+
+def eliminate(
+    gram: FloatArray, cross: FloatArray, normal: Any, mean: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Optimise local unknowns away from normal equations.
+
+    Parameters
+    ----------
+    gram : ndarray of shape (p, p)
+        Inner products of the dense columns.
+    cross : ndarray of shape (d, p)
+        Those of the local columns with them.
+    normal : ndarray or sparse array of shape (d, d)
+        Those of the local columns.
+    mean : ndarray of shape (d,)
+        Weights of the sum of the local coefficients that is held at zero; zeros hold nothing.
+
+    Returns
+    -------
+    reduced : ndarray of shape (p, p)
+        Inner products of what the local columns leave of the dense ones.
+    back : ndarray of shape (d, p)
+        Local coefficients that fit each dense column.
+    """
+    solved = _solve(normal, np.column_stack([cross, mean]))
+    back, held = solved[:, :-1], solved[:, -1]
+    size = float(mean @ held)
+    if size > 0.0:
+        back = back - np.outer(held, mean @ back) / size
+    return gram - cross.T @ back, back
+
+
+def _solve(normal: Any, right: FloatArray) -> FloatArray:
+    diagonal = normal.diagonal()
+    ridge = np.where(diagonal > 0.0, RIDGE * diagonal, 1.0)
+    if isinstance(normal, np.ndarray):
+        return np.linalg.solve(normal + np.diag(ridge), right)
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    factors = splu(
+        (normal + diags_array(ridge)).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    return np.asarray(factors.solve(right))
+
+
+def leave_out(
+    jacobian: FloatArray,
+    errors: FloatArray,
+    blocks: Sequence[slice | IndexArray],
+    local: LocalColumns | None = None,
+    block_means: FloatArray | None = None,
+) -> Rest:
+    """Refit without each block, linearised about the whole fit.
+
+    Parameters
+    ----------
+    jacobian : ndarray of shape (n, p)
+        ∂e/∂θ.
+    errors : ndarray of shape (n,)
+        The errors e at the optimum; with local columns, before these take their part.
+    blocks : sequence of slice or ndarray of int
+        Rows of each block.
+    local : LocalColumns, optional
+        Columns that stand in the errors with a minus sign.
+    block_means : ndarray of shape (n_blocks, d), optional
+        What each block adds to ``local.mean``: without it the sum runs over the other rows.
+
+    Returns
+    -------
+    Rest
+
+    Notes
+    -----
+    Without block g, θ moves by -(J'J - A_g)⁻¹ (J'e - J_g'e_g), A_g = J_g'J_g: exact for a linear
+    fit (Cook and Weisberg 1982, section 3.5), at the cost of one pass over the rows whatever the
+    number of blocks. A direction that one block alone determines does not move without it.
+    """
+    both = np.column_stack([jacobian, errors])
+    whole = both.T @ both
+    rest = whole - np.stack([both[block].T @ both[block] for block in blocks])
+    if local is not None:
+        rest = _without_local(both, rest, blocks, local, block_means)
+    scale = np.sqrt(np.diag(whole)[:-1])
+    scale[scale == 0.0] = 1.0
+    rest[:, :-1] /= scale[:, None]
+    rest[:, :, :-1] /= scale
+    # Scaled by the whole: a direction that only the block sees is rounding in the rest.
+    inverse = _inverse(rest[:, :-1, :-1])
+    moves = -np.einsum("gij,gj->gi", inverse, rest[:, :-1, -1]) / scale
+    return Rest(moves, inverse / np.outer(scale, scale))
+
+
+def _without_local(
+    both: FloatArray,
+    rest: FloatArray,
+    blocks: Sequence[slice | IndexArray],
+    local: LocalColumns,
+    block_means: FloatArray | None,
+) -> FloatArray:
+    columns = local.columns
+    normal, cross = columns.T @ columns, columns.T @ both
+    reduced = np.empty_like(rest)
+    for number, block in enumerate(blocks):
+        part = columns[block]
+        mean = local.mean if block_means is None else local.mean - block_means[number]
+        reduced[number], _ = eliminate(
+            rest[number], cross - part.T @ both[block], normal - part.T @ part, mean
+        )
+    return reduced
+
+
+def scatter(moves: FloatArray) -> FloatArray:
+    """Return the jackknife's covariance from what leaving out each block does.
+
+    Parameters
+    ----------
+    moves : ndarray of shape (n_blocks, p)
+
+    Returns
+    -------
+    ndarray of shape (p, p)
+        (G-1)/G times the scatter of the moves: the sandwich CR3 of Bell and McCaffrey (2002). It
+        allows for colour, for errors that grow with the signal, and for blocks that carry much of
+        the information; on a dozen short segments a Newey-West sum states errors that are far too
+        small.
+    """
+    spread = moves - moves.mean(axis=0)
+    return np.asarray((len(moves) - 1) / len(moves) * spread.T @ spread)
+
+
+def block_edges(piece_lengths: ArrayLike, n_lags: int) -> list[IntArray]:
+    """Return where each stretch is cut into blocks, counted from its own first error.
+
+    Parameters
+    ----------
+    piece_lengths : array-like of int
+        Rows of each stretch. A short stretch (one surge cycle) is a block; a long one is cut.
+    n_lags : int
+        Rows over which errors hang together; no block is cut shorter.
+    """
+    lengths = np.asarray(piece_lengths, dtype=np.int64)
+    total = int(lengths.sum())
+    shortest = max(min(max(total / BLOCKS, n_lags), total / FEWEST_BLOCKS), 1.0)
+    # A record of twenty times the shortest block has twenty, however the quotient is rounded.
+    parts = np.maximum(1, (lengths / shortest + 1e-9).astype(np.int64))
+    if lengths.size < FEWEST_BLOCKS:
+        parts = np.maximum(parts, -(-FEWEST_BLOCKS // lengths.size))
+    return [
+        np.unique(np.linspace(0, length, n + 1).astype(np.int64))[1:-1]
+        for length, n in zip(lengths.tolist(), parts.tolist(), strict=True)
+    ]
+
+
+def correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int:
+    """Return the number of lags over which errors still hang together.
+
+    Parameters
+    ----------
+    errors : ndarray of shape (n,)
+        Errors of all stretches, one after the other.
+    piece_lengths : array-like of int
+        Rows of each stretch.
+
+    Returns
+    -------
+    int
+        Twice the lag after which five autocorrelations in a row are insignificant (Politis
+        2003), at least 1, at most the longest stretch.
+    """
+    pieces = np.split(errors, np.cumsum(np.asarray(piece_lengths, dtype=np.int64))[:-1])
+    longest = max(piece.size for piece in pieces)
+    n_lags = min(longest - 1, MOST_LAGS)
+    limit = 2.0 * np.sqrt(np.log10(max(errors.size, 10)) / errors.size)
+    few = min(FEW_LAGS, n_lags)
+    sums = np.zeros(few + 1)
+    for piece in pieces:
+        for lag in range(min(few, piece.size - 1) + 1):
+            sums[lag] += piece[lag:] @ piece[: piece.size - lag]
+    last = _first_quiet(sums, limit)
+    if last is None and n_lags > few:
+        last = _first_quiet(_many_lags(pieces, n_lags), limit)
+    return int(np.clip(2 * (n_lags if last is None else last), 1, longest))
+
+
+def slow_correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int:
+    """Return the number of rows over which averages of the errors hang together.
+
+    A block has to be long against what does not average out within it. A ripple hangs together
+    over the whole record and yet averages out in a few of its periods; judged by it, four blocks
+    would be left, and an error known to no better than 40 %.
+
+    Parameters
+    ----------
+    errors, piece_lengths
+        As in :func:`correlation_length`.
+    """
+    lengths = np.asarray(piece_lengths, dtype=np.int64)
+    n_bin = max(errors.size // (BLOCKS * BINS_A_BLOCK), 1)
+    # Overlapping bins with tapered ends: a plain sum would fold a ripple back as a slow wave.
+    taper = np.hanning(2 * n_bin + 1)
+    starts = np.concatenate([[0], np.cumsum(lengths)])
+    bins, counts = [], []
+    for low, high in pairwise(starts.tolist()):
+        n = (high - low) // n_bin - 1
+        if n < 1:
+            continue
+        counts.append(n)
+        for k in range(n):
+            part = errors[low + k * n_bin : low + (k + 2) * n_bin]
+            bins.append(float(part @ taper[: part.size]))
+    if not bins or max(counts) < 8:
+        return int(lengths.max())
+    return n_bin * (1 + correlation_length(np.asarray(bins), counts))
+
+
+def _first_quiet(products: FloatArray, limit: float) -> int | None:
+    acf = products / products[0] if products[0] > 0.0 else products
+    quiet = np.abs(acf[1:]) < limit
+    run = np.convolve(quiet, np.ones(5), mode="valid") if quiet.size >= 5 else np.zeros(0)
+    found = np.flatnonzero(run > 4.5)
+    return int(found[0]) if found.size else None
+
+
+def _many_lags(pieces: list[FloatArray], n_lags: int) -> FloatArray:
+    """Sum e[k] e[k+lag] by transforms of a few thousand rows at a time."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(4 * n_lags + 64, real=True)
+    step = size - n_lags
+    spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
+    for piece in pieces:
+        for low in range(0, piece.size, step):
+            one = rfft(piece[low : low + step], size)
+            spectrum += np.conj(one) * rfft(piece[low : low + size], size)
+    return np.asarray(irfft(spectrum, size)[: n_lags + 1])

@@ -1,0 +1,30 @@
+"""Names of terms in the field's letters: ``psi_p phi^2`` is ψ' φ²."""
+
+from __future__ import annotations
+
+import re
+
+__all__ = ["pretty_term"]
+
+_GREEK = {"phi": "φ", "psi_p": "ψ'", "psi": "ψ", "plenum": "Ψ"}
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def pretty_term(term: str) -> str:
+    """Write a term with φ, ψ' and raised exponents.
+
+    Parameters
+    ----------
+    term : str
+        Name of the term, e.g. ``psi_p phi^2``.
+
+    Returns
+    -------
+    str
+        E.g. ``ψ' φ²``.
+    """
+    term = " ".join(term.split())
+    for name, symbol in _GREEK.items():
+        term = re.sub(rf"\b{name}\b", symbol, term)
+    term = re.sub(r"sqrt\(([φψΨ])\)", r"√\1", term)
+    return re.sub(r"\^(-?\d+)(?![\d.])", lambda m: m.group(1).translate(_SUPERSCRIPTS), term)

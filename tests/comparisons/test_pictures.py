@@ -1,0 +1,252 @@
+"""Pictures of records and comparisons: what is drawn where, and that the words are its numbers."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import re
+
+import numpy as np
+import pytest
+from comparison_data import LINES, made_comparison, made_series
+from matplotlib.colors import to_hex
+from PIL import Image
+from raw_data import make_test
+
+from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
+from classic_ml.series import CoefficientSeries
+from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.page.blocks import Picture
+from comparisons.page.style import broken, estimator_styles, printable, robust_limits
+from comparisons.results import Truth
+from comparisons.show import plots_fit, plots_record, plots_residuals
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+
+RATE_HZ = 1000.0
+HOSTILE = "p$25_{x}^2 \\frac \U0001f4a5 漢字 <b>"
+
+
+@pytest.fixture(scope="module")
+def reduction() -> Reduction:
+    made = make_test(cells_lbm_s=8.0, noise_counts=1.5, lag_thermocouples=True)
+    return reduce_record(*made.load())
+
+
+def swinging(lag_s: float, slope: float = 2.0, surge_hz: float = 5.0) -> CoefficientSeries:
+    """ψ' of a straight characteristic behind an exact lag, once its start is forgotten."""
+    time_s = np.arange(4000) / RATE_HZ
+    omega = 2.0 * np.pi * surge_hz
+    phi = 0.1 + 0.08 * np.sin(omega * time_s)
+    gain, delay = 1.0 / np.hypot(1.0, omega * lag_s), np.arctan(omega * lag_s)
+    psi_p = 1.0 + slope * (0.1 + 0.08 * gain * np.sin(omega * time_s - delay))
+    return CoefficientSeries(time_s, phi, psi_p, np.ones(4000, dtype=np.int64), source="s.csv")
+
+
+def numbers(text: str) -> list[float]:
+    return [float(found) for found in re.findall(r"(?<![\w.])[-+]?\d+(?:\.\d+)?", text)]
+
+
+def found_in(pattern: str, text: str) -> re.Match[str]:
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return found
+
+
+def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reduction) -> None:
+    comparison = made_comparison()
+    runs = [reconstruct_record(r.model, made_series(5, HOSTILE)) for r in comparison.results]
+    pictures = (
+        plots_fit.characteristics(comparison),
+        plots_fit.reconstruction(comparison),
+        plots_fit.validation(runs),
+        plots_residuals.errors_in_time(comparison),
+        plots_residuals.residual_structure(comparison),
+        plots_record.loops(comparison.records[0]),
+        plots_record.series_in_time(comparison.records[0]),
+        plots_record.operating_points(reduction),
+        plots_record.hub_and_tip(reduction),
+        plots_record.surge_cycles(reduction),
+        plots_record.inlet_spectra(reduction),
+    )
+    for picture in pictures:
+        assert isinstance(picture, Picture)
+        head, data = picture.uri.split(",")
+        assert head == "data:image/png;base64"
+        image = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("L"))
+        assert 0.01 < np.mean(image < 250) < 0.7
+        labels = [ax.get_xlabel() + ax.get_ylabel() for ax in picture.figure.axes]
+        assert any("[" in label for label in labels)
+        assert picture.alt
+        assert picture.reading
+    assert pictures[0].uri == pictures[0].uri
+
+
+def test_flow_is_also_given_in_pounds(reduction: Reduction) -> None:
+    whole = plots_record.operating_points(reduction).figure.axes[0]
+    (secondary,) = whole.child_axes
+    whole.figure.draw_without_rendering()
+    ratio = np.asarray(whole.get_xlim()) / np.asarray(secondary.get_xlim())  # type: ignore[attr-defined]
+    assert ratio == pytest.approx(0.45359237)
+
+
+def test_an_unfiltered_record_shows_no_cut_off() -> None:
+    made = make_test(noise_counts=1.5)
+    reduction = reduce_record(*made.load(), ReductionSettings(phase="none"))
+    picture = plots_record.inlet_spectra(reduction)
+    assert [text.get_text() for text in picture.figure.axes[0].texts] == ["stall cells, 82.5 Hz"]
+    assert "no low-pass was used" in picture.alt
+
+
+def test_an_estimator_keeps_its_colour_in_every_picture() -> None:
+    names = [line[0] for line in LINES]
+    styles = estimator_styles(names)
+    assert len({style.colour for style in styles.values()}) == len(names)
+    assert estimator_styles(reversed(names))["sindy"] == styles["sindy"]
+    comparison = made_comparison()
+    axes = plots_fit.characteristics(comparison).figure.axes[0]
+    drawn = {line.get_label(): to_hex(line.get_color()) for line in axes.get_lines()}
+    strips = plots_residuals.errors_in_time(comparison).figure.axes
+    for result, strip in zip(comparison.results, strips, strict=True):
+        expected = styles[result.name].colour.lower()
+        assert drawn[printable(result.label)] == expected
+        assert expected in {to_hex(line.get_color()) for line in strip.get_lines()}
+
+
+def test_curves_are_full_only_where_phi_dwells() -> None:
+    comparison = made_comparison()
+    low, high = comparison.valid_phi
+    axes = plots_fit.characteristics(comparison).figure.axes[0]
+    full = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+    assert len(full) == len(LINES)
+    for line in full:
+        phi = np.asarray(line.get_xdata())[np.isfinite(np.asarray(line.get_ydata()))]
+        assert low <= phi.min() <= phi.max() <= high
+        assert np.asarray(line.get_xdata()).max() > high  # faint, but drawn
+
+
+def test_the_truth_is_drawn_where_it_is_known_and_said() -> None:
+    comparison = made_comparison()
+    phi = np.linspace(-1.0, 2.0, 400)
+    picture = plots_fit.characteristics(comparison, Truth(0.018, phi, 0.3 + 1.2 * phi, "truth"))
+    lines = picture.figure.axes[0].get_lines()
+    (line,) = [line for line in lines if line.get_label() == "truth"]
+    assert np.asarray(line.get_ydata()) == pytest.approx(0.3 + 1.2 * np.asarray(line.get_xdata()))
+    assert np.asarray(line.get_xdata()).max() <= comparison.rows.phi.max()
+    low, high = (0.3 + 1.2 * end for end in comparison.valid_phi)
+    assert picture.alt.rstrip(".").endswith(f"truth {low:#.3g} and {high:#.3g}")
+
+
+def test_held_out_cycles_are_shaded_and_segments_are_not_joined() -> None:
+    comparison = made_comparison()
+    rows = comparison.rows
+    upper = plots_fit.reconstruction(comparison).figure.axes[0]
+    measured = next(line for line in upper.get_lines() if line.get_label() == "measured")
+    assert np.isnan(np.asarray(measured.get_ydata())).sum() == rows.n_segments
+    assert len(upper.patches) == len(runs_of(rows.labels[~rows.train], int(np.sum(~rows.train))))
+
+
+def test_records_whose_clocks_overlap_are_drawn_one_after_the_other() -> None:
+    comparison = made_comparison(made_series(0, "a"), made_series(1, "b"))
+    axes = plots_residuals.errors_in_time(comparison).figure.axes[-1]
+    assert "in a row" in axes.get_xlabel()
+    assert axes.get_xlim()[1] == pytest.approx(comparison.rows.phi.size * 1e-3, rel=0.01)
+    assert "of b from" in plots_fit.reconstruction(comparison, 1).alt
+
+
+def test_a_missing_work_coefficient_is_refused() -> None:
+    with pytest.raises(InputError, match="a column psi"):
+        plots_record.loops(made_series(), "psi")
+
+
+def test_limits_leave_out_a_stray_row_and_survive_nothing() -> None:
+    signal = np.concatenate([np.linspace(0.0, 1.0, 10_000), [1e6, np.nan]])
+    low, high = robust_limits(signal)
+    assert -0.2 < low < 0.0
+    assert 1.0 < high < 1.2
+    assert robust_limits(np.full(5, np.nan)) == (0.0, 1.0)
+    assert broken(np.zeros(0), np.zeros(0), [])[0].size == 0
+
+
+@pytest.mark.parametrize("surge_hz", [3.0, 5.0, 11.0])
+def test_a_cycle_takes_as_long_as_it_was_made(surge_hz: float) -> None:
+    words = plots_record.series_in_time(swinging(0.02, surge_hz=surge_hz)).alt
+    period = float(found_in(r"A cycle takes ([\d.]+) ms", words).group(1))
+    assert period == pytest.approx(1e3 / surge_hz, rel=0.01)
+    assert "φ 0.0200 to 0.180" in words
+
+
+@pytest.mark.parametrize(("slope", "way"), [(2.0, "falls"), (-2.0, "rises")])
+def test_a_loop_is_as_wide_as_its_lag_makes_it(slope: float, way: str) -> None:
+    lag_s, omega = 0.02, 2.0 * np.pi * 5.0
+    words = plots_record.loops(swinging(lag_s, slope)).alt
+    found = found_in(r"widest at φ = ([\d.]+): ψ' is ([\d.]+) higher there while φ (\w+)", words)
+    # At the middle of the swing the two branches lie 2 · 0.08 |slope| ωτ / (1 + (ωτ)²) apart.
+    apart = 0.16 * abs(slope) * omega * lag_s / (1.0 + (omega * lag_s) ** 2)
+    assert float(found.group(2)) == pytest.approx(apart, rel=0.05)
+    assert float(found.group(1)) == pytest.approx(0.1, abs=0.03)
+    assert found.group(3) == way
+
+
+def test_without_a_lag_no_loop_is_open() -> None:
+    assert plots_record.loops(swinging(0.0)).alt.endswith("No loop is open.")
+
+
+def test_the_words_on_a_reduction_are_its_own_numbers(reduction: Reduction) -> None:
+    record = reduction.record
+    keep = (record.time_s >= reduction.window_s[0]) & (record.time_s <= reduction.window_s[1])
+    flow = record["Wc25_kg_s"][keep]
+    cycles = plots_record.surge_cycles(reduction).alt
+    for words in (plots_record.operating_points(reduction).alt, cycles):
+        ends = re.findall(r"flow (-?[\d.]+) to (-?[\d.]+) kg/s", words)[-1]
+        assert [float(end) for end in ends] == pytest.approx([flow.min(), flow.max()], rel=0.01)
+    crossings = np.count_nonzero(np.diff(np.sign(flow - flow.mean())) > 0)
+    window_ms = 1e3 * (reduction.window_s[1] - reduction.window_s[0])
+    period_ms = float(found_in(r"A cycle takes ([\d.]+) ms", cycles).group(1))
+    assert period_ms == pytest.approx(window_ms / crossings, rel=0.1)
+    both = plots_record.hub_and_tip(reduction)
+    assert both is not None
+    for place in ("tip", "hub"):
+        share = 100.0 * np.mean(record[f"Wc25_{place}_kg_s"][keep] < 0.0)
+        reversed_share = found_in(rf"{place} -?[\d.]+ to [^;]*reversed (\d+) %", both.alt).group(1)
+        assert float(reversed_share) == pytest.approx(share, abs=0.51)
+    changes = re.findall(r"by ([-+][\d.]+) dB", plots_record.inlet_spectra(reduction).alt)
+    assert len(changes) == 2
+    assert all(float(change) < -15.0 for change in changes)
+
+
+def test_the_words_on_a_comparison_are_its_errors() -> None:
+    fit = made_comparison()
+    rows = fit.rows
+    for words, part in (
+        (plots_residuals.errors_in_time(fit).alt, "reconstruction"),
+        (plots_fit.reconstruction(fit).alt, "trained"),
+    ):
+        for result in fit.results:
+            error = rows.measured - getattr(result, part)
+            rms = float(np.sqrt(np.mean(error**2)))
+            assert numbers(words.split(result.label, 1)[1])[0] == pytest.approx(rms, rel=0.06)
+    first = fit.result(fit.table[0].estimator)
+    at = int(np.argmax(np.abs(rows.measured - first.trained)))
+    assert f"part most at {rows.time_s[at]:.2f} s" in plots_fit.reconstruction(fit).alt
+    assert "of its lags outside the band" in plots_residuals.residual_structure(fit).alt
+
+
+def test_a_refused_fit_is_described_without_numbers() -> None:
+    fit = made_comparison()
+    lost = np.full(fit.rows.phi.size, np.nan)
+    refused = dataclasses.replace(fit.results[0], reconstruction=lost, trained=lost)
+    fit = dataclasses.replace(fit, results=(refused, *fit.results[1:]))
+    with np.errstate(invalid="ignore"):
+        for picture in (plots_residuals.errors_in_time(fit), plots_fit.reconstruction(fit)):
+            assert "nan" not in picture.alt
+            assert "n/a" in picture.alt
+
+
+def test_a_validation_says_how_far_phi_went_beyond() -> None:
+    model = made_comparison().results[0].model
+    run = reconstruct_record(model, made_series(5, "other.csv"))
+    words = plots_fit.validation((run,)).alt
+    assert f"In {100.0 * run.outside:.0f} % of the rows" in words
+    assert numbers(words.split("rms", 1)[1])[0] == pytest.approx(run.score.rms, rel=0.06)

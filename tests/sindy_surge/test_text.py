@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sindy_surge import FitState, InputError, SparseLagRegressor
+from sindy_surge.candidate_terms import CandidateTerms
+from sindy_surge.export import RateFunction, python_source
+from sindy_surge.library import default_library
+from sindy_surge.summary import ModelSummary, interval95
+from sindy_surge.text import EquationParts, formula, pysindy_equations, uncertain, write_equation
+
+QUADRATIC = EquationParts(
+    ("1", "phi", "phi^2"), (0.35, 1.2, -1.9), (0.004, 0.03, 0.05), 0.018, 0.0002
+)
+PHI = np.linspace(-0.05, 0.5, 23)
+
+
+def with_terms(terms: tuple[str, ...], **other: Any) -> EquationParts:
+    n = len(terms)
+    coef = tuple(0.5 + 0.25 * i for i in range(n))
+    return EquationParts(terms, coef, (0.01,) * n, 0.018, 0.0002, **other)
+
+
+def test_text_carries_units_signs_and_the_errors() -> None:
+    text = write_equation(QUADRATIC)
+    assert text.startswith("0.01800(20) s · dψ'/dt + ψ' = 0.350(4) + 1.200(30) φ − 1.90(5) φ²")
+    late = with_terms(("phi",), dead_time_s=0.002, dead_time_stderr_s=0.0001)
+    assert "φ at t − 0.00200(10) s" in write_equation(late)
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (1.2049, 0.0412, "1.20(4)"),
+        (30.12, 1.2, "30.1(1.2)"),
+        (1.2e-8, 3e-10, "1.200(30)e-08"),
+        (0.25, 0.0, "0.25"),
+        (0.25, math.nan, "0.25"),
+    ],
+)
+def test_values_are_rounded_to_their_error(value: float, stderr: float, text: str) -> None:
+    assert uncertain(value, stderr) == text
+
+
+@pytest.mark.parametrize(
+    "term", ["phi^2[phi<0]", "my_col{2}", "exp(-phi/0.05)", "|phi|phi", "f(x)"]
+)
+def test_latex_balances_its_braces(term: str) -> None:
+    text = write_equation(with_terms((term,)), "latex").replace(r"\{", "").replace(r"\}", "")
+    assert text.count("{") == text.count("}")
+    assert text.count(r"\left") == text.count(r"\right")
+
+
+@pytest.mark.parametrize(
+    ("term", "value"),
+    [
+        ("phi^2[phi<0]", lambda p, q: p**2 * (p < 0)),
+        ("relu(phi-0.05)", lambda p, q: np.maximum(p - 0.05, 0)),
+        ("relu(phi+0.05)", lambda p, q: np.maximum(p + 0.05, 0)),
+        ("|phi| phi", lambda p, q: np.abs(p) * p),
+        ("exp(-phi/0.05)", lambda p, q: np.exp(-p / 0.05)),
+        ("psi_p^2 phi", lambda p, q: q**2 * p),
+        ("sin(2 phi)", lambda p, q: np.sin(2 * p)),
+    ],
+)
+def test_names_are_read_as_formulas(term: str, value: Callable[..., Any]) -> None:
+    source = python_source(
+        with_terms((term,)), lambda x, y: value(x[:, 0], y)[:, None], np.array([[-0.1], [0.5]])
+    )
+    space: dict[str, Any] = {}
+    exec(source, space)
+    psi_p = 0.3 * np.ones_like(PHI)
+    expected = (0.5 * value(PHI, psi_p) - psi_p) / 0.018
+    np.testing.assert_allclose(space["rate"](psi_p, PHI), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("term", ["f0(phi)", "phi; import os", "__import__('os')", "phi^^2", ""])
+def test_a_name_that_is_no_formula_is_refused_as_code(term: str) -> None:
+    assert formula(term, ("phi", "psi_p")) is None
+    with pytest.raises(InputError, match="written as code"):
+        python_source(with_terms((term,)), lambda x, y: x, np.array([[0.0], [1.0]]))
+
+
+def test_a_name_that_is_not_what_the_library_computes_is_refused() -> None:
+    with pytest.raises(InputError, match="other values"):
+        python_source(with_terms(("phi^2",)), lambda x, y: (x - 1) ** 2, np.array([[0.0], [1.0]]))
+
+
+def test_source_equals_the_default_library() -> None:
+    X = PHI[:, None]
+    library = CandidateTerms(default_library(X), X, ["phi"])
+    parts = with_terms(library.names)
+    space: dict[str, Any] = {}
+    exec(python_source(parts, lambda x, _: library(x), np.array([[-0.05], [0.5]])), space)
+    np.testing.assert_allclose(space["characteristic"](PHI), library(X) @ parts.coef, rtol=1e-9)
+
+
+def test_columns_with_odd_names_are_renamed() -> None:
+    parts = with_terms(("flow coefficient^2",), input_names=("flow coefficient",))
+    source = python_source(parts, lambda x, _: x**2, np.array([[0.0], [1.0]]))
+    space: dict[str, Any] = {}
+    exec(source, space)
+    assert space["characteristic"](2.0) == pytest.approx(2.0)
+    assert r"'flow coefficient' is called x0" in source
+
+
+def test_pysindy_strings_are_those_of_the_rate() -> None:
+    (text,) = pysindy_equations(QUADRATIC)
+    assert text == "-55.556 psi_p + 19.444 1 + 66.667 phi + -105.556 phi^2"
+    late = with_terms(("phi^2",), dead_time_s=0.002)
+    assert "phi(t-0.002)^2" in pysindy_equations(late)[0]
+    static = EquationParts(("1",), (0.3,), (math.nan,), math.nan, math.nan)
+    with pytest.raises(InputError, match="static"):
+        pysindy_equations(static)
+
+
+def test_the_function_integrates_to_the_exponential_of_the_lag() -> None:
+    rate = pickle.loads(pickle.dumps(RateFunction(QUADRATIC, quadratic_terms)))
+    rest = 0.35 + 1.2 * 0.2 - 1.9 * 0.04
+    found = solve_ivp(lambda t, y: rate(y, 0.2), (0, 0.018), [1.0], rtol=1e-10, atol=1e-12)
+    assert found.y[0, -1] == pytest.approx(rest + (1 - rest) * np.exp(-1), rel=1e-8)
+    assert isinstance(rate(0.4, 0.2), float)
+    assert rate(np.zeros((3, 1)), PHI).shape == (3, PHI.size)
+    with pytest.raises(InputError):
+        rate(0.4)
+
+
+def quadratic_terms(x: np.ndarray, psi_p: np.ndarray) -> np.ndarray:
+    return np.hstack([x**0, x, x**2])
+
+
+def test_interval_covers_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    inside = 0
+    for value in 0.018 + 0.002 * rng.standard_normal(2000):
+        low, high = interval95(value, 0.002, positive=True)
+        inside += low <= 0.018 <= high
+    assert 0.93 < inside / 2000 < 0.97
+    assert interval95(0.001, 0.002, positive=True)[0] == 0.0
+    assert all(map(math.isnan, interval95(1.0, math.nan)))
+
+
+def test_sheet_states_the_fields_and_escapes_them() -> None:
+    summary = ModelSummary(with_terms(("<b>",)), FitState.OK, rivals=[("phi",)], aliases=[])
+    sheet = summary.sheet()
+    fields = {field.label: field.lines for field in sheet.fields}
+    assert fields["rivals"] == ("the data cannot tell from it:", "φ")
+    assert fields["aliases"] == ("none",)
+    assert "<b>" not in sheet.html()
+    assert "<b>" in sheet.text()
+
+
+def test_an_estimator_shows_its_sheet_once_it_is_fitted() -> None:
+    model = SparseLagRegressor()
+    assert str(model) == "SparseLagRegressor()"
+    phi = np.linspace(0.0, 0.3, 9)
+    model.fit(phi[:, None], 0.3 + phi)
+    assert "too_few_rows" in str(model)
+    assert model._repr_html_().startswith('<div class="sindy-surge">')
