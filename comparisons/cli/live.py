@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from comparisons.live.pieces import Result
     from comparisons.live.session import Session
 
-__all__ = ["add_live_parser"]
+__all__ = ["add_parser"]
 
 SERIES = (".csv", ".nc", ".nc4", ".netcdf")
 _BEHAVIOUR = """\
@@ -46,7 +46,7 @@ SIGTERM; then the rows are reduced as `reduce` would with the same options. They
 time: after a crash, reduce that file."""
 
 
-def add_live_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the sub-command.
 
     Parameters

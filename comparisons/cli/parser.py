@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from io import TextIOWrapper
 
 from comparisons.cli import (
@@ -23,8 +23,8 @@ from comparisons.cli import (
     total_system,
     work,
 )
-from comparisons.cli.one_sentence import OneLineParser, printable, sentence
-from comparisons.cli.shared import Commands
+from comparisons.cli.one_sentence import OneLineParser, one_line
+from surge_core.errors import InputError
 
 __all__ = ["build_parser", "main"]
 
@@ -33,22 +33,22 @@ EXIT_UNUSABLE = 2
 # 128 + SIGINT, as a shell reports a process that was interrupted.
 EXIT_INTERRUPTED = 130
 
-# Each adds one command, in the order of `--help`.
-COMMANDS: tuple[Callable[[Commands], None], ...] = (
-    demo.add_parser,
-    simulate.add_parser,
-    inspect.add_parser,
-    reduce.add_parser,
-    live.add_live_parser,
-    compare.add_parser,
-    reconstruct.add_parser,
-    diagnose.add_parser,
-    work.add_parser,
-    orders.add_parser,
-    structure.add_parser,
-    reproduce.add_parser,
-    study.add_study_parser,
-    total_system.add_total_system_parser,
+# Each module adds one command, in the order of `--help`.
+COMMANDS = (
+    demo,
+    simulate,
+    inspect,
+    reduce,
+    live,
+    compare,
+    reconstruct,
+    diagnose,
+    work,
+    orders,
+    structure,
+    reproduce,
+    study,
+    total_system,
 )
 
 
@@ -70,14 +70,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         # A terminal that cannot show Greek gets a replacement sign, not an exception.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-    from surge_core.errors import InputError
-
     try:
         arguments = build_parser().parse_args(argv)
         arguments.run(arguments)
         sys.stdout.flush()
     except InputError as error:
-        words = sentence(error)
+        words = one_line(str(error))
     except MemoryError:
         words = "input: expected data that fit into memory, found more"
     except BrokenPipeError:
@@ -85,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return EXIT_DONE
     except OSError as error:
-        words = printable(f"{error.filename or 'output'}: {error.strerror}")
+        words = one_line(f"{error.filename or 'output'}: {error.strerror}")
     except KeyboardInterrupt:
         print("sindy-surge: interrupted; files that were finished are whole", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -104,8 +102,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for add_parser in COMMANDS:
-        add_parser(commands)
+    for command in COMMANDS:
+        command.add_parser(commands)
     return parser
 
 

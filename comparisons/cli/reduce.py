@@ -26,11 +26,9 @@ from surge_core.files import check_target
 from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
-    from classic_ml.io import TestDescription
-    from classic_ml.records import Record
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["add_parser", "print_reduction", "read_file", "reduce_file", "run"]
+__all__ = ["add_parser", "print_reduction", "run"]
 
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
@@ -80,7 +78,7 @@ def run(arguments: argparse.Namespace) -> None:
     check_target(arguments.out, SERIES_SUFFIXES)
     with options_named():
         settings, window = reduction_settings(arguments), read_window(arguments)
-        reduction = reduce_file(arguments.raw, arguments.test, settings, window)
+        reduction = _reduced(arguments.raw, arguments.test, settings, window)
     write_series(reduction.series, arguments.out)
     written = write_all([("report", arguments.report, lambda: _page(reduction))])
     print_reduction(reduction)
@@ -88,54 +86,17 @@ def run(arguments: argparse.Namespace) -> None:
         print(line)
 
 
-def reduce_file(
-    raw: Path,
-    test: Path,
-    settings: ReductionSettings,
-    window: tuple[float, float] | None = None,
+def _reduced(
+    raw: Path, test: Path, settings: ReductionSettings, window: tuple[float, float] | None
 ) -> Reduction:
-    """Read and reduce a raw record, and show how far that is on a terminal.
-
-    Parameters
-    ----------
-    raw, test : path
-        The record and its test.toml.
-    settings : ReductionSettings
-        The switches.
-    window : tuple of float, optional
-        Part of the file that is read, in s on its clock.
-
-    Raises
-    ------
-    InputError
-        When the record cannot be used.
-    """
+    """Read a raw record, or a window of it in seconds of its clock, and reduce it."""
+    from classic_ml.io import read_raw
     from classic_ml.reduction import STEPS, reduce_record
 
-    record, description = read_file(raw, test, window)
+    with shown_count("reading", unit="row") as read:
+        record, description = read_raw(raw, test, window=window, progress=read)
     with shown_count("reducing", unit="step", total=STEPS) as done:
         return reduce_record(record, description, settings, keep_probes=False, progress=done)
-
-
-def read_file(
-    raw: Path, test: Path, window: tuple[float, float] | None = None
-) -> tuple[Record, TestDescription]:
-    """Read a raw record, and show how far that is on a terminal.
-
-    Parameters
-    ----------
-    raw, test, window
-        As :func:`reduce_file` takes them.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    """
-    from classic_ml.io import read_raw
-
-    with shown_count("reading", unit="row") as read:
-        return read_raw(raw, test, window=window, progress=read)
 
 
 def print_reduction(reduction: Reduction) -> None:

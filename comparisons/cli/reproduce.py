@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import Commands, add_targets, whole
+from comparisons.cli.shared import Commands, add_targets, command_line, whole
 from surge_core.files import check_apart, check_target, write_whole
 from surge_core.progress import shown_over
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from comparisons.paper.figures import PaperFigure
     from comparisons.show.report import ReportSection
 
-__all__ = ["claims_sections", "command_line", "reproduce", "show_progress"]
+__all__ = ["add_parser", "claims_sections", "reproduce", "run"]
 
 HTML = (".html", ".htm")
 ABOUT = (
@@ -117,22 +116,6 @@ def claims_sections(
     return ReportSection("Claims", extra=(table,)), ReportSection("Figures", extra=pictures)
 
 
-def show_progress(items: Iterable[Any]) -> Iterable[Any]:
-    """Show how far a work is, on a terminal only.
-
-    Parameters
-    ----------
-    items : iterable
-        What is worked through.
-    """
-    return shown_over(items)
-
-
-def command_line() -> str:
-    """Return the command as it was called."""
-    return " ".join(["sindy-surge", *sys.argv[1:]])
-
-
 def add_parser(commands: Commands) -> None:
     """Add the command.
 
@@ -168,7 +151,7 @@ def run(arguments: argparse.Namespace) -> None:
             seed=arguments.seed,
             json_path=arguments.json,
             report=arguments.report,
-            progress=show_progress,
+            progress=shown_over,
             command=command_line(),
         )
     )

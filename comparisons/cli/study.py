@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-__all__ = ["add_study_parser"]
+__all__ = ["add_parser"]
 
 # Reasons of failed cells that are printed; the report has all.
 MOST_REASONS = 5
 
 
-def add_study_parser(commands: Any) -> None:
+def add_parser(commands: Any) -> None:
     """Add the sub-command to a parser's commands.
 
     Parameters

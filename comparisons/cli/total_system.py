@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from classic_ml.io import TestDescription
     from comparisons.total_system import Facility, TotalSystemFit
 
-__all__ = ["TOTAL_SYSTEM_SCHEMA", "add_total_system_parser", "run_total_system"]
+__all__ = ["TOTAL_SYSTEM_SCHEMA", "add_parser", "run_total_system"]
 
 TOTAL_SYSTEM_SCHEMA = "sindy-surge/total-system/1"
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
-def add_total_system_parser(subparsers: _Commands) -> None:
+def add_parser(subparsers: _Commands) -> None:
     """Add the sub-command.
 
     Parameters
@@ -90,7 +90,7 @@ def run_total_system(arguments: argparse.Namespace) -> None:
     Parameters
     ----------
     arguments : Namespace
-        What the parser of `add_total_system_parser` gave.
+        What the parser of `add_parser` gave.
 
     Raises
     ------

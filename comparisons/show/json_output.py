@@ -9,9 +9,8 @@ import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.results import Comparison, EstimatorResult
-from surge_core.files import to_strict_json
 
-__all__ = ["COMPARE_SCHEMA", "comparison_document", "record_document", "to_strict_json"]
+__all__ = ["COMPARE_SCHEMA", "comparison_document", "record_document"]
 
 COMPARE_SCHEMA = "sindy-surge/compare/1"
 

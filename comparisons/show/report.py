@@ -22,7 +22,7 @@ from comparisons.page.blocks import (
 )
 from comparisons.page.html import render_page
 from comparisons.results import Comparison, Reconstruction, Truth
-from comparisons.show import plots_fit, plots_record, plots_residuals
+from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
 from comparisons.show.plots_tau_trial import tau_trial
 from comparisons.show.report_tables import (
     checks_table,
@@ -234,7 +234,7 @@ def _migration(section: ReportSection) -> tuple[Block, ...]:
         both = plots_record.hub_and_tip(section.reduction)
         return (plots_record.operating_points(section.reduction), *([both] if both else []))
     pictures = tuple(
-        plots_record.loops(series, fit.rows.target)
+        plots_series.loops(series, fit.rows.target)
         for fit, _ in section.fits
         for series in fit.records[:RECORDS_DRAWN]
     )
@@ -245,7 +245,7 @@ def _in_time(section: ReportSection) -> tuple[Block, ...]:
     if section.reduction is not None:
         return (plots_record.surge_cycles(section.reduction),)
     drawn = _records(section)[:RECORDS_DRAWN]
-    return (*map(plots_record.series_in_time, drawn), *_left_out(section))
+    return (*map(plots_series.series_in_time, drawn), *_left_out(section))
 
 
 def _spectra(section: ReportSection) -> tuple[Block, ...]:

@@ -28,9 +28,9 @@ from classic_ml.work.balance import (
 from classic_ml.work.coefficient import WorkCharacteristic, fit_work_characteristic
 from classic_ml.work.forms import with_work
 from comparisons.rig import simulate, write_run
-from comparisons.show.json_output import to_strict_json
 from comparisons.show.work_output import work_document, work_table
 from surge_core.errors import InputError
+from surge_core.files import to_strict_json
 from surge_core.fit_state import FitState
 
 HEAT = GAMMA * GAS / (GAMMA - 1)

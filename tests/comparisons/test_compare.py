@@ -16,8 +16,9 @@ from comparisons.harness.fit_quality import block_errors, block_rms, paired_diff
 from comparisons.harness.reconstruction import reconstruct_record, reconstruction_csv
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
-from comparisons.show.json_output import comparison_document, to_strict_json
+from comparisons.show.json_output import comparison_document
 from surge_core.errors import InputError
+from surge_core.files import to_strict_json
 
 CLASSICAL = default_estimators()[:4]
 

@@ -20,7 +20,7 @@ from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Picture
 from comparisons.page.style import broken, estimator_styles, printable, robust_limits
 from comparisons.results import Truth
-from comparisons.show import plots_fit, plots_record, plots_residuals
+from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
 
@@ -63,8 +63,8 @@ def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reducti
         plots_fit.validation(runs),
         plots_residuals.errors_in_time(comparison),
         plots_residuals.residual_structure(comparison),
-        plots_record.loops(comparison.records[0]),
-        plots_record.series_in_time(comparison.records[0]),
+        plots_series.loops(comparison.records[0]),
+        plots_series.series_in_time(comparison.records[0]),
         plots_record.operating_points(reduction),
         plots_record.hub_and_tip(reduction),
         plots_record.surge_cycles(reduction),
@@ -157,7 +157,7 @@ def test_records_whose_clocks_overlap_are_drawn_one_after_the_other() -> None:
 
 def test_a_missing_work_coefficient_is_refused() -> None:
     with pytest.raises(InputError, match="a column psi"):
-        plots_record.loops(made_series(), "psi")
+        plots_series.loops(made_series(), "psi")
 
 
 def test_limits_leave_out_a_stray_row_and_survive_nothing() -> None:
@@ -171,7 +171,7 @@ def test_limits_leave_out_a_stray_row_and_survive_nothing() -> None:
 
 @pytest.mark.parametrize("surge_hz", [3.0, 5.0, 11.0])
 def test_a_cycle_takes_as_long_as_it_was_made(surge_hz: float) -> None:
-    words = plots_record.series_in_time(swinging(0.02, surge_hz=surge_hz)).alt
+    words = plots_series.series_in_time(swinging(0.02, surge_hz=surge_hz)).alt
     period = float(found_in(r"A cycle takes ([\d.]+) ms", words).group(1))
     assert period == pytest.approx(1e3 / surge_hz, rel=0.01)
     assert "φ 0.0200 to 0.180" in words
@@ -180,7 +180,7 @@ def test_a_cycle_takes_as_long_as_it_was_made(surge_hz: float) -> None:
 @pytest.mark.parametrize(("slope", "way"), [(2.0, "falls"), (-2.0, "rises")])
 def test_a_loop_is_as_wide_as_its_lag_makes_it(slope: float, way: str) -> None:
     lag_s, omega = 0.02, 2.0 * np.pi * 5.0
-    words = plots_record.loops(swinging(lag_s, slope)).alt
+    words = plots_series.loops(swinging(lag_s, slope)).alt
     found = found_in(r"widest at φ = ([\d.]+): ψ' is ([\d.]+) higher there while φ (\w+)", words)
     # At the middle of the swing the two branches lie 2 · 0.08 |slope| ωτ / (1 + (ωτ)²) apart.
     apart = 0.16 * abs(slope) * omega * lag_s / (1.0 + (omega * lag_s) ** 2)
@@ -190,7 +190,7 @@ def test_a_loop_is_as_wide_as_its_lag_makes_it(slope: float, way: str) -> None:
 
 
 def test_without_a_lag_no_loop_is_open() -> None:
-    assert plots_record.loops(swinging(0.0)).alt.endswith("No loop is open.")
+    assert plots_series.loops(swinging(0.0)).alt.endswith("No loop is open.")
 
 
 def test_the_words_on_a_reduction_are_its_own_numbers(reduction: Reduction) -> None:

@@ -21,9 +21,10 @@ from comparisons.harness.sparse_whole_run import SparseWholeRunFit, fit_sparse_w
 from comparisons.harness.tau_trial import trial_of
 from comparisons.results import Comparison
 from comparisons.rig import simulate, write_run
-from comparisons.show.json_output import comparison_document, to_strict_json
+from comparisons.show.json_output import comparison_document
 from sindy_surge import SparseLagRegressor
 from surge_core.errors import InputError
+from surge_core.files import to_strict_json
 from surge_core.fit_state import FitState
 
 TAU_S = 0.018

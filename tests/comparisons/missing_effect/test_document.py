@@ -14,7 +14,7 @@ from made_diagnosis import BETA, SIGMA, VERDICTS, Told, made_diagnosis, swept
 from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.missing_effect.document import DIAGNOSE_SCHEMA, diagnosis_document
 from comparisons.missing_effect.shown import where_of
-from comparisons.show.json_output import to_strict_json
+from surge_core.files import to_strict_json
 
 PANELS = ("time", "frequency", "flow", "phase", "regime")
 CANDIDATE_KEYS = {

@@ -18,7 +18,7 @@ from comparisons.missing_effect.systems.files import load_model, read_experiment
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
 from comparisons.missing_effect.systems.terminal import system_text
 from comparisons.missing_effect.systems.words import system_words
-from comparisons.show.json_output import to_strict_json
+from surge_core.files import to_strict_json
 
 KEYS = {
     "schema",
