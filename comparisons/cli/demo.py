@@ -124,7 +124,7 @@ def run_demo(folder: Path, seed: int, begin: Callable[[str], None]) -> _Demo:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise InputError(str(folder), expected="a folder to write to", found="a file") from None
-    begin("loading; the first run compiles for about half a minute")
+    begin("loading; the first run compiles for some seconds")
     from comparisons.show.report import write_report
 
     (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]

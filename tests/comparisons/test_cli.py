@@ -274,7 +274,7 @@ def replacing(old: str, new: str) -> Callable[[Path], None]:
     ("spoil", "words"),
     [
         (drop_channel, ("P25_B_hub_aft",)),
-        (replacing('unit = "count"', 'unit = "psi"'), ("unit", "psi")),
+        (replacing('unit = "count"', 'unit = "psi"'), ("test.toml", "calibrate_pressure_Pa")),
         (put_nan, ("P31_A_tip_aft", "nan")),
         (saturate, ("P25", "clipped")),
         (replacing("[test]", "[test"), ("test.toml",)),
