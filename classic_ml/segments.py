@@ -187,10 +187,11 @@ def estimated_threshold_lbm_s(
 ) -> tuple[float | None, LedgerEntry]:
     """Estimate the corrected flow between the regimes from the record itself.
 
-    The machine shows its state by the shift between hub and tip; the threshold is the flow that
-    divides the rows of the window most nearly as that state does. Without such a shift it is the
-    flow that leaves the least variance on its two sides (Otsu's method), where the flow comes
-    back to a good part of that before surge at all.
+    The machine shows its state by the shift between hub and tip; the threshold is the middle of
+    the flows that divide the rows of the window as that state does, as nearly as the switches
+    decide: within one standard error of the fewest rows on the wrong side. Without
+    such a shift it is the flow that leaves the least variance on its two sides (Otsu's method),
+    where the flow comes back to a good part of that before surge at all.
 
     Parameters
     ----------
@@ -208,31 +209,41 @@ def estimated_threshold_lbm_s(
     LedgerEntry
         How it was estimated.
     """
-    flow = np.sort(corrected_kg_s[window])
+    flow = corrected_kg_s[window]
+    in_order = np.sort(flow)
     n_below = np.arange(1, flow.size)
+    slack = 0.0
     if shows_stall(record, window):
-        stalled = hub_tip_stall(record, window, cell_frequency_hz(record, window))[window]
-        stalled = stalled[np.argsort(corrected_kg_s[window])]
+        state = hub_tip_stall(record, window, cell_frequency_hz(record, window))[window]
+        stalled = state[np.argsort(flow)]
         unstalled = 1.0 - float(np.mean(stalled))
         # Rows that a threshold behind each flow in turn gives the wrong state.
         upto = np.cumsum(stalled)[:-1]
         cost = (n_below - upto) + (upto[-1] + int(stalled[-1]) - upto)
+        slack = _error_of_count((flow <= in_order[int(np.argmin(cost))]) != state)
         how = "the shift between hub and tip"
     else:
         unstalled = 1.0 if _recovers(record, window) else 0.0
-        below = np.cumsum(flow)[:-1]
-        lower, upper = below / n_below, (flow.sum() - below) / (flow.size - n_below)
+        below = np.cumsum(in_order)[:-1]
+        lower, upper = below / n_below, (in_order.sum() - below) / (flow.size - n_below)
         cost = -n_below * (flow.size - n_below) * (upper - lower) ** 2
         how = "the spread of the flow"
     parameters: dict[str, str | int | float | bool] = {"origin": "estimated", "by": how}
     if unstalled < LEAST_UNSTALLED:
         did = f"estimated: none, since {how} shows no unstalled regime"
         return None, LedgerEntry("threshold", did, parameters)
-    best = int(np.argmin(cost))
-    threshold = 0.5 * float(flow[best] + flow[best + 1]) / LBM_KG
+    good = np.flatnonzero(cost <= cost.min() + slack)
+    threshold = 0.5 * float(in_order[good[0]] + in_order[good[-1] + 1]) / LBM_KG
     parameters["threshold_lbm_s"] = round(threshold, 3)
     did = f"estimated: {threshold:.1f} lbm/s of corrected flow, by {how}"
     return threshold, LedgerEntry("threshold", did, parameters)
+
+
+def _error_of_count(wrong: BoolArray) -> float:
+    """Return the standard error of a count of rows: those of one stretch are wrong together."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], wrong.astype(np.int8), [0]])))
+    lengths = edges[1::2] - edges[::2]
+    return float(np.sqrt(np.sum(lengths.astype(np.float64) ** 2)))
 
 
 def segment(

@@ -42,8 +42,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def independent() -> Comparison:
+    # By the paper's threshold, which its test.toml leaves open.
+    settings = ReductionSettings(threshold_lbm_s=50.0)
+    record, test = read_raw(RECORD / "raw.csv", RECORD / "test.toml")
+    return compare_records([reduce_record(record, test, settings).series])
+
+
+@needs_record
+def test_an_estimated_threshold_leaves_tau_and_curve_as_they_are(independent: Comparison) -> None:
     series = reduce_record(*read_raw(RECORD / "raw.csv", RECORD / "test.toml")).series
-    return compare_records([series])
+    estimated = compare_records([series], estimators=only("classic_ml", "paper"))
+    one, other = (c.result("classic_ml").model for c in (independent, estimated))
+    assert abs(one.time_constant_s - other.time_constant_s) < 0.1 * one.time_constant_stderr_s
+    assert curve_error(estimated, INDEPENDENT_BETA, "paper") < 0.15
 
 
 def only(*names: str) -> tuple[EstimatorSpec, ...]:
