@@ -101,9 +101,10 @@ def reduce_file(raw: Path, test: Path, settings: ReductionSettings) -> Reduction
     """
     from classic_ml.reduction import STEPS, reduce_record
 
-    record, description = read_file(raw, test)
+    *records, description = read_file(raw, test)
     with shown_count("reducing", unit="step", total=STEPS) as done:
-        return reduce_record(record, description, settings, keep_probes=False, progress=done)
+        # Popped, so that the readings go as soon as they are calibrated.
+        return reduce_record(records.pop(), description, settings, keep_probes=False, progress=done)
 
 
 def read_file(raw: Path, test: Path) -> tuple[Record, TestDescription]:
