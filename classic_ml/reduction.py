@@ -131,21 +131,21 @@ def reduce_record(
             found=f"{chosen.cutoff_hz:g}",
         )
     done = progress if progress is not None else _unreported
-    matched = _matched(inspect_readings(record, test, whole=True), test, chosen.near_stall_match)
+    record = _matched(inspect_readings(record, test, whole=True), test, chosen.near_stall_match)
     done(1)
     cache: _Filtered = {}
-    window_s, found = _window(matched, test, chosen, cache)
-    window = window_rows(matched, window_s, _window_name(matched, test, chosen))
-    matched = choose_channels(matched.after(found), test, window)
+    window_s, found = _window(record, test, chosen, cache)
+    window = window_rows(record, window_s, _window_name(record, test, chosen))
+    record = choose_channels(record.after(found), test, window)
     was_named = found.parameters["origin"] != "found"
     done(1)
-    unfiltered = _unfiltered(matched, test, chosen)
+    unfiltered = _unfiltered(record, test, chosen)
     done(1)
     # A stated window is not extended.
-    in_use = [name for name in test.channel_names if name in matched]
+    in_use = [name for name in test.channel_names if name in record]
     inside = window if was_named else extend_while_settled(unfiltered, window, in_use)
-    averaged = _averaged(_low_passed(matched, test, chosen, cache), test, chosen)
-    del matched
+    averaged = _averaged(_low_passed(record, test, chosen, cache), test, chosen)
+    del record
     cache.clear()
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
@@ -215,7 +215,7 @@ _Filtered = dict[str, tuple[FloatArray, FloatArray]]
 def _low_passed(
     record: Record, test: TestDescription, settings: ReductionSettings, cache: _Filtered
 ) -> Record:
-    """Filter all channels alike, those anew that are not in the cache as they are."""
+    """Filter all channels alike; what is in the cache as it is is taken from there."""
     rate, names = record.sample_rate_hz, [n for n in test.channel_names if n in record]
     order, cutoff_hz, phase = settings.filter_order, settings.cutoff_hz, settings.phase
     if (order, cutoff_hz, phase) != (AHEAD.filter_order, AHEAD.cutoff_hz, AHEAD.phase):

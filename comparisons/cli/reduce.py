@@ -94,9 +94,10 @@ def _reduced(
     from classic_ml.reduction import STEPS, reduce_record
 
     with shown_count("reading", unit="row") as read:
-        record, description = read_raw(raw, test, window=window, progress=read)
+        *records, description = read_raw(raw, test, window=window, progress=read)
     with shown_count("reducing", unit="step", total=STEPS) as done:
-        return reduce_record(record, description, settings, keep_probes=False, progress=done)
+        # Popped, so that the readings go as soon as they are calibrated.
+        return reduce_record(records.pop(), description, settings, keep_probes=False, progress=done)
 
 
 def print_reduction(reduction: Reduction) -> None:
