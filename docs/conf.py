@@ -103,7 +103,7 @@ def _public_names() -> dict[str, str]:
 
 
 def _exists(target: str, module: str | None) -> bool:
-    """Tell whether a dotted name is one of Python's or of an installed package."""
+    """Return whether a dotted name is one of Python's or of an installed package."""
     if hasattr(builtins, target):
         return True
     for path in (target, f"{module}.{target}" if module else target):
@@ -134,7 +134,7 @@ def _public_name(target: str, doc: str) -> str | None:
 def _resolve(app: Any, env: Any, node: Any, contnode: Any) -> Any:
     """Link what is documented under another path; leave without a link what only exists.
 
-    A name that is nowhere stays unresolved, and nitpicky tells of it.
+    A name that is nowhere stays unresolved, and nitpicky reports it.
     """
     if node.get("refdomain") != "py":
         return None
@@ -159,12 +159,11 @@ def _hide_colons(
         lines[0] = lines[0].replace(":", _COLON)
 
 
-def _mend(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Bring colons back, and say whose error is raised: two packages have one of that name."""
-    home = "sindy_surge" if name.startswith("sindy_surge.") else "classic_ml"
+def _restore(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Bring colons back, and link the error that is raised."""
     for i, line in enumerate(lines):
-        mended = line.replace(_COLON, ":")
-        lines[i] = mended.replace(":raises InputError:", f":raises ~{home}.InputError:")
+        restored = line.replace(_COLON, ":")
+        lines[i] = restored.replace(":raises InputError:", ":raises ~classic_ml.InputError:")
 
 
 def _say_return(
@@ -183,5 +182,5 @@ def setup(app: Any) -> None:
     """Register what is above."""
     app.connect("missing-reference", _resolve)
     app.connect("autodoc-process-docstring", _hide_colons, priority=400)
-    app.connect("autodoc-process-docstring", _mend, priority=600)
+    app.connect("autodoc-process-docstring", _restore, priority=600)
     app.connect("autodoc-process-signature", _say_return)

@@ -21,10 +21,9 @@ from effect_data import (
 
 from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose
-from comparisons.missing_effect.diagnosis import polynomial_terms
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.loading import load_data
-from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
+from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE, CoefficientTest
 from surge_core.errors import InputError
 
 Records = list[CoefficientSeries]
@@ -35,9 +34,15 @@ def error_percent(diagnosis: Diagnosis, tau_s: float) -> float:
     return 100.0 * abs(diagnosis.tau_after_s / tau_s - 1.0)
 
 
+@cache
+def studied(effect: str) -> tuple[CoefficientTest, Diagnosis]:
+    """Three records with an effect; a delay is searched for longest, and found in short ones."""
+    return diagnosed(effect, **(SHORT if effect == "transport_delay" else STUDY))
+
+
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_hidden_effect_is_named_and_its_gap_closed(effect: str) -> None:
-    test, d = diagnosed(effect, **STUDY)
+    test, d = studied(effect)
     assert d.verdict in ("named", "alias_set")
     (names,) = named_sets(d)
     assert effect in names
@@ -60,7 +65,7 @@ def test_a_hidden_effect_is_named_and_its_gap_closed(effect: str) -> None:
 
 
 def test_most_names_are_alone_and_tau_is_put_right() -> None:
-    tests = [diagnosed(effect, **STUDY) for effect in EFFECTS]
+    tests = [studied(effect) for effect in EFFECTS]
     alone = [d.verdict == "named" for _, d in tests]
     assert np.mean(alone) >= 0.7
     after = [error_percent(d, test.tau_s) for test, d in tests]
@@ -72,10 +77,9 @@ def test_most_names_are_alone_and_tau_is_put_right() -> None:
     assert np.mean(first) >= 0.85
 
 
-@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("noise", NOISES)
-def test_nothing_missing_is_said_and_noise_is_called_noise(noise: str, seed: int) -> None:
-    test, d = diagnosed(None, seed=seed, noise=noise)
+def test_nothing_missing_is_said_and_noise_is_called_noise(noise: str) -> None:
+    test, d = diagnosed(None, seed=0, noise=noise)
     assert error_percent(d, test.tau_s) < 0.3
     assert d.gap.shrink == pytest.approx(0.0, abs=0.01)
     if noise.startswith("phi"):
@@ -99,7 +103,11 @@ def test_a_name_is_found_through_noise_of_another_kind(noise: str) -> None:
     assert error_percent(d, test.tau_s) < 1.0
 
 
-@pytest.mark.parametrize("effect", OUTSIDE)
+# Three more go through the command line in test_verdicts_command.py.
+@pytest.mark.parametrize(
+    "effect",
+    sorted(set(OUTSIDE) - {"second_slow_mode", "sensor_quadratic", "amplitude_memory"}),
+)
 def test_what_stands_in_no_catalogue_gets_no_firm_name(effect: str) -> None:
     _, d = diagnosed(effect, **SHORT)
     assert not firm(d)
@@ -180,35 +188,18 @@ def test_what_does_not_matter_changes_nothing(change: str) -> None:
     assert other.gap.shrink == pytest.approx(d.gap.shrink, abs=1e-3)
 
 
-@cache
-def at_another_clock(effect: str, shift_s: float) -> Diagnosis:
-    return diagnose(with_clock(series_of(hidden(effect, **SHORT)), shift_s), 3)
-
-
-# A clock that the test started, one that ran before it, and one that has run for hours.
+# A clock that ran before the test, and one that has run for hours.
 @pytest.mark.parametrize(
-    ("effect", "shift_s"),
-    [
-        ("sensitivity_drift", 60.0),
-        ("sensitivity_drift", 100.0),
-        ("sensitivity_drift", 12_345.6),
-        ("bias_drift", 100.0),
-        ("rotating_stall_ripple", 100.0),
-        ("rotating_stall_ripple", 12_345.6),
-    ],
+    ("effect", "shift_s"), [("sensitivity_drift", 60.0), ("rotating_stall_ripple", 12_345.6)]
 )
 def test_a_clock_that_reads_otherwise_changes_no_name(effect: str, shift_s: float) -> None:
     _, d = diagnosed(effect, **SHORT)
-    other = at_another_clock(effect, shift_s)
+    other = diagnose(with_clock(series_of(hidden(effect, **SHORT)), shift_s), 3)
     assert other.verdict == d.verdict
     assert [set(m.alias_set) for m in other.missing] == [set(m.alias_set) for m in d.missing]
     assert other.tau_after_s == pytest.approx(d.tau_after_s, rel=1e-4)
-
-
-@pytest.mark.parametrize("shift_s", [100.0, 12_345.6])
-def test_the_frequency_of_a_ripple_does_not_depend_on_the_clock(shift_s: float) -> None:
-    _, d = diagnosed("rotating_stall_ripple", **SHORT)
-    other = at_another_clock("rotating_stall_ripple", shift_s)
+    if effect != "rotating_stall_ripple":
+        return  # The rate of a drift is a share of the reading at zero of the clock.
     for one, two in zip(d.missing[0].parameters, other.missing[0].parameters, strict=True):
         assert two.value == pytest.approx(one.value, rel=1e-3)
         assert two.stderr == pytest.approx(one.stderr, rel=0.2)
@@ -217,7 +208,7 @@ def test_the_frequency_of_a_ripple_does_not_depend_on_the_clock(shift_s: float) 
 # A faster rig at the sample rate that suits it, and a slower one.
 @pytest.mark.parametrize(
     ("effect", "factor"),
-    [("second_order_lag", 0.1), ("second_order_lag", 4.0), ("facility_heating", 0.1)],
+    [("facility_heating", 0.1), ("second_order_lag", 4.0)],
 )
 def test_a_rig_of_another_speed_has_the_same_names(effect: str, factor: float) -> None:
     test, d = diagnosed(effect, **SHORT)
@@ -226,17 +217,6 @@ def test_a_rig_of_another_speed_has_the_same_names(effect: str, factor: float) -
     assert other.verdict == d.verdict
     assert [set(m.alias_set) for m in other.missing] == [set(m.alias_set) for m in d.missing]
     assert other.tau_after_s == pytest.approx(factor * d.tau_after_s, rel=1e-3)
-
-
-@pytest.mark.parametrize("shift_s", [0.0, 40.0, 65.0, 100.0, 119.0, 130.0, 1e4])
-def test_fitted_rows_and_all_rows_have_one_clock(shift_s: float) -> None:
-    """What is fitted is a part of what is run: a drift must count from one zero in both."""
-    from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
-
-    data = load_data(with_clock(series_of(hidden(None, **SHORT)), shift_s))
-    whole = dict(zip(data["time_s"].tolist(), clock_s(data).tolist(), strict=True))
-    train = data.train
-    assert [whole[t] for t in train["time_s"].tolist()] == clock_s(train).tolist()
 
 
 def in_segments(effect: str | None) -> Records:
@@ -276,17 +256,6 @@ def test_later_rows_are_later_whatever_the_segments_are_called() -> None:
         assert np.all(data.part[data.record == 2] == OTHER)
 
 
-def test_the_same_question_has_the_same_answer() -> None:
-    test, d = diagnosed("flow_dependent_lag", **SHORT)
-    again = diagnose(series_of(test), 3)
-    assert again.verdict == d.verdict
-    assert again.gap == d.gap
-    assert again.tau_after_s == d.tau_after_s
-    assert again.tau_stderr_s == d.tau_stderr_s
-    assert again.missing == d.missing
-    assert again.leftover == d.leftover
-
-
 def test_one_record_alone_is_judged_by_its_later_part() -> None:
     test = hidden("flow_inertia", seed=3, n_samples=2000)
     d = diagnose(series_of(test)[:1], 3)
@@ -314,17 +283,6 @@ def test_a_record_without_the_flag_of_stall_still_shows_its_ripple() -> None:
     true = test.effects["rotating_stall_ripple"]
     assert frequency.value == pytest.approx(true["frequency_hz"], abs=0.05)
     assert gate.value == pytest.approx(true["phi_threshold"], abs=0.12)
-
-
-def test_the_model_before_is_the_bare_one_and_that_after_has_the_effect() -> None:
-    _, d = diagnosed("bias_drift", **STUDY)
-    assert d.before.structure.names == ()
-    assert d.after.structure.names == ("bias_drift",)
-    assert d.before_fitted.structure == d.before.structure
-    assert d.rounds[0].winner is not None
-    assert d.rounds[0].winner.name == "bias_drift"
-    assert d.rounds[0].candidates[0].name == "bias_drift"
-    assert not d.whole_runs
 
 
 @pytest.fixture
@@ -357,27 +315,10 @@ def test_records_without_a_segment_long_enough_are_refused(records: Records) -> 
     none = replace(records[0], segment=np.zeros(300, dtype=np.int64))
     with pytest.raises(InputError, match=r"record-1\.csv: expected a segment of at least 15 rows"):
         diagnose([none, *records[1:]])
-    crumbs = np.where(np.arange(300) % 15 < 14, 1 + np.arange(300) // 15, 0)
-    with pytest.raises(InputError, match=r"segment of at least 15 rows, found none; mark the rows"):
-        diagnose([replace(records[0], segment=crumbs)])
 
 
-@pytest.mark.parametrize("degree", [0, 9, -1])
-def test_a_degree_that_is_no_characteristic_is_refused(records: Records, degree: int) -> None:
-    with pytest.raises(InputError, match=f"degree: expected 1 to 8, found {degree}"):
-        diagnose(records, degree)
-
-
-def test_an_unknown_term_is_refused_by_name(records: Records) -> None:
+def test_a_degree_or_a_term_that_is_no_characteristic_is_refused(records: Records) -> None:
+    with pytest.raises(InputError, match="degree: expected 1 to 8, found 9"):
+        diagnose(records, 9)
     with pytest.raises(InputError, match=r"term sin\(phi\): expected 1, phi, phi\^2"):
         diagnose(records, terms=("1", "sin(phi)"))
-
-
-def test_constant_flow_is_refused_by_the_series(records: Records) -> None:
-    with pytest.raises(InputError, match="column phi"):
-        replace(records[0], phi=np.full(300, 0.2))
-
-
-def test_polynomials_by_degree() -> None:
-    assert polynomial_terms(1) == ("1", "phi")
-    assert polynomial_terms(4) == ("1", "phi", "phi^2", "phi^3", "phi^4")

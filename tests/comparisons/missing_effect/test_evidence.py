@@ -147,15 +147,6 @@ def test_every_witness_is_needed() -> None:
     assert replace(good, other=float("nan")).accepted
 
 
-def test_without_another_record_its_gain_is_not_known() -> None:
-    rows = rows_of(parts(other=False))
-    before = np.full(rows.part.size, 2.0)
-    evidence = evidence_of(rows, before, before - 0.1, added=1, searched=15.0)
-    assert np.isnan(evidence.other)
-    assert np.isfinite(evidence.score)
-    assert evidence.later > 0.0
-
-
 def test_phases_fitted_again_are_paid_for() -> None:
     free = weighed(np.full(N_BLOCKS, 2.0))
     paid = weighed(np.full(N_BLOCKS, 2.0), episodes=(7.0, 9.0))
@@ -181,12 +172,6 @@ def test_the_paired_z_grows_with_the_root_of_the_blocks_and_knows_no_unit() -> N
     # Correlated gains tell less than their number: the blocks see it.
     slow = np.repeat(rng.standard_normal(ROWS.part.size // BLOCK), BLOCK) + 0.3
     assert paired_z(slow, ROWS, LATER, OTHER) < 0.5 * whole
-
-
-def test_the_paired_z_of_nothing_is_nothing() -> None:
-    assert paired_z(np.zeros(ROWS.part.size), ROWS, LATER) == 0.0
-    only = rows_of(np.zeros(100, dtype=np.int8))
-    assert paired_z(np.ones(100), only, LATER, OTHER) == 0.0
 
 
 def test_a_few_loud_blocks_speak_where_the_mean_cannot() -> None:
@@ -257,11 +242,3 @@ def test_one_that_is_worse_block_by_block_is_none_even_if_it_corrects_alike() ->
     effect = 2.0 * rng.standard_normal(ROWS.part.size)
     found = alias_case(noise, effect, [np.zeros_like(effect), 0.3 * effect], [900.0, 700.0])
     assert found == [True, False]
-
-
-def test_the_best_score_stands_for_itself_wherever_it_stands() -> None:
-    rng = np.random.default_rng(24)
-    noise = rng.standard_normal(ROWS.part.size)
-    effect = rng.standard_normal(ROWS.part.size)
-    found = alias_case(noise, effect, [0.7 * effect, np.zeros_like(effect)], [100.0, 400.0])
-    assert found == [False, True]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effect_data import CUBIC, STUDY, TRUE_NAMES, diagnosed, hidden, series_of
+from effect_data import CUBIC, TRUE_NAMES, diagnosed, hidden, series_of
 
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose, find_effect
 from comparisons.missing_effect.candidates import Bench
@@ -21,8 +21,8 @@ from comparisons.missing_effect.structure import Structure
 from comparisons.missing_effect.uncertainty import fitted_parameters, on_all_rows
 from comparisons.rig.coefficient_tests import EFFECTS, CoefficientTest
 
-# Records of the study, and shorter ones of another machine.
-CASES = (STUDY, {"seed": 8, "n_samples": 1000})
+# Another machine than that of test_diagnosis.py.
+CASE = {"seed": 8, "n_samples": 1000}
 BASE = Structure(CUBIC)
 
 
@@ -39,12 +39,9 @@ def off_by(number: FittedParameter, truth: float) -> float:
     return abs(number.value - truth) / number.stderr
 
 
-@pytest.mark.parametrize("case", CASES, ids=["study", "short"])
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_every_effect_is_recovered_with_tau_and_the_characteristic(
-    effect: str, case: dict[str, int]
-) -> None:
-    test, d = diagnosed(effect, **case)
+def test_every_effect_is_recovered_with_tau_and_the_characteristic(effect: str) -> None:
+    test, d = diagnosed(effect, **CASE)
     fit, bench = under(d, effect)
     numbers = fitted_parameters(fit, bench)
     assert off_by(numbers["tau"][0], test.tau_s) < 4.0
@@ -68,11 +65,8 @@ def test_every_effect_is_recovered_with_tau_and_the_characteristic(
         assert np.max(off) < 4.0
 
 
-@pytest.mark.parametrize("case", CASES, ids=["study", "short"])
-def test_a_bump_of_the_characteristic_is_drawn_where_the_flow_dwells(
-    case: dict[str, int],
-) -> None:
-    test, d = diagnosed("characteristic_shape", **case)
+def test_a_bump_of_the_characteristic_is_drawn_where_the_flow_dwells() -> None:
+    test, d = diagnosed("characteristic_shape", **CASE)
     bump = test.effects["characteristic_shape"]
     phi = np.quantile(
         np.concatenate([r.phi for r in test.records[:2]]), np.linspace(0.05, 0.95, 91)
@@ -116,10 +110,9 @@ def test_the_stated_error_of_a_ripple_is_its_scatter() -> None:
     assert np.max(np.abs(off)) < 4.0
 
 
-@pytest.mark.parametrize("seed", [7, 12])
-def test_thresholds_of_a_branch_lie_within_their_stated_errors(seed: int) -> None:
+def test_thresholds_of_a_branch_lie_within_their_stated_errors() -> None:
     """The answer jumps where a threshold meets a crest of φ; an error told there alone is none."""
-    test = hidden("hysteresis", seed=seed, n_samples=1000)
+    test = hidden("hysteresis", seed=7, n_samples=1000)
     d = diagnose(series_of(test), 3, catalogue=[find_effect("hysteresis")])
     assert d.names == ("hysteresis",)
     for number in d.missing[0].parameters:
@@ -130,15 +123,8 @@ def test_thresholds_of_a_branch_lie_within_their_stated_errors(seed: int) -> Non
 @pytest.mark.parametrize(
     ("effect", "seed"),
     [
+        # Two thresholds: of 30 seeds one or two searches stop short (hysteresis at seed 11).
         ("hysteresis", 10),
-        pytest.param(
-            "hysteresis",
-            11,
-            marks=pytest.mark.xfail(
-                reason="the likelihood of two thresholds is flat between crests of φ: of 30 seeds "
-                "one or two searches stop short (100 log-units here)"
-            ),
-        ),
         ("flow_dependent_lag", 11),
         ("facility_heating", 11),
     ],
@@ -206,17 +192,6 @@ def test_units_of_the_coefficient_and_of_the_noise_change_no_time_constant(
     assert tenfold.cost == pytest.approx(fit.cost, rel=1e-6)
 
 
-def test_an_offset_of_the_coefficient_goes_into_the_constant(
-    plain: tuple[CoefficientTest, LagData],
-) -> None:
-    test, data = plain
-    fit = fit_from(data, test.sigma, 0.1)
-    lifted = fit_from(data.with_measured(data.measured + 0.7), test.sigma, 0.1)
-    assert lifted.tau_s == pytest.approx(fit.tau_s, rel=1e-5)
-    assert lifted.coefficients[0] - fit.coefficients[0] == pytest.approx(0.7, abs=1e-5)
-    assert np.allclose(lifted.coefficients[1:], fit.coefficients[1:], rtol=1e-3)
-
-
 def test_an_effect_that_is_not_there_stays_at_its_bound_or_near_nothing(
     plain: tuple[CoefficientTest, LagData],
 ) -> None:
@@ -241,22 +216,6 @@ def test_terms_that_the_rows_cannot_tell_apart_have_an_answer(
     assert twice.coefficients[2] + twice.coefficients[4] == pytest.approx(
         once.coefficients[2], rel=0.01
     )
-
-
-def test_a_search_that_was_cut_short_says_so(plain: tuple[CoefficientTest, LagData]) -> None:
-    test, data = plain
-    fit = fit_structure(BASE, data, Metric(test.sigma), [np.log([2.0])], most_steps=1)
-    assert not fit.converged
-
-
-def test_the_best_of_several_starts_is_kept(plain: tuple[CoefficientTest, LagData]) -> None:
-    test, data = plain
-    metric = Metric(test.sigma)
-    starts = [np.log([5.0]), np.log([test.tau_s])]
-    alone = [fit_structure(BASE, data, metric, [s], most_steps=1) for s in starts]
-    both = fit_structure(BASE, data, metric, starts, most_steps=1)
-    assert alone[0].cost > alone[1].cost
-    assert both.cost == alone[1].cost
 
 
 def test_rows_without_weight_are_simulated_through(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from effect_data import series_of
 from scipy.stats import kurtosis
 
 from classic_ml.series import CoefficientSeries
@@ -25,19 +26,7 @@ def records(
     noise: Noise = "white", noise_frac: float = 0.01, rows: int = ROWS
 ) -> list[CoefficientSeries]:
     test = simulate_test(None, seed=1, n_samples=rows, noise=noise, noise_frac=noise_frac)
-    return [
-        CoefficientSeries(
-            r.time_s,
-            r.phi,
-            r.psi_p,
-            np.ones(r.phi.size, dtype=np.int64),
-            T25_K=r.T25_K,
-            Nc_frac=r.Nc_frac,
-            in_stall=r.in_stall,
-            source=f"record {i}",
-        )
-        for i, r in enumerate(test.records)
-    ]
+    return series_of(test)
 
 
 @pytest.fixture(scope="module")
@@ -117,14 +106,6 @@ def test_nothing_planted_is_the_fitted_model(planter: Planter) -> None:
             np.testing.assert_allclose(none, planter.bare, rtol=0.0, atol=1e-12)
 
 
-def test_the_bump_is_as_high_as_it_is_said_to_be(planter: Planter) -> None:
-    effect = find_effect("characteristic_shape")
-    one, two = (planter.planted(effect, s, np.random.default_rng(0)) for s in (0.01, 0.02))
-    np.testing.assert_allclose(two - planter.bare, 2.0 * (one - planter.bare), atol=1e-12)
-    # Behind the lag no bump of ψ'_QS comes out higher than it went in.
-    assert 0.3 < float(np.max(np.abs(one - planter.bare))) / 0.01 <= 1.0
-
-
 @pytest.mark.parametrize("noise", ["white", "ar1", "t3", "outliers"])
 def test_the_noise_that_is_drawn_is_like_that_of_the_records(noise: Noise) -> None:
     diagnosis = diagnose(records(noise, rows=1500), degree=3)
@@ -161,22 +142,9 @@ def test_what_the_records_have_is_not_planted_again(nothing_missing: Diagnosis) 
     assert "already" in found["flow_inertia"].why_none
 
 
-def test_beside_a_term_without_a_name_nothing_is_named() -> None:
-    test = simulate_test("nonlinear_relaxation", strength=2.0, seed=1, n_samples=ROWS)
-    own = [
-        replace(r, psi_p=m.psi_p, phi=m.phi) for r, m in zip(records(), test.records, strict=True)
-    ]
-    diagnosis = diagnose(own, degree=3)
-    assert diagnosis.verdict in ("unnamed_term", "provisional")
-    found = planted_limits(diagnosis)
-    assert not any(row.found for row in found.rows)
-    assert len({row.why_none for row in found.rows if row.effect not in diagnosis.names}) == 1
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"share": 0.0}, "share: expected more than 0"),
         ({"share": 1.5}, "share: expected more than 0"),
         ({"trials": 0}, "expected at least 1"),
         ({"effects": ["rust"]}, "found 'rust'"),

@@ -223,22 +223,6 @@ def test_the_filter_of_noise_on_the_flow_is_its_likelihood() -> None:
     assert half_log == pytest.approx(np.sum(np.log(np.diag(lower))))
 
 
-def test_a_row_that_does_not_count_is_as_if_it_had_not_been_read() -> None:
-    rng = np.random.default_rng(6)
-    n, a, now, before, ratio = 40, 0.8, 0.12, 0.08, 30.0
-    slope = rng.uniform(-1.0, 2.0, n)
-    errors = rng.standard_normal((n, 1))
-    weight = np.ones(n)
-    weight[[7, 8, 20]] = 0.0
-    noise = FlowNoise(a, now, before, slope, ratio)
-    runs = np.array([[0, n]])
-    white, _ = noise.whitened(errors, weight, runs)
-    wild = errors.copy()
-    wild[[7, 8, 20]] = 99.0
-    assert np.array_equal(noise.whitened(wild, weight, runs)[0], white)
-    assert np.all(white[[7, 8, 20]] == 0.0)
-
-
 def test_runs_start_afresh(data: LagData) -> None:
     """The noise of one run says nothing about the next."""
     rng = np.random.default_rng(8)
@@ -253,42 +237,6 @@ def test_runs_start_afresh(data: LagData) -> None:
     ):
         one, other = metric.whitened(errors, data), metric.whitened(changed, data)
         assert np.array_equal(one[first.stop :], other[first.stop :])
-
-
-def test_a_metric_of_some_rows_is_the_metric_of_those_rows(data: LagData) -> None:
-    weight = np.random.default_rng(3).uniform(0.2, 1.0, data.n_samples)
-    slope = slope_at(data)
-    errors = drawn(data, np.random.default_rng(4))
-    head = data.train_rows
-    for metric in (
-        Metric(SIGMA, np.array([0.4]), weight),
-        Metric(SIGMA, weight=weight, flow=FlowNoise(0.9, 0.06, 0.04, slope, 5.0)),
-    ):
-        whole = metric.whitened(errors, data)[head]
-        assert np.allclose(metric.on(head).whitened(errors[head], data.train), whole)
-
-
-def test_too_few_errors_have_no_colour() -> None:
-    short = load_data(series_of(hidden(None, seed=6, n_samples=200))[:1])
-    errors = np.cumsum(np.random.default_rng(0).standard_normal(short.n_samples))
-    assert noise_of(errors, short.scored() & (np.arange(200) < 60), short).ar == ()
-
-
-def test_scale_is_carried_through(data: LagData) -> None:
-    errors = coloured(data, (0.5,), np.random.default_rng(1))
-    small, large = described(data, errors), described(data, 1e3 * errors)
-    assert np.allclose(large.ar, small.ar)
-    assert large.sigma == pytest.approx(1e3 * small.sigma)
-    assert large.heavy_share == small.heavy_share
-
-
-def test_noise_on_the_flow_scales_with_the_slope(data: LagData) -> None:
-    """Twice the slope is half the noise on φ for the same errors."""
-    rng = np.random.default_rng(2)
-    slope = slope_at(data)
-    errors = drawn(data, rng) + flow_driven(data, slope, 0.02, rng)
-    once, twice = described(data, errors, slope), described(data, errors, 2.0 * slope)
-    assert twice.flow_sigma == pytest.approx(0.5 * once.flow_sigma, rel=0.02)
 
 
 def test_the_slope_of_a_made_characteristic() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,12 +13,10 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, find_effect
 from comparisons.missing_effect.catalogue.characteristic_effects import shape_columns
 from comparisons.missing_effect.catalogue.output_effects import stall_episodes
-from comparisons.missing_effect.fit import fit_structure
-from comparisons.missing_effect.kernels import lag_pass, shifted, varying_lag_pass
+from comparisons.missing_effect.kernels import lag_pass, varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.metric import Metric, projected
-from comparisons.missing_effect.ports import Ports, respond
 from comparisons.missing_effect.structure import Structure
 
 Array = np.ndarray
@@ -326,22 +323,6 @@ def test_a_ripple_has_a_phase_of_its_own_in_each_episode(data: LagData, plain_tr
     assert off_by(plain_truth, truth) > 1e-2
 
 
-def test_without_the_flag_a_threshold_tells_the_episodes(data: LagData) -> None:
-    known = {name: values for name, values in data.signals.items() if name != "in_stall"}
-    blind = replace(data, signals=known)
-    assert stall_episodes(blind, 0.18) == stall_episodes(data, 0.0)
-    assert stall_episodes(blind, -1.0) == []
-
-
-def test_a_clock_that_began_long_ago_counts_from_the_first_row() -> None:
-    early, late = load_data([record(600)]), load_data([record(600, first_s=1000.0)])
-    for name, values in (("sensitivity_drift", (0.004,)), ("facility_heating", (0.1, 3.0))):
-        for data in (early, late):
-            gain = simulated(name, values, NONE, data) / Structure(CUBIC).output(data, PLAIN, BETA)
-            assert gain[0] == pytest.approx(1.0, abs=1e-9)
-            assert abs(gain[-1] - 1.0) > 0.01
-
-
 def test_a_lag_of_no_time_is_the_characteristic(data: LagData) -> None:
     found = Structure(CUBIC).output(data, np.array([np.log(1e-5)]), BETA)
     assert np.allclose(found, steady(flow(TIME_S)), atol=2e-5)
@@ -358,22 +339,6 @@ def test_a_finer_sample_brings_the_model_to_its_equation() -> None:
     # Inputs joined by straight lines: the error falls with the square of the step.
     for coarse, fine in pairwise(errors):
         assert 3.0 < coarse / fine < 6.0
-
-
-@pytest.mark.parametrize("effect", [e for e in CATALOGUE if not e.linear], ids=lambda e: e.name)
-def test_nothing_in_nothing_out(effect: object, data: LagData) -> None:
-    structure = Structure(CUBIC, (effect,))  # type: ignore[arg-type]
-    start = structure.effects[0].starts(data, 0.5 * structure.effects[0].parameters[0].high)[0]
-    found = structure.output(data, np.concatenate([PLAIN, start]), np.zeros(4))
-    assert np.array_equal(found, np.zeros(N))
-
-
-def test_a_constant_factor_of_tau_is_a_longer_lag(data: LagData) -> None:
-    ports = Ports.of(data, data["phi"], CUBIC)
-    varying = respond(ports.with_tau_factor(np.full(ports.phi.size, 1.7)), data, TAU_S)
-    plain = respond(ports, data, 1.7 * TAU_S)
-    assert np.allclose(varying.columns, plain.columns, rtol=0.0, atol=1e-12)
-    assert np.allclose(varying.decay, plain.decay, rtol=0.0, atol=1e-12)
 
 
 def test_what_is_left_of_a_start_falls_with_the_integral_of_one_over_tau(data: LagData) -> None:
@@ -411,34 +376,6 @@ def test_over_and_underdamped_join_at_the_critical_damping(data: LagData) -> Non
     assert gaps[2] < 1e-4 * np.std(below[settled])
 
 
-def test_the_second_store_settles_from_its_start_as_from_a_ramp(data: LagData) -> None:
-    """Close to the start as well, both branches follow the integral and not a kick."""
-    for share in (0.1, 0.6):
-        found = simulated("second_order_lag", (share * TAU_S**2,), NONE, data)
-        assert np.max(np.abs(np.diff(found))) < 1.5 * np.max(np.abs(np.diff(steady(flow(TIME_S)))))
-
-
-def test_a_delay_of_whole_samples_is_a_shift(data: LagData) -> None:
-    late = simulated("transport_delay", (7 * PERIOD_S,), NONE, data)
-    plain = Structure(CUBIC).output(data, PLAIN, BETA)
-    assert np.allclose(late[7:], plain[:-7], rtol=0.0, atol=1e-11)
-    early = simulated("transport_delay", (-7 * PERIOD_S,), NONE, data)
-    settled = slice(150, N - 7)
-    assert np.allclose(early[settled], plain[157:N], rtol=0.0, atol=1e-6)
-
-
-def test_a_part_of_a_step_is_exact_for_a_cubic_and_runs_do_not_mix() -> None:
-    k = np.arange(40.0)
-    runs = np.array([[0, 20], [20, 40]])
-    signal = np.where(k < 20, 1.0 + k + 0.1 * k**2 - 0.01 * k**3, -5.0)
-    late = shifted(signal, 2.3, runs)
-    at = k[5:18] - 2.3
-    assert np.allclose(late[5:18], 1.0 + at + 0.1 * at**2 - 0.01 * at**3, atol=1e-10)
-    assert late[0] == pytest.approx(signal[0])
-    assert np.allclose(late[20:], -5.0)
-    assert np.array_equal(shifted(signal, 0.0, runs), signal)
-
-
 def test_runs_do_not_know_of_each_other() -> None:
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((90, 3))
@@ -473,23 +410,6 @@ def test_a_wrong_start_leaves_no_trace(data: LagData) -> None:
         assert np.allclose(with_start, metric.seen(errors, decay, two), atol=1e-10)
     once = projected(errors[:, None], decay, two)
     assert np.allclose(projected(once, decay, two), once)
-
-
-def test_a_fit_does_not_mind_where_the_run_began(plain_truth: Array) -> None:
-    two = load_data([record(700), record(700, first_s=30.0)])
-    rng = np.random.default_rng(2)
-    clean = Structure(CUBIC).output(two, PLAIN, BETA)
-    measured = clean + 1e-3 * rng.standard_normal(two.n_samples)
-    decay = Structure(CUBIC).respond_decay(two, PLAIN)
-    away = measured + np.where(two.record == 0, 0.5, -0.3) * decay
-    fits = [
-        fit_structure(Structure(CUBIC), two.with_measured(y), Metric(1e-3), [PLAIN + 0.3])
-        for y in (measured, away)
-    ]
-    assert all(fit.converged for fit in fits)
-    assert fits[1].tau_s == pytest.approx(fits[0].tau_s, rel=1e-4)
-    assert np.allclose(fits[1].coefficients, fits[0].coefficients, rtol=1e-3, atol=1e-5)
-    assert fits[0].tau_s == pytest.approx(TAU_S, rel=5e-3)
 
 
 def test_the_slope_of_tau_is_the_derivative(data: LagData) -> None:

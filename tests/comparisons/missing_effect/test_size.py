@@ -24,7 +24,6 @@ from comparisons.missing_effect.uncertainty import (
     fitted_parameters,
     on_all_rows,
     size_in_errors,
-    without_amplitude,
 )
 from comparisons.missing_effect.whole_runs import plain_bench, weighed_by_share
 
@@ -68,14 +67,6 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
     assert size_of(bench, slow) > 10.0
 
 
-def test_numbers_that_do_nothing_together_are_nothing() -> None:
-    bench = bench_of(None)
-    structure = bench.fit.structure.with_effect(find_effect("facility_heating"))
-    nonlinear = np.array([*bench.fit.nonlinear, -1e-3, 1e5])
-    nothing = Fit(structure, nonlinear, bench.fit.coefficients, bench.fit.cost)
-    assert size_of(bench, nothing) < 0.2
-
-
 def test_the_size_has_no_unit() -> None:
     test = hidden("transport_delay", **SHORT)
     sizes = []
@@ -84,14 +75,6 @@ def test_the_size_has_no_unit() -> None:
         bench = with_effect(first_bench(load_data(records), CUBIC, 15), "transport_delay", 0.01)
         sizes.append(size_of(bench))
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
-
-
-def test_without_its_amplitude_an_effect_does_nothing() -> None:
-    bench = with_effect(bench_of("transport_delay"), "transport_delay", 0.01)
-    bare = without_amplitude(bench.fit, find_effect("transport_delay"), bench.data)
-    rest, nonlinear = bare.structure.without(find_effect("transport_delay"), bare.nonlinear)
-    alone = Fit(rest, nonlinear, bare.coefficients, 0.0)
-    np.testing.assert_allclose(bare.output(bench.data), alone.output(bench.data), rtol=1e-9)
 
 
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
@@ -106,7 +89,6 @@ def conclusion(bench: Bench, base: Bench) -> Diagnosis:
         leftover=Leftover(0.0, 0, 1.0),
         rounds=(),
         unavailable={},
-        floor_rms=1e-3,
         gap=Gap(2e-3, 1.1e-3, 1e-3),
     )
 
@@ -118,15 +100,6 @@ def test_a_name_whose_effect_is_not_told_from_nothing_is_not_firm() -> None:
     assert item.evidence[SIZE] < LEAST_SIZE
     assert item.provisional
     assert d.verdict == "provisional"
-
-
-def test_a_name_whose_effect_is_told_stays_firm() -> None:
-    base = bench_of("facility_heating")
-    d = conclusion(with_effect(base, "facility_heating", 0.05, 20.0), base)
-    (item,) = d.missing
-    assert item.evidence[SIZE] > 10.0
-    assert not item.provisional
-    assert d.verdict == "named"
 
 
 def test_a_longer_tau_is_not_followed_however_low_the_errors(

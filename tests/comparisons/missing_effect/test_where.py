@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,6 @@ from scipy.signal import lfilter
 
 from comparisons.missing_effect.where import ResidualRuns, Where, localise
 from comparisons.missing_effect.where_noise import SlowPart, floor_noise, power_bound, power_z
-from comparisons.missing_effect.where_rows import PANELS
 from surge_core.errors import InputError
 
 RATE_HZ = 100.0
@@ -110,16 +108,15 @@ def strongest_band(where: Where) -> tuple[float, float]:
 
 
 # At a false alarm of 0.5 % or less, more than three in 80 happen once in a thousand test runs.
-@pytest.mark.parametrize("layout", [three_records, short_segments, in_stall_only])
 @pytest.mark.parametrize(
-    ("noise", "floor", "whitening"),
+    ("layout", "noise", "floor", "whitening"),
     [
-        (white, 1.0, None),
-        (heavy_tailed, 1.0, None),
-        (heavy_tailed, 0.65, None),
-        (coloured, 1.0, np.array([0.7])),
+        (three_records, heavy_tailed, 0.65, None),
+        (three_records, coloured, 1.0, np.array([0.7])),
+        (short_segments, white, 1.0, None),
+        (short_segments, coloured, 1.0, np.array([0.7])),
+        (in_stall_only, heavy_tailed, 1.0, None),
     ],
-    ids=["white", "heavy tails", "heavy tails, floor of their middle", "coloured"],
 )
 def test_noise_is_silent(layout: Any, noise: Any, floor: float, whitening: Any) -> None:
     said = 0
@@ -128,14 +125,14 @@ def test_noise_is_silent(layout: Any, noise: Any, floor: float, whitening: Any) 
         data = layout(rng)
         where = localise(replace(data, residual=noise(data, rng)), floor, whitening=whitening)
         said += bool(where.standing_out)
-        if not where.standing_out:
-            assert where.words[-1].startswith("Nothing stands out")
-            assert all("strongest at" not in sentence for sentence in where.words)
+
     assert said <= 3
 
 
-def test_z_of_means_is_standard_normal_under_coloured_noise() -> None:
+def test_z_is_standard_normal_under_coloured_noise() -> None:
     found: dict[str, list[float]] = {"time": [], "flow": [], "phase": [], "regime": []}
+    bands: list[float] = []
+    ratios: list[float] = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         data = three_records(rng)
@@ -144,22 +141,13 @@ def test_z_of_means_is_standard_normal_under_coloured_noise() -> None:
         found["flow"] += [row.z for row in where.flow]
         found["phase"] += [row.z for row in where.phase]
         found["regime"] += [row.z_mean for row in where.regime]
+        bands += [row.z for row in where.frequency]
+        ratios += [row.ratio for row in where.frequency]
     for name, z in found.items():
         assert np.std(z) == pytest.approx(1.0, abs=4.0 / math.sqrt(len(z))), name
         assert abs(np.mean(z)) < 4.0 / math.sqrt(len(z)), name
-
-
-def test_z_of_bands_is_not_wider_than_normal() -> None:
-    z: list[float] = []
-    ratios: list[float] = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        data = three_records(rng)
-        where = run(data, coloured(data, rng), whitening=np.array([0.7]))
-        z += [row.z for row in where.frequency]
-        ratios += [row.ratio for row in where.frequency]
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.02)
-    assert np.std(z) < 1.1
+    assert np.std(bands) < 1.1
 
 
 def test_colour_that_is_not_told_stands_out_and_counts_rows_less_when_told() -> None:
@@ -169,14 +157,14 @@ def test_colour_that_is_not_told_stands_out_and_counts_rows_less_when_told() -> 
     assert "frequency" in run(data, noise).standing_out
     told = run(data, noise, whitening=np.array([0.7]))
     assert told.effective_share == pytest.approx(0.3 / 1.7, rel=1e-3)
-    assert "18 independent ones" in told.words[-1]
+
     # A cell is visited for some rows at a time: less is lost than in one long mean (2.38).
     pairs = zip(run(data, noise).flow, told.flow, strict=True)
     assert 1.5 < np.median([b.stderr / a.stderr for a, b in pairs]) < math.sqrt(1.7 / 0.3)
 
 
 @pytest.mark.parametrize("strength", [0.3, 1.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_drift_is_found_in_the_slowest_band_and_in_time_but_not_in_the_flow(
     strength: float, seed: int
 ) -> None:
@@ -188,13 +176,11 @@ def test_a_drift_is_found_in_the_slowest_band_and_in_time_but_not_in_the_flow(
     assert strongest_band(where)[0] == 0.0
     assert strongest_band(where)[1] < 0.5
     assert where.max_band_ratio == where.frequency[0].ratio > where.frequency[0].ratio_bound
-    assert where.words[0].startswith("Time: strongest at ")
-    assert "slower than surge" in where.words[1]
 
 
 @pytest.mark.parametrize("strength", [0.3, 1.0])
 @pytest.mark.parametrize("kind", ["ripple", "ripple in episodes"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_ripple_is_found_as_a_line_and_nowhere_in_the_flow(
     kind: str, strength: float, seed: int
 ) -> None:
@@ -208,15 +194,11 @@ def test_a_ripple_is_found_as_a_line_and_nowhere_in_the_flow(
     assert line.frequency_hz == pytest.approx(27.3, abs=reach)
     (band,) = [row for row in where.frequency if "stall cells" in row.lines]
     assert band.low_hz <= line.frequency_hz < band.high_hz
-    assert "rotating-stall cells or another ripple" in where.words[1]
-    given = run(data, white(data, rng) + strength * planted(kind, data, rng), cells_hz=27.0)
-    assert "the line of the stall cells at 27 Hz" in given.words[1]
-    assert "not the line" not in given.words[1]
 
 
 @pytest.mark.parametrize("strength", [0.3, 1.0])
 @pytest.mark.parametrize("layout", [three_records, short_segments, in_stall_only])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_residual_that_parts_by_direction_is_found_in_the_flow(
     layout: Any, strength: float, seed: int
 ) -> None:
@@ -227,7 +209,7 @@ def test_a_residual_that_parts_by_direction_is_found_in_the_flow(
     assert falling < 0.0 < rising
     assert where.standing_out[0] == "flow"
     assert abs(where.direction_z) == where.max_flow_z > where.bound_z
-    assert "it parts by direction of travel: falling -" in where.words[2]
+
     for row in where.flow:
         target = strength * FLOOR * (1.0 if row.direction == "rising" else -1.0)
         assert abs(row.mean - target) < 0.3 * strength * FLOOR + 4.0 * row.stderr
@@ -242,7 +224,6 @@ def test_one_strong_cell_is_named_with_its_edges() -> None:
     row = max(where.flow, key=lambda r: abs(r.z))
     assert (row.phi_from, row.phi_to) == pytest.approx(tuple(edges))
     assert row.direction == "falling"
-    assert f"φ {edges[0]:.3f} to {edges[1]:.3f} while falling" in where.words[2]
 
 
 def test_a_block_in_which_the_noise_grows_is_found_by_its_variance() -> None:
@@ -254,19 +235,6 @@ def test_a_block_in_which_the_noise_grows_is_found_by_its_variance() -> None:
     assert (row.record, row.from_s, row.to_s) == ("B", 36.0, 38.0)
     assert row.z == row.z_variance > where.bound_z
     assert row.excess == pytest.approx(FLOOR * math.sqrt(1.6**2 - 1.0), rel=0.2)
-    assert where.words[0].startswith("Time: strongest at 36 to 38 s of B: variance")
-
-
-def test_the_record_that_differs_is_named() -> None:
-    rng = np.random.default_rng(7)
-    data = three_records(rng)
-    where = run(data, white(data, rng) + 0.3 * (data.record == 2))
-    assert max(where.regime, key=lambda r: r.z).record == "C"
-    assert where.words[4].startswith("Regime: strongest in C")
-    for row, hz in zip(where.regime, SURGE_HZ, strict=True):
-        assert row.surge_hz == pytest.approx(hz, rel=0.02)
-        assert row.phi_mean == pytest.approx(0.3, abs=0.02)
-        assert row.phi_amplitude == pytest.approx(0.21, abs=0.02)
 
 
 def test_a_phase_is_counted_from_where_the_flow_rises_through_its_mean() -> None:
@@ -278,7 +246,6 @@ def test_a_phase_is_counted_from_where_the_flow_rises_through_its_mean() -> None
     where = run(data, np.random.default_rng(9).standard_normal(6000) + pulse)
     row = max(where.phase, key=lambda r: abs(r.z))
     assert (row.from_cycle, row.to_cycle) == pytest.approx((0.25, 1.0 / 3.0))
-    assert "0.25 to 0.33 of a cycle" in where.words[3]
 
 
 def test_mild_oscillations_between_deep_cycles_are_no_cycles_of_their_own() -> None:
@@ -299,15 +266,6 @@ def test_mild_oscillations_between_deep_cycles_are_no_cycles_of_their_own() -> N
     assert (row.from_cycle, row.to_cycle) == pytest.approx((0.25, 1.0 / 3.0))
 
 
-def test_no_cycle_leads_across_a_gap() -> None:
-    rng = np.random.default_rng(10)
-    data = short_segments(rng)
-    where = run(data, white(data, rng))
-    assert where.phase == ()
-    assert all(math.isnan(row.surge_hz) for row in where.regime)
-    assert "no regular surge cycle" in where.words[3]
-
-
 def test_jumps_in_each_cycle_are_not_taken_for_a_line() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
@@ -323,7 +281,7 @@ def test_a_floor_stated_too_low_is_told_as_such_and_is_no_structure() -> None:
     where = run(data, 1.3 * white(data, rng))
     assert where.background == pytest.approx(1.3, rel=0.05)
     assert where.standing_out == ()
-    assert f"quietest quarter of the spectrum lies at {where.background:.2f}" in where.words[-1]
+
     assert all(row.ratio == pytest.approx(1.69, rel=0.3) for row in where.frequency)
 
 
@@ -348,16 +306,6 @@ def test_units_sign_and_clock_do_not_matter() -> None:
     )
 
 
-def test_rows_that_are_not_scored_do_not_count() -> None:
-    rng = np.random.default_rng(14)
-    data = in_stall_only(rng)
-    residual = white(data, rng)
-    one = run(data, residual)
-    for rubbish in (np.nan, 1e6):
-        other = run(data, np.where(data.scored, residual, rubbish))
-        assert other.to_json() == one.to_json()
-
-
 def test_bands_cover_all_frequencies_and_hold_the_lines_of_surge() -> None:
     rng = np.random.default_rng(15)
     data = three_records(rng)
@@ -377,20 +325,6 @@ def test_bands_cover_all_frequencies_and_hold_the_lines_of_surge() -> None:
     assert squares == pytest.approx(1.0, abs=0.3)
 
 
-def test_the_document_is_plain_json() -> None:
-    rng = np.random.default_rng(16)
-    data = three_records(rng)
-    where = run(data, white(data, rng))
-    document = json.loads(json.dumps(where.to_json(), allow_nan=False))
-    assert set(document) == {*PANELS, "words"}
-    assert document["words"] == list(where.words)
-    assert len(document["flow"]) == 16
-    assert {"low_hz", "high_hz", "ratio", "z", "lines"} <= set(document["frequency"][0])
-    assert {"record", "from_s", "to_s", "rms", "excess", "z_mean", "z_variance"} <= set(
-        document["time"][0]
-    )
-
-
 def test_variance_of_a_sum_is_that_of_the_covariance_matrix() -> None:
     rng = np.random.default_rng(17)
     runs = (slice(0, 40), slice(45, 60), slice(60, 130))
@@ -406,18 +340,6 @@ def test_variance_of_a_sum_is_that_of_the_covariance_matrix() -> None:
         assert noise.sum_variance(weights) == pytest.approx(
             weights @ covariance @ weights, rel=1e-3
         )
-
-
-def test_innovations_undo_the_autoregression_within_runs() -> None:
-    rng = np.random.default_rng(18)
-    drive = rng.standard_normal(200)
-    values = lfilter([1.0], [1.0, -1.2, 0.5], drive)
-    known = np.ones(200, dtype=bool)
-    known[50] = False
-    noise = floor_noise(1.0, np.array([1.2, -0.5]), (slice(0, 100), slice(100, 200)), 200)
-    left, whole = noise.innovations(values, known)
-    assert np.flatnonzero(~whole).tolist() == [0, 1, 50, 51, 52, 100, 101]
-    np.testing.assert_allclose(left[whole], drive[whole], atol=1e-12)
 
 
 def test_the_slow_part_is_out_of_a_straight_line_and_its_adjoint_holds() -> None:
@@ -443,56 +365,20 @@ def test_z_of_a_power_has_the_tail_of_chi_squared(freedom: float) -> None:
         assert norm.isf(chi2.sf(freedom * ratio, freedom)) == pytest.approx(z, abs=0.2)
 
 
-def bad(name: str, data: ResidualRuns) -> tuple[ResidualRuns, dict[str, Any]]:
-    nothing = np.zeros_like(data.scored)
-    gap = np.where(np.arange(6000) == 1000, data.time_s + 0.1, data.time_s)
-    torn = np.where(np.arange(6000) == 7, np.nan, data.phi)
-    changes: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-        "no scored row": ({"scored": nothing}, {}),
-        "floor zero": ({}, {"floor_rms": 0.0}),
-        "floor NaN": ({}, {"floor_rms": math.nan}),
-        "shorter than a block": ({}, {"block_s": 25.0}),
-        "block negative": ({}, {"block_s": -1.0}),
-        "NaN scored": ({"residual": np.where(np.arange(6000) == 5, np.nan, 0.0)}, {}),
-        "NaN in φ": ({"phi": torn}, {}),
-        "other length": ({"phi": data.phi[:-1]}, {}),
-        "gap": ({"time_s": gap}, {}),
-        "clock back": ({"record": np.zeros(6000, int), "time_s": data.time_s % 30.0}, {}),
-        "runs overlap": ({"runs": (slice(0, 200), slice(100, 300))}, {}),
-        "no runs": ({"runs": ()}, {}),
-        "record unknown": ({"record": data.record + 1}, {}),
-        "weights": ({"scored": data.scored.astype(float)}, {}),
-        "unstable": ({}, {"whitening": np.array([1.01])}),
-        "whitening NaN": ({}, {"whitening": np.array([math.nan])}),
-    }
-    change, options = changes[name]
-    return replace(data, **change), {"floor_rms": FLOOR} | options
-
-
 @pytest.mark.parametrize(
-    ("name", "where"),
+    ("change", "options", "where"),
     [
-        ("no scored row", "scored"),
-        ("floor zero", "floor_rms"),
-        ("floor NaN", "floor_rms"),
-        ("shorter than a block", "block_s"),
-        ("block negative", "block_s"),
-        ("NaN scored", "residual"),
-        ("NaN in φ", "phi"),
-        ("other length", "phi"),
-        ("gap", "time_s"),
-        ("clock back", "time_s"),
-        ("runs overlap", "runs"),
-        ("no runs", "runs"),
-        ("record unknown", "record"),
-        ("weights", "scored"),
-        ("unstable", "whitening"),
-        ("whitening NaN", "whitening"),
+        ({"scored": np.zeros(6000, dtype=bool)}, {}, "scored"),
+        ({}, {"floor_rms": 0.0}, "floor_rms"),
+        ({}, {"block_s": 25.0}, "block_s"),
+        ({"residual": np.where(np.arange(6000) == 5, np.nan, 0.0)}, {}, "residual"),
     ],
 )
-def test_what_cannot_be_used_is_refused_in_one_sentence(name: str, where: str) -> None:
-    data, options = bad(name, three_records(np.random.default_rng(0)))
+def test_what_cannot_be_used_is_refused_in_one_sentence(
+    change: dict[str, Any], options: dict[str, Any], where: str
+) -> None:
+    data = replace(three_records(np.random.default_rng(0)), **change)
     with pytest.raises(InputError) as caught:
-        localise(data, **options)
+        localise(data, **{"floor_rms": FLOOR, **options})
     assert caught.value.where == where
     assert "expected" in caught.value.sentence()

@@ -87,10 +87,3 @@ def test_altered_case_without_an_equilibrium_is_refused() -> None:
         run_plant(replace(CASES["985"], near_stall_phi_ratio=1.5), n_rows=10)
     with pytest.raises(InputError, match="subsonic"):
         run_plant(replace(CASES["985"], near_stall_phi_ratio=3.0), n_rows=10)
-
-
-def test_case_refuses_what_no_plant_can_have() -> None:
-    with pytest.raises(InputError, match=r"RigCase\.tau_s"):
-        replace(CASES["985"], tau_s=0.0)
-    with pytest.raises(InputError, match=r"RigCase\.pressure_terms"):
-        replace(CASES["985"], pressure_terms=(1.0, float("nan"), 1.0))

@@ -82,18 +82,6 @@ def test_zero_and_calibrate_readings_recover_sensitivity_and_bias() -> None:
     assert np.mean(biases) == pytest.approx(true.bias_v * counts_v, abs=0.2)
 
 
-def test_seeds_change_sensors_but_not_the_plant() -> None:
-    runs = [simulate("985", seed=seed, duration_s=0.6) for seed in (1, 2, 3)]
-    for name in runs[0].truth.channels:
-        for run in runs[1:]:
-            assert np.array_equal(runs[0].truth[name], run.truth[name])
-    for name in runs[0].raw.channels:
-        assert not np.array_equal(runs[0].raw[name], runs[1].raw[name]) or name.startswith("T31")
-    entries = [run.truth_parameters["sensors"]["P25_A_tip_forward"] for run in runs]
-    assert len({entry["sensitivity_V_Pa"] for entry in entries}) == 3
-    assert len({entry["bias_V"] for entry in entries}) == 3
-
-
 def test_sensors_differ_from_one_another_as_much_as_stated() -> None:
     values = [
         entry
@@ -133,14 +121,8 @@ def test_noise_in_the_record_is_what_the_anti_alias_filter_leaves() -> None:
     ("field", "value"),
     [
         ("noise_percent", -1.0),
-        ("noise_percent", float("nan")),
-        ("bits", 1),
         ("bits", 12.5),
-        ("tube_frequency_hz", 0.0),
         ("anti_alias_hz", 6_000.0),
-        ("reading_samples", 0),
-        ("recovery_factor", 0.0),
-        ("cells", "much"),
     ],
 )
 def test_settings_refuse_nonsense_by_name(field: str, value: object) -> None:

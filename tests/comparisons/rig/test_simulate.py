@@ -116,23 +116,11 @@ def test_written_files_hold_the_run(default_run: Runs, tmp_path: Path) -> None:
     assert "." not in (folder / "raw.csv").read_text(encoding="utf-8").splitlines()[1].split(",")[1]
 
 
-def test_write_refuses_a_folder_in_use(default_run: Runs, tmp_path: Path) -> None:
-    (tmp_path / "kept.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match="new or empty folder"):
-        write_run(default_run("985"), tmp_path)
-    with pytest.raises(InputError, match="found a file"):
-        write_run(default_run("985"), tmp_path / "kept.txt")
-    assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"case": "98.5"}, "case: expected one of 985, 90"),
         ({"duration_s": -1.0}, "duration_s: expected 0.2 to 120 seconds, found -1.0"),
-        ({"duration_s": float("nan")}, "duration_s"),
-        ({"duration_s": 1e9}, "duration_s"),
-        ({"seed": -1}, "seed"),
         ({"seed": 1.5}, "seed"),
     ],
 )

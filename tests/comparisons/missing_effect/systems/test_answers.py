@@ -30,11 +30,6 @@ EFFECTS: dict[str, tuple[Placed, list[float], float]] = {
         [-0.4],
         SMOOTH,
     ),
-    "quadratic_drag": (
-        make.placed("quadratic_drag", Kind.TERM, 1, 1, scales=SPEED),
-        [-0.2],
-        SMOOTH,
-    ),
     "coulomb_friction": (
         make.placed("coulomb_friction", Kind.TERM, 1, 1, scales=SPEED),
         [-0.1, 0.2],
@@ -70,16 +65,6 @@ EFFECTS: dict[str, tuple[Placed, list[float], float]] = {
     "saturation of the sensor": (
         make.placed("saturation", Kind.OUTPUT_MAP, 0, scales=(1.0, 0.3, 1.0), code=Map.UPPER),
         [0.9],
-        SMOOTH,
-    ),
-    "bias of the sensor": (
-        make.placed("constant_bias", Kind.OUTPUT_MAP, 0, scales=(1.0, 0.3, 1.0)),
-        [0.4],
-        SMOOTH,
-    ),
-    "bias of the input": (
-        make.placed("constant_bias", Kind.INPUT_MAP, 0, 2, scales=FORCE),
-        [0.2],
         SMOOTH,
     ),
     "delay": (make.placed("transport_delay", Kind.INPUT_DELAY, 0, 2), [3.3], SMOOTH),
@@ -145,25 +130,6 @@ def test_parameters_offset_and_starts(between: str) -> None:
     assert max(off.values()) < (KINKED if between == "linear" else SMOOTH), off
 
 
-def test_the_offset_of_a_held_input_is_felt() -> None:
-    """Steps of the input move with the offset, though no instant between them does."""
-    model = make.body()
-    structure = Structure(model, (), "held", TIGHT)
-    theta = np.array([2.0, 1.5, 80.0, 0.3])
-    run = run_of(model, "held")
-    start = np.array([0.05, 0.2])
-    path = path_of(structure, run, theta, start, np.array([0.3, 1.5]))
-    scale = scales_of(structure, [path])
-    steps = parameter_steps(structure, theta)[3:]
-    column = answers(structure, run, theta, path, scale, np.array([3]), steps)[:, 0, 0]
-    moved = [
-        path_of(structure, run, theta + np.array([0.0, 0.0, 0.0, d]), start, scale).outputs[:, 0]
-        for d in (-0.25, 0.25)
-    ]
-    wanted = (moved[1] - moved[0]) / 0.5
-    assert np.linalg.norm(column - wanted) < 0.1 * np.linalg.norm(wanted)
-
-
 @pytest.mark.parametrize("name", EFFECTS)
 def test_effects(name: str) -> None:
     effect, slots, allowed = EFFECTS[name]
@@ -210,11 +176,3 @@ def test_the_recording_filter() -> None:
     theta = np.concatenate([[2.0, 1.5, 80.0, 0.2], structure.slots((0.6, 0.15))])
     off = worst(structure, theta, run_of(model), np.array([0.05, 0.2]))
     assert max(off.values()) < KINKED, off
-
-
-def test_what_is_held_has_no_column() -> None:
-    """Empty slots and offsets that are held are not fitted."""
-    model = make.body()
-    effect = make.placed("cubic_stiffness", Kind.TERM, 1, 0, scales=AT)
-    assert Structure(model, (effect,)).free.tolist() == [0, 1, 2, 3, 4]
-    assert Structure(model, (effect,), offsets_free=False).free.tolist() == [0, 1, 2, 4]

@@ -67,29 +67,6 @@ def test_scripts_write_all_diagnoses_below_the_first(
         assert f"{name}\n\nVERDICT" in said.out
 
 
-def test_a_script_tells_a_mistake_in_one_sentence(
-    made: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    model_file, train, _ = made
-    model = load_model(model_file)
-    fit = read_experiment(train, model)
-    for cases, options, words in (
-        ({"one": (model, fit, ())}, ["--json", str(tmp_path / "no" / "n.json")], "existing folder"),
-        ({"one": (model, fit, ())}, ["--report", str(tmp_path / "r.txt")], ".html"),
-        ({"one": (model, (), ())}, [], "at least one experiment"),
-        ({}, [], "at least one"),
-    ):
-        assert run_script(cases, options) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert words in said.err
-        assert said.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(SystemExit) as stop:
-        run_script({}, ["--max-effects", "7"])
-    assert stop.value.code == 2
-
-
 OWN = ("--model", "model.py", "--fit", "train.csv")
 
 
@@ -97,20 +74,12 @@ OWN = ("--model", "model.py", "--fit", "train.csv")
     ("options", "words"),
     [
         ((), "expected SERIES of a compressor, or --model"),
-        (("--fit", "train.csv"), "--fit: expected a --model"),
         (("series.csv", "--check", "check.csv"), "--check: expected a --model"),
         (("--model", "model.py"), "--fit: expected at least one record"),
-        (("--model", "model.py", "--check", "check.csv"), "--fit: expected at least one record"),
         (("train.csv", *OWN), "train.csv: expected records after --fit or --check"),
         ((*OWN, "--degree", 2), "--degree: expected no option of the compressor"),
-        ((*OWN, "--base", "polynomial"), "--base: expected no option of the compressor"),
-        ((*OWN, "--limits"), "--limits: expected no option of the compressor"),
-        ((*OWN, "--separate"), "--separate: expected no option of the compressor"),
-        ((*OWN, "--save", "m.json"), "--save: expected no option of the compressor"),
         ((*OWN, "--check", "train.csv"), "train.csv: expected each record once"),
         ((*OWN, "--json", "train.csv"), "train.csv: expected a file of its own"),
-        ((*OWN, "--json", "model.py"), "model.py: expected a file of its own"),
-        ((*OWN, "--json", "n.json", "--report", "n.txt"), "ending in .html"),
         ((*OWN, "--json", "no/n.json"), "an existing folder"),
         (("--model", "no.py", "--fit", "train.csv"), "no.py: expected a Python file"),
         (("--model", "model.py", "--fit", "no.csv"), "no.csv: expected a record"),
@@ -143,23 +112,6 @@ def test_what_cannot_be_is_refused_in_one_sentence(
     assert words in said.err
     assert said.err.count("\n") == 1
     assert {path.name: path.read_text("utf-8") for path in tmp_path.iterdir()} == content
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("s.csv", "--max-effects", 4), "a whole number from 1 to 3: '4'"),
-        ((*OWN, "--max-effects", 7), "a whole number from 1 to 6: '7'"),
-        ((*OWN, "--max-effects", 0), "a whole number from 1 to 6: '0'"),
-    ],
-)
-def test_more_effects_are_allowed_to_a_model(
-    capsys: pytest.CaptureFixture[str], options: tuple[object, ...], words: str
-) -> None:
-    with pytest.raises(SystemExit) as stop:
-        run(*options)
-    assert stop.value.code == 2
-    assert words in capsys.readouterr().err
 
 
 def test_a_function_that_cannot_be_compiled_is_the_users_mistake(

@@ -19,7 +19,7 @@ from comparisons.missing_effect.systems.structure import Run, Structure
 TRUE = np.array([truth.BODY[name] for name in ("M", "c", "k")])
 N = 600
 SEEDS = 40
-COVERED_ROWS = 1500
+COVERED_ROWS = 1000
 NOISE = 0.02
 
 
@@ -200,15 +200,6 @@ def test_the_colour_of_errors_is_found_and_helps() -> None:
         off["white"].append(white.theta[:3] / TRUE - 1.0)
     spread = {key: np.sqrt(np.mean(np.square(value), axis=0)) for key, value in off.items()}
     assert np.all(spread["white"][[0, 2]] < spread["raw"][[0, 2]])
-
-
-def test_a_model_that_cannot_be_run_is_a_result() -> None:
-    """From starts where it runs away: failed, and nothing raised."""
-    model = make.body(
-        rhs=lambda t, x, u, p: (x.speed, (u.F - p.c * x.speed + 1e4 * p.k * x.at) / p.M)
-    )
-    run = make.runs_on(model, [make.experiment("body", truth.body(5, N))])[0]
-    assert make.fitted(Structure(model, (), "cubic", 1e-6), [run]).failed
 
 
 def test_errors_of_parameters_hold_while_the_offset_is_held() -> None:

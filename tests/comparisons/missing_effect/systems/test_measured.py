@@ -59,26 +59,6 @@ def test_the_spring_of_the_silverbox_is_cubic() -> None:
 
 
 @needs_data
-def test_with_the_cubic_in_the_model_what_else_is_found_shows_on_unseen_rows() -> None:
-    made = script("silverbox")
-    from comparisons.missing_effect import P
-
-    d = silverbox(
-        1,
-        params={**made.model.params, "cubic": P(0.0, -1e7, 1e7, "1/s^2/V^2")},
-        rhs=lambda t, x, u, p: (
-            x.v,
-            p.gain * u.u - p.stiffness * x.x - p.damping * x.v - p.cubic * x.x**3,
-        ),
-    )
-    assert "cubic_stiffness" not in d.names
-    if d.missing:
-        assert d.checks[0].after_rms[0] < 0.9 * d.checks[0].before_rms[0]
-    else:
-        assert d.verdict == "nothing_missing"
-
-
-@needs_data
 def test_the_joint_has_dry_friction() -> None:
     """In closed loop: mass, viscous and dry friction as the inverse dynamics of the data say."""
     made = script("emps")
@@ -94,10 +74,3 @@ def test_the_joint_has_dry_friction() -> None:
     assert found.numbers[0].unit == "N"
     before, after = d.training[0].before_rms[1], d.training[0].after_rms[1]
     assert after < 0.4 * before
-
-
-@needs_data
-def test_a_folder_without_the_file_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv(BENCHMARK_FOLDER, str(tmp_path))
-    with pytest.raises(ValueError, match=r"expected the file DATA_EMPS\.mat"):
-        script("emps").experiment("training", "DATA_EMPS.mat")

@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from made_systems import machine, made_diagnosis, run_of
+from made_systems import made_diagnosis
 
 from classic_ml.records import FloatArray
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.results import CheckRun
-from comparisons.missing_effect.systems.where import where_of, worst_output
-from surge_core.errors import InputError
+from comparisons.missing_effect.systems.where import where_of
 
 PERIOD_S = 0.01
 N = 8000
@@ -48,21 +46,6 @@ def test_a_sine_shows_in_its_band_with_its_power(frequency_hz: float) -> None:
     assert left.max() < 4.0 * np.median(left)
     measured = np.array([row.measured_psd for row in where.frequency])
     assert where.frequency[int(np.argmax(measured))].high_hz < 1.2
-
-
-def test_bands_cover_the_spectrum_once_and_widen() -> None:
-    rows = where_of(parted(white(2), white(3))).frequency
-    assert rows[0].low_hz == 0.0
-    assert rows[-1].high_hz == pytest.approx(0.5 / PERIOD_S)
-    assert all(a.high_hz == b.low_hz for a, b in pairwise(rows))
-    assert 12 <= len(rows) <= 26
-    assert rows[-2].high_hz - rows[-2].low_hz > 5.0 * (rows[1].high_hz - rows[1].low_hz)
-
-
-def test_a_slow_drift_shows_in_the_lowest_band() -> None:
-    where = where_of(parted(0.5 * np.linspace(-1.0, 1.0, N), white(4)))
-    power = [(row.high_hz - row.low_hz) * row.before_psd for row in where.frequency]
-    assert power[0] > 0.9 * sum(power)
 
 
 def test_a_quadratic_shows_over_the_signal_and_is_gone_after() -> None:
@@ -144,25 +127,6 @@ def test_a_burst_shows_in_its_blocks_alone() -> None:
     assert where.time[-1].to_s == pytest.approx(180.0)
 
 
-def test_the_output_missed_most_is_taken_by_its_swing() -> None:
-    run = run_of("a", held_out=True)
-    before = run.measured - np.array([1e-4, 0.5, 1e-6])
-    changed = replace(run, before=before)
-    assert worst_output(changed) == "current"
-    assert where_of(changed).output == "current"
-    assert where_of(changed, output="strain").output == "strain"
-
-
-def test_the_signal_of_an_effect_is_laid_under_where_it_is_measured() -> None:
-    run, model = run_of("a", held_out=True), machine()
-    first, second = made_diagnosis().missing
-    # q is measured as "position", v not at all.
-    found = where_of(run, (first,), output="current", model=model)
-    assert (found.signal, found.simulated) == ("position", False)
-    assert where_of(run, (second,), output="current", model=model).signal == "current"
-    assert where_of(run, (second, first), output="current", model=model).signal == "position"
-
-
 def test_what_is_no_number_is_none_in_json() -> None:
     check = parted(white(9), white(10))
     gone = replace(check, before=np.full((N, 1), np.nan))
@@ -174,19 +138,6 @@ def test_what_is_no_number_is_none_in_json() -> None:
     for row in (*document["time"], *document["frequency"], *document["flow"]):
         assert (row["record"], row["output"]) == ("run", "y")
     assert {row["signal"] for row in document["flow"]} == {"y"}
-
-
-def test_a_signal_that_stands_still_has_one_range() -> None:
-    check = parted(white(11), white(12))
-    e = replace(check.experiment, channels={**check.experiment.channels, "u": np.ones(N)})
-    (row,) = where_of(replace(check, experiment=e), (_effect_on("u"),)).flow
-    assert (row.low, row.high, row.n) == (1.0, 1.0, N)
-    assert math.isnan(row.before_rising)
-
-
-def test_an_output_that_is_not_there_is_refused() -> None:
-    with pytest.raises(InputError, match="one of y"):
-        where_of(parted(white(13), white(14)), output="z")
 
 
 def _effect_on(signal: str):  # type: ignore[no-untyped-def]
