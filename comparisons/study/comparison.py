@@ -34,11 +34,8 @@ __all__ = ["compare_methods", "methods_in", "score_named", "study_text"]
 
 # Below so many records neither an error nor its normal approximation is to be relied on.
 FEWEST_RECORDS = 5
-# A loss so many spreads beyond the median of the best method is no error of that method's kind.
-GROSS_SPREADS = 10.0
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
-HEAVY_SHARE = 0.5
 
 
 def compare_methods(
@@ -175,7 +172,6 @@ def _compared(
     ranked = [j for j in range(n) if ranks[j] == 1]
     best = ranked[0] if ranked else None
     to_best = [Paired() if best is None else paired(cells, score, j, best) for j in range(n)]
-    gross = _gross(cells, score)
     rows = [
         MethodRow(
             cells.methods[j],
@@ -183,7 +179,6 @@ def _compared(
             int(cells.failed[:, j].sum()),
             int(cells.scored[:, j].sum()),
             *_levels(cells, score, j),
-            gross[j],
             against[j],
             to_best[j],
             ranks[j],
@@ -204,31 +199,15 @@ def _levels(cells: Cells, score: Score, j: int) -> tuple[float, float, float, fl
     if not values.size:
         return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
     zero = score.better == "zero"
-    with np.errstate(invalid="ignore", over="ignore"):
-        median = float(np.median(np.abs(values) if zero else values))
+    median = float(np.median(np.abs(values) if zero else values))
     if not np.all(np.isfinite(values)):
         return math.nan, math.nan, math.nan, math.nan, median, math.nan
-    largest = float(np.max(np.abs(values))) or 1.0
-    rms = largest * math.sqrt(float(np.mean((values / largest) ** 2))) if zero else math.nan
+    rms = math.sqrt(float(np.mean(values**2))) if zero else math.nan
     mean, error = jackknife(values, cells.record[kept])
     if score.better == "target":
         return mean, error, abs(mean - score.target), error, median, rms
     loss = jackknife(losses(score, values), cells.record[kept])
     return mean, error, *loss, median, rms
-
-
-def _gross(cells: Cells, score: Score) -> list[float]:
-    n = len(cells.methods)
-    if score.better == "target":
-        return [math.nan] * n
-    lost = [losses(score, cells.values[cells.scored[:, j], j]) for j in range(n)]
-    quartiles = [np.percentile(v, (50, 25, 75)) for v in map(finite, lost) if v.size]
-    limit = math.inf
-    if quartiles:
-        middle, low, high = min(tuple(map(float, q)) for q in quartiles)
-        spread = max(high - low, abs(middle))
-        limit = middle + GROSS_SPREADS * spread if spread > 0.0 else math.inf
-    return [float(np.mean((v > limit) | np.isinf(v))) if v.size else math.nan for v in lost]
 
 
 def _ranks(against: list[Paired], size: float) -> list[int | None]:
@@ -295,9 +274,6 @@ def _doubts(
         doubts.append("too few pairs to be ranked")
     if pair.n_records > 1 and pair.stderr == 0.0 and j != r and pair.difference != 0.0:
         doubts.append("all records differ alike: the error of the difference is not known")
-    if pair.n_records > 1 and pair.heaviest > HEAVY_SHARE and j != r:
-        share = 100.0 * pair.heaviest
-        doubts.append(f"one record carries {share:.0f} % of the difference")
     return doubts
 
 

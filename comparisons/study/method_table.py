@@ -48,9 +48,6 @@ class MethodRow:
         Median of the score; of its absolute value where zero is best.
     rms : float
         Root mean square of a score that should be zero, else NaN.
-    gross : float
-        Share of the scored cells whose loss is gross: infinite, or more than ten spreads beyond
-        the median of the method with the smallest median.
     against, to_best : Paired
         The method against the reference and against the best.
     rank : int or None
@@ -71,7 +68,6 @@ class MethodRow:
     loss_stderr: float
     median: float
     rms: float
-    gross: float
     against: Paired
     to_best: Paired
     rank: int | None
@@ -176,7 +172,7 @@ def columns_of(score: Score, *, full: bool = False) -> tuple[Column, ...]:
     score : Score
         What is compared.
     full : bool
-        With records, medians of the pairs, standing and trust.
+        With records, standing and trust.
     """
     if score.better == "target":
         own = [Column("share", f"of cells; {score.target:g} is best", _mean)]
@@ -198,7 +194,6 @@ def columns_of(score: Score, *, full: bool = False) -> tuple[Column, ...]:
             "independent records of the pairs",
             lambda row, _: str(row.against.n_records),
         ),
-        Column("median Δ", "median of the differences of the pairs", _median_difference),
         Column(
             "standing", "against the best, by the 95 % interval", lambda row, _: row.standing, False
         ),
@@ -214,11 +209,6 @@ def columns_of(score: Score, *, full: bool = False) -> tuple[Column, ...]:
         Column("cells", "cells that it was run on", lambda row, _: str(row.n_cells)),
         Column("failed", "of them failed", lambda row, _: str(row.n_failed)),
         *own,
-        Column(
-            "gross",
-            "share of scored cells ten spreads beyond the median of the best, or infinite",
-            lambda row, _: _percent(row.gross),
-        ),
         Column("pairs", "cells shared with the reference", lambda row, _: str(row.against.n_pairs)),
         Column(
             "Δ to reference",
@@ -280,14 +270,9 @@ def _difference(row: MethodRow, group: GroupComparison) -> str:
 
 
 def _wins(row: MethodRow, group: GroupComparison) -> str:
-    return "" if row.method == group.reference else _percent(row.against.wins)
-
-
-def _median_difference(row: MethodRow, group: GroupComparison) -> str:
-    return "" if row.method == group.reference else significant(row.against.median, 3)
-
-
-def _percent(share: float) -> str:
+    share = row.against.wins
+    if row.method == group.reference:
+        return ""
     return f"{100.0 * share:.0f} %" if math.isfinite(share) else NOT_KNOWN
 
 

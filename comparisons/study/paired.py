@@ -53,12 +53,8 @@ class Paired:
     difference, stderr : float
         Mean loss minus that of the other, and its standard error clustered by record, in the unit
         of the score. NaN where a pair holds an infinite score; the error is NaN with one record.
-    median : float
-        Median of the differences of the pairs.
     wins : float
         Share of the pairs with the smaller loss; a tie counts half.
-    heaviest : float
-        Share of the summed absolute differences that a single record carries.
     n_infinite : int
         Pairs with an infinite score.
     """
@@ -67,9 +63,7 @@ class Paired:
     n_records: int = 0
     difference: float = math.nan
     stderr: float = math.nan
-    median: float = math.nan
     wins: float = math.nan
-    heaviest: float = math.nan
     n_infinite: int = 0
 
     @property
@@ -205,20 +199,17 @@ def paired(cells: Cells, score: Score, i: int, j: int) -> Paired:
     lost = losses(score, values)
     n_infinite = int(np.any(np.isinf(lost), axis=1).sum())
     same = lost[:, 0] == lost[:, 1]
-    with np.errstate(invalid="ignore", over="ignore"):
-        change = np.where(same, 0.0, lost[:, 0] - lost[:, 1])
-        median = float(np.median(change))
     counts = (int(both.sum()), int(np.unique(record).size))
     target = score.target if score.better == "target" else None
-    difference = stderr = heaviest = math.nan
+    difference = stderr = math.nan
     if n_infinite == 0:
+        change = np.where(same, 0.0, lost[:, 0] - lost[:, 1])
         difference, stderr = jackknife(change if target is None else values, record, target)
-        heaviest = _heaviest(change, record)
     if target is not None:
         # Of a single cell the distance to a share means nothing: only of the mean of many.
         return Paired(*counts, difference, stderr, n_infinite=n_infinite)
     wins = float(np.mean((lost[:, 0] < lost[:, 1]) + 0.5 * same))
-    return Paired(*counts, difference, stderr, median, wins, heaviest, n_infinite)
+    return Paired(*counts, difference, stderr, wins, n_infinite)
 
 
 def jackknife(
@@ -252,16 +243,12 @@ def jackknife(
             return means[..., 0]
         return np.abs(means[..., 0] - target) - np.abs(means[..., 1] - target)
 
-    with np.errstate(over="ignore", invalid="ignore"):
-        whole = float(measured(sums.sum(axis=0), counts.sum()))
-        if counts.size < 2 or not math.isfinite(whole):
-            return whole if math.isfinite(whole) else math.nan, math.nan
-        # About the whole's value rather than the mean of the parts: a little wider, never smaller.
-        spread = measured(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
-        # Scaled, so that squares of scores beyond 1e154 do not overflow.
-        largest = float(np.max(np.abs(spread))) or 1.0
-        share = (counts.size - 1) / counts.size
-        error = largest * math.sqrt(share * float(np.sum((spread / largest) ** 2)))
+    whole = float(measured(sums.sum(axis=0), counts.sum()))
+    if counts.size < 2 or not math.isfinite(whole):
+        return whole if math.isfinite(whole) else math.nan, math.nan
+    # About the whole's value rather than the mean of the parts: a little wider, never smaller.
+    spread = measured(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
+    error = math.sqrt((counts.size - 1) / counts.size * float(np.sum(spread**2)))
     size = float(np.max(np.abs(columns), initial=0.0))
     return whole, error if error > SAME * size else 0.0
 
@@ -300,9 +287,3 @@ def _plain(value: Any) -> Any:
     import pandas as pd
 
     return None if pd.isna(value) else getattr(value, "item", lambda: value)()
-
-
-def _heaviest(change: FloatArray, record: NDArray[np.intp]) -> float:
-    by_record = np.abs(np.bincount(record, weights=change))
-    total = float(by_record.sum())
-    return float(by_record.max() / total) if total > 0.0 else math.nan

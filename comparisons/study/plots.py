@@ -1,4 +1,4 @@
-"""Pictures of a study: differences to the reference, losses over an axis, seconds against loss.
+"""Pictures of a study: differences to the reference, and losses over an axis.
 
 Each comes with the sentence that says in numbers what it shows.
 """
@@ -22,7 +22,6 @@ from comparisons.page.style import (
 )
 from comparisons.study.comparison import compare_methods, methods_in, score_named
 from comparisons.study.method_table import GroupComparison, loss_label, value_words
-from comparisons.study.paired import losses
 from comparisons.study.scores import Score
 from surge_core.rounding import round_to_error, significant
 
@@ -33,13 +32,11 @@ if TYPE_CHECKING:
 
     from surge_core.types import FloatArray
 
-__all__ = ["Drawn", "draw_differences", "draw_over_axis", "draw_seconds"]
+__all__ = ["Drawn", "draw_differences", "draw_over_axis"]
 
 MARKERS = "osD^vP<X>ph"
 # Panels beside each other, and values of an axis; tables hold all.
 MOST_PANELS, MOST_VALUES, BINS = 4, 24, 8
-# Points of a cloud beyond which no eye sees more; the medians are of all.
-MOST_POINTS = 2000
 LONGEST_NAME = 26
 # Losses further apart than this are drawn on a logarithmic axis.
 LOGARITHMIC_RATIO = 30.0
@@ -198,63 +195,6 @@ def draw_over_axis(
         f"Bars are ± 2 standard errors of the paired difference to {base}, which has none itself; "
         f"each method stands at the mean of {base} plus that difference. "
         f"{'Higher' if chosen.better == 'larger' else 'Lower'} is better.{cut}",
-    )
-
-
-def draw_seconds(table: pd.DataFrame, score: Score | str) -> Drawn:
-    """Draw the seconds of each fit against its loss.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Results with the column ``seconds_fit``.
-    score : Score or str
-        What is compared.
-
-    Returns
-    -------
-    Drawn
-        A faint dot a cell, a large one at the medians of each method.
-    """
-    chosen = score_named(score)
-    methods = methods_in(table)
-    styles = _styles(methods)
-    figure = new_figure(height_in=4.4)
-    ax = dress(figure.add_subplot())
-    sentences: list[str] = []
-    every: list[FloatArray] = []
-    for name in methods:
-        rows = table[(table["method"] == name) & (table["state"] != "failed")]
-        seconds = rows["seconds_fit"].to_numpy(dtype=np.float64)
-        lost = _sign(chosen) * losses(chosen, rows[chosen.name].to_numpy(dtype=np.float64))
-        cloud = np.column_stack([seconds, lost])
-        cloud = cloud[np.isfinite(cloud).all(axis=1)]
-        if not len(cloud):
-            sentences.append(f"{name}: no scored cell")
-            continue
-        style, marker = styles[name]
-        few = cloud[:: max(1, math.ceil(len(cloud) / MOST_POINTS))]
-        ax.plot(few[:, 0], few[:, 1], marker, ms=3, alpha=0.35, color=style.colour)
-        centre = np.median(cloud, axis=0)
-        label = printable(name, LONGEST_NAME)
-        ax.plot(*centre, marker, ms=11, color=style.colour, mec=INK, mew=1.0, label=label)
-        medians = [significant(float(value), 3) for value in centre]
-        sentences.append(f"{name}: {medians[0]} s, {medians[1]} ({len(cloud)} cells)")
-        every.append(cloud)
-    if every:
-        points = np.concatenate(every)
-        ax.set_xscale("log" if _wide(points[:, 0]) else "linear")
-        ax.set_yscale("log" if _wide(points[:, 1]) else "linear")
-    ax.set_xlabel("seconds of the fit", fontsize=9)
-    ax.set_ylabel(printable(_with_unit(chosen), 90), fontsize=9)
-    legend_above(figure, ax, columns=4)
-    way = "high" if chosen.better == "larger" else "low"
-    return Drawn(
-        f"Seconds of a fit against {_with_unit(chosen)}",
-        figure,
-        f"Median seconds of a fit and median {_with_unit(chosen)}: {'; '.join(sentences)}.",
-        "Small: single cells; large: the medians of each method over its own scored cells. Left "
-        f"and {way} is best. Infinite scores are not drawn.",
     )
 
 

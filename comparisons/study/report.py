@@ -10,7 +10,7 @@ from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, 
 from comparisons.page.html import render_page
 from comparisons.study.comparison import compare_methods, methods_in, score_named
 from comparisons.study.method_table import GroupComparison, columns_of, value_words
-from comparisons.study.plots import draw_differences, draw_over_axis, draw_seconds
+from comparisons.study.plots import draw_differences, draw_over_axis
 from comparisons.study.spec import Range, StudySpec
 from surge_core.files import check_target, write_whole
 from surge_core.rounding import significant
@@ -137,7 +137,6 @@ def _pictures(
     drawn += [
         draw_over_axis(table, score, axis, groups[0].reference) for axis in spec.axes[:MOST_AXES]
     ]
-    drawn.append(draw_seconds(table, score))
     return tuple(Picture.of(*one) for one in drawn)
 
 

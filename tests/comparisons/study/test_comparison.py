@@ -248,22 +248,17 @@ def test_nan_scores_are_no_pairs_and_an_infinite_one_leaves_no_mean() -> None:
     assert np.isnan(row.against.difference)
     assert np.isnan(row.mean)
     assert row.median == pytest.approx(10.5, abs=3.0)
-    assert row.against.median == pytest.approx(0.5, abs=0.3)
-    assert row.gross == pytest.approx(2 / 38)
     assert row.rank is None
     assert "infinite" in row.trust
 
 
-def test_one_record_that_carries_the_difference_is_named_and_gross_failures_are_counted() -> None:
+def test_one_record_that_carries_the_difference_is_no_evidence_of_one() -> None:
     table = made_study({"a": 0.0, "b": 0.0}, score="tau_error_ms")
     table.loc[where(table, "b", "r-007"), "tau_error_ms"] = 1e3
     row = compared(table, "tau_error_ms", reference="a").row("b")
-    assert "one record carries" in row.trust
-    assert row.gross == pytest.approx(2 / 40)
-    assert abs(row.against.median) < 0.3
+    assert row.against.difference == pytest.approx(row.against.stderr, rel=0.1)
     assert row.standing == LEVEL
-    calm = compared(made_study({"a": 0.0, "b": 0.5}), reference="a").row("b")
-    assert (calm.trust, calm.gross) == ("", 0.0)
+    assert compared(made_study({"a": 0.0, "b": 0.5}), reference="a").row("b").trust == ""
 
 
 @pytest.mark.parametrize("n_records", [1, 2, 4])

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from comparisons.study.comparison import compare_methods, methods_in
-from comparisons.study.plots import draw_differences, draw_over_axis, draw_seconds
+from comparisons.study.plots import draw_differences, draw_over_axis
 from comparisons.study.report import render_study_report
 from comparisons.study.spec import StudySpec, spec_from
 
@@ -87,7 +87,7 @@ def test_the_report_leads_with_the_answer_and_every_picture_says_its_numbers() -
     # All three failures of one method for one reason are one line.
     assert "sindy failed 3 singular <matrix>" in page.words
     assert "survivors only" in page.words
-    assert len(page.alternatives) == 4
+    assert len(page.alternatives) == 3
     for text in page.alternatives:
         assert all(name in text for name in ("classic_ml", "sindy", "paper"))
         assert len(re.findall(r"\d\.\d", text)) >= 3
@@ -145,13 +145,3 @@ def test_many_values_of_an_axis_are_gathered_in_bins() -> None:
     drawn = draw_over_axis(many, "tau_error_ms", "record.noise_percent")
     lines = {str(line.get_label()): line for line in drawn.figure.axes[0].lines}
     assert len(np.asarray(lines["sindy"].get_xdata())) == 8
-
-
-def test_seconds_stand_against_loss_at_the_medians() -> None:
-    table = made_results()
-    lines = draw_seconds(table, "tau_error_ms").figure.axes[0].lines
-    named = {str(line.get_label()): line for line in lines}
-    for name in methods_in(table):
-        own = table[table["method"] == name]
-        assert named[name].get_xdata() == pytest.approx([own["seconds_fit"].median()])
-        assert named[name].get_ydata() == pytest.approx([own["tau_error_ms"].median()])
