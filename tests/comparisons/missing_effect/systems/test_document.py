@@ -15,7 +15,7 @@ from comparisons.missing_effect.systems import document as documents
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.files import load_model, read_experiment
 from comparisons.missing_effect.systems.results import CheckRun, SystemDiagnosis
-from comparisons.show.json_output import to_strict_json
+from surge_core.files import to_strict_json
 
 KEYS = {
     "schema",
