@@ -117,12 +117,12 @@ def _score_parts(
 
 
 def _method_table(group: GroupComparison) -> Table:
-    columns = columns_of(group.score, full=True)
+    columns = columns_of(group, full=True)
     heads = tuple(
         Head(c.heading, c.meaning, c.numeric, c.heading == "trust", "reference" * c.numeric)
         for c in columns
     )
-    rows = tuple(tuple(column.text(row, group) for column in columns) for row in group.rows)
+    rows = tuple(zip(*(column.cells for column in columns), strict=True))
     marks = tuple("best" if row.method == group.best else "" for row in group.rows)
     return Table(_capital(group.caption), heads, rows, marks)
 
