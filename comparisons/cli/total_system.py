@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
+
+from comparisons.cli.shared import Commands, add_raw, add_targets, check_files, write_all
 
 if TYPE_CHECKING:
     from classic_ml.io import TestDescription
@@ -14,10 +15,9 @@ if TYPE_CHECKING:
 __all__ = ["TOTAL_SYSTEM_SCHEMA", "add_total_system_parser", "run_total_system"]
 
 TOTAL_SYSTEM_SCHEMA = "sindy-surge/total-system/1"
-_Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
-def add_total_system_parser(subparsers: _Commands) -> None:
+def add_total_system_parser(subparsers: Commands) -> None:
     """Add the sub-command.
 
     Parameters
@@ -33,8 +33,7 @@ def add_total_system_parser(subparsers: _Commands) -> None:
         "ones. Needs the facility's numbers and the surge start, which the component method does "
         "not.",
     )
-    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (.csv)")
-    parser.add_argument("--test", type=Path, required=True, help="description of the test (.toml)")
+    add_raw(parser)
     parser.add_argument(
         "--facility",
         type=Path,
@@ -60,7 +59,7 @@ def add_total_system_parser(subparsers: _Commands) -> None:
         help="table of what wrong starts (2, 10, 40 ms) and a wrong volume (10 %%) do to this "
         "method and to the component method; takes a minute",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    add_targets(parser, "json")
     parser.set_defaults(run=run_total_system)
 
 
@@ -87,14 +86,11 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         sensitivity_table,
     )
     from comparisons.total_system.sensitivity import N_ROWS
-    from surge_core.files import check_apart, check_target, to_strict_json, write_whole
+    from surge_core.files import to_strict_json
     from surge_core.progress import shown_count, shown_steps
 
-    outputs = [path for path in (arguments.json, arguments.save_facility) if path is not None]
-    for path in outputs:
-        check_target(path)
-    inputs = [arguments.raw, arguments.test]
-    check_apart([*inputs, *([arguments.facility] if arguments.facility else [])], outputs)
+    inputs = [arguments.raw, arguments.test, arguments.facility]
+    check_files(inputs, json=arguments.json, facility=arguments.save_facility)
     record, test = read_raw(arguments.raw, arguments.test)
     facility, origin = _facility(arguments.facility, test)
     settings = TotalSystemSettings(facility, start=arguments.start)
@@ -105,23 +101,24 @@ def run_total_system(arguments: argparse.Namespace) -> None:
     if arguments.table:
         with shown_steps(N_ROWS) as shown:
             rows = sensitivity_rows(record, test, settings, progress=shown)
-    if arguments.save_facility:
-        write_whole(arguments.save_facility, facility_toml(facility))
-    if arguments.json:
-        document = {
-            "schema": TOTAL_SYSTEM_SCHEMA,
-            "record": record.source,
-            "facility": origin,
-            "fit": fit.to_json(),
-            "sensitivity": [row.to_json() for row in rows],
-        }
-        write_whole(arguments.json, to_strict_json(document))
-    _say(f"record:   {record.source}\nfacility: {origin}\n\n{fit}")
+    document = {
+        "schema": TOTAL_SYSTEM_SCHEMA,
+        "record": record.source,
+        "facility": origin,
+        "fit": fit.to_json(),
+        "sensitivity": [row.to_json() for row in rows],
+    }
+    written = write_all(
+        [
+            ("numbers", arguments.json, lambda: to_strict_json(document)),
+            ("facility", arguments.save_facility, lambda: facility_toml(facility)),
+        ]
+    )
+    print(f"record:   {record.source}\nfacility: {origin}\n\n{fit}")
     if rows:
-        _say(f"\n{sensitivity_table(rows).text()}")
-    for label, path in (("numbers", arguments.json), ("facility", arguments.save_facility)):
-        if path:
-            _say(f"{label}: {path}")
+        print(f"\n{sensitivity_table(rows)}")
+    for line in written:
+        print(line)
 
 
 def _facility(path: Path | None, test: TestDescription) -> tuple[Facility, str]:
@@ -142,7 +139,3 @@ def _facility(path: Path | None, test: TestDescription) -> tuple[Facility, str]:
             "writes a pattern from such a record",
         )
     return facility_of_case(case), f"simulated rig, case {case}"
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")

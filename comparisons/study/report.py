@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
 from comparisons.study.comparison import compare_methods, methods_in, score_named
 from comparisons.study.method_table import GroupComparison, columns_of, value_words
@@ -137,7 +137,7 @@ def _pictures(
     drawn += [
         draw_over_axis(table, score, axis, groups[0].reference) for axis in spec.axes[:MOST_AXES]
     ]
-    return tuple(Picture.of(*one) for one in drawn)
+    return tuple(drawn)
 
 
 def _failures(table: pd.DataFrame) -> tuple[Block, ...]:

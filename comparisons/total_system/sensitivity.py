@@ -210,8 +210,8 @@ def _component_row(
     )
 
 
-def sensitivity_table(rows: Sequence[SensitivityRow]) -> Sheet:
-    """Return the rows as a table that shows itself.
+def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
+    """Return the rows as an aligned table for a terminal.
 
     Parameters
     ----------
@@ -225,7 +225,9 @@ def sensitivity_table(rows: Sequence[SensitivityRow]) -> Sheet:
         "P31: residual over swing",
     )
     grid = Grid("β and τ", heads, tuple(map(_cells, rows)), frozenset((0, 1, len(heads) - 1)))
-    return Sheet("What wrong numbers do to both methods", (Field("columns", legend),), (grid,))
+    return Sheet(
+        "What wrong numbers do to both methods", (Field("columns", legend),), (grid,)
+    ).text()
 
 
 def _cells(row: SensitivityRow) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -126,18 +125,6 @@ def test_the_jackknife_is_the_textbook_error_where_records_are_single_cells() ->
     mean, error = jackknife(values, np.arange(17))
     assert mean == pytest.approx(values.mean())
     assert error == pytest.approx(values.std(ddof=1) / np.sqrt(17))
-
-
-def test_the_order_of_the_rows_changes_nothing_at_all() -> None:
-    table = made_study({"a": 0.0, "b": 0.5, "c": 0.1}, shared_spread=0.2)
-    table.loc[5, "state"] = "failed"
-    mixed = table.sample(frac=1.0, random_state=3)
-    for by in ((), ("record.case",), ("reduction.cutoff_hz", "record.case")):
-        for one, other in zip(
-            compare_methods(table, RMS, by=by), compare_methods(mixed, RMS, by=by), strict=True
-        ):
-            assert repr(asdict(one)) == repr(asdict(other))
-    assert study_text(table, [RMS]) == study_text(mixed, [RMS])
 
 
 def test_ties_share_a_rank_and_near_ones_are_level() -> None:
