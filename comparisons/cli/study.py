@@ -6,13 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from comparisons.cli.shared import Commands, command_line, whole
+
 __all__ = ["add_parser"]
 
 # Reasons of failed cells that are printed; the report has all.
 MOST_REASONS = 5
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(commands: Commands) -> None:
     """Add the sub-command to a parser's commands.
 
     Parameters
@@ -34,7 +36,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--jobs",
-        type=_jobs,
+        type=whole(1, 1024),
         default=0,
         metavar="N",
         help="worker processes on this machine (default: one a core; 1: none)",
@@ -48,24 +50,16 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(run=run_study_command)
 
 
-def _jobs(text: str) -> int:
-    try:
-        jobs = int(text)
-    except ValueError:
-        jobs = 0
-    if jobs < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, found {text!r}")
-    return jobs
-
-
 def run_study_command(arguments: argparse.Namespace) -> None:
     """Run the study that the arguments name."""
-    from comparisons.cli.shared import command_line
+    from joblib import cpu_count
+
     from comparisons.study.comparison import methods_in, study_text
     from comparisons.study.design import cells_of
     from comparisons.study.report import write_study_report
-    from comparisons.study.run import RESULTS, check_study
+    from comparisons.study.run import RESULTS, check_study, run_study
     from comparisons.study.spec import read_spec
+    from surge_core.progress import shown_count
 
     spec = read_spec(arguments.spec)
     if not arguments.dry_run:
@@ -77,7 +71,15 @@ def run_study_command(arguments: argparse.Namespace) -> None:
     print(f"axes: {', '.join(spec.axes) or 'none'}")
     if arguments.dry_run:
         return
-    table = _run(spec, cells, arguments)
+    with shown_count(unit="cell", total=cells) as progress:
+        table = run_study(
+            spec,
+            arguments.out,
+            jobs=arguments.jobs or cpu_count(),
+            scheduler=arguments.scheduler,
+            resume=arguments.resume,
+            progress=progress,
+        )
     _print_failures(table)
     reference = spec.reference if spec.reference in methods_in(table) else None
     print()
@@ -86,23 +88,6 @@ def run_study_command(arguments: argparse.Namespace) -> None:
     write_study_report(page, table, spec, command=command_line())
     print(f"table:  {arguments.out / RESULTS}")
     print(f"report: {page}")
-
-
-def _run(spec: Any, cells: int, arguments: argparse.Namespace) -> Any:
-    from joblib import cpu_count
-
-    from comparisons.study.run import run_study
-    from surge_core.progress import shown_count
-
-    with shown_count(unit="cell", total=cells) as progress:
-        return run_study(
-            spec,
-            arguments.out,
-            jobs=arguments.jobs or cpu_count(),
-            scheduler=arguments.scheduler,
-            resume=arguments.resume,
-            progress=progress,
-        )
 
 
 def _print_failures(table: Any) -> None:

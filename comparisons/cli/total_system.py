@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
+
+from comparisons.cli.shared import Commands, add_raw, add_targets, check_files, write_all
 
 if TYPE_CHECKING:
     from classic_ml.io import TestDescription
-    from comparisons.total_system import Facility, TotalSystemFit
+    from comparisons.total_system import Facility
 
 __all__ = ["TOTAL_SYSTEM_SCHEMA", "add_parser", "run_total_system"]
 
 TOTAL_SYSTEM_SCHEMA = "sindy-surge/total-system/1"
-_Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
-def add_parser(subparsers: _Commands) -> None:
+def add_parser(subparsers: Commands) -> None:
     """Add the sub-command.
 
     Parameters
@@ -33,8 +33,7 @@ def add_parser(subparsers: _Commands) -> None:
         "ones. Needs the facility's numbers and the surge start, which the component method does "
         "not.",
     )
-    parser.add_argument("raw", type=Path, metavar="RAW", help="raw record (.csv)")
-    parser.add_argument("--test", type=Path, required=True, help="description of the test (.toml)")
+    add_raw(parser)
     parser.add_argument(
         "--facility",
         type=Path,
@@ -49,38 +48,18 @@ def add_parser(subparsers: _Commands) -> None:
     )
     parser.add_argument(
         "--start",
-        choices=("multiple-shooting", "aligned", "fitted"),
+        choices=("multiple-shooting", "aligned"),
         default="multiple-shooting",
-        help="how the surge start is had (default: multiple-shooting)",
-    )
-    parser.add_argument(
-        "--volume-factor",
-        type=float,
-        default=1.0,
-        metavar="F",
-        help="multiply the discharge volume that the model takes (default: 1)",
-    )
-    parser.add_argument(
-        "--start-error",
-        type=float,
-        default=0.0,
-        metavar="MS",
-        help="move the surge start by as many milliseconds (default: 0)",
-    )
-    parser.add_argument(
-        "--horizon",
-        type=float,
-        default=None,
-        metavar="SECONDS",
-        help="what a single run fits after the first reversal (default: 0.5)",
+        help="restart the model in every segment (the default), or run it once from a surge start "
+        "that makes its first reversal of the flow coincide with the measured one",
     )
     parser.add_argument(
         "--table",
         action="store_true",
         help="table of what wrong starts (2, 10, 40 ms) and a wrong volume (10 %%) do to this "
-        "method and to the component method; takes minutes",
+        "method and to the component method; takes a minute",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    add_targets(parser, "json")
     parser.set_defaults(run=run_total_system)
 
 
@@ -103,57 +82,43 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         facility_toml,
         fit_total_system,
         measured_signals,
+        sensitivity_rows,
+        sensitivity_table,
     )
-    from surge_core.errors import InputError
-    from surge_core.files import check_apart, check_target, to_strict_json, write_whole
+    from comparisons.total_system.sensitivity import N_ROWS
+    from surge_core.files import to_strict_json
     from surge_core.progress import shown_count, shown_steps
 
-    outputs = [path for path in (arguments.json, arguments.save_facility) if path is not None]
-    for path in outputs:
-        check_target(path)
-    inputs = [arguments.raw, arguments.test]
-    check_apart([*inputs, *([arguments.facility] if arguments.facility else [])], outputs)
+    inputs = [arguments.raw, arguments.test, arguments.facility]
+    check_files(inputs, json=arguments.json, facility=arguments.save_facility)
     record, test = read_raw(arguments.raw, arguments.test)
     facility, origin = _facility(arguments.facility, test)
-    given: dict[str, Any] = {} if arguments.horizon is None else {"horizon_s": arguments.horizon}
-    try:
-        settings = TotalSystemSettings(
-            facility,
-            start=arguments.start,
-            start_error_s=1e-3 * arguments.start_error,
-            volume_factor=arguments.volume_factor,
-            **given,
-        )
-        measured = measured_signals(record, test)
-        with shown_count("fitting", unit=" step") as counted:
-            fit = fit_total_system(measured, settings, progress=counted)
-        rows = []
-        if arguments.table:
-            from comparisons.total_system.sensitivity import N_ROWS, sensitivity_rows
-
-            with shown_steps(N_ROWS) as shown:
-                rows = sensitivity_rows(record, test, settings, progress=shown)
-    except InputError as error:
-        raise _in_options(error, InputError) from None
-    if arguments.save_facility:
-        write_whole(arguments.save_facility, facility_toml(facility))
-    if arguments.json:
-        document = {
-            "schema": TOTAL_SYSTEM_SCHEMA,
-            "record": record.source,
-            "facility": origin,
-            "fit": fit.to_json(),
-            "sensitivity": [row.to_json() for row in rows],
-        }
-        write_whole(arguments.json, to_strict_json(document))
-    _print(fit, record.source, origin)
+    settings = TotalSystemSettings(facility, start=arguments.start)
+    measured = measured_signals(record, test)
+    with shown_count("fitting", unit=" step") as counted:
+        fit = fit_total_system(measured, settings, progress=counted)
+    rows = []
+    if arguments.table:
+        with shown_steps(N_ROWS) as shown:
+            rows = sensitivity_rows(record, test, settings, progress=shown)
+    document = {
+        "schema": TOTAL_SYSTEM_SCHEMA,
+        "record": record.source,
+        "facility": origin,
+        "fit": fit.to_json(),
+        "sensitivity": [row.to_json() for row in rows],
+    }
+    written = write_all(
+        [
+            ("numbers", arguments.json, lambda: to_strict_json(document)),
+            ("facility", arguments.save_facility, lambda: facility_toml(facility)),
+        ]
+    )
+    print(f"record:   {record.source}\nfacility: {origin}\n\n{fit}")
     if rows:
-        from comparisons.total_system import sensitivity_table
-
-        _say(f"\n{sensitivity_table(rows)}")
-    for label, path in (("numbers", arguments.json), ("facility", arguments.save_facility)):
-        if path:
-            _say(f"{label}: {path}")
+        print(f"\n{sensitivity_table(rows)}")
+    for line in written:
+        print(line)
 
 
 def _facility(path: Path | None, test: TestDescription) -> tuple[Facility, str]:
@@ -174,44 +139,3 @@ def _facility(path: Path | None, test: TestDescription) -> tuple[Facility, str]:
             "writes a pattern from such a record",
         )
     return facility_of_case(case), f"simulated rig, case {case}"
-
-
-_OPTIONS = {
-    "start_error_s": "--start-error (in s)",
-    "volume_factor": "--volume-factor",
-    "horizon_s": "--horizon",
-}
-
-
-def _in_options(error: Any, kind: type[Exception]) -> Exception:
-    """Name the option where the error names the setting behind it."""
-    where = error.where.removeprefix("TotalSystemSettings.")
-    return kind(
-        _OPTIONS.get(where, error.where),
-        expected=error.expected,  # type: ignore[call-arg]
-        found=error.found,
-        remedy=error.remedy,
-    )
-
-
-def _print(fit: TotalSystemFit, source: str, origin: str) -> None:
-    from surge_core.rounding import round_to_error, significant
-
-    _say(f"Total-system fit of {source}\nfacility: {origin}\n")
-    _say(f"  τ      {round_to_error(1e3 * fit.tau_s, 1e3 * fit.tau_stderr_s)} ms")
-    for name, value, error in zip(("β₁", "β₂", "β₃"), fit.beta, fit.beta_stderr, strict=True):
-        _say(f"  {name}     {round_to_error(value, error)}")
-    for name, (value, error) in fit.others.items():
-        _say(f"  {name}  {round_to_error(value, error)}" + (" s" if name == "start" else ""))
-    _say(f"  surge start {fit.start_s:.4f} s, {fit.n_segments} runs over {fit.n_rows} rows")
-    units = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
-    for name, rms in fit.rms.items():
-        share = 100.0 * fit.relative_rms[name]
-        _say(
-            f"  residual of {name}: {significant(rms, 3)} {units[name]}, {share:.1f} % of its swing"
-        )
-    _say(f"  {fit.state.code}: {fit.state.value}")
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")

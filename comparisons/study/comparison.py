@@ -18,7 +18,6 @@ from comparisons.study.paired import (
     SAME,
     Cells,
     Paired,
-    finite,
     group_cells,
     jackknife,
     losses,
@@ -168,7 +167,7 @@ def _compared(
     n = len(cells.methods)
     r = cells.methods.index(reference) if reference in cells.methods else None
     against = [Paired() if r is None else paired(cells, score, j, r) for j in range(n)]
-    ranks = _ranks(against, float(np.max(np.abs(finite(losses(score, cells.values))), initial=0)))
+    ranks = _ranks(against, float(np.max(np.nan_to_num(np.abs(losses(score, cells.values))))))
     ranked = [j for j in range(n) if ranks[j] == 1]
     best = ranked[0] if ranked else None
     to_best = [Paired() if best is None else paired(cells, score, j, best) for j in range(n)]
@@ -200,8 +199,6 @@ def _levels(cells: Cells, score: Score, j: int) -> tuple[float, float, float, fl
         return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
     zero = score.better == "zero"
     median = float(np.median(np.abs(values) if zero else values))
-    if not np.all(np.isfinite(values)):
-        return math.nan, math.nan, math.nan, math.nan, median, math.nan
     rms = math.sqrt(float(np.mean(values**2))) if zero else math.nan
     mean, error = jackknife(values, cells.record[kept])
     if score.better == "target":
@@ -252,12 +249,7 @@ def _doubts(
     if pair.n_pairs == 0:
         return [f"shares no scored cell with the reference {reference}: not compared"]
     doubts = []
-    if pair.n_infinite:
-        doubts.append(
-            f"{pair.n_infinite} of {pair.n_pairs} pairs hold an infinite score: there is no mean, "
-            "read the medians"
-        )
-    elif pair.n_records < 2:
+    if pair.n_records < 2:
         doubts.append("one record alone: the error of the difference is not known")
     if pair.n_records < FEWEST_RECORDS:
         doubts.append(
@@ -270,7 +262,7 @@ def _doubts(
             f"{int(cells.bad[:, j].sum())} of its {_cells(cells.ran[:, j])} ended badly, as their "
             "states say: their numbers are not to be used"
         )
-    if rank is None and not pair.n_infinite:
+    if rank is None:
         doubts.append("too few pairs to be ranked")
     if pair.n_records > 1 and pair.stderr == 0.0 and j != r and pair.difference != 0.0:
         doubts.append("all records differ alike: the error of the difference is not known")

@@ -119,7 +119,7 @@ class GroupComparison(Displayed):
         if not any(row.n_scored for row in self.rows):
             return f"{where}no method has a value of {label}."
         if not self.best:
-            return f"{where}no method can be ranked by {label}: {_medians(self)}."
+            return f"{where}no method can be ranked by {label}: no pair with the reference."
         best = self.row(self.best)
         others = [row for row in self.rows if row.method != self.best]
         named = [_against_best(row, self.score) for row in others[:MOST_NAMED]]
@@ -130,11 +130,11 @@ class GroupComparison(Displayed):
         return f"{where}{_praise(best, self.score)}; {rest}.{doubt}"
 
     def _sheet(self) -> Sheet:
-        columns = columns_of(self.score)
+        columns = columns_of(self)
         grid = Grid(
             self.caption,
             tuple(column.heading for column in columns),
-            tuple(tuple(column.text(row, self) for column in columns) for row in self.rows),
+            tuple(zip(*(column.cells for column in columns), strict=True)),
             frozenset(i for i, column in enumerate(columns) if not column.numeric),
             marked=next((i for i, row in enumerate(self.rows) if row.method == self.best), None),
         )
@@ -152,72 +152,92 @@ class Column(NamedTuple):
     ----------
     heading, meaning : str
         Its head, and what it says.
-    text : callable
-        Gives a cell: ``text(row, group)``.
+    cells : tuple of str
+        One a method, in the order of the rows.
     numeric : bool
         Whether it holds numbers.
     """
 
     heading: str
     meaning: str
-    text: Callable[[MethodRow, GroupComparison], str]
+    cells: tuple[str, ...]
     numeric: bool = True
 
 
-def columns_of(score: Score, *, full: bool = False) -> tuple[Column, ...]:
+def columns_of(group: GroupComparison, *, full: bool = False) -> tuple[Column, ...]:
     """Return the columns of a table of methods.
 
     Parameters
     ----------
-    score : Score
-        What is compared.
+    group : GroupComparison
+        What was compared.
     full : bool
         With records, standing and trust.
     """
+    score = group.score
+
+    def column(
+        heading: str, meaning: str, text: Callable[[MethodRow], str], numeric: bool = True
+    ) -> Column:
+        return Column(heading, meaning, tuple(map(text, group.rows)), numeric)
+
+    def difference(row: MethodRow) -> str:
+        if row.method == group.reference:
+            return "reference"
+        return round_to_error(row.against.difference, row.against.stderr)
+
+    def wins(row: MethodRow) -> str:
+        if row.method == group.reference:
+            return ""
+        known = math.isfinite(row.against.wins)
+        return f"{100.0 * row.against.wins:.0f} %" if known else NOT_KNOWN
+
+    def mean(row: MethodRow) -> str:
+        return round_like(row.mean, row.mean_stderr)
+
+    def median(row: MethodRow) -> str:
+        # Not to the error of the mean, which one gross failure makes larger than any median.
+        return significant(row.median, 3)
+
     if score.better == "target":
-        own = [Column("share", f"of cells; {score.target:g} is best", _mean)]
+        own = [column("share", f"of cells; {score.target:g} is best", mean)]
     elif score.better == "zero":
+        size = "of the absolute values"
         own = [
-            Column("bias", "mean over its own cells", _mean),
-            Column("mean |·|", "of the absolute values", _loss),
-            Column("median |·|", "of the absolute values", _median),
-            Column("rms", "root mean square", lambda row, _: round_like(row.rms, row.loss_stderr)),
+            column("bias", "mean over its own cells", mean),
+            column("mean |·|", size, lambda row: round_like(row.loss, row.loss_stderr)),
+            column("median |·|", size, median),
+            column("rms", "root mean square", lambda row: round_like(row.rms, row.loss_stderr)),
         ]
     else:
-        own = [
-            Column("mean", "over its own cells", _mean),
-            Column("median", "over its own cells", _median),
-        ]
-    more = [
-        Column(
-            "records",
-            "independent records of the pairs",
-            lambda row, _: str(row.against.n_records),
-        ),
-        Column(
-            "standing", "against the best, by the 95 % interval", lambda row, _: row.standing, False
-        ),
-        Column("trust", "why not to trust this row", lambda row, _: row.trust, False),
-    ]
-    return (
-        Column(
+        own = [column(n, "over its own cells", f) for n, f in (("mean", mean), ("median", median))]
+    columns = [
+        column(
             "#",
             "rank by the difference to the reference; equal ones share it",
-            lambda row, _: "–" if row.rank is None else str(row.rank),
+            lambda row: "–" if row.rank is None else str(row.rank),
         ),
-        Column("method", "name in the study", lambda row, _: row.method, False),
-        Column("cells", "cells that it was run on", lambda row, _: str(row.n_cells)),
-        Column("failed", "of them failed", lambda row, _: str(row.n_failed)),
+        column("method", "name in the study", lambda row: row.method, numeric=False),
+        column("cells", "cells that it was run on", lambda row: str(row.n_cells)),
+        column("failed", "of them failed", lambda row: str(row.n_failed)),
         *own,
-        Column("pairs", "cells shared with the reference", lambda row, _: str(row.against.n_pairs)),
-        Column(
+        column("pairs", "cells shared with the reference", lambda row: str(row.against.n_pairs)),
+        column(
             "Δ to reference",
             "paired difference of the mean loss ± standard error over records; positive is worse",
-            _difference,
+            difference,
         ),
-        Column("wins", "share of pairs with the smaller loss; a tie counts half", _wins),
-        *(more if full else ()),
-    )
+        column("wins", "share of pairs with the smaller loss; a tie counts half", wins),
+    ]
+    if full:
+        standing = "against the best, by the 95 % interval"
+        records = "independent records of the pairs"
+        columns += [
+            column("records", records, lambda row: str(row.against.n_records)),
+            column("standing", standing, lambda row: row.standing, numeric=False),
+            column("trust", "why not to trust this row", lambda row: row.trust, numeric=False),
+        ]
+    return tuple(columns)
 
 
 def loss_label(score: Score) -> str:
@@ -248,32 +268,6 @@ def value_words(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return str(value)
-
-
-def _mean(row: MethodRow, _: GroupComparison) -> str:
-    return round_like(row.mean, row.mean_stderr)
-
-
-def _loss(row: MethodRow, _: GroupComparison) -> str:
-    return round_like(row.loss, row.loss_stderr)
-
-
-def _median(row: MethodRow, _: GroupComparison) -> str:
-    # Not to the error of the mean, which one gross failure makes larger than any median.
-    return significant(row.median, 3)
-
-
-def _difference(row: MethodRow, group: GroupComparison) -> str:
-    if row.method == group.reference:
-        return "reference"
-    return round_to_error(row.against.difference, row.against.stderr)
-
-
-def _wins(row: MethodRow, group: GroupComparison) -> str:
-    share = row.against.wins
-    if row.method == group.reference:
-        return ""
-    return f"{100.0 * share:.0f} %" if math.isfinite(share) else NOT_KNOWN
 
 
 def _records(number: int) -> str:
@@ -307,12 +301,3 @@ def _against_best(row: MethodRow, score: Score) -> str:
     if row.standing == "error not known":
         return f"{row.method} is {difference} off, by one record alone"
     return f"{row.method} is not ranked ({row.trust or 'it has no mean difference'})"
-
-
-def _medians(group: GroupComparison) -> str:
-    unit = f" {group.score.unit}" if group.score.unit else ""
-    known = [row for row in group.rows if math.isfinite(row.median)]
-    known_medians = [
-        f"{row.method} has the median {significant(row.median, 3)}{unit}" for row in known
-    ]
-    return "; ".join(known_medians[:MOST_NAMED]) or "no pair with the reference"

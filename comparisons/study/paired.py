@@ -27,7 +27,6 @@ __all__ = [
     "Cells",
     "Paired",
     "axes_in",
-    "finite",
     "group_cells",
     "jackknife",
     "losses",
@@ -52,11 +51,9 @@ class Paired:
         Cells that both could score, and the independent records that they come from.
     difference, stderr : float
         Mean loss minus that of the other, and its standard error clustered by record, in the unit
-        of the score. NaN where a pair holds an infinite score; the error is NaN with one record.
+        of the score; the error is NaN with one record.
     wins : float
         Share of the pairs with the smaller loss; a tie counts half.
-    n_infinite : int
-        Pairs with an infinite score.
     """
 
     n_pairs: int = 0
@@ -64,7 +61,6 @@ class Paired:
     difference: float = math.nan
     stderr: float = math.nan
     wins: float = math.nan
-    n_infinite: int = 0
 
     @property
     def reach(self) -> float:
@@ -108,7 +104,7 @@ class Cells:
 
 
 def losses(score: Score, values: FloatArray) -> FloatArray:
-    """Return what is lost in each cell: smaller is better, an infinite score loses infinitely.
+    """Return what is lost in each cell: smaller is better.
 
     Parameters
     ----------
@@ -117,13 +113,12 @@ def losses(score: Score, values: FloatArray) -> FloatArray:
     values : ndarray
         Scores.
     """
-    worth = {
+    return {
         "smaller": values,
         "larger": -values,
         "zero": np.abs(values),
         "target": np.abs(values - score.target),
     }[score.better]
-    return np.where(np.isinf(values), np.inf, worth)
 
 
 def group_cells(
@@ -156,8 +151,8 @@ def group_cells(
         raise InputError(
             f"results, column '{score.name}'", expected="numbers", found=str(error)
         ) from error
-    # A failed cell has no score.
-    table = table.assign(_value=values.where(table["state"] != FAILED))
+    # A failed cell has no score, nor has a simulation that ran off to infinity.
+    table = table.assign(_value=values.where((table["state"] != FAILED) & np.isfinite(values)))
     keys = ["record", "reduction", *axes_in(table)]
     twice = table[table.duplicated([*keys, "method"])]
     if len(twice):
@@ -197,19 +192,13 @@ def paired(cells: Cells, score: Score, i: int, j: int) -> Paired:
         return Paired()
     values, record = cells.values[both][:, [i, j]], cells.record[both]
     lost = losses(score, values)
-    n_infinite = int(np.any(np.isinf(lost), axis=1).sum())
-    same = lost[:, 0] == lost[:, 1]
     counts = (int(both.sum()), int(np.unique(record).size))
-    target = score.target if score.better == "target" else None
-    difference = stderr = math.nan
-    if n_infinite == 0:
-        change = np.where(same, 0.0, lost[:, 0] - lost[:, 1])
-        difference, stderr = jackknife(change if target is None else values, record, target)
-    if target is not None:
+    if score.better == "target":
         # Of a single cell the distance to a share means nothing: only of the mean of many.
-        return Paired(*counts, difference, stderr, n_infinite=n_infinite)
-    wins = float(np.mean((lost[:, 0] < lost[:, 1]) + 0.5 * same))
-    return Paired(*counts, difference, stderr, wins, n_infinite)
+        return Paired(*counts, *jackknife(values, record, score.target))
+    change = lost[:, 0] - lost[:, 1]
+    wins = float(np.mean((change < 0.0) + 0.5 * (change == 0.0)))
+    return Paired(*counts, *jackknife(change, record), wins)
 
 
 def jackknife(
@@ -230,7 +219,7 @@ def jackknife(
     Returns
     -------
     mean, stderr : float
-        NaN where a value is infinite; the error is NaN with one record.
+        The error is NaN with one record.
     """
     _, cluster = np.unique(record, return_inverse=True)
     counts = np.bincount(cluster).astype(np.float64)
@@ -244,8 +233,8 @@ def jackknife(
         return np.abs(means[..., 0] - target) - np.abs(means[..., 1] - target)
 
     whole = float(measured(sums.sum(axis=0), counts.sum()))
-    if counts.size < 2 or not math.isfinite(whole):
-        return whole if math.isfinite(whole) else math.nan, math.nan
+    if counts.size < 2:
+        return whole, math.nan
     # About the whole's value rather than the mean of the parts: a little wider, never smaller.
     spread = measured(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
     error = math.sqrt((counts.size - 1) / counts.size * float(np.sum(spread**2)))
@@ -256,11 +245,6 @@ def jackknife(
 def axes_in(table: pd.DataFrame) -> tuple[str, ...]:
     """Return the names of the varied axes, which are the columns with a dot in their names."""
     return tuple(str(name) for name in table.columns if "." in str(name))
-
-
-def finite(values: FloatArray) -> FloatArray:
-    """Return the values that are finite."""
-    return values[np.isfinite(values)]
 
 
 def _wide(part: pd.DataFrame, keys: list[str]) -> Cells:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     INK,
     LineStyle,
@@ -28,11 +29,10 @@ from surge_core.rounding import round_to_error, significant
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from surge_core.types import FloatArray
 
-__all__ = ["Drawn", "draw_differences", "draw_over_axis"]
+__all__ = ["draw_differences", "draw_over_axis"]
 
 MARKERS = "osD^vP<X>ph"
 # Panels beside each other, and values of an axis; tables hold all.
@@ -44,28 +44,7 @@ LOGARITHMIC_RATIO = 30.0
 SPREAD = 0.5
 
 
-class Drawn(NamedTuple):
-    """A picture and what it says.
-
-    Parameters
-    ----------
-    title : str
-        What it is.
-    figure : Figure
-        The picture.
-    alt : str
-        What it shows, in numbers, for those who cannot see it.
-    reading : str
-        How to read it.
-    """
-
-    title: str
-    figure: Figure
-    alt: str
-    reading: str
-
-
-def draw_differences(groups: Sequence[GroupComparison], methods: Sequence[str]) -> Drawn:
+def draw_differences(groups: Sequence[GroupComparison], methods: Sequence[str]) -> Picture:
     """Draw the paired difference of each method to the reference, a panel a group.
 
     Parameters
@@ -77,7 +56,7 @@ def draw_differences(groups: Sequence[GroupComparison], methods: Sequence[str]) 
 
     Returns
     -------
-    Drawn
+    Picture
         Dots with two standard errors to each side.
     """
     drawn = groups[:MOST_PANELS]
@@ -107,7 +86,7 @@ def draw_differences(groups: Sequence[GroupComparison], methods: Sequence[str]) 
     label = f"worse than {reference} in {loss_label(score)}"
     figure.supxlabel(printable(f"{label} [{score.unit or '1'}]", 100), fontsize=9)
     cut = "" if len(groups) == len(drawn) else f" The first {len(drawn)} of {len(groups)} groups."
-    return Drawn(
+    return Picture(
         f"Paired differences to {reference}",
         figure,
         f"Paired difference of {loss_label(score)} to {reference}. {' '.join(sentences)}{cut}",
@@ -119,7 +98,7 @@ def draw_differences(groups: Sequence[GroupComparison], methods: Sequence[str]) 
 
 def draw_over_axis(
     table: pd.DataFrame, score: Score | str, axis: str, reference: str | None = None
-) -> Drawn:
+) -> Picture:
     """Draw the mean of the score of each method over a varied axis.
 
     Parameters
@@ -135,7 +114,7 @@ def draw_over_axis(
 
     Returns
     -------
-    Drawn
+    Picture
         The reference at its own mean, the others at that mean plus their paired difference.
 
     Notes
@@ -188,7 +167,7 @@ def draw_over_axis(
     legend_above(figure, ax, columns=4)
     base = groups[0].reference
     cut = f" The first {len(groups)} of {len(every)} values." if len(every) > len(groups) else ""
-    return Drawn(
+    return Picture(
         f"{_with_unit(chosen)} over {axis}",
         figure,
         f"Mean {_with_unit(chosen)} over {axis}: {'; '.join(sentences)}.{cut}",

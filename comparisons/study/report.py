@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.page.blocks import Block, Bullets, Head, Part, Picture, Table, Words
+from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
 from comparisons.study.comparison import compare_methods, methods_in, score_named
 from comparisons.study.method_table import GroupComparison, columns_of, value_words
@@ -117,12 +117,12 @@ def _score_parts(
 
 
 def _method_table(group: GroupComparison) -> Table:
-    columns = columns_of(group.score, full=True)
+    columns = columns_of(group, full=True)
     heads = tuple(
         Head(c.heading, c.meaning, c.numeric, c.heading == "trust", "reference" * c.numeric)
         for c in columns
     )
-    rows = tuple(tuple(column.text(row, group) for column in columns) for row in group.rows)
+    rows = tuple(zip(*(column.cells for column in columns), strict=True))
     marks = tuple("best" if row.method == group.best else "" for row in group.rows)
     return Table(_capital(group.caption), heads, rows, marks)
 
@@ -137,7 +137,7 @@ def _pictures(
     drawn += [
         draw_over_axis(table, score, axis, groups[0].reference) for axis in spec.axes[:MOST_AXES]
     ]
-    return tuple(Picture.of(*one) for one in drawn)
+    return tuple(drawn)
 
 
 def _failures(table: pd.DataFrame) -> tuple[Block, ...]:

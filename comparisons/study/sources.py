@@ -159,8 +159,6 @@ def _files(_: int, given: Mapping[str, Scalar]) -> Made:
     nan = float("nan")
     if path.is_dir():
         return Made((), read_raw(path / "raw.csv", path / "test.toml"), nan, ())
-    if (path.parent / "test.toml").is_file() and path.stem == "raw":
-        return Made((), read_raw(path, path.parent / "test.toml"), nan, ())
     return Made((read_series(path),), None, nan, ())
 
 
@@ -169,8 +167,6 @@ def _altered(series: CoefficientSeries, changes: Mapping[str, Scalar]) -> Coeffi
     if not changes:
         return series
     every, first_s = int(changes.get("keep_every") or 1), changes.get("first_s")
-    if every < 1:
-        raise InputError("series.keep_every", expected="1 or more", found=str(every))
     n = series.time_s.size
     if first_s is not None:
         n = int(np.count_nonzero(series.time_s - series.time_s[0] < float(first_s)))

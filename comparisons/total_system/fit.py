@@ -10,14 +10,16 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array, lil_matrix
 
-from comparisons.total_system.measured import OUTPUTS, Measured, observed_states
+from comparisons.total_system.measured import Measured, observed_states
 from comparisons.total_system.model import TotalSystemModel
 from comparisons.total_system.settings import (
+    MULTIPLE,
+    OUTPUTS,
     TotalSystemFit,
     TotalSystemSettings,
     TotalSystemState,
 )
-from comparisons.total_system.shooting import Runs, runs_of_settings, surge_start_s
+from comparisons.total_system.shooting import N_PARAMETERS, Runs, runs_of_settings, surge_start_s
 from surge_core.errors import InputError
 from surge_core.types import FloatArray, IndexArray
 
@@ -80,7 +82,7 @@ def fit_total_system(
         When the record or a number of the facility cannot be used.
     """
     runs = _runs(measured, _with_start_values(measured, settings, progress))
-    z, nodes = np.zeros(len(runs.names)), np.zeros((runs.n_runs, 0))
+    z, nodes = np.zeros(N_PARAMETERS), np.zeros((runs.n_runs, 0))
     spread = np.std(np.concatenate(runs.measured_outputs), axis=0)
     sigma = heaviest = np.hypot(_FIRST_SIGMA * spread, runs.noise)
     solution: _Solution | None = None
@@ -122,9 +124,9 @@ def _with_start_values(
     measured: Measured, settings: TotalSystemSettings, progress: Callable[[], object]
 ) -> TotalSystemSettings:
     """Give a single run, whose cost has many minima, the start that multiple shooting finds."""
-    if settings.start == "multiple-shooting" or settings.initial_beta is not None:
+    if settings.start == MULTIPLE or settings.initial_beta is not None:
         return settings
-    first = replace(settings, start="multiple-shooting", start_error_s=0.0)
+    first = replace(settings, start=MULTIPLE, start_error_s=0.0)
     try:
         found = fit_total_system(measured, first, progress=progress)
     except InputError:
@@ -269,14 +271,12 @@ def _result(
         follows = bool(np.all((runs.slow_rms(z, nodes) <= allowed)[[0, 2]]))
         state = _state(solution, follows, model.tau_s)
     error = np.sqrt(np.diag(covariance))
-    others = {"start": (model.start_s, float(error[4]))} if "start" in runs.names else {}
     return TotalSystemFit(
         beta=model.beta,
         beta_stderr=(float(error[0]), float(error[1]), float(error[2])),
         tau_s=model.tau_s,
         tau_stderr_s=float(error[3]),
-        covariance=covariance[:4, :4],
-        others=MappingProxyType(others),
+        covariance=covariance,
         start_s=runs.start_s(z),
         state=state,
         rms=MappingProxyType(dict(zip(OUTPUTS, rms.tolist(), strict=True))),

@@ -192,24 +192,41 @@ def _behind(c: Any, time: float, s: FloatArray, d: FloatArray, out: FloatArray) 
         w31 = s[W] - stored * d[P31]
     mass = s[P31] * c.discharge_volume / (c.gas * s[T31])
     d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
+    out[W31], out[W_THROTTLE], out[W_EXHAUST] = w31, wt, _exhaust(c, wt, tt, s, d)
+
+
+@_compile
+def _exhaust(c: Any, wt: float, tt: float, s: FloatArray, d: FloatArray) -> float:
+    """Fill in the exhaust volume, fed by the throttle, and return what flows out of it."""
     we, te = orifice(
         c, c.exhaust_area, s[P_EX], s[T_EX], c.throttle_ambient_pressure_Pa, c.supply_temperature_K
     )
     d[P_EX] = c.gamma * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
     mass = s[P_EX] * c.volumes_exhaust_m3 / (c.gas * s[T_EX])
     d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
-    out[W31], out[W_THROTTLE], out[W_EXHAUST] = w31, wt, we
+    return float(we)
+
+
+@_compile
+def _supply(c: Any, p_in: float, t_coil: float) -> tuple[float, float]:
+    """Return flow and temperature of what the refrigeration plant supplies."""
+    flow = max(c.supply_flow - c.supply_slope_kg_s_Pa * (p_in - c.supply_pressure), 0.0)
+    share, temperature = c.supply_coil_effectiveness, c.supply_temperature_K
+    return flow, temperature + share * (t_coil - temperature)
+
+
+@_compile
+def _stirred(c: Any, q: float, p25: float, t25: float) -> float:
+    """Return the flow that recirculates at the tips in stall."""
+    return float(q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area)
 
 
 @_compile
 def _before(c: Any, s: FloatArray, p25: float, q: float, d: FloatArray, out: FloatArray) -> None:
     """Fill in inlet volume and face: supply, compressor, and what recirculation stirs and heats."""
     t25 = s[T_FACE]
-    supply = max(c.supply_flow - c.supply_slope_kg_s_Pa * (s[P_IN] - c.supply_pressure), 0.0)
-    t_supply = c.supply_temperature_K + c.supply_coil_effectiveness * (
-        s[T_COIL] - c.supply_temperature_K
-    )
-    stirred = q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area
+    supply, t_supply = _supply(c, s[P_IN], s[T_COIL])
+    stirred = _stirred(c, q, p25, t25)
     mixed = c.heat_recirculation_exchange * stirred
     out_flow, back = max(s[W], 0.0), max(-s[W], 0.0)
     heat = supply * t_supply - out_flow * s[T_IN] + back * t25 + mixed * (t25 - s[T_IN])
@@ -381,18 +398,9 @@ def _unmeasured(
     mass = p31 * c.discharge_volume / (c.gas * s[T31])
     d[T31] = k * s[T31] * slopes[2] / p31 + max(w31, 0.0) * (t2 - s[T31]) / mass
     wt, tt = orifice(c, c.throttle_area * _throttle(c, time), p31, s[T31], s[P_EX], s[T_EX])
-    we, te = orifice(
-        c, c.exhaust_area, s[P_EX], s[T_EX], c.throttle_ambient_pressure_Pa, c.supply_temperature_K
-    )
-    mass = s[P_EX] * c.volumes_exhaust_m3 / (c.gas * s[T_EX])
-    d[P_EX] = c.gamma * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
-    d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
-    supply = max(c.supply_flow - c.supply_slope_kg_s_Pa * (p_in - c.supply_pressure), 0.0)
-    t_supply = c.supply_temperature_K + c.supply_coil_effectiveness * (
-        s[T_COIL] - c.supply_temperature_K
-    )
-    stirred = q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area
-    mixed = c.heat_recirculation_exchange * stirred + max(-flow, 0.0)
+    _exhaust(c, wt, tt, s, d)
+    supply, t_supply = _supply(c, p_in, s[T_COIL])
+    mixed = c.heat_recirculation_exchange * _stirred(c, q, p25, t25) + max(-flow, 0.0)
     mass = p_in * c.volumes_inlet_m3 / (c.gas * s[T_IN])
     gained = supply * (t_supply - s[T_IN]) + mixed * (t25 - s[T_IN])
     d[T_IN] = k * s[T_IN] * slopes[3] / p_in + gained / mass

@@ -16,11 +16,8 @@ from comparisons.total_system.model import STATES, TotalSystemModel
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["OUTPUTS", "Measured", "measured_signals", "observed_states", "state_before_surge"]
+__all__ = ["Measured", "measured_signals", "observed_states", "state_before_surge"]
 
-
-# Channels that are fitted, and their units.
-OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
 # One period of the stall cells (82.5 Hz on this machine, claim 17) leaves no ripple.
 SMOOTHING_S = 1.0 / 82.5
 # The collapse takes 17 ms; a cell period would move its zero by 3 to 4 ms, 3 ms by less than one.
@@ -72,7 +69,7 @@ class Measured:
 
     @property
     def outputs(self) -> FloatArray:
-        """P31, P25 and W25, of shape (n, 3), in the order of `OUTPUTS`."""
+        """P31, P25 and W25, of shape (n, 3), in this order."""
         return np.column_stack([self.P31, self.P25, self.W25])
 
     def smooth(self, values: FloatArray) -> FloatArray:

@@ -14,22 +14,22 @@ from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.rows import stack_rows
 from comparisons.total_system.fit import fit_total_system
-from comparisons.total_system.measured import Measured, measured_signals
+from comparisons.total_system.measured import measured_signals
 from comparisons.total_system.settings import (
-    STARTS,
+    ALIGNED,
+    MULTIPLE,
     TotalSystemFit,
     TotalSystemSettings,
     TotalSystemState,
 )
+from surge_core.display import Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_to_error, significant
-from surge_core.types import FloatArray
-from surge_core.validation import one_of
 
 __all__ = ["N_ROWS", "SensitivityRow", "sensitivity_rows", "sensitivity_table"]
 
-
-COMPONENT, MULTIPLE = "component", "multiple-shooting"
-METHODS = (COMPONENT, *STARTS)
+COMPONENT = "component"
+# A single run starts from what multiple shooting found, which therefore comes before it.
+METHODS = (COMPONENT, MULTIPLE, ALIGNED)
 # The paper's own range of trust at 98.5 % ends at 0.175; below 0 nothing is measured well.
 PHI_OF_TABLE = np.array([0.0, 0.05, 0.1, 0.15])
 # Shifts of the start that the notes on the rig measured the output error of, and a wrong volume.
@@ -75,7 +75,7 @@ class SensitivityRow:
     tau_s: float
     tau_stderr_s: float
     state: str
-    P31_rms: float
+    P31_rms: float = float("nan")
     tau_change: float = 0.0
     beta_change: tuple[float, ...] = (0.0, 0.0, 0.0)
     curve_change: float = 0.0
@@ -91,7 +91,7 @@ class SensitivityRow:
         return replace(
             self,
             tau_change=self.tau_s / right.tau_s - 1.0,
-            beta_change=_plain(change),
+            beta_change=tuple(change.tolist()),
             curve_change=float(np.max(np.abs(curve))),
         )
 
@@ -102,7 +102,6 @@ def sensitivity_rows(
     settings: TotalSystemSettings,
     *,
     errors: Sequence[tuple[float, float]] = ERRORS,
-    methods: Sequence[str] = METHODS,
     progress: Callable[[str], object] = lambda _: None,
 ) -> list[SensitivityRow]:
     """Return β and τ of both methods, each without an error and under each error.
@@ -123,8 +122,6 @@ def sensitivity_rows(
         Facility and switches; ``start``, ``start_error_s`` and ``volume_factor`` are set here.
     errors : sequence of (float, float)
         Start errors in seconds with volume factors.
-    methods : sequence of str
-        ``"component"`` and the ways to take the surge start.
     progress : callable
         Called with a word on each fit before it runs.
 
@@ -136,17 +133,16 @@ def sensitivity_rows(
     Raises
     ------
     InputError
-        When the record cannot be used, or a method is not known.
+        When the record cannot be used.
     """
-    for method in methods:
-        one_of("methods", method, METHODS)
     measured = measured_signals(record, test)
-    found: dict[tuple[float, float], TotalSystemFit] = {}
+    shooting: dict[tuple[float, float], TotalSystemFit] = {}
     rows: list[SensitivityRow] = []
-    for method in methods:
-        right: SensitivityRow | None = None
+    for method in METHODS:
+        own: list[SensitivityRow] = []
         for error_s, factor in ((0.0, 1.0), *errors):
-            words = _words(error_s, factor)
+            words = f"start {1e3 * error_s:+g} ms" if error_s else f"volume x {factor:g}"
+            words = "none" if (error_s, factor) == (0.0, 1.0) else words
             progress(f"{method}: {words}")
             if method == COMPONENT:
                 row = _component_row(record, test, words, error_s, factor)
@@ -154,43 +150,24 @@ def sensitivity_rows(
                 chosen = replace(
                     settings, start=method, start_error_s=error_s, volume_factor=factor
                 )
-                row = _system_row(_system_fit(measured, chosen, found), words)
-            right = right or row
-            rows.append(row.against(right))
+                # Multiple shooting, which has one basin, starts from what it finds without an
+                # error; a single run from what multiple shooting finds with the same volume.
+                first = shooting.get((0.0, factor if method == ALIGNED else 1.0))
+                if settings.initial_beta is None and first is not None:
+                    chosen = _started_at(first, chosen)
+                fit = fit_total_system(measured, chosen)
+                if method == MULTIPLE:
+                    shooting[error_s, factor] = fit
+                row = _system_row(fit, words)
+            own.append(row.against(own[0] if own else row))
+        rows += own
     return rows
 
 
-def _words(error_s: float, factor: float) -> str:
-    if error_s:
-        return f"start {1e3 * error_s:+g} ms"
-    return f"volume x {factor:g}" if factor != 1.0 else "none"
-
-
-def _system_fit(
-    measured: Measured,
-    settings: TotalSystemSettings,
-    found: dict[tuple[float, float], TotalSystemFit],
-) -> TotalSystemFit:
-    """Fit from the best start values that can be had, and keep what multiple shooting found.
-
-    A single run starts from what multiple shooting finds with the same volume; multiple shooting,
-    which has one basin, from what it finds without an error.
-    """
-    error_s, factor = settings.start_error_s, settings.volume_factor
-    multiple = settings.start == MULTIPLE
-    if multiple and (error_s, factor) in found:
-        return found[error_s, factor]
-    if settings.initial_beta is None and not (multiple and (error_s, factor) == (0.0, 1.0)):
-        plain = replace(settings, start=MULTIPLE, start_error_s=0.0)
-        first = _system_fit(
-            measured, replace(plain, volume_factor=1.0) if multiple else plain, found
-        )
-        if first.state is TotalSystemState.CONVERGED:
-            settings = replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
-    fit = fit_total_system(measured, settings)
-    if multiple:
-        found[error_s, factor] = fit
-    return fit
+def _started_at(first: TotalSystemFit, settings: TotalSystemSettings) -> TotalSystemSettings:
+    if first.state is not TotalSystemState.CONVERGED:
+        return settings
+    return replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
 
 
 def _system_row(fit: TotalSystemFit, words: str) -> SensitivityRow:
@@ -225,17 +202,12 @@ def _component_row(
         words,
         error_s,
         factor,
-        _plain(model.coef_),
-        _plain(np.sqrt(np.diag(model.covariance_))),
+        tuple(model.coef_.tolist()),
+        tuple(np.sqrt(np.diag(model.covariance_)).tolist()),
         float(model.time_constant_s_),
         float(model.time_constant_stderr_s_),
         model.fit_state_.code,
-        float("nan"),
     )
-
-
-def _plain(values: FloatArray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
 
 
 def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
@@ -247,27 +219,20 @@ def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
         Rows of `sensitivity_rows`.
     """
     heads = ("method", "wrong", "β₁", "β₂", "β₃", "τ [ms]", "Δτ", "Δψ'_QS", "P31", "state")
-    cells = [_cells(row) for row in rows]
-    widths = [max(len(line[i]) for line in (heads, *cells)) for i in range(len(heads))]
-    left = (0, 1, len(heads) - 1)
-    lines = [
-        "  ".join(
-            text.ljust(width) if i in left else text.rjust(width)
-            for i, (text, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in (heads, *cells)
-    ]
-    rule = "─" * (sum(widths) + 2 * (len(widths) - 1))
     legend = (
-        "Δ: against the same method without the error; Δψ'_QS: largest of φ = 0, 0.05, 0.1, 0.15; "
-        "P31: residual over swing"
+        "Δ: against the same method without the error",
+        "Δψ'_QS: largest of φ = 0, 0.05, 0.1, 0.15",
+        "P31: residual over swing",
     )
-    return "\n".join([lines[0], rule, *lines[1:], "", legend])
+    grid = Grid("β and τ", heads, tuple(map(_cells, rows)), frozenset((0, 1, len(heads) - 1)))
+    return Sheet(
+        "What wrong numbers do to both methods", (Field("columns", legend),), (grid,)
+    ).text()
 
 
-def _cells(row: SensitivityRow) -> list[str]:
+def _cells(row: SensitivityRow) -> tuple[str, ...]:
     share = f"{100.0 * row.P31_rms:.1f} %" if np.isfinite(row.P31_rms) else NOT_KNOWN
-    return [
+    return (
         row.method,
         row.perturbation,
         *(round_to_error(b, e) for b, e in zip(row.beta, row.beta_stderr, strict=True)),
@@ -276,4 +241,4 @@ def _cells(row: SensitivityRow) -> list[str]:
         significant(row.curve_change, 2) if row.curve_change else "0",
         share,
         row.state,
-    ]
+    )

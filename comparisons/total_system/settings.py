@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from comparisons.total_system.facility import Facility
+from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
+from surge_core.rounding import round_to_error, significant
 from surge_core.types import FloatArray
 from surge_core.validation import one_of
 
-__all__ = ["STARTS", "TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
+__all__ = ["TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
 
-STARTS = ("multiple-shooting", "aligned", "fitted")
+# Channels that are fitted, and their units.
+OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
+MULTIPLE, ALIGNED = "multiple-shooting", "aligned"
 
 
 @dataclass(frozen=True)
@@ -28,11 +32,11 @@ class TotalSystemSettings:
     ----------
     facility : Facility
         The facility's numbers.
-    start : {"multiple-shooting", "aligned", "fitted"}
+    start : {"multiple-shooting", "aligned"}
         Restart the model in every segment; or run it once from a surge start that makes its
-        first reversal of the flow coincide with the measured one; or from one that is fitted.
+        first reversal of the flow coincide with the measured one.
     start_error_s : float
-        Added to the surge start (with ``"fitted"`` to where its search begins).
+        Added to the surge start.
     volume_factor : float
         Multiplies the discharge volume that the model takes.
     initial_beta : tuple of float, optional
@@ -56,7 +60,7 @@ class TotalSystemSettings:
     """
 
     facility: Facility
-    start: str = "multiple-shooting"
+    start: str = MULTIPLE
     start_error_s: float = 0.0
     volume_factor: float = 1.0
     initial_beta: tuple[float, float, float] | None = None
@@ -67,7 +71,7 @@ class TotalSystemSettings:
     max_iterations: int = 30
 
     def __post_init__(self) -> None:
-        one_of("TotalSystemSettings.start", self.start, STARTS)
+        one_of("TotalSystemSettings.start", self.start, (MULTIPLE, ALIGNED))
         for name, low, high in (
             # A surge cycle lasts some 150 ms: beyond that an error of the start has no meaning.
             ("start_error_s", -0.2, 0.2),
@@ -117,7 +121,7 @@ class TotalSystemState(Enum):
 
 
 @dataclass(frozen=True)
-class TotalSystemFit:
+class TotalSystemFit(Displayed):
     """What a total-system fit found.
 
     Parameters
@@ -128,8 +132,6 @@ class TotalSystemFit:
         Time constant and its standard error, in seconds.
     covariance : ndarray of shape (4, 4)
         Covariance of (β₁, β₂, β₃, τ in seconds), valid for coloured residuals.
-    others : mapping of str to (float, float)
-        ``"start"`` in seconds and its standard error, where it was fitted.
     start_s : float
         Surge start that the model ran with.
     state : TotalSystemState
@@ -151,7 +153,6 @@ class TotalSystemFit:
     tau_s: float
     tau_stderr_s: float
     covariance: FloatArray
-    others: Mapping[str, tuple[float, float]]
     start_s: float
     state: TotalSystemState
     rms: Mapping[str, float]
@@ -167,6 +168,26 @@ class TotalSystemFit:
         variance = np.einsum("...i,ij,...j->...", terms, self.covariance[:3, :3], terms)
         return terms @ np.asarray(self.beta), np.sqrt(variance)
 
+    def _sheet(self) -> Sheet:
+        beta = zip(("β₁", "β₂", "β₃"), self.beta, self.beta_stderr, strict=True)
+        residuals = tuple(
+            f"{name} {significant(rms, 3)} {OUTPUTS[name]}, "
+            f"{100.0 * self.relative_rms[name]:.1f} % of its swing"
+            for name, rms in self.rms.items()
+        )
+        good = self.state is TotalSystemState.CONVERGED
+        return Sheet(
+            "Total-system fit",
+            (
+                Field("τ", f"{round_to_error(1e3 * self.tau_s, 1e3 * self.tau_stderr_s)} ms"),
+                *(Field(name, round_to_error(value, error)) for name, value, error in beta),
+                Field("surge start", f"{self.start_s:.4f} s"),
+                Field("rows", f"{self.n_segments} runs over {self.n_rows} rows"),
+                Field("residuals", residuals),
+                Field(self.state.code, self.state.value, "good" if good else "advice"),
+            ),
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Return the fit as plain JSON types."""
         settings = vars(self.settings) | {"facility": self.settings.facility.model_dump()}
@@ -178,7 +199,6 @@ class TotalSystemFit:
                     ("1", "phi", "phi^2"), self.beta, self.beta_stderr, strict=True
                 )
             ],
-            "others": {k: {"value": v, "stderr": e} for k, (v, e) in self.others.items()},
             "start_s": self.start_s,
             "state": {"code": self.state.code, "advice": self.state.value},
             "rms": dict(self.rms),

@@ -8,22 +8,22 @@ import numpy as np
 
 from comparisons.total_system import kernel
 from comparisons.total_system.measured import (
-    OUTPUTS,
     Measured,
     observed_states,
     state_before_surge,
 )
 from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSystemModel
-from comparisons.total_system.settings import TotalSystemSettings
+from comparisons.total_system.settings import MULTIPLE, OUTPUTS, TotalSystemSettings
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Runs", "SegmentRuns", "SingleRun", "runs_of_settings", "surge_start_s"]
+__all__ = ["N_PARAMETERS", "Runs", "SegmentRuns", "SingleRun", "runs_of_settings", "surge_start_s"]
 
 
 _FITTED = [COLUMNS.index(name) for name in OUTPUTS]
-# β of order (1, 3, 50); the logarithm of τ is its own scale; 10 ms of start.
-_SCALES = np.array([1.0, 1.0, 10.0, 1.0, 0.01])
+# β of order (1, 3, 50); the logarithm of τ is its own scale.
+_SCALES = np.array([1.0, 1.0, 10.0, 1.0])
+N_PARAMETERS = _SCALES.size
 # States that are fitted at a node, with the size of a unit step: kg/s, ψ', P31 and P_in over mean.
 _NODE_STATES = [0, 1, 3, 5]
 _NODE_SCALES = np.array([1.0, 0.1, 0.01, 0.01])
@@ -48,8 +48,6 @@ class Runs:
         The model at z = 0.
     states : ndarray of shape (n, 11)
         Observed states.
-    names : tuple of str
-        ``"beta_1"``, ``"beta_2"``, ``"beta_3"``, ``"tau"``, and ``"start"`` where it is fitted.
     segments : tuple of (int, int)
         First and one past the last row of each run.
     """
@@ -57,7 +55,6 @@ class Runs:
     measured: Measured
     model: TotalSystemModel
     states: FloatArray
-    names: tuple[str, ...]
     segments: tuple[tuple[int, int], ...]
 
     # Nuisance states at the begin of each run.
@@ -87,19 +84,18 @@ class Runs:
 
     def model_at(self, z: FloatArray) -> TotalSystemModel:
         """Return the model with scaled departures put in."""
-        step = z * _SCALES[: z.size]
+        step = z * _SCALES
         beta = np.asarray(self.model.beta) + step[:3]
         return replace(
             self.model,
             beta=(float(beta[0]), float(beta[1]), float(beta[2])),
             # Beyond e^±20 a trial step would overflow.
             tau_s=self.model.tau_s * float(np.exp(np.clip(step[3], -20.0, 20.0))),
-            start_s=self.model.start_s + (float(step[4]) if z.size > 4 else 0.0),
         )
 
     def slopes(self, z: FloatArray) -> FloatArray:
         """Return d(parameter)/dz, for the covariance."""
-        slopes = _SCALES[: z.size].copy()
+        slopes = _SCALES.copy()
         slopes[3] = self.model_at(z).tau_s
         return slopes
 
@@ -136,7 +132,7 @@ class Runs:
 
 @dataclass(frozen=True)
 class SingleRun(Runs):
-    """One run from the surge start, which is fitted, or aligned at the first reversal.
+    """One run from the surge start that aligns the first reversal with the measured one.
 
     Parameters
     ----------
@@ -148,10 +144,7 @@ class SingleRun(Runs):
 
     def start_s(self, z: FloatArray) -> float:
         """Return the surge start for z, in seconds."""
-        trial = self.model_at(z)
-        if "start" in self.names:
-            return trial.start_s
-        return surge_start_s(self.measured, trial, self.states) + self.start_error_s
+        return surge_start_s(self.measured, self.model_at(z), self.states) + self.start_error_s
 
     def simulate(self, z: FloatArray, nodes: FloatArray) -> list[FloatArray]:
         """Return the outputs of the run; before the surge the model rests where it starts from."""
@@ -223,11 +216,10 @@ def runs_of_settings(
     states : ndarray of shape (n, 11)
         Observed states, before the characteristic was known.
     """
-    names: tuple[str, ...] = ("beta_1", "beta_2", "beta_3", "tau")
-    if settings.start == "multiple-shooting":
+    if settings.start == MULTIPLE:
         states, latches = observed_states(measured, model)
         segments = _segments(measured, settings, latches)
-        return SegmentRuns(measured, model, states, names, segments, latches)
+        return SegmentRuns(measured, model, states, segments, latches)
     until_s = measured.reversal_s + settings.horizon_s
     if measured.time_s[-1] < until_s - measured.period_s:
         raise InputError(
@@ -237,9 +229,8 @@ def runs_of_settings(
             found=f"{settings.horizon_s:g}",
         )
     rows = measured.rows(measured.reversal_s - _BEFORE_REVERSAL_S, until_s)
-    names += ("start",) if settings.start == "fitted" else ()
     segment = ((rows.start, rows.stop),)
-    return SingleRun(measured, model, states, names, segment, settings.start_error_s)
+    return SingleRun(measured, model, states, segment, settings.start_error_s)
 
 
 def surge_start_s(measured: Measured, model: TotalSystemModel, states: FloatArray) -> float:

@@ -110,15 +110,13 @@ def test_it_ends_at_the_same_place_from_far_away() -> None:
     np.testing.assert_allclose(a.characteristic(PHI)[0], b.characteristic(PHI)[0], atol=5e-3)
 
 
-def test_the_surge_start_is_fitted_or_aligned_on_the_first_reversal() -> None:
+def test_the_surge_start_is_aligned_on_the_first_reversal() -> None:
     stalled = ideal("985")[0].truth_parameters["stall_times_s"][0]
-    for start in ("aligned", "fitted"):
-        fit = fit_total_system(signals("985"), near_truth("985", start=start))
-        # The rig's own latch moves within the row before.
-        assert fit.start_s == pytest.approx(stalled, abs=1e-3)
-        assert fit.tau_s == pytest.approx(TRUE_TAU_S, rel=0.02)
-        assert fit.relative_rms["P31"] < 0.01
-    assert fit.others["start"][0] == fit.start_s
+    fit = fit_total_system(signals("985"), near_truth("985", start="aligned"))
+    # The rig's own latch moves within the row before.
+    assert fit.start_s == pytest.approx(stalled, abs=1e-3)
+    assert fit.tau_s == pytest.approx(TRUE_TAU_S, rel=0.02)
+    assert fit.relative_rms["P31"] < 0.01
 
 
 def test_a_fit_that_lost_the_record_says_so() -> None:
@@ -130,8 +128,7 @@ def test_a_fit_that_lost_the_record_says_so() -> None:
 def test_a_wrong_volume_lands_in_beta_and_a_wrong_start_in_a_single_run() -> None:
     _, record, test = ideal("985")
     chosen = near_truth("985", window_s=(1.3, 1.95), max_iterations=8)
-    methods = ("component", "multiple-shooting", "aligned")
-    rows = sensitivity_rows(record, test, chosen, errors=((0.01, 1.0), (0.0, 1.1)), methods=methods)
+    rows = sensitivity_rows(record, test, chosen, errors=((0.01, 1.0), (0.0, 1.1)))
     found = {(row.method, row.perturbation): row for row in rows}
     for wrong in ("start +10 ms", "volume x 1.1"):
         assert found["component", wrong].curve_change < 0.01
@@ -189,8 +186,11 @@ def test_a_record_that_cannot_be_used_is_refused() -> None:
         measured_signals(replace(run.truth, start_s=5.0), test)
     with pytest.raises(InputError, match="segments"):
         fit_total_system(signals("985"), settings("985", window_s=(1.4, 1.42)))
-    with pytest.raises(InputError, match="start"):
-        settings("985", start="guessed")
+    with pytest.raises(InputError, match="horizon"):
+        fit_total_system(signals("985"), near_truth("985", start="aligned", horizon_s=9.0))
+    for wrong in ({"start": "guessed"}, {"volume_factor": 0.0}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            settings("985", **wrong)
 
 
 @pytest.fixture(scope="module")
@@ -217,8 +217,6 @@ def test_the_command_fits_a_record_of_the_rig_and_writes_what_it_found(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--volume-factor", "0"), "--volume-factor"),
-        (("--start", "aligned", "--horizon", "9"), "--horizon"),
         (("--facility", "nowhere.toml"), "nowhere.toml"),
         (("--json", "nowhere/fit.json"), "existing folder"),
     ],
