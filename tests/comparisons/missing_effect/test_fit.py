@@ -85,7 +85,7 @@ def test_the_stated_interval_of_tau_holds_the_truth_as_often_as_it_says() -> Non
     held = {"tau": 0, "l": 0}
     n = 40
     for seed in range(n):
-        test = hidden("flow_inertia", seed=100 + seed, n_samples=1000)
+        test = hidden("flow_inertia", seed=100 + seed, n_samples=600)
         d = diagnose(series_of(test), 3, catalogue=[find_effect("flow_inertia")])
         assert d.names == ("flow_inertia",)
         length = d.missing[0].parameters[0]
