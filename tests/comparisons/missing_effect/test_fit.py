@@ -181,17 +181,6 @@ def test_no_point_near_the_fit_is_better_and_the_truth_is_hardly_worse(
     assert truth == pytest.approx(0.5 * n, abs=4.0 * np.sqrt(0.5 * n))
 
 
-def test_units_of_the_coefficient_and_of_the_noise_change_no_time_constant(
-    plain: tuple[CoefficientTest, LagData],
-) -> None:
-    test, data = plain
-    fit = fit_from(data, test.sigma, 0.1)
-    tenfold = fit_from(data.with_measured(10.0 * data.measured), 10.0 * test.sigma, 0.1)
-    assert tenfold.tau_s == pytest.approx(fit.tau_s, rel=1e-6)
-    assert np.allclose(tenfold.coefficients, 10.0 * fit.coefficients, rtol=1e-5)
-    assert tenfold.cost == pytest.approx(fit.cost, rel=1e-6)
-
-
 def test_an_effect_that_is_not_there_stays_at_its_bound_or_near_nothing(
     plain: tuple[CoefficientTest, LagData],
 ) -> None:

@@ -106,27 +106,17 @@ def test_what_was_hidden_is_named(case: str) -> None:
     assert found.names == (first.effect,)
 
 
-@pytest.fixture(scope="module")
-def at_its_limit() -> SystemDiagnosis:
-    """A drive that gives no more than ± 10 V."""
-    return diagnosed("circuit", most_effects=1, drive_limit=10.0)
-
-
-def test_a_drive_at_its_limit_is_named(at_its_limit: SystemDiagnosis) -> None:
-    assert at_its_limit.verdict == "named"
-    assert at_its_limit.names == ("saturation",)
-    assert at_its_limit.missing[0].place["input"] == "v"
-    assert at_its_limit.missing[0].numbers[0].value == pytest.approx(10.0, rel=5e-3)
-    check = at_its_limit.checks[0]
-    assert check.after_rms[0] < 0.1 * check.before_rms[0]
-
-
-def test_beside_a_limit_the_parameters_are_right(at_its_limit: SystemDiagnosis) -> None:
-    """The resistance within its errors of the truth, the check error at the noise."""
-    row = at_its_limit.parameter("R")
+def test_a_drive_at_its_limit_is_named_and_the_parameters_are_right() -> None:
+    """A drive that gives no more than ± 10 V; the resistance within its errors of the truth."""
+    found = diagnosed("circuit", most_effects=1, drive_limit=10.0)
+    assert (found.verdict, found.names) == ("named", ("saturation",))
+    assert found.missing[0].place["input"] == "v"
+    assert found.missing[0].numbers[0].value == pytest.approx(10.0, rel=5e-3)
+    row = found.parameter("R")
     assert abs(row.after - truth.CIRCUIT["R"]) < 4.0 * row.after_stderr
-    check = at_its_limit.checks[0]
-    assert np.all(check.after_rms < ABOVE_NOISE * noise_of(at_its_limit))
+    check = found.checks[0]
+    assert check.after_rms[0] < 0.1 * check.before_rms[0]
+    assert np.all(check.after_rms < ABOVE_NOISE * noise_of(found))
 
 
 def test_a_delay_is_named_as_one() -> None:
