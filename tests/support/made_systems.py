@@ -138,28 +138,19 @@ def _rounds(model: Model, bench: Bench, training: tuple[CheckRun, ...]) -> tuple
     metric = raw_metric([run.measured for run in training])
     first = (
         tried("cubic_stiffness", 0, 18344.0),
-        tried("open_cube", 0, 17650.0),
-        tried("stribeck_friction", 1, 6120.0),
-        tried("softening_damping", 0, 3150.0),
         tried("parameter_drift", 4, 412.0, accepted=False),
         tried("transport_delay", 0, nan),
     )
     second = (
         tried("coulomb_friction", 0, 512.4),
         tried("stribeck_friction", 0, 511.8),
-        tried("asymmetric_damping", 1, 203.0),
         tried("constant_bias", 2, -3.6, accepted=False),
     )
-    third = (
-        tried("open_product", 1, 61.3),
-        tried("further_lag", 0, 22.0, accepted=False),
-        tried("hysteresis", 1, nan),
-    )
+    third = (tried("open_product", 1, 61.3),)
     refused = {"backlash(U) of U": "the input never turns around"}
-    return (
-        Round(bench, metric, first, first[0], first[:1], refused, share=0.93),
-        Round(bench, metric, second, second[0], second[:2], refused, share=0.31),
-        Round(bench, metric, third, third[0], third[:1], refused, share=0.01),
+    return tuple(
+        Round(bench, metric, ranked, ranked[0], ranked[:n_aliases], refused, share=share)
+        for ranked, n_aliases, share in ((first, 1, 0.93), (second, 2, 0.31), (third, 1, 0.01))
     )
 
 

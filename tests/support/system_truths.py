@@ -80,12 +80,11 @@ def thermal(
     sensor_lag_s: float = 0.0,
     valve_lag_s: float = 0.0,
     drift: float = 0.0,
-    bias: float = 0.0,
     noise: float = 0.01,
 ) -> dict[str, np.ndarray]:
     """Power P in W, temperatures T_h and T_b in K; ``drift`` is of G_a in 1000 s.
 
-    The sensor lag and the bias are of the body's sensor.
+    The sensor lag is of the body's sensor.
     """
     rng = np.random.default_rng(seed)
     power = tones(rng, 30.0, 0.03, mean=100.0)
@@ -105,7 +104,7 @@ def thermal(
     return {
         "P": sampled(power, n, THERMAL_PERIOD_S),
         "T_h": noisy(states[:, 0], noise, rng),
-        "T_b": noisy(shown, noise, rng) + bias,
+        "T_b": noisy(shown, noise, rng),
     }
 
 
@@ -180,7 +179,6 @@ def circuit(
     *,
     drive_limit: float = math.inf,
     drive_gap: float = 0.0,
-    flux_limit: float = math.inf,
     cubic: float = 0.0,
     noise: float = 0.01,
 ) -> dict[str, np.ndarray]:
@@ -192,8 +190,7 @@ def circuit(
     def slopes(t: float, x: list[float]) -> list[float]:
         v = beyond(limited(source(t), drive_limit), drive_gap)
         back = x[1] + cubic * (p["C"] * x[1]) ** 3
-        acts = limited(x[0], flux_limit)
-        return [(v - p["R"] * acts - back) / p["L"], acts / p["C"]]
+        return [(v - p["R"] * x[0] - back) / p["L"], x[0] / p["C"]]
 
     states = integrated(slopes, [0.0, 0.0], n, CIRCUIT_PERIOD_S)
     return {"v": sampled(source, n, CIRCUIT_PERIOD_S), "i": noisy(states[:, 0], noise, rng)}

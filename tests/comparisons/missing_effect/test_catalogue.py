@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ from comparisons.missing_effect import CATALOGUE, Effect, find_effect
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.missing_effect.loading import load_data
 from comparisons.missing_effect.open_terms import open_terms
-from comparisons.missing_effect.ports import Ports
 from comparisons.missing_effect.structure import Structure
 from surge_core.errors import InputError
 
@@ -32,12 +31,6 @@ PORTS = {
     "sensitivity_drift": "output",
     "bias_drift": "output",
     "rotating_stall_ripple": "output",
-}
-TOUCHES = {
-    "input": {"phi"},
-    "characteristic": {"gain", "driven", "names"},
-    "lag": {"tau_factor", "a2_s2"},
-    "output": {"out_gain", "added", "added_names"},
 }
 # Visible amplitudes; the sizes that records of surge show.
 SIZES = {
@@ -119,30 +112,6 @@ def test_amplitude_zero_is_the_model_without_it_and_a_visible_one_is_not(
         changed = answer(effect, values, data, 0.02)
         assert np.all(np.isfinite(changed))
         assert np.max(np.abs(changed - plain)) > 1e-5
-
-
-@every_effect
-def test_only_its_own_port_is_touched(effect: Effect, data: LagData) -> None:
-    before = Ports.of(data, data["phi"], CUBIC)
-    for values in starts_of(effect, data):
-        after = effect.acts(before, data, values)
-        changed = {
-            f.name
-            for f in fields(Ports)
-            if not np.array_equal(getattr(before, f.name), getattr(after, f.name))
-        }
-        allowed = TOUCHES[effect.port]
-        if effect.name == "reverse_flow_branch" and values[0] == 0.0:
-            # The loss that is not lagged stands behind the lag.
-            allowed = TOUCHES["output"]
-        assert changed
-        assert changed <= allowed
-        if "driven" in changed:
-            assert np.array_equal(after.driven[:, : len(CUBIC)], before.driven)
-            assert after.driven.shape[1] == len(after.names)
-        if "added" in changed:
-            assert after.added is not None
-            assert after.added.shape == (data.n_samples, len(after.added_names))
 
 
 def test_bounds_refuse_what_is_not_physical() -> None:

@@ -110,19 +110,6 @@ def test_the_report_holds_the_words_and_asks_the_network_for_nothing(branch: Cas
     assert branch.document["words"] in html.unescape(page)
 
 
-def test_an_untouched_record_lacks_nothing_and_says_that_this_has_a_limit(
-    untouched: Case,
-) -> None:
-    document = untouched.document
-    assert document["verdict"] == "nothing_missing"
-    assert document["missing"] == []
-    assert "--limits" in document["words"]
-    tau = document["time_constant_s"]
-    assert tau["after"] == tau["before"]
-    assert abs(tau["after"] - untouched.test.tau_s) < 4.0 * tau["after_stderr"]
-    assert document["gap"]["shrink"] == 0.0
-
-
 def test_a_delay_comes_out_as_an_alias_set_on_a_discovered_base(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.missing_effect import CATALOGUE, Diagnosis, diagnose
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN
 from comparisons.missing_effect.loading import load_data
-from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE, CoefficientTest
+from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
 from surge_core.errors import InputError
 
 Records = list[CoefficientSeries]
@@ -34,15 +33,9 @@ def error_percent(diagnosis: Diagnosis, tau_s: float) -> float:
     return 100.0 * abs(diagnosis.tau_after_s / tau_s - 1.0)
 
 
-@cache
-def studied(effect: str) -> tuple[CoefficientTest, Diagnosis]:
-    """Three records with an effect; a delay is searched for longest, and found in short ones."""
-    return diagnosed(effect, **(SHORT if effect == "transport_delay" else STUDY))
-
-
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_hidden_effect_is_named_and_its_gap_closed(effect: str) -> None:
-    test, d = studied(effect)
+    test, d = diagnosed(effect, **SHORT)
     assert d.verdict in ("named", "alias_set")
     (names,) = named_sets(d)
     assert effect in names
@@ -65,7 +58,7 @@ def test_a_hidden_effect_is_named_and_its_gap_closed(effect: str) -> None:
 
 
 def test_most_names_are_alone_and_tau_is_put_right() -> None:
-    tests = [studied(effect) for effect in EFFECTS]
+    tests = [diagnosed(effect, **SHORT) for effect in EFFECTS]
     alone = [d.verdict == "named" for _, d in tests]
     assert np.mean(alone) >= 0.7
     after = [error_percent(d, test.tau_s) for test, d in tests]

@@ -85,7 +85,7 @@ def test_the_stated_interval_of_tau_holds_the_truth_as_often_as_it_says() -> Non
     held = {"tau": 0, "l": 0}
     n = 40
     for seed in range(n):
-        test = hidden("flow_inertia", seed=100 + seed, n_samples=1000)
+        test = hidden("flow_inertia", seed=100 + seed, n_samples=600)
         d = diagnose(series_of(test), 3, catalogue=[find_effect("flow_inertia")])
         assert d.names == ("flow_inertia",)
         length = d.missing[0].parameters[0]
@@ -179,17 +179,6 @@ def test_no_point_near_the_fit_is_better_and_the_truth_is_hardly_worse(
     # Errors of the right model are the noise: n/2 within four standard deviations.
     n = data.n_samples
     assert truth == pytest.approx(0.5 * n, abs=4.0 * np.sqrt(0.5 * n))
-
-
-def test_units_of_the_coefficient_and_of_the_noise_change_no_time_constant(
-    plain: tuple[CoefficientTest, LagData],
-) -> None:
-    test, data = plain
-    fit = fit_from(data, test.sigma, 0.1)
-    tenfold = fit_from(data.with_measured(10.0 * data.measured), 10.0 * test.sigma, 0.1)
-    assert tenfold.tau_s == pytest.approx(fit.tau_s, rel=1e-6)
-    assert np.allclose(tenfold.coefficients, 10.0 * fit.coefficients, rtol=1e-5)
-    assert tenfold.cost == pytest.approx(fit.cost, rel=1e-6)
 
 
 def test_an_effect_that_is_not_there_stays_at_its_bound_or_near_nothing(

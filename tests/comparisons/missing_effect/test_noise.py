@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from effect_data import CUBIC, hidden, series_of
@@ -77,23 +75,6 @@ def test_errors_are_white_in_their_own_metric(data: LagData) -> None:
     assert np.std(white) == pytest.approx(1.0, abs=0.05)
     for back in (1, 2, 3):
         assert abs(np.mean(white[back:] * white[:-back])) < 4.0 / np.sqrt(white.size)
-
-
-def test_rows_without_those_before_them_do_not_count(data: LagData) -> None:
-    metric = Metric(SIGMA, np.array([0.5, 0.2]))
-    weight = data.weight.copy()
-    weight[[500, 1800]] = 0.0
-    gaps = replace(data, weight=weight)
-    off = np.flatnonzero(metric.rows(gaps) == 0.0)
-    assert {500, 501, 502, 1800, 1801, 1802} <= set(off.tolist())
-    errors = drawn(gaps, np.random.default_rng(0))
-    silent = np.flatnonzero(metric.whitened(errors, gaps) == 0.0)
-    starts = [row for run in gaps.slices for row in (run.start, run.start + 1)]
-    assert sorted([*starts, 500, 501, 502, 1800, 1801, 1802]) == silent.tolist()
-    wild = errors.copy()
-    wild[500] = 1e3
-    rest = np.setdiff1d(np.arange(errors.size), off)
-    assert np.allclose(metric.whitened(errors, gaps)[rest], metric.whitened(wild, gaps)[rest])
 
 
 def test_whitening_is_the_recursion_row_by_row(data: LagData) -> None:

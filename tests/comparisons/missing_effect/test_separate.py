@@ -7,7 +7,7 @@ import pytest
 from effect_data import series_of
 
 from classic_ml.series import CoefficientSeries
-from comparisons.missing_effect.changed_records import AS_RECORDED, CHANGES, Change, changed
+from comparisons.missing_effect.changed_records import CHANGES, Change, changed
 from comparisons.missing_effect.diagnosis import Diagnosis, diagnose, diagnose_data
 from comparisons.missing_effect.fit import fit_structure
 from comparisons.missing_effect.lag_data import LATER, OTHER, TRAIN, LagData
@@ -120,17 +120,6 @@ def test_a_second_tap_tells_a_transducer_from_the_machine(drifting: Diagnosis) -
     assert one.best is not None
     assert one.best.name == "second_tap"
     assert "second tap" in found.lines[-1]
-
-
-def test_records_as_they_are_stay_as_they_are() -> None:
-    data = load_data(records(None, 0.0, 400))
-    same = changed(data, AS_RECORDED)
-    np.testing.assert_allclose(same["phi"], data["phi"], rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(same["time_s"], data["time_s"], rtol=0.0, atol=1e-12)
-    assert np.array_equal(same.rows, data.rows)
-    assert np.array_equal(same.record, data.record)
-    np.testing.assert_allclose(same["T25_K"], data["T25_K"], rtol=1e-12)
-    assert same.mean_amplitude == pytest.approx(data.mean_amplitude, rel=1e-3)
 
 
 def test_a_slower_flow_passes_the_same_values_at_half_the_rate() -> None:

@@ -352,17 +352,6 @@ def test_what_is_left_of_a_start_falls_with_the_integral_of_one_over_tau(data: L
     assert not np.allclose(decay[:51], np.exp(-TIME_S[:51] / TAU_S), atol=5e-2)
 
 
-def test_a_vanishing_second_store_is_a_first_order_lag(data: LagData) -> None:
-    first = Structure(CUBIC).output(data, PLAIN, BETA)
-    away = [
-        off_by(simulated("second_order_lag", (share * TAU_S**2,), NONE, data), first)
-        for share in (1e-2, 1e-3, 1e-4)
-    ]
-    assert away[0] / away[1] == pytest.approx(10.0, rel=0.1)
-    assert away[1] / away[2] == pytest.approx(10.0, rel=0.1)
-    assert np.allclose(simulated("second_order_lag", (1e-9,), NONE, data), first, atol=1e-6)
-
-
 def test_over_and_underdamped_join_at_the_critical_damping(data: LagData) -> None:
     critical = 0.25 * TAU_S**2
     settled = TIME_S > SETTLED_S

@@ -67,16 +67,6 @@ def test_a_drift_is_told_though_neither_its_size_nor_its_time_is() -> None:
     assert size_of(bench, slow) > 10.0
 
 
-def test_the_size_has_no_unit() -> None:
-    test = hidden("transport_delay", **SHORT)
-    sizes = []
-    for unit in (1.0, 20.0):
-        records = [replace(r, psi_p=unit * np.asarray(r.psi_p)) for r in series_of(test)]
-        bench = with_effect(first_bench(load_data(records), CUBIC, 15), "transport_delay", 0.01)
-        sizes.append(size_of(bench))
-    assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
-
-
 def conclusion(bench: Bench, base: Bench) -> Diagnosis:
     effect = bench.fit.structure.effects[-1]
     return concluded(

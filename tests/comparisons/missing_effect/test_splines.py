@@ -27,15 +27,6 @@ def test_splines_leave_the_powers_of_the_base_alone(n_base: int) -> None:
     assert np.max(np.abs(lacking)) > 1e-3 or n_base == 4
 
 
-def test_without_knots_two_more_powers_go_on_beyond_the_range() -> None:
-    phi = np.linspace(-0.5, 0.9, 200)
-    columns = shape_columns(phi, (-0.12, 0.55), 1, 4)
-    powers = np.vander(phi, 6, increasing=True)
-    left = columns - powers @ np.linalg.lstsq(powers, columns, rcond=None)[0]
-    assert columns.shape[1] == 2
-    assert np.max(np.abs(left)) < 1e-6 * np.max(np.abs(columns))
-
-
 def test_splines_are_smooth_and_constant_beyond_the_range() -> None:
     span = (-0.12, 0.55)
     for side, end in (((-0.5, -0.12), -0.12), ((0.55, 0.9), 0.55)):

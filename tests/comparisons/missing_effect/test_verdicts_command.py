@@ -11,6 +11,7 @@ from effect_data import series_of
 
 from classic_ml.io.series import write_series
 from comparisons.cli import main
+from comparisons.missing_effect.catalogue import CATALOGUE
 from comparisons.rig.coefficient_tests import simulate_test
 
 SMALL = {"n_samples": 800, "n_records": 2}
@@ -36,6 +37,10 @@ CASES: dict[str, tuple[str, str | None, list[list[str]], dict[str, Any]]] = {
         {"noise": "phi1", "seed": 1, "n_samples": 1000, "n_records": 3},
     ),
 }
+
+
+CANDIDATE = {"name", "accepted", "score", "train_gain", "later_gain", "other_record_gain"}
+CANDIDATE |= {"held_out_z", "p_value", "time_constant_s", "parameters_added"}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -68,8 +73,15 @@ def test_a_verdict_is_printed_and_written(
         assert item["provisional"] == (verdict == "provisional")
         for parameter in item["parameters"]:
             assert {"name", "value", "stderr", "unit"} <= set(parameter)
-    assert {"before_rms", "after_rms", "floor_rms", "shrink"} <= set(document["gap"])
+    gap = document["gap"]
+    assert set(gap) == {"before_rms", "after_rms", "floor_rms", "shrink"}
+    before, after, floor = (gap[f"{name}_rms"] for name in ("before", "after", "floor"))
+    if names:
+        share = (before**2 - after**2) / (before**2 - floor**2)
+        assert gap["shrink"] == pytest.approx(max(share, 0.0), abs=1e-3)
     assert {"before", "after", "by_alias"} <= set(document["time_constant_s"])
-    assert {"time", "frequency", "flow"} <= set(document["where"])
-    assert document["candidates"] or not document["missing"]
+    assert all(document["where"][name] for name in ("time", "frequency", "flow", "phase", "regime"))
+    assert all(set(row) >= CANDIDATE for row in document["candidates"] if row["fitted"])
+    known = {row["name"] for row in document["candidates"]} | set(document["unavailable"])
+    assert {effect.name for effect in CATALOGUE} <= known
     assert verdict.replace("_", " ") in page.read_text("utf-8")

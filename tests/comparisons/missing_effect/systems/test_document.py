@@ -176,11 +176,3 @@ def test_splits_and_units_of_the_errors(
     found = errors["z_check"]
     assert found["unit"] == told
     assert found["after"] == pytest.approx(times * float(d.checks[0].after_rms[1]))
-
-
-def test_errors_of_several_diagnoses_are_merged_without_a_loss(
-    hidden: SystemDiagnosis, whole: SystemDiagnosis
-) -> None:
-    merged = documents.merged_test_rmse({"hard": hidden, "plain": whole})
-    assert merged["check"] == documents.test_rmse(hidden)["check"]
-    assert merged["plain_check"] == documents.test_rmse(whole)["check"]

@@ -19,7 +19,7 @@ from comparisons.missing_effect.systems.structure import Run, Structure
 TRUE = np.array([truth.BODY[name] for name in ("M", "c", "k")])
 N = 600
 SEEDS = 40
-COVERED_ROWS = 1000
+COVERED_ROWS = 1500
 NOISE = 0.02
 
 

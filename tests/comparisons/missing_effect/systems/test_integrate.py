@@ -214,15 +214,3 @@ def test_a_band_limited_input_follows_a_fast_sine(how: str, off: float) -> None:
     assert error < off
     if how != "band":
         assert error > 0.1
-
-
-@pytest.mark.parametrize("how", ["held", "linear", "cubic", "band"])
-def test_every_way_between_samples_drives_the_same_slow_answer(how: str) -> None:
-    """A slow input: only the held one comes late, by half a sample."""
-    n, h = 400, 0.05
-    t = h * np.arange(n)
-    model = model_of(lambda t, x, u, p: (u.w - x.a) / p.tau, inputs=("w",), tau=0.5)
-    drive = np.sin(0.5 * (t + 0.5 * h)) if how == "held" else np.sin(0.5 * t)
-    path = simulated(model, [0.0], n, h, {"w": drive}, between=how)
-    wanted = (np.sin(0.5 * t) - 0.25 * np.cos(0.5 * t)) / (1 + 0.25**2)
-    assert np.max(np.abs(path.outputs[120:, 0] - wanted[120:])) < 2e-3

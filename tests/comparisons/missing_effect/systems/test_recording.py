@@ -47,14 +47,7 @@ def test_a_tone_keeps_its_size_and_turns_by_the_phase(alpha: float, beta: float,
     assert np.max(np.abs(turned - wanted)[inner]) < 5e-3
 
 
-@pytest.mark.parametrize(
-    "n",
-    [
-        801,
-        1003,
-        800,
-    ],
-)
+@pytest.mark.parametrize("n", [801, 1003, 800])
 def test_a_constant_and_a_ramp_pass(n: int) -> None:
     """At rest the filter is nothing; a ramp comes late by 2α, whatever the length of the record."""
     k = np.arange(float(n))
