@@ -26,7 +26,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -87,15 +87,18 @@ class Case:
 
     def simulate(self) -> CoefficientTest:
         """Make its records."""
-        return simulate_test(
+        test = simulate_test(
             self.planted or None,
             strength=self.strength,
             seed=self.seed,
             noise=self.noise,
             n_samples=self.n_samples,
             degree=DEGREE,
-            in_stall=self.seed % 2 == 0,
         )
+        if self.seed % 2 == 0:
+            return test
+        unmarked = tuple(replace(record, in_stall=None) for record in test.records)
+        return replace(test, records=unmarked)
 
 
 def diagnosed(test: CoefficientTest) -> Row:
