@@ -117,7 +117,7 @@ def read_raw(
             + (f" from {window[0]:g} to {window[1]:g} s" if window else ""),
             found=f"{read.time_s.size}",
         )
-    return _record(stored, test, columns, read, part=window is not None), test
+    return _record(stored, test, columns, read, window), test
 
 
 def near_stall_means(raw_path: str | os.PathLike[str], test: TestDescription) -> dict[str, float]:
@@ -242,11 +242,21 @@ def _record(
     test: TestDescription,
     columns: tuple[FeedColumn, ...],
     read: _Readings,
-    *,
-    part: bool,
+    window: Window | None,
 ) -> Record:
     clock, *fed = columns
     time_s = _finite(stored, clock, read.time_s, read.rows_before)
+    part = ""
+    if window is not None:
+        if window[1] < time_s[0] or window[0] > time_s[-1]:
+            raise InputError(
+                stored.source,
+                expected=f"rows from {window[0]:g} to {window[1]:g} s of its clock, as was asked",
+                found=f"only rows from {time_s[0]:.3f} to {time_s[-1]:.3f} s",
+            )
+        part = ", a part of the file"
+        if time_s[0] < window[0] - 1.0 / test.sample_rate_hz:
+            part += f" (from {window[0]:g} s on was asked; the near-stall reading is before it)"
     rate_hz = _check_clock(time_s, stored.source, test)
     lowest, highest = possible_ranges(test, tuple(column.name for column in fed))
     channels: dict[str, Channel] = {}
@@ -264,7 +274,7 @@ def _record(
         "read",
         f"{time_s.size} rows of {len(test.channel_names)} channels, "
         f"{time_s[0]:.3f} to {time_s[-1]:.3f} s at {rate_hz:g} Hz"
-        + (", a part of the file" if part else "")
+        + part
         + (f"; the clock is {made}" if made else ""),
         {"raw": stored.source, "test": test.source, "rows": int(time_s.size)},
     )

@@ -119,7 +119,8 @@ def add_read_window(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -
             type=float,
             default=None,
             metavar="SECONDS",
-            help=f"{end} of the part of the file that is read, on its clock (default: all of it)",
+            help=f"{end} of the part of the file that is read, on its clock; the near-stall "
+            "reading is read with it (default: all of it)",
         )
 
 
