@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from live_records import LiveRecord, series_of
@@ -62,6 +63,19 @@ def running(record: LiveRecord, folder: Path, *options: str) -> Iterator[Running
             process.communicate()
 
 
+def state_with_tau(port: int) -> dict[str, Any]:
+    """Return what the page shows, once it shows τ: it is renewed after the terminal."""
+    begun = time.monotonic()
+    document: dict[str, Any] = {"tau_ms": None}
+    while document["tau_ms"] is None and time.monotonic() - begun < PATIENCE_S:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        connection.request("GET", "/state.json")
+        document = json.loads(connection.getresponse().read())
+        connection.close()
+        time.sleep(0.05)
+    return document
+
+
 def test_a_pipe_with_page_and_estimate_ends_with_what_reduce_gives(
     record: LiveRecord, tmp_path: Path
 ) -> None:
@@ -72,9 +86,7 @@ def test_a_pipe_with_page_and_estimate_ends_with_what_reduce_gives(
         pipe.write(record.header + b"".join(record.lines[:2500]))
         pipe.flush()
         session.wait_for("first estimate of τ")
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
-        connection.request("GET", "/state.json")
-        document = json.loads(connection.getresponse().read())
+        document = state_with_tau(port)
         pipe.write(b"".join(record.lines[2500:]))
         pipe.close()
         session.process.stdin = None
