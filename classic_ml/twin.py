@@ -1,0 +1,158 @@
+"""The record measured again: readings that the fitted model would leave on the same instruments.
+
+Forward from the estimated flow and the fitted lag to the pressures of every probe, with noise and
+an error of calibration drawn anew, and back through Eq 1 to 3. What is needed stands in the test
+description and in the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.coefficients import rate_of_change
+from classic_ml.description import ProbePair, TestDescription
+from classic_ml.filters import low_pass
+from classic_ml.flow import (
+    corrected_flow,
+    mach_from_corrected_flow,
+    pair_flow,
+    physical_flow,
+)
+from classic_ml.whole_record.branches import BranchFit, Specification, design, responses
+from classic_ml.whole_record.passes import Passes
+from classic_ml.whole_record.rakes import LARGEST_SHARE, Planes, RakeSignals
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["Twin", "twin_of"]
+
+# What a twin takes for the truth holds the cells with a harmonic, and hardly any of the noise.
+HARMONICS = 2.6
+INLET_K_HZ = 60.0
+LEAST_PA = 1e3
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A record without noise, which can be measured any number of times.
+
+    Parameters
+    ----------
+    signals : RakeSignals
+        The record; its noise and its probes measure the twin.
+    flow_kg_s, total_Pa : mapping of str to ndarray of shape (n,)
+        Flow and total pressure of each pair, without noise.
+    """
+
+    signals: RakeSignals
+    flow_kg_s: Mapping[str, FloatArray]
+    total_Pa: Mapping[str, FloatArray]
+
+    def measured(self, rng: np.random.Generator) -> RakeSignals:
+        """Return the twin's readings, with noise and an error of calibration drawn by rng."""
+        test = self.signals.test
+        flow, total = {}, {}
+        for plane in test.areas_m2:
+            for pair in test.pairs(plane):
+                if pair.name in self.flow_kg_s:
+                    flow[pair.name], total[pair.name] = self._pair(pair, test, rng)
+        return self.signals.measured_again(flow, total)
+
+    def _pair(
+        self, pair: ProbePair, test: TestDescription, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        probe, machine = pair.forward, test.compressor
+        area_m2 = test.areas_m2[probe.plane]
+        forward, aft = _pressures(self.flow_kg_s[pair.name], self.total_Pa[pair.name], pair, test)
+        read = []
+        for name, pressure in ((pair.forward.name, forward), (pair.aft.name, aft)):
+            noise = self.signals.noise_Pa[name]
+            # The mean of the reading to which the channel was matched is as uncertain as this.
+            offset = noise / np.sqrt(self.signals.near_stall_rows) * rng.standard_normal()
+            noisy = pressure + offset + noise * rng.standard_normal(pressure.size)
+            read.append(np.maximum(noisy, LEAST_PA))
+        slope, zero = probe.probe_slope, probe.probe_offset
+        return pair_flow(*read, slope, zero, area_m2, machine), np.maximum(*read)
+
+
+def twin_of(
+    signals: RakeSignals,
+    passes: Passes,
+    spec: Specification,
+    in_stall: BoolArray,
+    fit: BranchFit,
+) -> Twin:
+    """Return the twin of a record under a fitted model.
+
+    Parameters
+    ----------
+    signals : RakeSignals
+        The record.
+    passes : Passes
+        Its signals without cells.
+    spec : Specification
+        What the fit took for granted.
+    in_stall : ndarray of bool, shape (n,)
+        The state.
+    fit : BranchFit
+        The model.
+    """
+    rate_hz = 1.0 / signals.sample_period_s
+    cutoff_hz = min(HARMONICS / passes.period_s, 0.45 * rate_hz)
+
+    def smooth(values: FloatArray, hz: float = cutoff_hz) -> FloatArray:
+        return np.asarray(low_pass(values, rate_hz, order=4, cutoff_hz=hz, phase="zero"))
+
+    flow = {name: smooth(values) for name, values in signals.flow_kg_s.items()}
+    total = {name: smooth(values) for name, values in signals.total_Pa.items()}
+    clean = passes.planes
+    planes = Planes(smooth(clean.corrected_kg_s), smooth(clean.inlet_Pa), smooth(clean.exit_Pa))
+    inlet_K = smooth(signals.inlet_K, INLET_K_HZ)
+    exit_Pa = _exit_by_model(signals, passes, spec, in_stall, fit, planes, inlet_K)
+    shift = exit_Pa - planes.exit_Pa
+    total |= {name: values + shift for name, values in total.items() if name.startswith("31")}
+    return Twin(signals, flow, total)
+
+
+def _exit_by_model(
+    signals: RakeSignals,
+    passes: Passes,
+    spec: Specification,
+    in_stall: BoolArray,
+    fit: BranchFit,
+    planes: Planes,
+    inlet_K: FloatArray,
+) -> FloatArray:
+    """Return P31 that the model's ψ' makes in forward flow; elsewhere what was measured."""
+    test, row = signals.test, passes.row
+    machine, speed = test.compressor, test.rotor_velocity_m_s
+    inputs, _ = design(passes, replace(spec, average_s=signals.sample_period_s), in_stall)
+    psi_p = responses(fit.tau_s, passes, inputs) @ fit.coefficients
+    rate = rate_of_change(
+        physical_flow(planes.corrected_kg_s, planes.inlet_Pa, inlet_K), signals.sample_period_s
+    )
+    # Eq 5 for the pressure behind the blading.
+    rise = 1.0 + psi_p * speed**2 / (2.0 * machine.specific_heat_J_kg_K * inlet_K[row])
+    ratio = np.maximum(rise, 0.2) ** (machine.gamma / (machine.gamma - 1.0))
+    by_model = planes.inlet_Pa[row] * ratio - machine.inertia_per_m * rate[row]
+    forward = passes.phi > spec.lowest_phi
+    exit_Pa = planes.exit_Pa.copy()
+    exit_Pa[row] = np.where(forward, by_model, exit_Pa[row])
+    return exit_Pa
+
+
+def _pressures(
+    flow_kg_s: FloatArray, total_Pa: FloatArray, pair: ProbePair, test: TestDescription
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the two probes of a pair read of a flow: Eq 3, 2 and 1 backwards."""
+    probe, machine = pair.forward, test.compressor
+    area_m2, gamma = test.areas_m2[probe.plane], machine.gamma
+    limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
+    mach = mach_from_corrected_flow(np.clip(flow_kg_s, -limit, limit), area_m2, machine)
+    calculated = np.maximum((np.abs(mach) - probe.probe_offset) / probe.probe_slope, 0.0)
+    ratio = (1.0 + 0.5 * (gamma - 1.0) * calculated**2) ** (gamma / (gamma - 1.0))
+    high, low = np.maximum(total_Pa, 2.0 * LEAST_PA), np.maximum(total_Pa, 2.0 * LEAST_PA) / ratio
+    onward = mach >= 0.0
+    return np.where(onward, high, low), np.where(onward, low, high)

@@ -1,0 +1,210 @@
+"""The lag over both branches: one free run, its curves by least squares for each τ.
+
+    τ dψ'/dt + ψ' = s ψ'_stall(φ) + (1 − s) ψ'_unstalled(φ, N_c)
+
+with s the state, in stall 1. For a held τ the run is linear in all coefficients, so that the sum of
+squares is a function of τ alone (variable projection). Every row in forward flow is scored, of
+both branches: τ lives in the contrast between the pass into reversal and the pass out of it at the
+same φ. Reversed rows are simulated through.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.free_run import near
+from classic_ml.whole_record.passes import Passes
+from surge_core.lag import FirstOrderLag
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["BranchFit", "Specification", "design", "fit_branches", "profile", "scored_rows"]
+
+TAUS_S = np.geomspace(0.004, 0.08, 31)
+# Half the width of the search once τ is known nearly, and of the second difference.
+AROUND, STEP = 0.5, 0.03
+# After this much of a piece its start has decayed to a tenth for τ of 10 ms.
+START_S = 0.02
+# Reversed flow is averaged over this much before it is squared, so that noise makes no loss.
+LOSS_AVERAGE_S = 0.005
+# Columns with less than this of the largest are no columns.
+RANK = 1e-7
+FEWEST_UNSTALLED = 20
+HIGHER_HINGE = 1.3
+
+
+@dataclass(frozen=True)
+class Specification:
+    """What a fit takes for granted, each varied for the interval.
+
+    Parameters
+    ----------
+    average_s : float
+        Average over ψ' and the inputs alike, applied last.
+    lowest_phi : float
+        φ up to which rows are not scored.
+    guard_s : float
+        How far around such a row no row is scored.
+    blend_s : float
+        Time of the change between the branches.
+    degree : int
+        Of the in-stall characteristic.
+    hinges : bool
+        Whether it may bend above the flow of recovery.
+    """
+
+    average_s: float
+    lowest_phi: float
+    guard_s: float
+    blend_s: float = 0.006
+    degree: int = 2
+    hinges: bool = True
+
+
+@dataclass(frozen=True)
+class BranchFit:
+    """A fitted lag over both branches.
+
+    Parameters
+    ----------
+    tau_s : float
+        Time constant.
+    coefficients : ndarray of shape (q,)
+        Of the columns of :func:`design`, those of the in-stall powers first, then the starts.
+    errors : ndarray of shape (m,)
+        On the scored rows.
+    scored : ndarray of bool, shape (n,)
+        Which these are.
+    curvature : float
+        Half the second derivative of the sum of squares over log τ.
+    at_end : bool
+        τ is at an end of what was searched.
+    """
+
+    tau_s: float
+    coefficients: FloatArray
+    errors: FloatArray
+    scored: BoolArray
+    curvature: float
+    at_end: bool
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.errors @ self.errors)
+
+
+def scored_rows(passes: Passes, spec: Specification) -> BoolArray:
+    """Return the rows in forward flow, away from reversals and from the starts of pieces."""
+    guard = passes.rows_of(spec.guard_s)
+    left_out = near(passes.phi <= spec.lowest_phi, guard, guard)
+    for piece in passes.pieces:
+        left_out[piece.start : piece.start + passes.rows_of(START_S)] = True
+    return ~left_out
+
+
+def design(
+    passes: Passes, spec: Specification, in_stall: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the inputs of the lag, of shape (n, q), and ψ', averaged alike.
+
+    Parameters
+    ----------
+    passes : Passes
+        The signals.
+    spec : Specification
+        What is taken for granted.
+    in_stall : ndarray of bool, shape (n,)
+        The state.
+    """
+    phi, speed = passes.phi, passes.speed
+    state = passes.smooth(in_stall.astype(np.float64), spec.blend_s)
+    columns = [state * phi**power for power in range(spec.degree + 1)]
+    if np.count_nonzero(~in_stall) > FEWEST_UNSTALLED:
+        recoveries = in_stall[:-1] & ~in_stall[1:] & (passes.piece[1:] == passes.piece[:-1])
+        if spec.hinges and recoveries.any():
+            level = float(np.median(passes.smooth(phi, 0.003)[:-1][recoveries]))
+            above = state * np.maximum(phi - level, 0.0)
+            columns += [above, above * speed, state * np.maximum(phi - HIGHER_HINGE * level, 0.0)]
+        other, own = 1.0 - state, phi - float(np.median(phi[~in_stall]))
+        columns += [other * own**power for power in range(3)]
+        columns += [other * speed, other * speed * own, other * speed**2]
+    backward = passes.smooth(np.minimum(phi, 0.0), LOSS_AVERAGE_S)
+    if np.any(backward < 0.0):
+        # With its derivative beside it the loss acts without the lag for any τ.
+        loss = state * backward**2
+        columns += [loss, np.gradient(loss) * passes.rows_of(START_S)]
+    inputs = np.column_stack([passes.smooth(column, spec.average_s) for column in columns])
+    return inputs, passes.smooth(passes.psi_p, spec.average_s)
+
+
+def profile(
+    tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients and errors of the least squares for a held τ, each piece with a start."""
+    answers = responses(tau_s, passes, inputs)
+    # By all rows: a column may be nothing in those that are scored.
+    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+    own = answers[scored] / scale
+    coefficients = np.asarray(np.linalg.lstsq(own, psi_p[scored], rcond=RANK)[0])
+    return coefficients / scale, psi_p[scored] - own @ coefficients
+
+
+def responses(tau_s: float, passes: Passes, inputs: FloatArray) -> FloatArray:
+    """Return the lag's answers to the inputs from rest, then the decay of each piece's start."""
+    lag = FirstOrderLag(tau_s, passes.sample_period_s, "first")
+    pieces = passes.pieces
+    out = np.zeros((inputs.shape[0], inputs.shape[1] + len(pieces)))
+    for number, piece in enumerate(pieces):
+        out[piece, : inputs.shape[1]] = lag.respond(inputs[piece], np.zeros(inputs.shape[1]))
+        out[piece, inputs.shape[1] + number] = lag.decay(piece.stop - piece.start)
+    return out
+
+
+def fit_branches(
+    passes: Passes,
+    spec: Specification,
+    in_stall: BoolArray,
+    *,
+    scored: BoolArray | None = None,
+    near_s: float | None = None,
+) -> BranchFit:
+    """Fit τ and both branches.
+
+    Parameters
+    ----------
+    passes : Passes
+        The signals.
+    spec : Specification
+        What is taken for granted.
+    in_stall : ndarray of bool, shape (n,)
+        The state.
+    scored : ndarray of bool, shape (n,), optional
+        Rows that are scored, in place of all that could be.
+    near_s : float, optional
+        Where τ is known nearly, in seconds.
+    """
+    from scipy.optimize import minimize_scalar
+
+    inputs, psi_p = design(passes, spec, in_stall)
+    keep = scored_rows(passes, spec) if scored is None else scored
+
+    def cost(log_tau: float) -> float:
+        errors = profile(math.exp(log_tau), passes, inputs, psi_p, keep)[1]
+        return float(errors @ errors)
+
+    if near_s is None:
+        costs = [cost(math.log(tau_s)) for tau_s in TAUS_S]
+        best = int(np.argmin(costs))
+        ends = TAUS_S[max(best - 1, 0)], TAUS_S[min(best + 1, TAUS_S.size - 1)]
+    else:
+        ends = near_s * math.exp(-AROUND), near_s * math.exp(AROUND)
+    low, high = math.log(ends[0]), math.log(ends[1])
+    log_tau = float(minimize_scalar(cost, bounds=(low, high), options={"xatol": 2e-4}).x)
+    coefficients, errors = profile(math.exp(log_tau), passes, inputs, psi_p, keep)
+    sides = cost(log_tau + STEP) + cost(log_tau - STEP)
+    curvature = 0.5 * (sides - 2.0 * float(errors @ errors)) / STEP**2
+    at_end = min(log_tau - math.log(TAUS_S[0]), math.log(TAUS_S[-1]) - log_tau) < STEP
+    return BranchFit(math.exp(log_tau), coefficients, errors, keep, curvature, at_end)

@@ -1,0 +1,182 @@
+"""τ and the in-stall characteristic of a whole record, with an interval that holds the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.twin import Twin, twin_of
+from classic_ml.whole_record.branches import BranchFit, Specification, fit_branches
+from classic_ml.whole_record.interval import Scatter, jackknife, scatter_of, variants
+from classic_ml.whole_record.passes import Passes, passes_of
+from classic_ml.whole_record.rakes import RakeSignals
+from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["N_TWINS", "WholeRecordFit", "fit_whole_record"]
+
+N_TWINS = 20
+# Fewer cycles than this make no jackknife.
+FEWEST_CYCLES = 6
+# Of τ: beyond it an answer says too little.
+LARGEST_SHARE = 0.12
+# The cells are gone before this average, so that it may be shorter than half their period, and must
+# be, or it mixes the pass into reversal with the pass out of it.
+AVERAGE_PERIODS = 0.4
+LONGEST_AVERAGE_S = 0.005
+
+
+@dataclass(frozen=True)
+class WholeRecordFit:
+    """A lag over both branches of one record, and what is known of it.
+
+    Parameters
+    ----------
+    fit : BranchFit
+        The estimate.
+    passes : Passes
+        The rows it was made from.
+    spec : Specification
+        What was taken for granted.
+    in_stall : ndarray of bool, shape (n,)
+        The state.
+    levels : StallLevels or None
+        The flows of recovery and entry; None where the state is the one by hub and tip.
+    cycles, specification, twins : Scatter
+        Scatter over cycles left out, over specifications and over twins; that over twins has
+        ``n`` 0 where none were measured.
+    n_cycles : int
+        Surge cycles.
+    """
+
+    fit: BranchFit
+    passes: Passes
+    spec: Specification
+    in_stall: BoolArray
+    levels: StallLevels | None
+    cycles: Scatter
+    specification: Scatter
+    twins: Scatter
+    n_cycles: int
+
+    @property
+    def tau_s(self) -> float:
+        """Time constant, in seconds."""
+        return self.fit.tau_s
+
+    @property
+    def share(self) -> float:
+        """Standard deviation of log τ, all of it."""
+        parts = [self.cycles.log_tau, self.specification.log_tau]
+        return math.hypot(*parts, *([self.twins.log_tau] if self.twins.n else []))
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """β of the in-stall powers of φ."""
+        return self.fit.coefficients[: self.spec.degree + 1]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of β."""
+        total = self.cycles.curve + self.specification.curve
+        return total + self.twins.curve if self.twins.n else total
+
+    @property
+    def refused(self) -> str:
+        """Why τ is withheld; empty where it is not."""
+        if self.n_cycles < FEWEST_CYCLES:
+            return f"the record has {self.n_cycles} surge cycles, fewer than {FEWEST_CYCLES}"
+        if self.fit.at_end:
+            return f"τ lies at an end of what was searched ({1e3 * self.tau_s:.3g} ms)"
+        if not self.share <= LARGEST_SHARE:
+            return f"τ is known to {100 * self.share:.0f} % only"
+        if abs(self.twins.bias) > 2.0 * self.share:
+            return (
+                f"the record measured again from its own model gives another τ, by "
+                f"{100 * self.twins.bias:+.0f} %"
+            )
+        return ""
+
+
+def fit_whole_record(
+    signals: RakeSignals,
+    window: slice | None = None,
+    *,
+    degree: int = 2,
+    n_twins: int = N_TWINS,
+    random_state: int = 0,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> WholeRecordFit:
+    """Estimate τ and the in-stall characteristic from all forward rows of a record.
+
+    Parameters
+    ----------
+    signals : RakeSignals
+        Every probe pair, unfiltered.
+    window : slice, optional
+        Rows to stay in.
+    degree : int
+        Of the in-stall characteristic.
+    n_twins : int
+        Twins behind the interval; 0 leaves their part out of it.
+    random_state : int
+        Seed of the twins.
+    progress : callable
+        Wraps the iteration over the twins, to show how far it is.
+
+    Raises
+    ------
+    InputError
+        When the record has no rows to fit.
+    """
+    passes = passes_of(signals, window)
+    spec = _specification(signals, passes, degree)
+    in_stall, levels = estimated_state(passes, spec)
+    fit = fit_branches(passes, spec, in_stall)
+    twins: list[BranchFit] = []
+    if n_twins:
+        twin = twin_of(signals, passes, spec, in_stall, fit)
+        rng = np.random.default_rng(random_state)
+        twins = [
+            _fit_twin(twin, spec, levels, fit.tau_s, rng, window) for _ in progress(range(n_twins))
+        ]
+    return WholeRecordFit(
+        fit,
+        passes,
+        spec,
+        in_stall,
+        levels,
+        jackknife(passes, spec, in_stall, fit),
+        variants(passes, spec, in_stall, fit),
+        scatter_of(twins, fit, degree),
+        int(passes.cycle[-1]) + 1,
+    )
+
+
+def _specification(signals: RakeSignals, passes: Passes, degree: int) -> Specification:
+    """Take the average from the cells, and the lowest φ from the probes' law."""
+    average_s = min(AVERAGE_PERIODS * passes.period_s, LONGEST_AVERAGE_S)
+    # Eq 2 knows no flow below its offset: M_true jumps there from zero.
+    machine, test = signals.test.compressor, signals.test
+    jump = max(abs(pair.forward.probe_offset) for pair in test.pairs(25))
+    sound_m_s = math.sqrt(
+        machine.gamma * machine.gas_constant_J_kg_K * float(np.median(signals.inlet_K[passes.row]))
+    )
+    lowest = jump * sound_m_s / test.rotor_velocity_m_s
+    return Specification(average_s, lowest, 0.5 * average_s, degree=degree)
+
+
+def _fit_twin(
+    twin: Twin,
+    spec: Specification,
+    levels: StallLevels | None,
+    near_s: float,
+    rng: np.random.Generator,
+    window: slice | None,
+) -> BranchFit:
+    passes = passes_of(twin.measured(rng), window)
+    state = refined_state(passes, spec, levels)
+    return fit_branches(passes, spec, state, near_s=near_s)

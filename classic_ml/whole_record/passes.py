@@ -1,0 +1,206 @@
+"""The rows that a free run passes: after the first reversal, without what no probe can read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.filters import period_average
+from classic_ml.free_run import near
+from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
+from classic_ml.whole_record.rakes import Planes, RakeSignals
+from surge_core.errors import InputError
+from surge_core.segments import runs_of
+from surge_core.types import BoolArray, FloatArray, IntArray
+
+__all__ = ["Passes", "passes_of", "threshold_between"]
+
+# An overload is over when the thermocouple's answer to it is: five of its 10 ms; and the flow that
+# leads into it belongs to it.
+BEFORE_OVERLOAD_S, AFTER_OVERLOAD_S = 0.02, 0.05
+SHORTEST_PIECE_S = 0.1
+END_S = 0.01
+# Unstalled for longer than this the machine does not surge: the beginning is enough.
+LONGEST_QUIET_S, QUIET_KEPT_S, QUIET_END_S = 0.25, 0.1, 0.05
+# Hub and tip change over within half a cell period: shorter episodes are chance.
+SHORTEST_STATE_S = 0.007
+SPEED_AVERAGE_S = 0.02
+# Without cells there is nothing to cancel, and hub and tip are averaged over noise alone.
+PLAIN_PERIOD_S = 0.010
+
+
+@dataclass(frozen=True)
+class Passes:
+    """The signals of a free run, one piece behind the other.
+
+    Parameters
+    ----------
+    row : ndarray of int, shape (n,)
+        Rows of the record.
+    piece : ndarray of int, shape (n,)
+        Number of the piece of each row, from 0 on; the run starts again in each.
+    phi, psi_p : ndarray of shape (n,)
+        Without the stall cells.
+    speed : ndarray of shape (n,)
+        N_c less its mean.
+    in_stall : ndarray of bool, shape (n,)
+        State by hub and tip alone; where the record does not show it, True.
+    shift : ndarray of shape (n,) or None
+        Hub-minus-tip flow, averaged over one period of the cells.
+    period_s : float
+        That period.
+    sample_period_s : float
+        Sample period.
+    planes : Planes
+        The cleaned planes over the whole record.
+    """
+
+    row: IntArray
+    piece: IntArray
+    phi: FloatArray
+    psi_p: FloatArray
+    speed: FloatArray
+    in_stall: BoolArray
+    shift: FloatArray | None
+    period_s: float
+    sample_period_s: float
+    planes: Planes
+
+    @property
+    def pieces(self) -> list[slice]:
+        """Rows of each piece."""
+        return runs_of(self.piece, self.piece.size)
+
+    def smooth(self, values: FloatArray, seconds: float) -> FloatArray:
+        """Return the average over so many seconds around each row, within its piece."""
+        out = np.empty(values.size)
+        for piece in self.pieces:
+            own = np.asarray(values[piece], dtype=np.float64)
+            out[piece] = period_average(own, seconds, 1.0 / self.sample_period_s)
+        return out
+
+    def rows_of(self, seconds: float) -> int:
+        """Return how many samples so many seconds have."""
+        return round(seconds / self.sample_period_s)
+
+    @property
+    def cycle(self) -> IntArray:
+        """Number of the surge cycle of each row: from one reversal to the next, or a new piece."""
+        reversed_ = self.smooth(self.phi, self.period_s) < 0.0
+        begins = np.zeros(self.phi.size, dtype=np.bool_)
+        begins[1:] = (reversed_[1:] & ~reversed_[:-1]) | (self.piece[1:] != self.piece[:-1])
+        return np.asarray(np.cumsum(begins), dtype=np.int64)
+
+
+def passes_of(signals: RakeSignals, window: slice | None = None) -> Passes:
+    """Choose the rows of a free run and cancel the stall cells in them.
+
+    Parameters
+    ----------
+    signals : RakeSignals
+        The record.
+    window : slice, optional
+        Rows to stay in, where the test names a part of the record.
+
+    Raises
+    ------
+    InputError
+        When the flow never reverses, or no piece is long enough.
+    """
+    rate_hz = 1.0 / signals.sample_period_s
+    flow = signals.mean(signals.flow_kg_s, 25)
+    reversed_ = np.flatnonzero(flow < 0.0)
+    over = signals.overloaded()
+    over = near(over, round(BEFORE_OVERLOAD_S * rate_hz), round(AFTER_OVERLOAD_S * rate_hz))
+    usable = ~over
+    if window is not None:
+        usable[: window.start] = False
+        usable[window.stop :] = False
+    usable[: _first_forward(flow, reversed_, rate_hz)] = False
+    usable[flow.size - round(END_S * rate_hz) :] = False
+    cell_hz = cell_frequency_hz(signals, usable)
+    period_s = PLAIN_PERIOD_S if cell_hz is None else 1.0 / cell_hz
+    shift = signals.hub_minus_tip()
+    state = np.ones(flow.size, dtype=np.bool_)
+    if shift is not None and usable.any():
+        shift = period_average(shift, period_s, rate_hz)
+        before = shift[: max(int(reversed_[0]) if reversed_.size else 1, 1)]
+        state = _by_hub_and_tip(shift, usable, float(np.median(before)))
+        state = _without_short(state, round(SHORTEST_STATE_S * rate_hz))
+    for quiet in runs_of(~state, state.size):
+        if not state[quiet.start] and quiet.stop - quiet.start > LONGEST_QUIET_S * rate_hz:
+            first = quiet.start + round(QUIET_KEPT_S * rate_hz)
+            usable[first : max(first, quiet.stop - round(QUIET_END_S * rate_hz))] = False
+    planes = without_cells(signals, state, usable, cell_hz)
+    phi, psi_p, speed = signals.coefficients(planes)
+    usable &= np.isfinite(psi_p)
+    runs = [
+        run
+        for run in runs_of(usable, usable.size)
+        if usable[run.start] and run.stop - run.start >= SHORTEST_PIECE_S * rate_hz
+    ]
+    if not runs:
+        raise InputError(
+            "free run",
+            expected=f"{SHORTEST_PIECE_S:g} s of readings that count after the first reversal",
+            found="none" if reversed_.size else "no reversal of the flow",
+        )
+    row = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+    piece = np.concatenate([np.full(run.stop - run.start, i) for i, run in enumerate(runs)])
+    speed = period_average(speed, SPEED_AVERAGE_S, rate_hz)[row]
+    return Passes(
+        row,
+        piece,
+        phi[row],
+        psi_p[row],
+        speed - float(np.mean(speed)),
+        state[row],
+        None if shift is None else shift[row],
+        period_s,
+        signals.sample_period_s,
+        planes,
+    )
+
+
+def threshold_between(values: FloatArray) -> float:
+    """Return the value that leaves the least variance on its two sides (Otsu's method)."""
+    ordered = np.sort(values)
+    below = np.arange(1, ordered.size)
+    sums = np.cumsum(ordered)[:-1]
+    gap = (ordered.sum() - sums) / (ordered.size - below) - sums / below
+    best = int(np.argmax(below * (ordered.size - below) * gap**2))
+    return 0.5 * float(ordered[best] + ordered[best + 1])
+
+
+def _first_forward(flow: FloatArray, reversed_: IntArray, rate_hz: float) -> int:
+    """Return the row in which the flow has come back after the first blowdown."""
+    if not reversed_.size:
+        return int(flow.size)
+    slow = period_average(flow, 0.02, rate_hz)
+    first = int(reversed_[0])
+    back = np.flatnonzero((slow[first + 1 :] > 0.0) & (slow[first:-1] <= 0.0))
+    return first + 1 + int(back[0]) if back.size else first
+
+
+def _by_hub_and_tip(shift: FloatArray, usable: BoolArray, unstalled: float) -> BoolArray:
+    """Return the state by the hub-minus-tip flow: beyond the middle of its two levels."""
+    own = shift[usable]
+    own = np.clip(own, *np.percentile(own, [2.0, 98.0]))
+    between = threshold_between(own)
+    high, low = float(np.median(own[own > between])), float(np.median(own[own <= between]))
+    # Both parts far above the level before surge: the machine never left stall.
+    if low - unstalled > 0.4 * (high - unstalled):
+        high = float(np.median(own))
+    return np.asarray(shift > 0.5 * (unstalled + high))
+
+
+def _without_short(state: BoolArray, fewest: int) -> BoolArray:
+    """Give episodes of few rows the state around them, the unstalled ones first."""
+    out = state.copy()
+    for kind in (False, True):
+        for run in runs_of(out, out.size):
+            inner = run.start > 0 and run.stop < out.size
+            if inner and out[run.start] == kind and run.stop - run.start < fewest:
+                out[run] = not kind
+    return out

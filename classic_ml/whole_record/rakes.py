@@ -1,0 +1,192 @@
+"""Flow and total pressure of every probe pair, unfiltered, and the planes that they add up to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.calibration import near_stall_rows
+from classic_ml.coefficients import (
+    corrected_speed_fraction,
+    flow_coefficient,
+    pressure_coefficient,
+    rate_of_change,
+)
+from classic_ml.description import TestDescription
+from classic_ml.flow import corrected_flow, physical_flow
+from classic_ml.planes import present_pairs
+from classic_ml.records import Record, fault_name
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["LARGEST_SHARE", "Planes", "RakeSignals", "rake_signals"]
+
+# Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
+LARGEST_SHARE = 0.98
+# The fourth difference passes white noise with the square of its coefficients and hardly any of
+# what is slower than a tenth of the sample rate.
+DIFFERENCE, GAIN = 4, 70.0
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Averages over the probe pairs of each plane.
+
+    Parameters
+    ----------
+    corrected_kg_s : ndarray of shape (n,)
+        Corrected flow at plane 25.
+    inlet_Pa, exit_Pa : ndarray of shape (n,)
+        Total pressures P25 and P31.
+    """
+
+    corrected_kg_s: FloatArray
+    inlet_Pa: FloatArray
+    exit_Pa: FloatArray
+
+
+@dataclass(frozen=True)
+class RakeSignals:
+    """What every probe pair of a record reads, before any filter.
+
+    Parameters
+    ----------
+    flow_kg_s, total_Pa : mapping of str to ndarray of shape (n,)
+        Corrected flow (Eq 3) and total pressure by pair, as in ``"25_A_tip"``.
+    inlet_K : ndarray of shape (n,)
+        T25 with the thermocouples' lag undone.
+    counts : ndarray of bool, shape (n,)
+        Rows in which all readings count.
+    sample_period_s : float
+        Sample period.
+    test : TestDescription
+        The test.
+    noise_Pa : mapping of str to float
+        Standard deviation of the white noise of each pressure channel.
+    near_stall_rows : int
+        Rows of the reading to which the channels were matched.
+    """
+
+    flow_kg_s: Mapping[str, FloatArray]
+    total_Pa: Mapping[str, FloatArray]
+    inlet_K: FloatArray
+    counts: BoolArray
+    sample_period_s: float
+    test: TestDescription
+    noise_Pa: Mapping[str, float]
+    near_stall_rows: int
+
+    def mean(self, signals: Mapping[str, FloatArray], plane: int) -> FloatArray:
+        """Return the average over the rakes at each immersion and then over the immersions."""
+        levels = [self.at(signals, plane, immersion) for immersion in ("tip", "hub")]
+        return np.asarray(np.mean([level for level in levels if level is not None], axis=0))
+
+    def at(
+        self, signals: Mapping[str, FloatArray], plane: int, immersion: str
+    ) -> FloatArray | None:
+        """Return the average over the rakes at one immersion, None without a pair there."""
+        found = [
+            signals[pair.name]
+            for pair in self.test.pairs(plane)
+            if pair.immersion == immersion and pair.name in signals
+        ]
+        return np.asarray(np.mean(found, axis=0)) if found else None
+
+    def rake_differences(self, plane: int) -> list[FloatArray]:
+        """Return what two rakes read differently at one immersion: cells and noise, no surge."""
+        found = []
+        for signals in (self.flow_kg_s, self.total_Pa):
+            for immersion in ("tip", "hub"):
+                own = [
+                    signals[pair.name]
+                    for pair in self.test.pairs(plane)
+                    if pair.immersion == immersion and pair.name in signals
+                ]
+                found += [first - own[0] for first in own[1:]]
+        return found
+
+    def planes(self) -> Planes:
+        """Return the averages as they are, cells and all."""
+        return Planes(
+            self.mean(self.flow_kg_s, 25),
+            self.mean(self.total_Pa, 25),
+            self.mean(self.total_Pa, 31),
+        )
+
+    def hub_minus_tip(self) -> FloatArray | None:
+        """Return how much more flow the hub passes than the tip; None with one immersion."""
+        hub, tip = (self.at(self.flow_kg_s, 25, immersion) for immersion in ("hub", "tip"))
+        return None if hub is None or tip is None else hub - tip
+
+    def overloaded(self) -> BoolArray:
+        """Return the rows in which a pair reads what no probe can: choked flow, no pressure."""
+        over = ~self.counts
+        choked = LARGEST_SHARE * float(
+            corrected_flow(np.ones(1), self.test.areas_m2[25], self.test.compressor)[0]
+        )
+        for name, flow in self.flow_kg_s.items():
+            if name.startswith("25"):
+                over = over | (np.abs(flow) > choked)
+        for pressure in self.total_Pa.values():
+            over = over | ~(pressure > 0.0)
+        return np.asarray(over)
+
+    def coefficients(self, planes: Planes) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return φ (Eq 7), ψ' (Eq 5) and N_c of plane averages; NaN where they have none."""
+        machine, speed = self.test.compressor, self.test.rotor_velocity_m_s
+        area_m2 = self.test.areas_m2[25]
+        limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
+        flow = np.clip(planes.corrected_kg_s, -limit, limit)
+        phi = flow_coefficient(flow, self.inlet_K, area_m2, speed, machine)
+        with np.errstate(invalid="ignore"):
+            rate = rate_of_change(
+                physical_flow(planes.corrected_kg_s, planes.inlet_Pa, self.inlet_K),
+                self.sample_period_s,
+            )
+            # Where the noise of dW/dt leaves no pressure the row is left out by its NaN.
+            least = 1e-3 * planes.inlet_Pa - machine.inertia_per_m * rate
+            exit_Pa = np.maximum(planes.exit_Pa, least)
+            psi_p = pressure_coefficient(
+                planes.inlet_Pa, exit_Pa, self.inlet_K, rate, machine.inertia_per_m, speed, machine
+            )
+        psi_p = np.where(exit_Pa > planes.exit_Pa, np.nan, psi_p)
+        return phi, psi_p, corrected_speed_fraction(self.inlet_K, self.test)
+
+    def measured_again(
+        self, flow_kg_s: Mapping[str, FloatArray], total_Pa: Mapping[str, FloatArray]
+    ) -> RakeSignals:
+        """Return the same record with other readings."""
+        return replace(self, flow_kg_s=flow_kg_s, total_Pa=total_Pa)
+
+
+def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
+    """Take the pairs out of a record.
+
+    Parameters
+    ----------
+    record : Record
+        Calibrated, matched, with the local flows of its pairs and inverted thermocouples.
+    test : TestDescription
+        Its test.
+    """
+    pairs = [pair for plane in test.areas_m2 for pair in present_pairs(record, test, plane)]
+    couples = [c.name for c in test.thermocouples(25) if c.name in record]
+    counts = np.ones(record.n_samples, dtype=np.bool_)
+    noise = {}
+    reading = near_stall_rows(record, test)
+    for probe in (probe for pair in pairs for probe in (pair.forward, pair.aft)):
+        if fault_name(probe.name) in record:
+            counts &= record[fault_name(probe.name)] == 0
+        steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
+        noise[probe.name] = float(np.std(steps) / np.sqrt(GAIN))
+    return RakeSignals(
+        {pair.name: record[f"Wc{pair.name}_kg_s"] for pair in pairs},
+        {pair.name: record[f"Pt{pair.name}_Pa"] for pair in pairs},
+        np.asarray(np.mean([record[name] for name in couples], axis=0)),
+        counts,
+        record.sample_period_s,
+        test,
+        noise,
+        reading.stop - reading.start,
+    )

@@ -1,0 +1,167 @@
+"""The in-stall state by two flows: recovery above one on the way up, stall below one on the way down.
+
+Both are estimated together: by what the state leaves of ψ' in the free run, and by what it leaves
+of the hub-minus-tip flow, each by its likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from classic_ml.whole_record.branches import Specification, design, profile, scored_rows
+from classic_ml.whole_record.passes import Passes
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["StallLevels", "estimated_state", "refined_state", "state_by_levels"]
+
+# After stall φ must fall below this share of the flow of recovery before it can recover again.
+REARMED_SHARE = 0.4
+# φ and its slope are read over these, so that noise switches nothing.
+LEVEL_AVERAGE_S, SLOPE_AVERAGE_S = 0.003, 0.006
+FEWEST_EPISODES = 3
+FEWEST_ROWS = 20
+TAUS_S = np.geomspace(0.007, 0.04, 9)
+GRID = 9
+LOWEST_RECOVERY, LOWEST_ENTRY = 0.06, 0.04
+PEAK_S = 0.06
+HALVINGS = 3
+# How far apart errors of ψ' count as independent in the likelihood.
+INDEPENDENT_S = 0.003
+
+
+@dataclass(frozen=True)
+class StallLevels:
+    """The flows at which the machine changes its state.
+
+    Parameters
+    ----------
+    recovery_phi : float
+        φ above which stall ends, on the way up.
+    entry_phi : float
+        φ below which it begins, on the way down; above the other where the unstalled branch peaks
+        beyond the flow of recovery.
+    """
+
+    recovery_phi: float
+    entry_phi: float
+
+
+def state_by_levels(passes: Passes, levels: StallLevels) -> BoolArray:
+    """Return the in-stall state that two levels give.
+
+    Parameters
+    ----------
+    passes : Passes
+        The signals.
+    levels : StallLevels
+        The two flows.
+    """
+    phi = passes.smooth(passes.phi, LEVEL_AVERAGE_S)
+    slope = np.gradient(passes.smooth(passes.phi, SLOPE_AVERAGE_S))
+    rises = (phi > levels.recovery_phi) & (slope > 0.0)
+    falls = (phi < levels.entry_phi) & (slope < 0.0)
+    low = phi < REARMED_SHARE * levels.recovery_phi
+    state = np.empty(phi.size, dtype=np.bool_)
+    for piece in passes.pieces:
+        stalled, armed = bool(passes.in_stall[piece.start]), True
+        for row in range(piece.start, piece.stop):
+            if stalled:
+                armed = armed or bool(low[row])
+                stalled = not (armed and rises[row])
+            elif falls[row]:
+                stalled, armed = True, False
+            state[row] = stalled
+    return state
+
+
+def estimated_state(passes: Passes, spec: Specification) -> tuple[BoolArray, StallLevels | None]:
+    """Estimate the levels over a grid, then by halving its steps.
+
+    Parameters
+    ----------
+    passes : Passes
+        The signals.
+    spec : Specification
+        What the fit takes for granted.
+
+    Returns
+    -------
+    in_stall : ndarray of bool, shape (n,)
+        The state.
+    levels : StallLevels or None
+        None where the record changes its state too seldom to estimate them: the state is then the
+        one by hub and tip.
+    """
+    state = passes.in_stall
+    inner = passes.piece[1:] == passes.piece[:-1]
+    recoveries = np.flatnonzero(state[:-1] & ~state[1:] & inner)
+    entries = np.count_nonzero(~state[:-1] & state[1:] & inner)
+    if min(recoveries.size, entries) < FEWEST_EPISODES:
+        return state, None
+    phi = passes.smooth(passes.phi, LEVEL_AVERAGE_S)
+    reach = passes.rows_of(PEAK_S)
+    peak = float(np.median([phi[row : row + reach].max() for row in recoveries]))
+    recovery = np.linspace(LOWEST_RECOVERY, max(0.95 * peak, 1.5 * LOWEST_RECOVERY), GRID)
+    entry = np.linspace(LOWEST_ENTRY, max(0.98 * peak, 1.5 * LOWEST_RECOVERY), GRID)
+    tried = [StallLevels(float(a), float(b)) for a, b in product(recovery, entry)]
+    best = min(tried, key=lambda levels: _misfit(passes, spec, levels))
+    steps = recovery[1] - recovery[0], entry[1] - entry[0]
+    for halving in range(1, HALVINGS + 1):
+        best = _around(passes, spec, best, steps[0] / 2**halving, steps[1] / 2**halving)
+    return state_by_levels(passes, best), best
+
+
+def refined_state(passes: Passes, spec: Specification, levels: StallLevels | None) -> BoolArray:
+    """Return the state of another record of the same machine, its levels searched nearby.
+
+    Parameters
+    ----------
+    passes : Passes
+        Signals of the other record.
+    spec : Specification
+        What the fit takes for granted.
+    levels : StallLevels or None
+        Of the first record.
+    """
+    if levels is None:
+        return passes.in_stall
+    return state_by_levels(passes, _around(passes, spec, levels, 0.015, 0.03))
+
+
+def _around(
+    passes: Passes, spec: Specification, at: StallLevels, step: float, entry_step: float
+) -> StallLevels:
+    moves = product((0.0, -1.0, 1.0), repeat=2)
+    tried = [
+        StallLevels(at.recovery_phi + i * step, at.entry_phi + k * entry_step) for i, k in moves
+    ]
+    return min(tried, key=lambda levels: _misfit(passes, spec, levels))
+
+
+def _misfit(passes: Passes, spec: Specification, levels: StallLevels) -> float:
+    """Return twice the negative log likelihood of ψ' and of the hub-minus-tip flow."""
+    state = state_by_levels(passes, levels)
+    if min(np.count_nonzero(state), np.count_nonzero(~state)) < FEWEST_ROWS:
+        return math.inf
+    inputs, psi_p = design(passes, spec, state)
+    scored = scored_rows(passes, spec)
+    errors = (profile(tau_s, passes, inputs, psi_p, scored)[1] for tau_s in TAUS_S)
+    least = min(float(np.mean(each**2)) for each in errors)
+    length_s = passes.phi.size * passes.sample_period_s
+    total = length_s / INDEPENDENT_S * math.log(least)
+    if passes.shift is not None:
+        total += length_s / passes.period_s * math.log(_shift_error(passes, passes.shift, state))
+    return total
+
+
+def _shift_error(passes: Passes, shift: FloatArray, state: BoolArray) -> float:
+    """Return the mean square of what the state, averaged alike, leaves of the hub-minus-tip flow."""
+    stalled = passes.smooth(state.astype(np.float64), passes.period_s)
+    flow = passes.smooth(passes.phi, passes.period_s)
+    columns = np.column_stack([np.ones(stalled.size), stalled, stalled * flow])
+    left = shift - columns @ np.linalg.lstsq(columns, shift)[0]
+    return float(np.mean(left**2))
