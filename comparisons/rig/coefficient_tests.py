@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_effects import EFFECTS, FORMS, LAG, OUTSIDE, PAIRS
 from comparisons.rig.coefficient_plant import Plant, draw_plant
-from comparisons.rig.coefficient_runs import check_together, run_record
-from comparisons.rig.coefficient_strength import BaseRefit, Sized, size_effect
+from comparisons.rig.coefficient_runs import run_record
+from comparisons.rig.coefficient_strength import BaseRefit, size_effect
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "EFFECTS",
@@ -75,8 +74,8 @@ class CoefficientRecord:
     psi_p: FloatArray
     T25_K: FloatArray
     Nc_frac: FloatArray
-    in_stall: NDArray[np.bool_] | None = None
-    segment: NDArray[np.int64] | None = None
+    in_stall: BoolArray | None = None
+    segment: IntArray | None = None
 
 
 @dataclass(frozen=True)
@@ -175,11 +174,11 @@ def simulate_test(
     untouched = [run_record(plant, i, t, {}, substeps=_COARSE) for i, t in enumerate(times)]
     sigma = noise_frac * float(np.std(np.concatenate(untouched)))
     refit = BaseRefit(plant, times, degree)
-    sized: dict[str, Sized] = {
-        name: size_effect(refit, name, _stream(seed, name), strength=strength, sigma=sigma)
-        for name in names
-    }
-    planted = {name: one.parameters for name, one in sized.items()}
+    planted, strengths = {}, {}
+    for name in names:
+        planted[name], strengths[name] = size_effect(
+            refit, name, _stream(seed, name), strength=strength, sigma=sigma
+        )
     rng = _stream(seed, "noise")
     gap_rng = _stream(seed, "gaps") if gaps else None
     records, clean = [], []
@@ -194,7 +193,7 @@ def simulate_test(
         tau_s=plant.tau_s,
         beta=plant.beta,
         effects=planted,
-        strengths={name: one.strength for name, one in sized.items()},
+        strengths=strengths,
         sigma=sigma,
         clean=tuple(clean),
     )
@@ -213,7 +212,13 @@ def _check(
             raise InputError(
                 "effect", expected="one of " + ", ".join(EFFECTS + OUTSIDE), found=f"{name!r}"
             )
-    check_together(names)
+    others = [n for n in names if n in LAG or n in ("nonlinear_relaxation", "second_slow_mode")]
+    if len(set(names)) < len(names) or ("second_order_lag" in names and others):
+        raise InputError(
+            "effect",
+            expected="different effects, second_order_lag beside an effect at another port",
+            found=" and ".join(names),
+        )
     if not 0.0 <= strength < np.inf:
         raise InputError("strength", expected="a number from 0 on", found=f"{strength}")
     if noise not in NOISES:
@@ -241,7 +246,7 @@ def _measured(
     sigma: float,
     noise: Noise,
     rng: np.random.Generator,
-    segment: NDArray[np.int64] | None,
+    segment: IntArray | None,
 ) -> CoefficientRecord:
     """Sample the channels of a record and put the noise on."""
     phi = plant.flows[record].values(time_s)
@@ -280,7 +285,7 @@ def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:
     return white
 
 
-def _segments(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> NDArray[np.int64]:
+def _segments(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> IntArray:
     """Return the number of the interval of each row, 0 in the gaps between the intervals."""
     period_s = float(time_s[1] - time_s[0])
     lengths = np.ceil(rng.uniform(*_GAP_S, _GAPS) / period_s).astype(int)

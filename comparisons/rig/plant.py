@@ -28,8 +28,8 @@ from comparisons.rig.gas import (
     GAMMA,
     GAS_CONSTANT_J_KG_K,
     P_REF_PA,
+    T_REF_K,
     corrected_flow_kg_s,
-    physical_flow_kg_s,
 )
 from comparisons.rig.hidden import UNTOUCHED, Alteration
 from surge_core.errors import InputError
@@ -151,13 +151,9 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
             found=f"φ = {phi:.3f} at U = {u:.0f} m/s",
         )
     mach = np.sqrt(speed2 / (1.0 - 0.2 * speed2))
-    flow = float(
-        physical_flow_kg_s(
-            corrected_flow_kg_s(mach, case.inlet_area_m2),
-            case.face_pressure_pa,
-            case.supply_temperature_k,
-        )
-    )
+    corrected = corrected_flow_kg_s(mach, case.inlet_area_m2)
+    theta = T_REF_K / case.supply_temperature_k
+    flow = float(corrected * case.face_pressure_pa / P_REF_PA * np.sqrt(theta))
     loss = case.inlet_loss_frac * case.face_pressure_pa / flow**2
     t25 = case.supply_temperature_k
     c = _constants(case, altered, flow=flow, loss=loss, throttle=1.0, exhaust=1.0)

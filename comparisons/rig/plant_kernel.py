@@ -7,7 +7,6 @@ the model and its equations.
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable
 from math import exp, sin, sqrt
 from typing import Any
 
@@ -42,15 +41,6 @@ __all__ = [
     "orifice_flow",
     "unstalled_psi_p",
 ]
-
-
-def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile with an on-disk cache where some directory can be written, else without."""
-    try:
-        compiled: Callable[..., Any] = njit(cache=True)(function)
-    except RuntimeError:
-        compiled = njit(function)
-    return compiled
 
 
 # Numbers of the plant under the names that they have in `RigCase` and in `Alteration`, and those
@@ -99,7 +89,7 @@ _CRITICAL = (2.0 / (_G + 1.0)) ** (_G / (_G - 1.0))
 _CHOKED_FLOW = sqrt(_G / _R) * (2.0 / (_G + 1.0)) ** ((_G + 1.0) / (2.0 * (_G - 1.0)))
 
 
-@_compile
+@njit(cache=True)
 def _phi_of(
     flow: float, pressure: float, temperature: float, area: float, velocity: float
 ) -> float:
@@ -118,7 +108,7 @@ def _phi_of(
     return phi if flow >= 0.0 else -phi
 
 
-@_compile
+@njit(cache=True)
 def orifice_flow(
     area: float, p_up: float, t_up: float, p_down: float, t_down: float
 ) -> tuple[float, float]:
@@ -135,7 +125,7 @@ def orifice_flow(
     return sign * base * sqrt(2.0 * _G / ((_G - 1.0) * _R) * max(head, 0.0)), temperature
 
 
-@_compile
+@njit(cache=True)
 def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the present corrected speed (a table of two points)."""
     speed = c.corrected_speed_frac * sqrt(c.supply_temperature_k / face_temperature)
@@ -145,7 +135,7 @@ def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
     )
 
 
-@_compile
+@njit(cache=True)
 def unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
     """Return ψ'_QS of the unstalled branch: flat up to the stall point, a parabola beyond."""
     phi_s, psi_s = _stall_point(c, face_temperature)
@@ -153,7 +143,7 @@ def unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
     return value
 
 
-@_compile
+@njit(cache=True)
 def _targets(
     c: Any, time: float, phi: float, face_temperature: float, q: float, deep: float
 ) -> tuple[float, float]:
@@ -180,7 +170,7 @@ def _targets(
     return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.unstalled_efficiency
 
 
-@_compile
+@njit(cache=True)
 def _duct(c: Any, s: FloatArray) -> tuple[float, float, float]:
     """Return dW/dt, P25 and the total ψ'.
 
@@ -203,7 +193,7 @@ def _duct(c: Any, s: FloatArray) -> tuple[float, float, float]:
     return (p25 * ratio - s[P31]) / c.inertia_per_m, p25, psi_p
 
 
-@_compile
+@njit(cache=True)
 def _face(c: Any, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> None:
     """Fill in the rates of inlet volume, face volume and coil.
 
@@ -243,7 +233,7 @@ def _face(c: Any, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> No
     d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag_s
 
 
-@_compile
+@njit(cache=True)
 def _discharge(c: Any, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, float]:
     """Fill in the rates behind the compressor; return W31 and the throttle flow.
 
@@ -269,7 +259,7 @@ def _discharge(c: Any, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, 
     return w31, wt
 
 
-@_compile
+@njit(cache=True)
 def _rates(
     c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
@@ -304,7 +294,7 @@ def _rates(
         out[i] = row[i]
 
 
-@_compile
+@njit(cache=True)
 def _switch(c: Any, phi: float, t_face: float, latch: FloatArray) -> None:
     """Move the latch: stalled, armed, ever stalled; deep stall; the way of φ since the last step.
 
@@ -330,7 +320,7 @@ def _switch(c: Any, phi: float, t_face: float, latch: FloatArray) -> None:
     latch[LAST_PHI] = phi
 
 
-@_compile
+@njit(cache=True)
 def integrate(c: Any, start: FloatArray, n_rows: int, row_s: float, substeps: int) -> FloatArray:
     """Integrate by classical Runge-Kutta with a fixed step; one output row each `row_s`."""
     rows = np.empty((n_rows, 21))

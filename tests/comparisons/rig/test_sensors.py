@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from comparisons.rig import RigRun, SensorSettings, simulate
-from comparisons.rig.readings import CALIBRATE_PA, Transducer, read_transducer
+from comparisons.rig.instrument import CALIBRATE_PA, Transducer, read_transducer
 from comparisons.rig.sensors import (
     anti_alias,
     counts_from_volts,
@@ -70,11 +70,13 @@ def test_zero_and_calibrate_readings_recover_sensitivity_and_bias() -> None:
     counts_v = 4096.0 / 10.0
     sensitivities, biases = [], []
     for seed in range(30):
-        reading = read_transducer(true, -2e4, 25, settings, np.random.default_rng(seed))
-        step = (reading.calibrate_count - reading.zero_count) / counts_v
+        zero, calibrate, operate_count = read_transducer(
+            true, -2e4, 25, settings, np.random.default_rng(seed)
+        )
+        step = (calibrate - zero) / counts_v
         sensitivities.append(step / CALIBRATE_PA[25])
-        biases.append(reading.zero_count - 2048.0)
-        operate = (reading.operate_count - reading.zero_count) / counts_v
+        biases.append(zero - 2048.0)
+        operate = (operate_count - zero) / counts_v
         assert operate / sensitivities[-1] == pytest.approx(-2e4, rel=3e-3)
     error = np.array(sensitivities) / true.sensitivity_v_pa - 1.0
     assert np.max(np.abs(error)) < 1e-3
