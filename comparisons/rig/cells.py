@@ -73,10 +73,10 @@ def local_flow(
     shift = share * settings.hub_tip * case.hub_tip_flow_kg_s * run["blend"] * _SIDE[immersion]
     flow = mean + reach * case.cell_flow_kg_s * _wave(case, angle) + shift
     ripple = reach * case.cell_pressure_frac * _wave(case, angle + _PRESSURE_LEAD)
-    if altered.second_cells:
+    if altered.rotating_stall_ripple:
         turn = SECOND_CELL_ROTOR_FRAC * 2.0 * pi * case.rotor_speed_rpm / 60.0
         angle = turn * time_s + _RAKE_ANGLE[rake]
-        reach = share * altered.second_cells * run["cells"] * _REACH[immersion]
+        reach = share * altered.rotating_stall_ripple * run["cells"] * _REACH[immersion]
         flow = flow + reach * case.cell_flow_kg_s * np.sin(angle)
         ripple = ripple + reach * case.cell_pressure_frac * np.sin(angle + _PRESSURE_LEAD)
     return flow, run[f"P{plane}"] * (1.0 + ripple)

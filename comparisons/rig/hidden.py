@@ -12,7 +12,7 @@ amplitude stays within a few percent, so that such a lag is one of another lengt
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
@@ -57,56 +57,26 @@ WAKE_TIME_S = 0.001
 
 @dataclass(frozen=True)
 class Alteration:
-    """What differs from the rig as it is described; the defaults differ in nothing.
+    """What differs from the rig as it is described: the size of each effect of `HIDEABLE`.
 
-    Parameters
-    ----------
-    stated_inertia : float
-        Factor on the ∫dx/A that ``test.toml`` states.
-    thermocouple_lag_s : float
-        Time constant that the T25 junctions have beyond the stated one.
-    exit_gain_per_s, exit_zero_v_s : float
-        Relative rate of the sensitivity, and rate of the zero in V/s, of the plane 31 transducers
-        from the start of the record.
-    exit_late_s, exit_cavity_s : float
-        How late the tape records plane 31, and the time constant with which cavities behind its
-        taps fill.
-    second_cells : float
-        A second cell pattern as a share of the first one's amplitude.
-    wake_noise : float
-        Pressure noise of the probe hole that lies downstream at plane 25, over the pair's pressure
-        difference.
-    heat_loss : float
-        Share a of ψ'_QS that is lost when the machine is hot, 1 − a(1 − e^(−t/T_h)).
-    speed_power : float
-        ψ'_QS in proportion to this power of N_c.
-    reverse_loss : float
-        Factor on the loss in reversed flow.
-    branch_step : float
-        ψ'_QS lost in deep stall, from φ below one threshold until φ above another.
-    bump : float
-        Height of a bell in the in-stall ψ'_QS(φ).
-    tau_rising : float
-        τ grows by this share while φ rises and shrinks by as much while it falls.
-    tau_low : float
-        τ grows by this share at low flow.
+    The defaults differ in nothing.
     """
 
-    stated_inertia: float = 1.0
-    thermocouple_lag_s: float = 0.0
-    exit_gain_per_s: float = 0.0
-    exit_zero_v_s: float = 0.0
-    exit_late_s: float = 0.0
-    exit_cavity_s: float = 0.0
-    second_cells: float = 0.0
-    wake_noise: float = 0.0
-    heat_loss: float = 0.0
-    speed_power: float = 0.0
-    reverse_loss: float = 1.0
-    branch_step: float = 0.0
-    bump: float = 0.0
-    tau_rising: float = 0.0
-    tau_low: float = 0.0
+    transport_delay: float = 0.0
+    facility_heating: float = 0.0
+    speed_droop: float = 0.0
+    hysteresis: float = 0.0
+    reverse_flow_branch: float = 1.0
+    characteristic_shape: float = 0.0
+    second_order_lag: float = 0.0
+    asymmetric_lag: float = 0.0
+    flow_dependent_lag: float = 0.0
+    flow_inertia: float = 1.0
+    thermocouple_lag: float = 0.0
+    sensitivity_drift: float = 0.0
+    bias_drift: float = 0.0
+    rotating_stall_ripple: float = 0.0
+    flow_noise: float = 0.0
 
 
 UNTOUCHED = Alteration()
@@ -120,8 +90,6 @@ class Hideable:
     ----------
     what : str
         What the size is, with its unit.
-    alters : str
-        The field of `Alteration` that it sets.
     bounds : tuple of float
         Least and largest size.
     default : float
@@ -133,29 +101,21 @@ class Hideable:
     """
 
     what: str
-    alters: str
     bounds: tuple[float, float]
     default: float
     unit: str = "1"
     reach: float = inf
 
-    @property
-    def neutral(self) -> float:
-        """The size that hides nothing."""
-        return float(getattr(UNTOUCHED, self.alters))
-
 
 HIDEABLE: Mapping[str, Hideable] = {
     "transport_delay": Hideable(
         "how late the tape records the plane 31 channels, in s",
-        "exit_late_s",
         bounds=(0.0, 0.02),
         default=0.005,
         unit="s",
     ),
     "facility_heating": Hideable(
         f"share of ψ'_QS lost to heat soak, with a time constant of {HEAT_SOAK_S:g} s",
-        "heat_loss",
         bounds=(0.0, 0.2),
         default=0.12,
     ),
@@ -164,25 +124,21 @@ HIDEABLE: Mapping[str, Hideable] = {
     "speed_droop": Hideable(
         "power of N_c that ψ'_QS goes with in stall, over "
         f"{SETTLED_SPEED_FRAC:g} of the initial N_c",
-        "speed_power",
         bounds=(-3.0, 3.0),
         default=-2.0,
     ),
     "hysteresis": Hideable(
         f"ψ'_QS lost from φ below {BRANCH_PHIS[0]:g} until φ above {BRANCH_PHIS[1]:g}",
-        "branch_step",
         bounds=(-0.3, 0.3),
         default=0.15,
     ),
     "reverse_flow_branch": Hideable(
         "factor on the loss in reversed flow, which acts without the lag",
-        "reverse_loss",
         bounds=(0.2, 10.0),
         default=2.5,
     ),
     "characteristic_shape": Hideable(
         f"height of a bell of width {BUMP_WIDTH_PHI:g} at φ = {BUMP_PHI:g} in ψ'_QS",
-        "bump",
         bounds=(-0.3, 0.3),
         default=0.2,
     ),
@@ -192,30 +148,24 @@ HIDEABLE: Mapping[str, Hideable] = {
     # for 1 m of 1 mm and 1.2 cm³ at 3 bar.
     "second_order_lag": Hideable(
         "time in which cavities behind the plane 31 taps fill, in s",
-        "exit_cavity_s",
         bounds=(0.0, 0.02),
         default=0.005,
         unit="s",
     ),
     "asymmetric_lag": Hideable(
         "share by which τ is longer while φ rises and shorter while it falls",
-        "tau_rising",
         bounds=(-0.6, 0.6),
         default=0.3,
     ),
     "flow_dependent_lag": Hideable(
         f"share by which τ is longer at φ below {LOW_FLOW_PHI:g}",
-        "tau_low",
         bounds=(-0.6, 1.0),
         default=0.5,
     ),
-    "flow_inertia": Hideable(
-        "stated over true ∫dx/A", "stated_inertia", bounds=(0.2, 3.0), default=1.5
-    ),
+    "flow_inertia": Hideable("stated over true ∫dx/A", bounds=(0.2, 3.0), default=1.5),
     # A sheathed junction of a millimetre or so in place of the 10 ms of a fine wire.
     "thermocouple_lag": Hideable(
         "time constant of the T25 junctions beyond the stated one, in s",
-        "thermocouple_lag_s",
         bounds=(0.0, 1.0),
         default=0.2,
         unit="s",
@@ -224,7 +174,6 @@ HIDEABLE: Mapping[str, Hideable] = {
     # that goes further than its reach leaves the converter's range.
     "sensitivity_drift": Hideable(
         "rate of the plane 31 sensitivity after its calibration, in 1/s",
-        "exit_gain_per_s",
         bounds=(-0.1, 0.1),
         default=0.03,
         unit="1/s",
@@ -232,7 +181,6 @@ HIDEABLE: Mapping[str, Hideable] = {
     ),
     "bias_drift": Hideable(
         "rate of the plane 31 zero after its reading, in V/s",
-        "exit_zero_v_s",
         bounds=(-0.25, 0.25),
         default=0.02,
         unit="V/s",
@@ -240,13 +188,11 @@ HIDEABLE: Mapping[str, Hideable] = {
     ),
     "rotating_stall_ripple": Hideable(
         "amplitude of a second cell pattern over that of the first",
-        "second_cells",
         bounds=(0.0, 1.5),
         default=0.8,
     ),
     "flow_noise": Hideable(
         "noise of the downstream holes of plane 25 over the pressure difference of the pair",
-        "wake_noise",
         bounds=(0.0, 0.6),
         default=0.4,
     ),
@@ -311,4 +257,4 @@ def hide_effect(
             remedy="shorten the record or choose a slower drift",
         )
     truth = {"effect": name, "size": value, "unit": kind.unit, "what": kind.what}
-    return Alteration(**{kind.alters: value}), truth
+    return replace(UNTOUCHED, **{name: value}), truth

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,14 +26,11 @@ from comparisons.rig.sensors import (
 from surge_core.types import FloatArray
 
 __all__ = [
-    "CALIBRATE_PA",
     "NEAR_STALL_S",
     "RAW_RATE_HZ",
     "Instrumented",
-    "Transducer",
     "instrument",
     "read_near_stall",
-    "read_transducer",
 ]
 
 
@@ -43,7 +40,7 @@ NEAR_STALL_S = (0.0, 0.14)
 # Nominal ranges ±10 psi (plane 25) and ±110 psi (plane 31) over ±5 V; calibrate pressures 6 and
 # 66 psi: as in the independent record.
 _RANGE_PA = {25: 10.0 * PSI_PA, 31: 110.0 * PSI_PA}
-CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
+_CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
 _PLANES = (25, 31)
 # Constants (a, b) of Eq 2, a pair each: as in the independent record. The aft hole reads slightly
 # above static, so that M_calc < M_true and a > 1.
@@ -55,17 +52,6 @@ _PROBES = {
 }
 _STEP = round(PLANT_RATE_HZ / RAW_RATE_HZ)
 _HALF_SCALE_V = 0.5 * (ADC_HIGH_V - ADC_LOW_V)
-
-
-class Transducer(NamedTuple):
-    """One differential transducer as it really is.
-
-    Its sensitivity, in V/Pa, is that at the rake temperature of the calibrate reading; its
-    electrical bias is in V.
-    """
-
-    sensitivity_v_pa: float
-    bias_v: float
 
 
 @dataclass(frozen=True)
@@ -171,21 +157,21 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
     )
     area_m2 = case.inlet_area_m2 if plane == 25 else case.exit_area_m2
     pressures = probe_pressures_pa(flow, total, area_m2=area_m2, slope=slope, offset=offset)
-    if plane == 25 and bench.altered.wake_noise:
+    if plane == 25 and bench.altered.flow_noise:
         pressures = _with_wake_noise(bench, *pressures)
     true, _, facility = bench.references[plane]
     for facing, pressure in zip(("forward", "aft"), pressures, strict=True):
-        scatter, bias = map(float, rng.standard_normal(2))
+        # Sensitivity in V/Pa at the rake temperature of the calibrate reading, electrical bias in V.
+        scatter, offset_v = map(float, rng.standard_normal(2))
         nominal = ADC_HIGH_V / _RANGE_PA[plane]
-        transducer = Transducer(
-            nominal * (1.0 + settings.sensitivity_scatter * scatter),
-            settings.bias_scatter_v * bias,
-        )
-        zero, calibrate, operate = read_transducer(
-            transducer, float(pressure[0]) - true, plane, settings, rng
+        sensitivity = nominal * (1.0 + settings.sensitivity_scatter * scatter)
+        bias_v = settings.bias_scatter_v * offset_v
+        zero, calibrate, operate = (
+            _reading(bench, bias_v + sensitivity * difference)
+            for difference in (0.0, _CALIBRATE_PA[plane], float(pressure[0]) - true)
         )
         name = f"P{plane}_{rake}_{immersion}_{facing}"
-        out.values[name] = _pressure_counts(bench, plane, pressure, transducer)
+        out.values[name] = _pressure_counts(bench, plane, pressure, sensitivity, bias_v)
         out.channels[name] = {
             "kind": "pressure",
             "unit": "count",
@@ -198,11 +184,11 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
             "zoc_reference_Pa": facility,
             "zero_count": zero,
             "calibrate_count": calibrate,
-            "calibrate_pressure_Pa": CALIBRATE_PA[plane],
+            "calibrate_pressure_Pa": _CALIBRATE_PA[plane],
         }
         out.truth[name] = {
-            "sensitivity_V_Pa": transducer.sensitivity_v_pa,
-            "bias_V": transducer.bias_v,
+            "sensitivity_V_Pa": sensitivity,
+            "bias_V": bias_v,
             "operate_count": operate,
         }
 
@@ -213,7 +199,7 @@ def _with_wake_noise(
     """Shake the hole of a pair that lies downstream, in the wake of the probe's own support."""
     white = bench.wakes.standard_normal(forward_pa.size)
     eddies = lag(white, time_constant_s=WAKE_TIME_S, rate_hz=PLANT_RATE_HZ)
-    shake = bench.altered.wake_noise * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
+    shake = bench.altered.flow_noise * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
     forward_flow = forward_pa >= aft_pa
     return (
         np.where(forward_flow, forward_pa, forward_pa + shake),
@@ -221,16 +207,32 @@ def _with_wake_noise(
     )
 
 
+def _reading(bench: _Bench, volts: float) -> float:
+    """Return the mean counts of a zero, calibrate or operate reading, taken before the surge."""
+    settings = bench.settings
+    noise = settings.reading_noise_percent / 100.0 * _HALF_SCALE_V
+    samples = volts + noise * bench.rng.standard_normal(settings.reading_samples)
+    return float(np.mean(counts_from_volts(samples, settings.bits)))
+
+
 def _pressure_counts(
-    bench: _Bench, plane: int, pressure_pa: FloatArray, transducer: Transducer
+    bench: _Bench,
+    plane: int,
+    pressure_pa: FloatArray,
+    sensitivity_v_pa: float,
+    bias_v: float,
 ) -> FloatArray:
     """Return the converter's counts: tube, transducer, tape, anti-alias filter, converter."""
     settings, altered = bench.settings, bench.altered
     if plane == 31:
-        pressure_pa = lag(pressure_pa, time_constant_s=altered.exit_cavity_s, rate_hz=PLANT_RATE_HZ)
-        if altered.exit_late_s:
+        pressure_pa = lag(
+            pressure_pa, time_constant_s=altered.second_order_lag, rate_hz=PLANT_RATE_HZ
+        )
+        if altered.transport_delay:
             rows = np.arange(pressure_pa.size, dtype=np.float64)
-            pressure_pa = np.interp(rows - altered.exit_late_s * PLANT_RATE_HZ, rows, pressure_pa)
+            pressure_pa = np.interp(
+                rows - altered.transport_delay * PLANT_RATE_HZ, rows, pressure_pa
+            )
     felt = tube(
         pressure_pa,
         frequency_hz=settings.tube_frequency_hz,
@@ -238,15 +240,15 @@ def _pressure_counts(
         rate_hz=PLANT_RATE_HZ,
     )
     warmth = bench.rake_k[plane] - bench.rake_k[plane][0]
-    sensitivity = transducer.sensitivity_v_pa * (1.0 + settings.sensitivity_per_k * warmth)
-    bias_v: float | FloatArray = transducer.bias_v
+    sensitivity = sensitivity_v_pa * (1.0 + settings.sensitivity_per_k * warmth)
+    zero_v = np.full(felt.size, bias_v)
     if plane == 31:
         time_s = np.arange(felt.size) / PLANT_RATE_HZ
-        sensitivity = sensitivity * (1.0 + altered.exit_gain_per_s * time_s)
-        bias_v = bias_v + altered.exit_zero_v_s * time_s
+        sensitivity = sensitivity * (1.0 + altered.sensitivity_drift * time_s)
+        zero_v = zero_v + altered.bias_drift * time_s
     noise = settings.noise_percent / 100.0 * _HALF_SCALE_V
     tape = (
-        bias_v
+        zero_v
         + sensitivity * (felt - bench.references[plane][0])
         + noise * bench.rng.standard_normal(felt.size)
     )
@@ -257,7 +259,7 @@ def _pressure_counts(
 def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
     """Return one thermocouple's reading in K: recovery, lag, noise, and the range's limit."""
     settings = bench.settings
-    unstated_s = bench.altered.thermocouple_lag_s if plane == 25 else 0.0
+    unstated_s = bench.altered.thermocouple_lag if plane == 25 else 0.0
     junction = lag(
         settings.recovery_factor * bench.run[f"T{plane}"],
         time_constant_s=settings.thermocouple_lag_s + unstated_s,
@@ -268,43 +270,6 @@ def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
     if plane == 31 and settings.acquisition_limits and limit is not None:
         reading = np.clip(reading, *limit)
     return np.asarray(reading, dtype=np.float64)
-
-
-def read_transducer(
-    transducer: Transducer,
-    operate_pa: float,
-    plane: int,
-    settings: SensorSettings,
-    rng: np.random.Generator,
-) -> tuple[float, float, float]:
-    """Take the three readings of a transducer before the surge, one after the other.
-
-    Parameters
-    ----------
-    transducer : Transducer
-        The transducer.
-    operate_pa : float
-        Steady pressure difference against the reference in operate mode.
-    plane : int
-        25 or 31; states the calibrate pressure.
-    settings : SensorSettings
-        Noise and length of the readings, resolution of the converter.
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    tuple of float
-        Mean counts with the sense side coupled to the reference (zero), with a known pressure
-        difference applied (calibrate), and in normal operation.
-    """
-    noise = settings.reading_noise_percent / 100.0 * _HALF_SCALE_V
-    means = []
-    for difference in (0.0, CALIBRATE_PA[plane], operate_pa):
-        volts = transducer.bias_v + transducer.sensitivity_v_pa * difference
-        samples = volts + noise * rng.standard_normal(settings.reading_samples)
-        means.append(float(np.mean(counts_from_volts(samples, settings.bits))))
-    return means[0], means[1], means[2]
 
 
 def read_near_stall(

@@ -7,12 +7,14 @@ the model and its equations.
 from __future__ import annotations
 
 from collections import namedtuple
+from dataclasses import fields
 from math import exp, sin, sqrt
 from typing import Any
 
 import numpy as np
 from numba import njit
 
+from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import (
     CP_J_KG_K,
     FLOW_CONSTANT_KG_S_M2,
@@ -28,6 +30,7 @@ from comparisons.rig.hidden import (
     HEAT_SOAK_S,
     LOW_FLOW_PHI,
     SETTLED_SPEED_FRAC,
+    Alteration,
 )
 from surge_core.types import FloatArray
 
@@ -43,26 +46,19 @@ __all__ = [
 ]
 
 
-# Numbers of the plant under the names that they have in `RigCase` and in `Alteration`, and those
-# that its equilibrium sizes.
-CASE_FIELDS = (
-    "corrected_speed_frac", "supply_temperature_k", "stall_speeds", "stall_phis",
-    "stall_psi_ps", "unstalled_droop", "pressure_terms", "work_intercept", "work_slopes",
-    "work_breaks", "unstalled_efficiency", "inlet_area_m2", "inertia_per_m",
-    "inlet_inertia_per_m", "recirculation_frac", "recirculation_exchange",
-    "supply_pump_kg_s_pa", "coil_effectiveness", "inlet_volume_m3", "reverse_heat_frac",
-    "face_volume_m3", "coil_lag_s", "internal_weight", "internal_volume_m3",
-    "discharge_volume_m3", "exhaust_volume_m3", "tau_s", "blend_s", "always_cells",
-    "cell_rise_s", "throttle_sweep", "open_lag_s", "close_start_s", "close_rate_per_s",
-    "recovery_phi", "rearm_phi",
-)  # fmt: skip
-ALTERED_FIELDS = (
-    "heat_loss", "speed_power", "branch_step", "bump", "tau_rising", "tau_low",
-)  # fmt: skip
+# What the equilibrium of a case sizes, and what is made of its numbers.
 SIZED_FIELDS = (
-    "reverse_loss", "loss", "supply_flow", "supply_pressure", "recirculation_heat",
-    "throttle", "exhaust", "open_ratio", "sweep_rate", "rotor_velocity",
+    "loss", "supply_flow", "supply_pressure", "recirculation_heat", "throttle", "exhaust",
+    "sweep_rate", "rotor_velocity",
 )  # fmt: skip
+# Of a case all its numbers under their own names, but for those that only the sensors and the test
+# description need; and the size of each hidden effect.
+CASE_FIELDS = tuple(
+    field.name
+    for field in fields(RigCase)
+    if field.name not in ("name", "t31_limit_k", "segmentation", "window_s")
+)
+ALTERED_FIELDS = tuple(field.name for field in fields(Alteration))
 # A named tuple, which the compiled loop can take apart.
 _named_tuple: Any = namedtuple
 Constants = _named_tuple("Constants", CASE_FIELDS + ALTERED_FIELDS + SIZED_FIELDS)
@@ -152,8 +148,11 @@ def _targets(
     What may be hidden in ψ'_QS leaves every bit of it as it is where its size is zero.
     """
     free = unstalled_psi_p(c, phi, face_temperature)
-    scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_power
-    extra = c.bump * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2)) - c.branch_step * deep
+    scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_droop
+    extra = (
+        c.characteristic_shape * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
+        - c.hysteresis * deep
+    )
     p = min(
         (c.pressure_terms[0] + c.pressure_terms[1] * phi + c.pressure_terms[2] * phi * phi + extra)
         * scale,
@@ -166,7 +165,7 @@ def _targets(
         * min(max(phi - c.work_breaks[0], 0.0), c.work_breaks[1] - c.work_breaks[0])
         + c.work_slopes[2] * max(phi - c.work_breaks[1], 0.0)
     )
-    kept = 1.0 - c.heat_loss * (1.0 - exp(-time / HEAT_SOAK_S))
+    kept = 1.0 - c.facility_heating * (1.0 - exp(-time / HEAT_SOAK_S))
     return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.unstalled_efficiency
 
 
@@ -268,9 +267,9 @@ def _rates(
     phi = _phi_of(s[W], p25, s[T_FACE], c.inlet_area_m2, c.rotor_velocity)
     stalled, ever = latch[STALLED], latch[EVER]
     qs_p, qs_w = _targets(c, time, phi, s[T_FACE], s[BLEND], latch[DEEP])
-    slower = 1.0 + c.tau_rising * latch[WAY]
+    slower = 1.0 + c.asymmetric_lag * latch[WAY]
     if phi < LOW_FLOW_PHI:
-        slower *= 1.0 + c.tau_low
+        slower *= 1.0 + c.flow_dependent_lag
     d[W] = rate
     d[PSI_P] = (qs_p - s[PSI_P]) / (c.tau_s * slower)
     d[PSI] = (qs_w - s[PSI]) / (c.tau_s * slower)

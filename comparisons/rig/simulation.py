@@ -214,10 +214,10 @@ def _test_table(
 
 def _stated_inertia_per_m(case: RigCase, altered: Alteration) -> float:
     """Return ∫dx/A as ``test.toml`` states it: to five digits where it is not that of the case."""
-    if altered.stated_inertia == 1.0:
+    if altered.flow_inertia == 1.0:
         return case.inertia_per_m
     # All digits of the product would give the factor away.
-    return float(f"{case.inertia_per_m * altered.stated_inertia:.5g}")
+    return float(f"{case.inertia_per_m * altered.flow_inertia:.5g}")
 
 
 def _truth_table(

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from comparisons.rig import CASES, RigRun
-from comparisons.rig.plant import run_plant
 
 Runs = Callable[[str], RigRun]
 WINDOW = slice(1_000, 3_901)
@@ -48,12 +46,3 @@ def test_it_is_steady(default_run: Runs) -> None:
     down = np.interp(grid, phi[slope < 0.0][back], value[slope < 0.0][back])
     up = np.interp(grid, phi[slope > 0.0][out], value[slope > 0.0][out])
     assert down == pytest.approx(up, abs=0.04)
-
-
-def test_the_sweep_has_its_amplitude_and_its_period() -> None:
-    case = replace(CASES["75-stall"], open_lag_s=0.01, throttle_sweep=0.3, throttle_sweep_s=1.0)
-    area = run_plant(case, n_rows=30_001)["throttle"][10_000:]
-    mean = case.open_reference * case.open_ratio
-    time_s = 1.0 + np.arange(area.size) / 1e4
-    swept = mean * (1.0 + 0.3 * np.sin(2.0 * np.pi * (time_s - case.open_lag_s)))
-    assert area == pytest.approx(swept, abs=0.005 * mean)
