@@ -161,7 +161,7 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
         pressures = _with_wake_noise(bench, *pressures)
     true, _, facility = bench.references[plane]
     for facing, pressure in zip(("forward", "aft"), pressures, strict=True):
-        # Sensitivity in V/Pa at the rake temperature of the calibrate reading, electrical bias in V.
+        # Sensitivity, in V/Pa, at the rake temperature of the calibrate reading; bias in V.
         scatter, offset_v = map(float, rng.standard_normal(2))
         nominal = ADC_HIGH_V / _RANGE_PA[plane]
         sensitivity = nominal * (1.0 + settings.sensitivity_scatter * scatter)
