@@ -281,6 +281,14 @@ def latches(c: Any, phi: FloatArray, t25: FloatArray, first: float, row_s: float
 
 
 @njit(cache=True)
+def _as_measured(c: Any, s: FloatArray, slopes: FloatArray, d: FloatArray) -> None:
+    """Warm the gas of both volumes by what the measured pressures rise beyond their balances."""
+    share = (c.gamma - 1.0) / c.gamma
+    d[T31] += share * s[T31] / s[P31] * (slopes[2] - d[P31])
+    d[T_IN] += share * s[T_IN] / s[P_IN] * (slopes[3] - d[P_IN])
+
+
+@njit(cache=True)
 def observe(
     c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float, start: FloatArray
 ) -> FloatArray:
@@ -300,9 +308,11 @@ def observe(
         if i < n - 1:
             time = first + i * row_s
             _rates(c, time, s, latch[i], here, row)
+            _as_measured(c, s, (measured[i + 1] - measured[i]) / row_s, here)
             ahead[:] = s + row_s * here
             for j, at in enumerate(MEASURED):
                 ahead[at] = measured[i + 1, j]
             _rates(c, time + row_s, ahead, latch[i + 1], there, row)
+            _as_measured(c, ahead, (measured[i + 1] - measured[i]) / row_s, there)
             s += 0.5 * row_s * (here + there)
     return rows
