@@ -163,7 +163,7 @@ def corrected_speed_fraction(temperature_K: FloatArray, test: TestDescription) -
     return np.asarray(corrected / test.design_corrected_speed_rpm)
 
 
-def coefficients(record: Record, test: TestDescription, *, inertia_factor: float = 1.0) -> Record:
+def coefficients(record: Record, test: TestDescription) -> Record:
     """Compute φ, ψ' and the corrected speed.
 
     Parameters
@@ -172,8 +172,6 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         Plane averages.
     test : TestDescription
         Machine and speed.
-    inertia_factor : float
-        Multiplies ∫dx/A; 0 drops the inertia term of Eq 5.
 
     Returns
     -------
@@ -186,7 +184,7 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         When the flow is more than the area passes, or P31 + I dW25/dt is not positive.
     """
     machine, speed = test.compressor, test.rotor_velocity_m_s
-    inertia = inertia_factor * machine.inertia_per_m
+    inertia = machine.inertia_per_m
     inlet_Pa, exit_Pa, inlet_K = record["P25_Pa"], record["P31_Pa"], record["T25_K"]
     flow_rate = rate_of_change(record["W25_kg_s"], record.sample_period_s)
     try:
@@ -204,7 +202,7 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         "coefficients",
         f"φ (Eq 7) from {phi.min():.3f} to {phi.max():.3f}, "
         f"ψ' (Eq 5) from {psi_p.min():.2f} to {psi_p.max():.2f}",
-        {"inertia_per_m": inertia, "U_m_s": round(speed, 3), "inertia_factor": inertia_factor},
+        {"inertia_per_m": inertia, "U_m_s": round(speed, 3)},
     )
     added = {
         "phi": (phi, "1"),

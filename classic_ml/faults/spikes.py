@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from surge_core.types import BoolArray, FloatArray, IntArray
 
@@ -20,6 +22,9 @@ RATIO, SHARE, QUIET_RATIO, SEEN_SHARE = 4.0, 0.01, 1.5, 0.1
 LEAST = 0.1 * SHARE
 # Rows at either end of a record that are not looked at.
 MARGIN = REACH + GAP + 3
+# From a row to the middle of the rows that it is compared with.
+MIDDLE = GAP + REACH // 2
+NEAR = np.arange(-2, 3)
 
 
 def spike_rows(
@@ -40,17 +45,29 @@ def spike_rows(
         Rows, of those channels that have some.
     """
     off = {name: _off_neighbours(values) / ranges[name] for name, values in channels.items()}
+
+    @cache
+    def largest(name: str) -> FloatArray:
+        return np.asarray(maximum_filter1d(off[name], REACH))
+
+    def standing_out(name: str, rows: IntArray, ratio: float) -> BoolArray:
+        beside = np.maximum(largest(name)[rows - MIDDLE], largest(name)[rows + MIDDLE])
+        return np.asarray(off[name][rows] > ratio * np.maximum(LEAST, beside))
+
     found = {}
     for name, own in off.items():
         rows = np.flatnonzero(own[MARGIN : own.size - MARGIN] > SHARE) + MARGIN
-        for shift in range(-2, 3):
-            # On a steep slope the rows beside a spike stand out a little too.
-            rows = rows[own[rows] > 0.5 * own[rows + shift]]
-        rows = _standing_out(own, rows, RATIO)
-        others = [other for n, other in off.items() if n != name]
-        rows = rows[~_seen(rows, own, others)]
-        if rows.size:
-            found[name] = rows
+        if not rows.size:
+            continue
+        rows = rows[standing_out(name, rows, RATIO)]
+        near = rows[:, None] + NEAR
+        # On a steep slope the rows beside a spike stand out a little too.
+        alone = np.all(own[rows, None] > 0.5 * own[near], axis=1)
+        for other in off.keys() - {name}:
+            shown = off[other][near] > SEEN_SHARE * own[rows, None]
+            alone &= ~np.any(shown & standing_out(other, near, QUIET_RATIO), axis=1)
+        if alone.any():
+            found[name] = rows[alone]
     return found
 
 
@@ -64,22 +81,3 @@ def _off_neighbours(values: FloatArray) -> FloatArray:
     median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
     off[2:-2] = np.abs(own - median)
     return off
-
-
-def _standing_out(off: FloatArray, rows: IntArray, ratio: float) -> IntArray:
-    """Return the rows that are off by so many times what those before and behind are at most."""
-    for shift in range(GAP, GAP + REACH):
-        for beside in (shift, -shift):
-            rows = rows[off[rows] > ratio * np.maximum(LEAST, off[rows + beside])]
-    return rows
-
-
-def _seen(rows: IntArray, own: FloatArray, others: Sequence[FloatArray]) -> BoolArray:
-    """Return at which rows another channel stands out at once, if less."""
-    seen = np.zeros(rows.size, dtype=np.bool_)
-    for other in others:
-        for shift in range(-2, 3):
-            at = rows + shift
-            shown = at[other[at] > SEEN_SHARE * own[rows]]
-            seen |= np.isin(at, _standing_out(other, shown, QUIET_RATIO))
-    return seen

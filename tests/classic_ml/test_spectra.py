@@ -50,11 +50,6 @@ def test_a_peak_between_two_bins_is_found(true_hz: float) -> None:
     assert peak_frequency_hz(frequency, density, 3, 200) == pytest.approx(true_hz, abs=0.06)
 
 
-def test_a_short_signal_is_one_record() -> None:
-    frequency, _ = power_spectrum(np.sin(TIME[:300]), RATE)
-    assert frequency[1] == pytest.approx(RATE / 300)
-
-
 @pytest.mark.parametrize(
     "signal", [np.zeros(5), np.zeros((20, 2)), np.r_[np.zeros(20), np.nan]], ids=str
 )
@@ -80,10 +75,3 @@ def test_the_density_is_welch_s_of_the_detrended_signal(n: int) -> None:
     )
     np.testing.assert_allclose(frequency, expected_frequency, rtol=1e-14)
     np.testing.assert_allclose(density, expected, rtol=1e-9, atol=1e-12 * expected.max())
-
-
-def test_a_value_behind_the_last_whole_record_must_be_a_number_too() -> None:
-    signal = np.sin(TIME)
-    signal[-1] = np.nan
-    with pytest.raises(InputError, match="not finite"):
-        power_spectrum(signal, RATE)
