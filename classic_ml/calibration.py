@@ -42,21 +42,9 @@ def volts(counts: FloatArray | float, adc: Converter) -> FloatArray:
 def probe_pressure_Pa(
     channel: PressureChannel, test: TestDescription, readings: FloatArray
 ) -> FloatArray:
-    """Return the pressure that a probe saw.
+    """Return the pressure that a probe saw, from codes of the converter; readings in Pa are it.
 
-    Parameters
-    ----------
-    channel : PressureChannel
-        The probe, with its zero and calibrate readings and its reference pressure.
-    test : TestDescription
-        The test it belongs to.
-    readings : ndarray of shape (n,)
-        As a record has them: codes of the converter, or Pa, which are returned as they are.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        P = (V − V_zero)/S + P_zoc with S = (V_calibrate − V_zero)/ΔP_calibrate, in pascal.
+    P = (V − V_zero)/S + P_zoc with S = (V_calibrate − V_zero)/ΔP_calibrate, in pascal.
     """
     if channel.record_unit == "Pa":
         return readings
@@ -72,7 +60,7 @@ def probe_pressure_Pa(
 def calibrate(
     record: Record, test: TestDescription, shifts: Mapping[str, float] | None = None
 ) -> Record:
-    """Turn counts into pascal and indicated into total temperatures.
+    """Turn counts into pascal and indicated into total temperatures, T_i over the recovery factor.
 
     Parameters
     ----------
@@ -82,11 +70,6 @@ def calibrate(
         Calibration of each channel.
     shifts : mapping of str to float, optional
         What is added to each channel besides, in Pa and K, from :func:`near_stall_match`.
-
-    Returns
-    -------
-    Record
-        Pressures in Pa; temperatures divided by the recovery factor T_i/T.
 
     Raises
     ------
@@ -140,17 +123,8 @@ def near_stall_rows(record: Record, test: TestDescription) -> slice:
 def check_facing(record: Record, test: TestDescription) -> None:
     """Refuse a pair whose aft probe reads above its forward one in the steady flow near stall.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated pressures, before the near-stall match.
-    test : TestDescription
-        Pairs, and when the machine was near stall.
-
-    Raises
-    ------
-    InputError
-        Naming the pair, or a probe at no level of an exchanged pair: it has another unit.
+    The pressures are calibrated and not matched yet. A probe at no level of an exchanged pair is
+    refused for its unit.
     """
     steady = record.part(near_stall_rows(record, test))
     for plane in test.areas_m2:
@@ -176,13 +150,13 @@ def check_facing(record: Record, test: TestDescription) -> None:
 
 
 def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, float], LedgerEntry]:
-    """Return what the near-stall match adds to each channel, and how it was found.
+    """Return what the near-stall match adds to each channel, in Pa and K, and how it was found.
 
     The paper adjusts the forward probes to the plane-average total pressure and says nothing
     of the aft ones. The difference of a pair decides the flow, and its error does not average
     out near zero flow, where M grows with the root of it; so the aft probe is moved with its
     forward mate and the difference stays as the zero and calibrate readings give it. Only biases
-    change, no sensitivity.
+    change, no sensitivity. A channel whose reading does not count is left alone.
 
     Parameters
     ----------
@@ -190,13 +164,6 @@ def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, f
         Calibrated pressures and temperatures; not looked at where the test states the shifts.
     test : TestDescription
         The facility's reading.
-
-    Returns
-    -------
-    dict of str to float
-        By channel, in Pa and K; 0 for one whose reading does not count.
-    LedgerEntry
-        The step.
 
     Raises
     ------
@@ -238,21 +205,9 @@ def near_stall_match(record: Record, test: TestDescription) -> tuple[dict[str, f
 
 
 def invert_thermocouples(record: Record, test: TestDescription, *, invert: bool = True) -> Record:
-    """Undo the lag of the thermocouples, T + τ_tc dT/dt.
+    """Undo the lag of the thermocouples, T + τ_tc dT/dt, best after the low-pass.
 
-    Parameters
-    ----------
-    record : Record
-        Temperatures in K, best after the low-pass: the derivative amplifies noise.
-    test : TestDescription
-        Time constant of each junction.
-    invert : bool
-        False leaves the temperatures alone and says so in the history.
-
-    Returns
-    -------
-    Record
-        With the temperatures of the gas.
+    ``invert=False`` leaves the temperatures alone and says so in the history.
     """
     if not invert:
         return record.after(LedgerEntry("thermocouples", "lag not inverted", {"invert": False}))

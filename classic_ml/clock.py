@@ -15,7 +15,7 @@ CLOCK_TOLERANCE = 0.15
 
 
 def uniform_period_s(time_s: FloatArray, where: str) -> float:
-    """Return the step of a uniform clock, or refuse the clock.
+    """Return the mean step of a uniform clock in seconds, or refuse the clock.
 
     Parameters
     ----------
@@ -23,11 +23,6 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
         Clock of each row, in seconds; at least two rows, all finite.
     where : str
         What to call the clock in an error, e.g. ``"run.csv: column time_s"``.
-
-    Returns
-    -------
-    float
-        The mean step, in seconds.
 
     Raises
     ------

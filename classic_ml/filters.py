@@ -34,11 +34,6 @@ def low_pass(
         ``"zero"`` runs forth and back: no delay, and twice the attenuation in dB (−6 dB at the
         cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady
         state of the first sample. ``"none"`` does nothing.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The filtered signal.
     """
     if phase == "none":
         return values
@@ -51,21 +46,8 @@ def low_pass(
 def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> FloatArray:
     """Return the centred moving average over exactly one period.
 
-    It has a null at 1/period and at all its harmonics, and no delay.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Uniformly sampled signal.
-    period_s : float
-        Width of the average; the ends of the window get fractional weights.
-    sample_rate_hz : float
-        Samples a second.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The averaged signal; near the ends of the record over what there is.
+    It has a null at 1/period and at all its harmonics, and no delay. The ends of the window get
+    fractional weights; near the ends of the record the average is over what there is.
     """
     width = period_s * sample_rate_hz
     side = max(0, int(np.ceil(0.5 * (width - 1.0))))

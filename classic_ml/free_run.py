@@ -36,19 +36,7 @@ def extend_while_settled(record: Record, window: slice) -> slice:
     """Return the window, extended to both sides over the rows of the same settled machine.
 
     The cycles need not repeat each other for a free run: it ends where N_c leaves 8 % of its
-    median in the window, or where a reading in use does not count.
-
-    Parameters
-    ----------
-    record : Record
-        With ``Nc_frac`` and the fault channels of its readings.
-    window : slice
-        Rows of the cycles that repeat each other.
-
-    Returns
-    -------
-    slice
-        Rows of the free run.
+    median in the window, or where a reading does not count.
     """
     speed = period_average(record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz)
     bad = np.abs(speed / np.median(speed[window]) - 1.0) > SETTLED_SHARE

@@ -217,19 +217,9 @@ class Record(Displayed):
         return replace(self, channels=kept)
 
     def after(self, entry: LedgerEntry, *, add: Iterable[Channel] = ()) -> Record:
-        """Return the record after one step.
+        """Return the record after one step, with its entry in the history and further channels.
 
-        Parameters
-        ----------
-        entry : LedgerEntry
-            What the step did; appended to the history.
-        add : iterable of Channel
-            Channels that are new or replace those of the same name.
-
-        Returns
-        -------
-        Record
-            A new record; this one is unchanged.
+        Channels of the same name are replaced; this record is unchanged.
         """
         channels = {**self.channels, **{channel.name: channel for channel in add}}
         return replace(self, channels=channels, history=(*self.history, entry))

@@ -16,7 +16,7 @@ from classic_ml.calibration import (
     near_stall_rows,
 )
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
-from classic_ml.cycles import FEW_CYCLES, cycles_within, find_cycles
+from classic_ml.cycles import FEW_CYCLES, find_cycles
 from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
@@ -146,7 +146,7 @@ def reduce_record(
     """
     chosen = settings if settings is not None else ReductionSettings()
     done = progress if progress is not None else _unreported
-    record = _matched(inspect_readings(record, test), test)
+    record, _ = _matched(record, test)
     done(1)
     window = _window(record, test, chosen)
     record = choose_channels(record.after(window.entry), test, window.rows)
@@ -188,10 +188,8 @@ def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]
     InputError
         When :func:`reduce_record` would refuse the reading.
     """
-    inspected = inspect_readings(record, test)
-    steady = calibrate(inspected.part(near_stall_rows(inspected, test)), test)
-    shifts, _ = near_stall_match(steady, test)
-    sound = choose_channels(_matched(inspected, test), test, slice(0, 0))
+    matched, shifts = _matched(record, test)
+    sound = choose_channels(matched, test, slice(0, 0))
     forward = [probe.name for probe in test.pressures if probe.facing == "forward"]
     named = [*forward, *(couple.name for couple in test.temperatures)]
     return {name: shifts[name] for name in named if name in sound}
@@ -201,15 +199,15 @@ def _unreported(_: int) -> None:
     """Report nothing."""
 
 
-def _matched(inspected: Record, test: TestDescription) -> Record:
-    """Calibrate, check how the probes face, match near stall, and check the flow there."""
-    steady = inspected
+def _matched(record: Record, test: TestDescription) -> tuple[Record, dict[str, float]]:
+    """Inspect, calibrate and match near stall; return what the match has added as well."""
+    steady = record = inspect_readings(record, test)
     if not test.near_stall_shifts:
-        steady = calibrate(inspected.part(near_stall_rows(inspected, test)), test)
+        steady = calibrate(record.part(near_stall_rows(record, test)), test)
         check_facing(steady, test)
     shifts, entry = near_stall_match(steady, test)
-    matched = calibrate(inspected, test, shifts).after(entry)
-    return matched.after(check_near_stall(matched, test, shifts))
+    matched = calibrate(record, test, shifts).after(entry)
+    return matched.after(check_near_stall(matched, test, shifts)), shifts
 
 
 def _window(record: Record, test: TestDescription, settings: ReductionSettings) -> _Window:
@@ -352,8 +350,6 @@ def _with_states(
 ) -> Record:
     """Add the stall state, the segments to be fitted and the rows of the free run."""
     rows, found = window.rows, window.entry.parameters["origin"] == "found"
-    if not found and (flags := cycles_within(record, window.times_s)):
-        record = record.after(LedgerEntry("cycles", "counted in the window", flags=flags))
     period_s, has_cells = cell_period_s(unfiltered, rows)
     stalled = None
     if shows_stall(unfiltered, rows):
@@ -361,7 +357,7 @@ def _with_states(
     record, threshold = _segmented(record, unfiltered, test, settings, window, stalled)
     in_stall = record["in_stall"] > 0.5
     parameters: dict[str, str | int | float | bool] = {"stall_rule": "hub-tip"}
-    flags = ()
+    flags: tuple[str, ...] = ()
     if stalled is None:
         stalled, parameters = in_stall, {"stall_rule": "threshold"}
         flags += (

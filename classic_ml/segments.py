@@ -8,7 +8,7 @@ from classic_ml.cycles import first_reversal
 from classic_ml.filters import period_average
 from classic_ml.flow import LBM_KG
 from classic_ml.intervals import intervals_where, label_intervals
-from classic_ml.records import Channel, Dropped, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record, counted
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
@@ -35,8 +35,6 @@ PLAIN_PERIOD_S = 0.010
 LEAST_SHIFT_KG_S = 2.0 * LBM_KG
 # Shorter than 20 ms is a graze of the threshold, not a regime: τ itself is about that long.
 SHORTEST_S = 0.02
-# A record of hours may graze the threshold thousands of times.
-NAMED_INTERVALS = 20
 # Share of the flow before surge that counts as recovery where no threshold says so: the paper's
 # 50 lbm/s is 0.45 of the 112 lbm/s near stall.
 RECOVERED_SHARE = 0.45
@@ -47,14 +45,7 @@ LEAST_UNSTALLED = 0.02
 def window_rows(record: Record, window_s: tuple[float, float], where: str = "window") -> slice:
     """Return the rows of a window, or refuse one that the record does not hold.
 
-    Parameters
-    ----------
-    record : Record
-        For its clock.
-    window_s : tuple of float
-        First and last time.
-    where : str
-        What to call the window in an error, e.g. ``"test.toml: [window]"``.
+    ``where`` is what to call the window in an error, e.g. ``"test.toml: [window]"``.
     """
     half = 0.5 * record.sample_period_s
     first_s, last_s = record.time_at_s(0), record.time_at_s(record.n_samples - 1)
@@ -73,21 +64,10 @@ def window_rows(record: Record, window_s: tuple[float, float], where: str = "win
 def in_stall_by_threshold(
     corrected_kg_s: FloatArray, threshold_kg_s: float, hysteresis_kg_s: float = 0.0
 ) -> BoolArray:
-    """Return the in-stall state by a threshold of the corrected inlet flow.
+    """Return the in-stall state by a threshold of the corrected inlet flow, 50 lbm/s in the paper.
 
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Corrected flow at plane 25.
-    threshold_kg_s : float
-        The paper's 50 lbm/s, in kg/s.
-    hysteresis_kg_s : float
-        Stall begins below threshold − hysteresis and ends above threshold + hysteresis.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True in stall. Until the flow first leaves the band, the state is that of its middle.
+    Stall begins below threshold − hysteresis and ends above threshold + hysteresis. Until the flow
+    first leaves that band, the state is that of its middle.
     """
     stalled = corrected_kg_s < threshold_kg_s - hysteresis_kg_s
     if hysteresis_kg_s > 0.0 and stalled.size:
@@ -101,26 +81,13 @@ def in_stall_by_threshold(
 def cell_frequency_hz(record: Record, window: slice) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
-    Parameters
-    ----------
-    record : Record
-        With the plane average ``P25_unfiltered_Pa``.
-    window : slice
-        Rows of the surge cycles.
+    The record has the plane average ``P25_unfiltered_Pa``; the window holds the surge cycles.
     """
     return _cell_line(record, window)[0]
 
 
 def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
-    """Return the period of the stall cells, and whether the spectrum shows any.
-
-    Parameters
-    ----------
-    record : Record
-        With ``P25_unfiltered_Pa``.
-    window : slice
-        Rows of the surge cycles.
-    """
+    """Return the period of the stall cells, and whether the spectrum of P25 shows any."""
     cell_hz, above = _cell_line(record, window)
     return (1.0 / cell_hz, True) if above >= LEAST_PEAK else (PLAIN_PERIOD_S, False)
 
@@ -145,19 +112,8 @@ def shows_stall(record: Record, window: slice) -> bool:
 def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     """Return the in-stall state by the machine itself: in stall the hub passes more than the tip.
 
-    Parameters
-    ----------
-    record : Record
-        With ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``.
-    window : slice
-        Rows of the surge cycles, whose median difference is the scale.
-    cell_hz : float
-        Rotating-stall frequency; the difference is averaged over one of its periods.
-
-    Returns
-    -------
-    ndarray of bool, shape (n_samples,)
-        True where the difference is above half its median in the window.
+    True where the difference, averaged over one period of the stall cells, is above half its median
+    in the window.
 
     Raises
     ------
@@ -301,9 +257,9 @@ def segment(
             remedy="check the threshold and the window",
         )
     why = f"shorter than {SHORTEST_S * 1e3:g} ms"
-    dropped = tuple(Dropped("in-stall interval", rows, why) for rows in short[:NAMED_INTERVALS])
-    if further := short[NAMED_INTERVALS:]:
-        dropped += (Dropped(f"{len(further)} more such intervals", sum(further), why),)
+    dropped: tuple[Dropped, ...] = (
+        (Dropped(counted(len(short), "in-stall interval"), sum(short), why),) if short else ()
+    )
     why = "unstalled, or outside the window: simulated, not fitted"
     dropped += (Dropped("rows", n_rows - n_scored, why),)
     did = f"{n_segments} segments with {n_scored} rows"

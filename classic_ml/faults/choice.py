@@ -53,20 +53,9 @@ class _Verdict(NamedTuple):
 def choose_channels(record: Record, test: TestDescription, window: slice) -> Record:
     """Leave out the channels that cannot be used in the window, a pressure with its mate.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated and matched, with the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Places of the channels.
-    window : slice
-        Rows of the quasi-steady cycles.
-
-    Returns
-    -------
-    Record
-        Without the channels that were left out. Of those that stay, thermocouples are bridged by
-        straight lines where their readings do not count, pressures where they have spikes.
+    The record is calibrated and matched, with the marks of :func:`inspect_readings`. Of the
+    channels that stay, thermocouples are bridged by straight lines where their readings do not
+    count, pressures where they have spikes.
 
     Raises
     ------
@@ -113,13 +102,6 @@ def with_faults_bridged(record: Record, test: TestDescription) -> Record:
     """Return a record with straight lines across all readings that do not count.
 
     Only what a window is looked for with: a dropout must not end it.
-
-    Parameters
-    ----------
-    record : Record
-        With the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Its channels.
     """
     lines = [_bridged(record, name, ALL_KINDS) for name in test.channel_names]
     channels = {line.name: line for line in lines if line is not None}

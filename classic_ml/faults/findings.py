@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.description import PressureChannel, TemperatureChannel
 from classic_ml.records import Record, fault_name
 
 __all__ = [
@@ -16,6 +18,7 @@ __all__ = [
     "SPIKED",
     "STUCK",
     "Finding",
+    "alike",
     "marked_rows",
 ]
 
@@ -36,19 +39,22 @@ MARK_WORDS = {
 class Finding:
     """Something that a search has found.
 
-    Parameters
-    ----------
-    kind : str
-        What was searched for, e.g. ``"marked"``, ``"held"`` or ``"gain"``.
-    sentence : str
-        What the ledger prints.
-    channel : str
-        The channel, empty where it is several.
+    ``kind`` is what was searched for, e.g. ``"marked"``, ``"held"`` or ``"gain"``; ``sentence`` is
+    what the ledger prints; ``channel`` is empty where it is several.
     """
 
     kind: str
     sentence: str
     channel: str = ""
+
+
+def alike(channels: Iterable[PressureChannel | TemperatureChannel], *keys: str) -> list[list[str]]:
+    """Return the names of the channels that are alike in some of their places, in groups."""
+    groups: dict[tuple[object, ...], list[str]] = {}
+    for channel in channels:
+        place = tuple(getattr(channel, key) for key in keys)
+        groups.setdefault(place, []).append(channel.name)
+    return list(groups.values())
 
 
 def marked_rows(record: Record, channel: str) -> NDArray[np.uint8] | None:

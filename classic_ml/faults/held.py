@@ -68,19 +68,7 @@ def held_rows(values: FloatArray) -> float:
 
 
 def check_held(record: Record, test: TestDescription) -> list[Finding]:
-    """Refuse pressures that were held for different times.
-
-    Parameters
-    ----------
-    record : Record
-        As read.
-    test : TestDescription
-        Its channels.
-
-    Returns
-    -------
-    list of Finding
-        Pressures that are held alike, and thermocouples.
+    """Return the pressures that are held alike, and the thermocouples that are held.
 
     Raises
     ------

@@ -29,6 +29,8 @@ STEADY = 0.05
 LAST_SHARE = 0.2
 # Of two probes that differ either may be wrong.
 FEWEST = 3
+# Hub and tip of a real machine differ near stall, but not by a factor.
+FLOW_FACTOR = 2.0
 # In the steady flow near stall the planes pass the same but for bleeds of a few per cent (0.3 % on
 # the independent record); exchanged areas are a factor of twenty.
 FLOWS_DIFFER, FLOWS_REFUSED = 0.05, 0.2
@@ -47,25 +49,13 @@ def check_near_stall(
 ) -> LedgerEntry:
     """Check φ, and the flow of one plane against the other's, in the steady flow near stall.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated and matched.
-    test : TestDescription
-        Its test.
-    shifts : mapping of str to float
-        What the match has added to each channel.
-
-    Returns
-    -------
-    LedgerEntry
-        What was found.
+    The record is calibrated and matched; ``shifts`` is what the match has added to each channel.
 
     Raises
     ------
     InputError
-        When the flow is not steady, W25 and W31 differ by more than a fifth, or no compressor has
-        such a φ near stall.
+        When the flow is not steady, a pair's is another's by a factor, W25 and W31 differ by more
+        than a fifth, or no compressor has such a φ.
     """
     if test.near_stall_shifts:
         return LedgerEntry("near-stall flow", "not known: the reading is not in this record")
@@ -73,10 +63,14 @@ def check_near_stall(
     _check_steady(steady, test)
     # No row is in a window yet: only what cannot be matched is left out here.
     steady = choose_channels(steady, test, slice(0, 0))
-    steady = plane_averages(local_flows(steady, test), test)
+    steady = local_flows(steady, test)
+    _check_pairs(steady, test)
+    steady = plane_averages(steady, test)
     findings = _common_shifts(test, shifts)
     how = "" if "W31_kg_s" in steady else " (with the facility's T31)"
-    inlet, leaving = _steady_flows(steady, test)
+    exit_K = steady["T31_K"] if not how else np.full(1, test.near_stall.temperature_K(31))
+    inlet = float(np.mean(steady["W25_kg_s"]))
+    leaving = float(np.mean(physical_flow(steady["Wc31_kg_s"], steady["P31_Pa"], exit_K)))
     differ = abs(leaving / inlet - 1.0)
     if differ > FLOWS_REFUSED and not how:
         raise _implausible(
@@ -145,6 +139,31 @@ def _check_steady(steady: Record, test: TestDescription) -> None:
             )
 
 
+def _check_pairs(steady: Record, test: TestDescription) -> None:
+    """Refuse a pair whose flow is another one's by a factor: its calibration is wrong."""
+    for plane in test.areas_m2:
+        flows = {
+            pair: float(np.mean(steady[f"Wc{pair.name}_kg_s"]))
+            for pair in test.pairs(plane)
+            if f"Wc{pair.name}_kg_s" in steady
+        }
+        usual = float(np.median(list(flows.values())))
+        for pair, flow in flows.items():
+            # Of two that differ either may be wrong. No forward flow at all is another fault.
+            if len(flows) < FEWEST or usual <= 0.0:
+                continue
+            if not 1.0 / FLOW_FACTOR < flow / usual < FLOW_FACTOR:
+                raise _implausible(
+                    steady,
+                    test,
+                    f"pair P{pair.name}",
+                    f"about the corrected flow of all of plane {plane} ({usual:.3g} kg/s)",
+                    f"{flow:.3g}",
+                    "the zero and calibrate readings, references and probe slope of "
+                    f"{pair.forward.name} and {pair.aft.name}",
+                )
+
+
 def _steady_phi(steady: Record, test: TestDescription) -> float:
     """Return the mean φ, or refuse one that no compressor has."""
     columns = steady["Wc25_kg_s"], steady["T25_K"]
@@ -156,15 +175,6 @@ def _steady_phi(steady: Record, test: TestDescription) -> float:
     causes = "rotor_speed_rpm, mean_radius_m, and the zero and calibrate readings"
     expected = f"{NEAR_STALL_PHI[0]:g} to {NEAR_STALL_PHI[1]:g}"
     raise _implausible(steady, test, "φ", expected, f"{phi:.3g}", causes)
-
-
-def _steady_flows(steady: Record, test: TestDescription) -> tuple[float, float]:
-    """Return W25 and W31, the latter with the facility's T31 where no thermocouple counts."""
-    inlet = float(np.mean(steady["W25_kg_s"]))
-    if "W31_kg_s" in steady:
-        return inlet, float(np.mean(steady["W31_kg_s"]))
-    exit_K = np.full(steady.n_samples, test.near_stall.temperature_K(31))
-    return inlet, float(np.mean(physical_flow(steady["Wc31_kg_s"], steady["P31_Pa"], exit_K)))
 
 
 def _implausible(

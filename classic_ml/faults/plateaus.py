@@ -129,16 +129,8 @@ def _is_noisy(values: FloatArray, at: BoolArray) -> bool:
 def _piled_up(values: FloatArray, runs: IntArray, off: FloatArray, step: float) -> bool:
     """Return whether so many readings stand at the extreme of a noisy signal by no chance.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The channel.
-    runs : ndarray of int, shape (m, 2)
-        The runs of rows at the extreme.
-    off : ndarray of shape (n,)
-        How far each reading is from it, in steps of the resolution.
-    step : float
-        The resolution.
+    ``runs`` are the runs of rows at the extreme, ``off`` is how far each reading is from it, in
+    steps of the resolution.
     """
     long = runs[:, 1] - runs[:, 0] >= LONG_PLATEAU_ROWS
     if np.any(_goes_on(values, runs, step) & long):

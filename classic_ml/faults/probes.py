@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.faults.findings import Finding, marked_rows
+from classic_ml.faults.findings import Finding, alike, marked_rows
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 
@@ -40,12 +40,8 @@ SlowPressures = Mapping[str, FloatArray]
 class Agreement(NamedTuple):
     """How a probe goes with those beside it.
 
-    Parameters
-    ----------
-    gain : float
-        Its movement over theirs.
-    apart : float
-        The rms of its difference from them, its mean apart, over that of their movement.
+    ``gain`` is its movement over theirs, ``apart`` the rms of its difference from them, its mean
+    apart, over that of their movement.
     """
 
     gain: float
@@ -53,21 +49,9 @@ class Agreement(NamedTuple):
 
 
 def slow_pressures(record: Record, test: TestDescription, window: slice) -> dict[str, FloatArray]:
-    """Average the pressures over a 40th of a second each.
+    """Average each pressure over a 40th of a second, from the beginning of the window on.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated pressures.
-    test : TestDescription
-        Their names.
-    window : slice
-        Rows of the surge cycles, from whose beginning the averages are taken.
-
-    Returns
-    -------
-    dict of str to ndarray of shape (n,)
-        By channel; NaN where a reading of an average does not count.
+    By channel of shape (n,); NaN where a reading of an average does not count.
     """
     width = max(1, round(record.sample_rate_hz / AVERAGE_HZ))
     n = (window.stop - window.start) // width
@@ -84,23 +68,16 @@ def slow_pressures(record: Record, test: TestDescription, window: slice) -> dict
 def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agreement]:
     """Compare each pressure with the median of those of its plane that face its way.
 
-    Parameters
-    ----------
-    slow : mapping of str to ndarray of shape (n,)
-        Those that count, from :func:`slow_pressures`.
-    test : TestDescription
-        Places of the probes.
-
-    Returns
-    -------
-    dict of str to Agreement
-        By channel; none where fewer than three probes, too few rows or no movement are there to
-        judge by.
+    None is compared where fewer than three probes, too few rows or no movement are there to judge
+    by.
     """
     out: dict[str, Agreement] = {}
-    for names in _groups(slow, test, "plane", "facing"):
+    for group in alike(test.pressures, "plane", "facing"):
+        names = [name for name in group if name in slow]
+        if len(names) < FEWEST_PROBES:
+            continue
         values = _smooth(slow, names)
-        if len(names) < FEWEST_PROBES or values.shape[1] < FEWEST_AVERAGES:
+        if values.shape[1] < FEWEST_AVERAGES:
             continue
         for i, name in enumerate(names):
             others = np.median(np.delete(values, i, axis=0), axis=0)
@@ -115,17 +92,7 @@ def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agre
 def disagreements(
     slow: SlowPressures, test: TestDescription, agreements: Mapping[str, Agreement]
 ) -> list[Finding]:
-    """Return the probes in use that do not go with those beside them.
-
-    Parameters
-    ----------
-    slow : mapping of str to ndarray of shape (n,)
-        Of the channels in use, matched near stall.
-    test : TestDescription
-        Places of the probes.
-    agreements : mapping of str to Agreement
-        Of these channels, from :func:`compare_probes`.
-    """
+    """Return the probes in use, matched near stall, that do not go with those beside them."""
     gains = [
         Finding(
             "gain",
@@ -137,16 +104,6 @@ def disagreements(
         if name in slow and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
     ]
     return [*gains, *_exchanged_immersions(slow, test), *_drifted_apart(slow, test)]
-
-
-def _groups(slow: SlowPressures, test: TestDescription, *alike: str) -> list[list[str]]:
-    """Return the names of the probes that are alike in some of their places."""
-    groups: dict[tuple[object, ...], list[str]] = {}
-    for probe in test.pressures:
-        if probe.name in slow:
-            place = tuple(getattr(probe, key) for key in alike)
-            groups.setdefault(place, []).append(probe.name)
-    return list(groups.values())
 
 
 def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
@@ -182,8 +139,9 @@ def _exchanged_immersions(slow: SlowPressures, test: TestDescription) -> list[Fi
 def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:
     """Return probes at one immersion that agree near stall and no longer in the surge cycles."""
     found = []
-    for names in _groups(slow, test, "plane", "immersion", "facing"):
-        means = {n: float(np.nanmean(slow[n])) for n in names if np.isfinite(slow[n]).any()}
+    for names in alike(test.pressures, "plane", "immersion", "facing"):
+        sound = {n: slow[n][np.isfinite(slow[n])] for n in names if n in slow}
+        means = {name: float(np.mean(values)) for name, values in sound.items() if values.size}
         if not means:
             continue
         low, high = min(means, key=means.__getitem__), max(means, key=means.__getitem__)

@@ -20,6 +20,7 @@ from classic_ml.faults.findings import (
     SPIKED,
     STUCK,
     Finding,
+    alike,
 )
 from classic_ml.faults.held import check_held
 from classic_ml.faults.plateaus import range_ends
@@ -51,20 +52,10 @@ Marks = NDArray[np.uint8]
 def inspect_readings(record: Record, test: TestDescription) -> Record:
     """Mark the readings that do not count, before anything is computed from them.
 
-    Parameters
-    ----------
-    record : Record
-        Counts and kelvin, as read.
-    test : TestDescription
-        Converter and limits.
-
-    Returns
-    -------
-    Record
-        With a channel ``fault_NAME`` for every channel that has a fault: the sum of 1 (clipped
-        at an end of the converter, or of the range that the channel itself shows), 4 (beyond its
-        limits), 2 (stuck, or dropped out) and 8 (a reading or two far off those before and
-        behind).
+    Returned is the record with a channel ``fault_NAME`` for every channel that has a fault: the sum
+    of 1 (clipped at an end of the converter, or of the range that the channel itself shows), 4
+    (beyond its limits), 2 (stuck, or dropped out) and 8 (a reading or two far off those before and
+    behind).
 
     Raises
     ------
@@ -77,7 +68,7 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
     for channel in channels:
         marks[channel.name], doubtful = _cut_off(record[channel.name], channel, test)
         doubts += doubtful
-    for names in _alike(test):
+    for names in [*alike(test.pressures, "plane", "facing"), *alike(test.temperatures, "plane")]:
         for name in names:
             for start, stop in _still_runs(record, name, names).tolist():
                 # A reading that is cut off stands still because of that.
@@ -187,13 +178,3 @@ def _spikes(record: Record, test: TestDescription, names: Sequence[str]) -> dict
     moving = {name: record[name] for name in names if ranges[name] > 0.0}
     # Without another beside it a channel may show a shock that is real.
     return spike_rows(moving, ranges) if len(moving) > 1 else {}
-
-
-def _alike(test: TestDescription) -> list[list[str]]:
-    """Channels that see the same: probes of one plane that face one way, its thermocouples."""
-    groups: dict[tuple[object, ...], list[str]] = {}
-    for probe in test.pressures:
-        groups.setdefault((probe.plane, probe.facing), []).append(probe.name)
-    for couple in test.temperatures:
-        groups.setdefault((couple.plane,), []).append(couple.name)
-    return list(groups.values())

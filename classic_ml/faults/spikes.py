@@ -30,19 +30,10 @@ NEAR = np.arange(-2, 3)
 def spike_rows(
     channels: Mapping[str, FloatArray], ranges: Mapping[str, float]
 ) -> dict[str, IntArray]:
-    """Return where one of some channels alike is far off its neighbours in time.
+    """Return the rows, by channel, where one of some channels alike is far off its neighbours.
 
-    Parameters
-    ----------
-    channels : mapping of str to ndarray of shape (n,)
-        Channels that see the same, two or more: what another shows at once is no fault of one.
-    ranges : mapping of str to float
-        Width of the range of each.
-
-    Returns
-    -------
-    dict of str to ndarray of int
-        Rows, of those channels that have some.
+    The two or more channels see the same: what another shows at once is no fault of one. ``ranges``
+    is the width of the range of each.
     """
     off = {name: _off_neighbours(values) / ranges[name] for name, values in channels.items()}
 

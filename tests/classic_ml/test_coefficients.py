@@ -187,15 +187,6 @@ def test_a_cell_period_averages_the_mass_balance_before_it_divides() -> None:
     assert np.std(mean - clean) < 0.1 * np.std(raw - clean)
 
 
-def test_a_flow_beyond_the_area_names_the_key_of_the_area() -> None:
-    record, test = planes(np.linspace(0.1, 0.35, 400))
-    narrow = replace(test, areas_m2={**test.areas_m2, 25: 0.1 * test.areas_m2[25]})
-    with pytest.raises(InputError) as refused:
-        coefficients(record, narrow)
-    assert refused.value.where.endswith("corrected flow at plane 25")
-    assert f"check area_m2 of [planes.25] in {test.source}" in refused.value.remedy
-
-
 def test_the_inertia_scales_its_term() -> None:
     phi = 0.1 + 0.05 * np.sin(2 * np.pi * 7 * np.arange(600) / 1000)
     record, test = planes(phi)

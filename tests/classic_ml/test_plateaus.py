@@ -237,6 +237,17 @@ def test_constant_and_switching_channels_are_not_cut_off() -> None:
     assert ends_of(spikes) == ()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_channel_without_noise_may_rest_at_its_extreme(sign: float) -> None:
+    """A simulation pumps and rests at one level to the last bit; a noisy one that does is cut."""
+    time_s = np.arange(4000) / 1000.0
+    pumps = 2e5 + 1e5 * np.maximum(np.sin(2.0 * np.pi * 3.3 * time_s), 0.0) ** 2
+    assert ends_of(sign * pumps) == ()
+    noise = np.random.default_rng(4).normal(0.0, 50.0, time_s.size)
+    (end,) = ends_of(sign * np.maximum(pumps + noise, 2.01e5))
+    assert end.upper == (sign < 0.0)
+
+
 def test_dropouts_to_the_least_reading_are_no_end_of_the_range() -> None:
     """The readings before do not lead there; a probe that drops out is left out for that."""
     rng = np.random.default_rng(6)

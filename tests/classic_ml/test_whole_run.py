@@ -226,6 +226,12 @@ def test_records_of_unlike_rates_and_no_records_are_refused() -> None:
             fit_whole_runs(records)
 
 
+def test_the_range_of_flow_is_that_of_the_scored_rows() -> None:
+    rows = whole_run_rows(series(0))
+    assert rows.scored_phi.size == np.count_nonzero(rows.weight)
+    assert rows.phi.min() < rows.scored_phi.min() < rows.scored_phi.max() <= rows.phi.max()
+
+
 def test_a_series_without_the_columns_is_told() -> None:
     record = replace(series(0), phi_unfiltered=None)
     assert not has_whole_run(record)
@@ -233,21 +239,6 @@ def test_a_series_without_the_columns_is_told() -> None:
         whole_run_rows(record)
     with pytest.raises(InputError, match="ledger"):
         whole_run_rows(replace(series(0), history=()))
-
-
-@pytest.mark.parametrize("found", ["x", None, float("nan"), 12.12, 0, -1.0, True])
-def test_an_average_that_cannot_be_is_refused_with_its_place(found: object) -> None:
-    entry = LedgerEntry("free run", "", {"average_s": found})  # type: ignore[dict-item]
-    with pytest.raises(InputError, match="average_s"):
-        fit_whole_runs([replace(series(0), history=(entry,))])
-
-
-@pytest.mark.parametrize("name", ["phi_unfiltered", "psi_p_unfiltered"])
-def test_columns_of_another_signal_are_refused(name: str) -> None:
-    record = series(0)
-    other = np.random.default_rng(0).permutation(getattr(record, name))
-    with pytest.raises(InputError, match=name):
-        fit_whole_runs([replace(record, **{name: other})])
 
 
 def test_near_reaches_before_and_behind() -> None:
