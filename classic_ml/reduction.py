@@ -151,17 +151,17 @@ def reduce_record(
     window = _window(record, test, chosen)
     record = choose_channels(record.after(window.entry), test, window.rows)
     done(1)
-    unfiltered = _unfiltered(record, test, chosen)
-    done(1)
     averaged = _averaged(record, test, chosen, window.ahead)
-    del record
     # What was computed ahead takes as much room as the record.
     window = replace(window, ahead=None)
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
+    done(1)
+    unfiltered = _unfiltered(record, test, chosen)
+    del record
+    done(1)
     reduced = _with_coefficients(averaged, unfiltered, test, chosen, window.rows)
     del averaged
-    done(1)
     reduced = _with_states(reduced, unfiltered, test, chosen, window)
     done(1)
     return Reduction(_series(reduced), reduced, chosen, test, window.times_s)

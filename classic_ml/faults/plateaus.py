@@ -56,8 +56,8 @@ ELSEWHERE = 0.5
 # Differences of this order leave next to nothing of surge and stall cells. One order more doubles
 # white noise nearly, and makes less of all that is below a sixth of the sample rate.
 NOISE_ORDER = 8
-# At so many places of a record it is seen.
-NOISE_ROWS = 2000
+# Pieces of a record in which noise is looked for.
+MOST_PIECES = 4000
 
 
 @dataclass(frozen=True)
@@ -107,47 +107,52 @@ def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
             continue
         steps = np.abs(np.diff(values))
         step = float(np.min(steps[steps > 0.0]))
-        runs, off = intervals_where(at), np.abs(values - level) / step
-        coarse = float(np.median(np.abs(np.diff(values, n=2)))) <= NOISY_STEPS * step
+        off = np.abs(values - level)
+        beside = off[(off > 0.0) & (off <= NEAR_STEPS * step)] / step
+        pieces = _pieces(values)
+        coarse = float(np.median(np.abs(np.diff(pieces, n=2)))) <= NOISY_STEPS * step
         is_cut_off = _plateaus if coarse else _piled_up
-        if is_cut_off(values, runs, off, step) and _is_noisy(values, at):
+        elsewhere = pieces[np.all(pieces != level, axis=1)]
+        if is_cut_off(values, intervals_where(at), beside, step) and _is_noisy(elsewhere):
             found.append(RangeEnd(level, upper, rows))
     return tuple(found)
 
 
-def _is_noisy(values: FloatArray, at: BoolArray) -> bool:
-    """Return whether a channel has noise, be it of rounding, away from the rows at its extreme."""
+def _pieces(values: FloatArray) -> FloatArray:
+    """Return some short pieces of a signal, one a row, spread evenly."""
     reach = NOISE_ORDER + 2
-    away = np.flatnonzero(np.convolve(at, np.ones(reach), "valid") == 0.0)
-    if not away.size:
-        return True
-    some = away[:: 1 + away.size // NOISE_ROWS]
-    less = np.diff(values[some[:, None] + np.arange(reach)], n=NOISE_ORDER, axis=1)
-    return float(np.median(np.abs(np.diff(less, axis=1)))) > float(np.median(np.abs(less)))
+    starts = np.arange(0, values.size - reach + 1, 1 + values.size // MOST_PIECES)
+    return np.asarray(values[starts[:, None] + np.arange(reach)])
 
 
-def _piled_up(values: FloatArray, runs: IntArray, off: FloatArray, step: float) -> bool:
+def _is_noisy(pieces: FloatArray) -> bool:
+    """Return whether a signal has noise, be it of rounding; so has one of which nothing is left."""
+    less = np.diff(pieces, n=NOISE_ORDER, axis=1)
+    more = np.diff(less, axis=1)
+    return not less.size or float(np.median(np.abs(more))) > float(np.median(np.abs(less)))
+
+
+def _piled_up(values: FloatArray, runs: IntArray, beside: FloatArray, step: float) -> bool:
     """Return whether so many readings stand at the extreme of a noisy signal by no chance.
 
-    ``runs`` are the runs of rows at the extreme, ``off`` is how far each reading is from it, in
-    steps of the resolution.
+    ``runs`` are the runs of rows at the extreme, ``beside`` is how far those are from it that are
+    near, in steps of the resolution.
     """
     long = runs[:, 1] - runs[:, 0] >= LONG_PLATEAU_ROWS
     if np.any(_goes_on(values, runs, step) & long):
         return True
     runs = runs[_led_to(values, runs)]
     lengths = runs[:, 1] - runs[:, 0]
-    next_to_it = np.count_nonzero((off > 0.0) & (off <= NEXT_STEPS))
-    near = np.count_nonzero((off > 0.0) & (off <= NEAR_STEPS))
-    if lengths.sum() < PILE * max(near / NEAR_STEPS, next_to_it / NEXT_STEPS):
+    next_to_it = np.count_nonzero(beside <= NEXT_STEPS)
+    if lengths.sum() < PILE * max(beside.size / NEAR_STEPS, next_to_it / NEXT_STEPS):
         return False
     ways = np.unique(values[runs[:, 0] - 1] + 1j * values[runs[:, 1]]).size
     return ways >= (WAYS if np.any(lengths > 1) else WAYS_OF_SINGLE_ROWS)
 
 
-def _plateaus(values: FloatArray, runs: IntArray, off: FloatArray, step: float) -> bool:
+def _plateaus(values: FloatArray, runs: IntArray, beside: FloatArray, step: float) -> bool:
     """Return whether a signal of little noise is cut off where it stands at its extreme."""
-    if np.count_nonzero(off <= NEAR_STEPS) >= 2 * np.sum(runs[:, 1] - runs[:, 0]):
+    if beside.size >= np.sum(runs[:, 1] - runs[:, 0]):
         return False
     runs = runs[runs[:, 1] - runs[:, 0] >= 2]
     runs = runs[_goes_on(values, runs, step)]

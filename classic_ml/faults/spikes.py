@@ -25,6 +25,8 @@ MARGIN = REACH + GAP + 3
 # From a row to the middle of the rows that it is compared with.
 MIDDLE = GAP + REACH // 2
 NEAR = np.arange(-2, 3)
+# Rows that are looked at at once: what is computed of them stays in the cache.
+BLOCK_ROWS = 1 << 13
 
 
 def spike_rows(
@@ -65,10 +67,12 @@ def spike_rows(
 def _off_neighbours(values: FloatArray) -> FloatArray:
     """Return how far each reading is off the median of itself and two on either side."""
     off = np.zeros(values.size)
-    first, second, own, fourth, fifth = (values[k : values.size - 4 + k] for k in range(5))
-    # The least and the largest of the four are on either side of the median of all five.
-    one = np.maximum(np.minimum(first, second), np.minimum(fourth, fifth))
-    other = np.minimum(np.maximum(first, second), np.maximum(fourth, fifth))
-    median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
-    off[2:-2] = np.abs(own - median)
+    for start in range(2, values.size - 2, BLOCK_ROWS):
+        stop = min(start + BLOCK_ROWS, values.size - 2)
+        first, second, own, fourth, fifth = (values[start + k : stop + k] for k in range(-2, 3))
+        # The least and the largest of the four are on either side of the median of all five.
+        one = np.maximum(np.minimum(first, second), np.minimum(fourth, fifth))
+        other = np.minimum(np.maximum(first, second), np.maximum(fourth, fifth))
+        median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
+        off[start:stop] = np.abs(own - median)
     return off
