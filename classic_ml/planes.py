@@ -102,16 +102,24 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
     Raises
     ------
     InputError
-        When an immersion that is wanted has no pair left, or plane 25 no thermocouple.
+        When no pair is left at an immersion that is wanted.
     """
     columns: dict[str, FloatArray] = {}
     parameters: dict[str, str | int | float | bool] = {"probes": probes}
     for plane in test.areas_m2:
         pairs = _present_pairs(record, test, plane)
-        used = _immersions(record, test, plane, pairs, probes)
+        present = [i for i in ("tip", "hub") if any(pair.immersion == i for pair in pairs)]
+        used = [i for i in present if probes in ("all", i)]
+        if not used:
+            raise InputError(
+                f"{record.source}: plane {plane}",
+                expected="at least one usable probe pair at the immersions to be averaged",
+                found="none",
+                remedy="the history of the record says which were left out and why",
+            )
         total: dict[str, FloatArray] = {}
         flow: dict[str, FloatArray] = {}
-        for immersion in dict.fromkeys(pair.immersion for pair in pairs):
+        for immersion in present:
             names = [pair.name for pair in pairs if pair.immersion == immersion]
             total[immersion] = _mean([record[f"Pt{name}_Pa"] for name in names])
             if f"Wc{names[0]}_kg_s" in record:
@@ -121,8 +129,6 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
         couples = [c.name for c in test.thermocouples(plane) if c.name in record]
         if couples:
             columns[f"T{plane}_K"] = _mean([record[name] for name in couples])
-        elif plane == 25:
-            raise _nothing_left(record, plane, "thermocouple", "neither φ nor ψ'")
         if flow:
             corrected = _mean([flow[i] for i in used])
             columns[f"Wc{plane}_kg_s"] = corrected
@@ -167,28 +173,6 @@ def _flow_of(pair: ProbePair, record: Record, test: TestDescription) -> FloatArr
             forward_Pa[rows], aft_Pa[rows], probe.probe_slope, probe.probe_offset, area_m2, machine
         )
     return flow
-
-
-def _immersions(
-    record: Record, test: TestDescription, plane: int, pairs: Sequence[ProbePair], probes: str
-) -> list[str]:
-    """Return the immersions to average over; one of which the test has pairs must have one left."""
-    wanted = ("tip", "hub") if probes == "all" else (probes,)
-    used = [i for i in wanted if any(p.immersion == i for p in test.pairs(plane))]
-    missing = [i for i in used if not any(p.immersion == i for p in pairs)]
-    if missing or not used:
-        where = " and ".join(missing) or "any place"
-        raise _nothing_left(record, plane, f"probe pair at {where}", "no average of the plane")
-    return used
-
-
-def _nothing_left(record: Record, plane: int, what: str, lost: str) -> InputError:
-    return InputError(
-        f"{record.source}: plane {plane}",
-        expected=f"at least one usable {what}",
-        found="none",
-        remedy=f"without it there is {lost}; the history of the record says what was left out",
-    )
 
 
 def _mean(values: Sequence[FloatArray]) -> FloatArray:

@@ -167,14 +167,13 @@ def _least_step(values: FloatArray) -> float:
 
 
 def _spikes(record: Record, test: TestDescription, names: Sequence[str]) -> dict[str, IntArray]:
-    couples = {couple.name for couple in test.temperatures}
-    in_counts = {probe.name for probe in test.pressures if probe.record_unit == "count"}
     ranges = {name: float(np.ptp(record[name])) for name in names}
-    for name in names:
-        if name in couples:
-            ranges[name] *= COUPLE_RANGES
-        elif name in in_counts:
-            ranges[name] = float(test.adc.top_code)
+    for probe in test.pressures:
+        if probe.name in ranges and probe.record_unit == "count":
+            ranges[probe.name] = float(test.adc.top_code)
+    for couple in test.temperatures:
+        if couple.name in ranges:
+            ranges[couple.name] *= COUPLE_RANGES
     moving = {name: record[name] for name in names if ranges[name] > 0.0}
     # Without another beside it a channel may show a shock that is real.
     return spike_rows(moving, ranges) if len(moving) > 1 else {}

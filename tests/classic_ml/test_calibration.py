@@ -10,12 +10,10 @@ from raw_data import first_order, make_test
 
 from classic_ml.calibration import (
     calibrate,
-    check_facing,
     invert_thermocouples,
     near_stall_match,
     near_stall_rows,
     probe_pressure_Pa,
-    volts,
 )
 from classic_ml.description import TestDescription
 from classic_ml.records import Channel, Record
@@ -35,31 +33,6 @@ def test_zero_and_calibrate_codes_give_their_own_pressures(loaded) -> None:
         got = probe_pressure_Pa(probe, test, np.array([probe.zero_count, probe.calibrate_count]))
         expected = probe.zoc_reference_Pa + np.array([0.0, probe.calibrate_pressure_Pa])
         np.testing.assert_allclose(got, expected, rtol=1e-12)
-
-
-def test_the_converter_spans_its_range(loaded) -> None:
-    _, _, test = loaded
-    np.testing.assert_allclose(volts(np.array([0, 2048, 4096]), test.adc), [-5.0, 0.0, 5.0])
-
-
-def test_sixteen_bit_codes_do_not_overflow(loaded) -> None:
-    _, _, test = loaded
-    probe = test.pressures[0]
-    codes = np.array([3500, 4095], dtype=np.int16)
-    np.testing.assert_array_equal(
-        probe_pressure_Pa(probe, test, codes),
-        probe_pressure_Pa(probe, test, codes.astype(float)),
-    )
-
-
-def test_the_pressure_does_not_depend_on_the_range_of_the_converter(loaded) -> None:
-    _, _, test = loaded
-    probe, codes = test.pressures[0], np.arange(0.0, 4096.0, 100.0)
-    adc = dataclasses.replace(test.adc, low_V=0.0, high_V=2.5)
-    other = dataclasses.replace(test, converter=adc)
-    np.testing.assert_allclose(
-        probe_pressure_Pa(probe, test, codes), probe_pressure_Pa(probe, other, codes)
-    )
 
 
 def test_calibration_returns_the_true_pressures_and_temperatures(loaded) -> None:
@@ -143,26 +116,3 @@ def test_the_lag_of_a_thermocouple_is_undone() -> None:
     left = invert_thermocouples(record, test, invert=False)
     np.testing.assert_array_equal(left["T25_A"], seen)
     assert left.history[-1].parameters == {"invert": False}
-
-
-def test_forward_and_aft_exchanged_is_refused_with_the_pair() -> None:
-    record, test = make_test(seconds=0.6).load()
-    out = calibrate(record, test)
-    check_facing(out, test)
-    below_kPa = np.mean((out["P25_A_tip_forward"] - out["P25_A_tip_aft"])[:201]) / 1e3
-    assert below_kPa > 5.0
-    names = ("P25_A_tip_forward", "P25_A_tip_aft")
-    swapped = [Channel(a, out[b], "Pa") for a, b in (names, names[::-1])]
-    with pytest.raises(InputError, match=rf"pair P25_A_tip: .* found {below_kPa:.3g} kPa below"):
-        check_facing(out.after(out.history[-1], add=swapped), test)
-
-
-def test_a_pair_that_does_not_count_near_stall_is_not_judged() -> None:
-    record, test = make_test(seconds=0.6).load()
-    out = calibrate(record, test)
-    n = out.n_samples
-    dead = [
-        Channel("P25_A_tip_forward", np.zeros(n), "Pa"),
-        Channel("fault_P25_A_tip_forward", np.ones(n), "1"),
-    ]
-    check_facing(out.after(out.history[-1], add=dead), test)

@@ -88,17 +88,6 @@ def test_a_hold_that_is_short_in_seconds_is_flagged_alone() -> None:
     assert "each value is there 2 times" in found.sentence
 
 
-def test_a_stuck_channel_is_not_held() -> None:
-    record, _ = clean_record("985/1")
-
-    def stuck(values: FloatArray) -> FloatArray:
-        values[1500:] = values[1500]
-        return values
-
-    spoiled = with_channels(record, stuck, "P31_B_hub_aft")
-    assert found_in(spoiled, ["P31_B_hub_aft"]) == {"P31_B_hub_aft": 1.0}
-
-
 def test_a_coarse_slow_channel_repeats_its_values_and_is_not_held() -> None:
     rng = np.random.default_rng(4)
     slow = np.cumsum(rng.normal(0.0, 0.03, 20_000))

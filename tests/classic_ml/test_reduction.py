@@ -101,21 +101,6 @@ def test_thresholds_and_hysteresis_move_the_segments_alone(made: RawTest) -> Non
     assert band.series.n_segments == base.series.n_segments
 
 
-def test_segments_of_the_series_are_those_of_the_record(made: RawTest) -> None:
-    reduction = reduced(made)
-    series, record = reduction.series, reduction.record
-    np.testing.assert_array_equal(series.segment, record["segment"])
-    inside = (series.time_s >= reduction.window_s[0] - 1e-9) & (
-        series.time_s <= reduction.window_s[1] + 1e-9
-    )
-    assert np.all(inside[series.scored])
-    assert series.n_segments == pytest.approx(
-        (reduction.window_s[1] - reduction.window_s[0]) / 0.14, abs=1.0
-    )
-    assert series.in_stall is not None
-    assert np.all(series.in_stall[series.scored])
-
-
 def test_without_an_unstalled_regime_there_is_one_segment(made: RawTest) -> None:
     description = {**made.description, "segmentation": {"threshold_lbm_s": "none"}}
     told = dataclasses.replace(made, description=description)
@@ -166,41 +151,6 @@ def test_exit_temperatures_beyond_their_limits_leave_no_psi(made: RawTest) -> No
     kept = reduced(made).series
     assert kept.psi is not None
     assert psi_is_known(kept.phi).any()
-
-
-def test_the_history_tells_the_whole_story_in_order(made: RawTest) -> None:
-    history = reduced(made).series.history
-    assert [entry.step for entry in history] == [
-        "read",
-        "inspect readings",
-        "calibrate",
-        "near-stall match",
-        "near-stall flow",
-        "window",
-        "choose channels",
-        "filter",
-        "thermocouples",
-        "local flows",
-        "plane averages",
-        "coefficients",
-        "work coefficient",
-        "keep",
-        "segment",
-        "free run",
-    ]
-    assert all(entry.did for entry in history)
-
-
-def test_the_raw_record_is_left_as_it_was(made: RawTest) -> None:
-    record, test = made.load()
-    before = {name: record[name].copy() for name in record.channels}
-    first = reduce_record(record, test)
-    assert len(record.history) == 1
-    for name, values in before.items():
-        np.testing.assert_array_equal(record[name], values)
-    again = reduce_record(record, test)
-    np.testing.assert_array_equal(first.series.phi, again.series.phi)
-    assert first.series.history == again.series.history
 
 
 def test_a_record_without_surge_is_refused() -> None:
@@ -267,16 +217,6 @@ def test_probes_with_forward_and_aft_exchanged_are_refused(made: RawTest, everyw
     wrong = dataclasses.replace(described(made, channels=channels), columns=columns)
     with pytest.raises(InputError, match=r"pair P25_\w+: .* are forward and aft exchanged\?"):
         reduced(wrong)
-
-
-def test_near_stall_the_planes_pass_the_same(made: RawTest) -> None:
-    entry = next(e for e in reduced(made).record.history if e.step == "near-stall flow")
-    assert entry.flags == ()
-    inlet, leaving = (float(entry.parameters[f"W{p}_kg_s"]) for p in (25, 31))
-    assert leaving == pytest.approx(inlet, rel=0.005)
-    # The steady part of the made-up test, before its blowdown at 0.3 s.
-    assert inlet == pytest.approx(np.mean(made.truth["W25_kg_s"][:201]), rel=0.005)
-    assert float(entry.parameters["phi"]) == pytest.approx(0.443, abs=0.002)
 
 
 def test_areas_that_do_not_agree_are_refused_or_flagged(made: RawTest) -> None:

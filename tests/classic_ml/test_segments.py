@@ -13,7 +13,6 @@ from classic_ml.free_run import near
 from classic_ml.intervals import bridged, label_intervals
 from classic_ml.records import Record
 from classic_ml.segments import (
-    cell_frequency_hz,
     estimated_threshold_lbm_s,
     hub_tip_stall,
     in_stall_by_threshold,
@@ -85,16 +84,6 @@ def test_noise_and_cells_do_not_move_the_window() -> None:
     assert other.to_s == pytest.approx(one.to_s, abs=0.01)
 
 
-def test_a_mild_oscillation_between_deep_cycles_is_not_a_cycle() -> None:
-    time_s = np.arange(4000) / RATE
-    waves = surge_waves(time_s, 0.15, True)
-    angle = 2 * np.pi * np.maximum(time_s - 0.3, 0) / 0.15
-    mixed = waves["P31"] + 60e3 * np.sin(2 * angle) * waves["after"]
-    assert find_cycles(record_of(seconds=4.0, period_s=0.15, P31=mixed)).period_s == pytest.approx(
-        0.15, rel=0.02
-    )
-
-
 def test_stall_that_does_not_cycle_is_refused() -> None:
     time_s = np.arange(3000) / RATE
     locked = 1.285e6 * np.exp(-np.maximum(time_s - 0.3, 0) / 0.06) + 2.2e5
@@ -163,16 +152,6 @@ def test_segments_lie_in_stall_and_in_the_window() -> None:
     assert out.history[-1].dropped[-1].count == np.count_nonzero(~inside)
 
 
-def test_without_an_unstalled_regime_the_window_is_one_segment() -> None:
-    record = record_of()
-    window = window_rows(record, (1.0, 2.5))
-    out = segment(record, window, threshold_lbm_s=None)
-    np.testing.assert_array_equal(out["segment"], inside_of(window).astype(float))
-    assert np.all(out["in_stall"][window] == 1)
-    assert out["in_stall"][0] == 0
-    assert out.history[-1].parameters["threshold_lbm_s"] == "none"
-
-
 def test_short_grazes_of_the_threshold_are_left_out_and_counted() -> None:
     record = record_of(seconds=4.0)
     flow = record["Wc25_kg_s"].copy()
@@ -200,12 +179,6 @@ def test_a_window_that_the_record_does_not_hold_is_refused(window_s: tuple[float
         window_rows(record_of(), window_s)
 
 
-def test_the_cell_frequency_is_read_from_the_spectrum() -> None:
-    record = record_of()
-    window = window_rows(record, (0.9, 2.9))
-    assert cell_frequency_hz(record, window) == pytest.approx(82.5, abs=0.3)
-
-
 def test_the_hub_minus_tip_flow_tells_the_stall_state() -> None:
     record = record_of()
     window = window_rows(record, (1.0, 2.5))
@@ -215,19 +188,6 @@ def test_the_hub_minus_tip_flow_tells_the_stall_state() -> None:
     changes = np.flatnonzero(np.diff(true.astype(int)))
     wrong = np.flatnonzero(got != true)
     assert all(np.abs(changes - row).min() <= 2 for row in wrong)
-
-
-def test_a_stall_without_recovery_needs_no_flag_where_no_regime_was_declared() -> None:
-    record = record_of()
-    window = window_rows(record, (1.0, 2.5))
-    (flag,) = segment(record, window, threshold_lbm_s=None).history[-1].flags
-    assert "no unstalled regime was declared" in flag
-    before = record.time_s < 0.25
-    flow = np.where(before, 112.0, np.minimum(record["Wc25_kg_s"] / LBM, 45.0))
-    mild = record_of(flow=flow)
-    assert segment(mild, window, threshold_lbm_s=None).history[-1].flags == ()
-    (flag,) = segment(mild, window, threshold_lbm_s=50.0).history[-1].flags
-    assert "all rows in the window are in stall" in flag
 
 
 def test_a_deep_rise_is_half_of_the_second_deepest() -> None:
