@@ -167,12 +167,10 @@ def test_the_papers_settings_name_every_switch() -> None:
     # A new switch of the reduction has to be thought of here: what did the paper do?
     known = {
         "filter_order", "cutoff_hz", "phase", "probes", "threshold_lbm_s", "hysteresis_lbm_s",
-        "stall_rule", "inertia_factor", "thermocouple_inversion", "near_stall_match", "work_form",
-        "window_s",
+        "thermocouple_inversion", "work_form", "window_s",
     }  # fmt: skip
     assert {field.name for field in fields(ReductionSettings)} == known
     assert (PAPER_SETTINGS.phase, PAPER_SETTINGS.cutoff_hz) == ("causal", 48.0)
-    assert PAPER_SETTINGS.stall_rule == "threshold"
 
 
 def test_rows_table_and_block_agree() -> None:
