@@ -8,10 +8,8 @@ from classic_ml.inspect.facts import ChannelFacts, Inspection, inspect_file, is_
 from classic_ml.inspect.match import (
     ChannelMatch,
     PairOrder,
-    ReductionPreview,
     TestMatch,
     match_test,
-    preview,
 )
 
 __all__ = [
@@ -20,11 +18,9 @@ __all__ = [
     "ClockFacts",
     "Inspection",
     "PairOrder",
-    "ReductionPreview",
     "TestMatch",
     "draft_test_toml",
     "inspect_file",
     "is_still",
     "match_test",
-    "preview",
 ]

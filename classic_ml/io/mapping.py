@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
 from classic_ml.description import PressureChannel, TemperatureChannel, TestDescription
-from classic_ml.io.parquet import INDEX
-from classic_ml.io.table import TIME_COLUMN, RawFile
-from classic_ml.units import (
-    COUNT,
-    Conversion,
-    pressure_conversion,
-    same_unit,
-    states_a_unit,
-    temperature_conversion,
-    time_conversion,
-)
+from classic_ml.io.table import TIME_COLUMN, StoredTable
+from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 
-__all__ = ["FeedColumn", "check_columns", "check_units", "feeds", "nearest_names", "sampled_apart"]
+__all__ = ["CLOCK_NAMES", "Feed", "check_columns", "feeds", "nearest_name"]
 
-# A start is stated to a microsecond; a skew of a hundredth of a step shows in no result.
+# What a clock is called, in small letters.
+CLOCK_NAMES = (TIME_COLUMN, "time", "t", "time (s)", "time [s]", "timestamp", "elapsed time")
+# Of a step: channels that start further apart were not sampled together.
 SAME_START = 0.01
-# Of one step that was computed twice.
-SAME_STEP = 1e-9
 
 
 @dataclass(frozen=True)
-class FeedColumn:
+class Feed:
     """A column of the file that feeds the clock or a channel.
 
     Parameters
@@ -44,6 +35,8 @@ class FeedColumn:
         Unit after the conversion: ``"count"``, ``"Pa"``, ``"K"`` or ``"s"``.
     conversion : Conversion
         From the one to the other.
+    channel : PressureChannel or TemperatureChannel, optional
+        The channel; None for the clock.
     """
 
     name: str
@@ -51,105 +44,110 @@ class FeedColumn:
     unit: str
     record_unit: str
     conversion: Conversion
+    channel: PressureChannel | TemperatureChannel | None = None
 
     @property
     def title(self) -> str:
         """What to call it in an error."""
-        if self.name == TIME_COLUMN:
+        if self.channel is None:
             return f"column {self.column}"
         renamed = f" (column '{self.column}')" if self.column != self.name else ""
         return f"channel {self.name}{renamed}"
 
 
-def feeds(stored: RawFile, test: TestDescription) -> tuple[FeedColumn, ...]:
+def feeds(stored: StoredTable, test: TestDescription) -> tuple[Feed, ...]:
     """Return which column feeds the clock and each channel, whether the file has it or not.
 
     Parameters
     ----------
-    stored : RawFile
+    stored : StoredTable
         The file as it is.
     test : TestDescription
         The description.
 
     Returns
     -------
-    tuple of FeedColumn
+    tuple of Feed
         The clock, the pressures, the temperatures.
 
     Raises
     ------
     InputError
-        When the file states a unit for the clock that is none of time.
+        When ``[file] time_unit`` is no unit of time.
     """
     columns = [_clock(stored, test)]
-    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
-    for channel in channels:
+    for channel in test.channels:
         where = f"{test.source}: channels.{channel.name}"
-        if not isinstance(channel, PressureChannel):
-            conversion = temperature_conversion(channel.unit, where)
-        elif channel.unit == COUNT:
-            conversion = Conversion()
-        else:
-            conversion = pressure_conversion(channel.unit, where, channel.reference_Pa)
+        reference_Pa = channel.reference_Pa if isinstance(channel, PressureChannel) else None
+        kind = COUNT if channel.record_unit == COUNT else channel.kind
+        conversion = conversion_to_si(channel.unit, kind, where, reference_Pa)
+        unit, record_unit = channel.unit, channel.record_unit
         columns.append(
-            FeedColumn(
-                channel.name, channel.file_column, channel.unit, channel.record_unit, conversion
-            )
+            Feed(channel.name, channel.file_column, unit, record_unit, conversion, channel)
         )
     return tuple(columns)
 
 
-def _clock(stored: RawFile, test: TestDescription) -> FeedColumn:
+def _clock(stored: StoredTable, test: TestDescription) -> Feed:
     layout = test.file
     if layout.clock == "from rate":
-        return FeedColumn(TIME_COLUMN, "", "s", "s", Conversion())
-    stated = stored.units.get(layout.time, "")
-    unit, where = "s", f"{stored.source}: column {layout.time}"
-    if layout.time_unit is not None:
-        unit, where = layout.time_unit, f"{test.source}: file.time_unit"
-    elif states_a_unit(stated) and layout.units == "check":
-        unit = stated
-    return FeedColumn(TIME_COLUMN, layout.time, unit, "s", time_conversion(unit, where))
+        return Feed(TIME_COLUMN, "", "s", "s", Conversion())
+    stated = stored.unit(layout.time) if layout.units == "check" else ""
+    unit = layout.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
+    conversion = conversion_to_si(unit, "time", f"{test.source}: file.time_unit")
+    return Feed(TIME_COLUMN, layout.time, unit, "s", conversion)
 
 
-def check_columns(stored: RawFile, test: TestDescription, columns: tuple[FeedColumn, ...]) -> None:
-    """Refuse a table that lacks described columns, or has one that is not described.
+def check_columns(stored: StoredTable, test: TestDescription, columns: tuple[Feed, ...]) -> None:
+    """Refuse a table whose columns are not those that a test describes.
 
     Parameters
     ----------
-    stored : RawFile
+    stored : StoredTable
         The table as it is.
     test : TestDescription
         The description.
-    columns : tuple of FeedColumn
+    columns : tuple of Feed
         What it asks for, of :func:`feeds`.
 
     Raises
     ------
     InputError
-        Naming the columns.
+        When columns are missing or not described, have another unit than test.toml says, or were
+        not sampled together.
     """
-    needed = [column for column in columns if column.column]
-    missing = [column for column in needed if column.column not in stored.names]
-    fed = {column.column for column in needed}
+    needed = [feed for feed in columns if feed.column]
+    fed = {feed.column for feed in needed}
+    missing = [feed for feed in needed if feed.column not in stored.names]
+    extra = [name for name in stored.names if name not in fed]
     if missing:
-        raise _missing(stored, test, missing, [name for name in stored.names if name not in fed])
-    if test.file.clock == "from rate":
-        # The clock that is replaced is no column left over.
-        fed |= {TIME_COLUMN, *stored.stamps}
-    extra = [name for name in stored.names if name not in fed and not name.startswith(INDEX)]
+        raise _missing(stored, test, missing, extra)
     if extra and test.file.other_columns == "refuse":
         raise InputError(
-            f"{stored.source}: channel {extra[0]}",
-            expected=f"a table [channels.{_toml_key(extra[0])}] in {test.source}",
+            f"{stored.source}: column {extra[0]}",
+            expected=f'a table [channels."{extra[0]}"] in {test.source}',
             found="none" + (f" (nor for {', '.join(extra[1:])[:200]})" if extra[1:] else ""),
             remedy="describe the channel, leave the column out, or write "
             'other_columns = "ignore" in [file]',
         )
+    if test.file.units == "check":
+        for feed in needed:
+            _check_unit(stored, test, feed)
+    sampled = [(name, stored.sampled[name]) for name in stored.sampled if name in fed]
+    for name, (start_s, step_s) in sampled[1:]:
+        other, (first_s, usual_s) = sampled[0]
+        if abs(step_s / usual_s - 1.0) > 1e-9 or abs(start_s - first_s) > SAME_START * usual_s:
+            raise InputError(
+                f"{stored.source}: channels {other} and {name}",
+                expected="one start and one wf_increment for all channels that are read",
+                found=f"steps of {usual_s:g} and {step_s:g} s, starts at {first_s:g} and "
+                f"{start_s:g} s",
+                remedy="resample them to one clock, or correct the properties that are wrong",
+            )
 
 
-def nearest_names(name: str, names: Iterable[str], n: int = 1) -> list[str]:
-    """Return the names most like another, whatever stands between their letters and digits.
+def nearest_name(name: str, names: Iterable[str]) -> str:
+    """Return the name most like another, whatever stands between their letters and digits.
 
     Parameters
     ----------
@@ -157,118 +155,50 @@ def nearest_names(name: str, names: Iterable[str], n: int = 1) -> list[str]:
         The name that is not there.
     names : iterable of str
         Those that are.
-    n : int
-        How many to return at most.
+
+    Returns
+    -------
+    str
+        Empty where none is like it.
     """
-    folded: dict[str, str] = {}
-    for other in names:
-        folded.setdefault(_folded(other), other)
-    return [folded[close] for close in get_close_matches(_folded(name), folded, n)]
-
-
-def _folded(name: str) -> str:
-    return "".join(letter for letter in name.lower() if letter.isalnum())
-
-
-def _toml_key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() else f'"{name}"'
+    folded = {"".join(filter(str.isalnum, other.lower())): other for other in names}
+    near = get_close_matches("".join(filter(str.isalnum, name.lower())), folded, 1)
+    return folded[near[0]] if near else ""
 
 
 def _missing(
-    stored: RawFile, test: TestDescription, missing: list[FeedColumn], spare: list[str]
+    stored: StoredTable, test: TestDescription, missing: list[Feed], spare: list[str]
 ) -> InputError:
     """Return the refusal of a table that lacks columns, with what the file has instead."""
     first = missing[0]
-    why = next(
-        (
-            why
-            for name, why in stored.unusable.items()
-            if name == first.column or name.endswith(f"/{first.column}")
-        ),
-        "",
-    )
-    near = nearest_names(first.column, spare)
-    if first.name == TIME_COLUMN:
-        return InputError(
-            stored.source,
-            expected=f"a table with a header and a column {first.column}",
-            found=why or "the columns " + ", ".join(stored.names)[:120],
-            remedy=f'write time = "{near[0]}" in [file] of {test.source}'
-            if near
-            else f'name the clock in [file] of {test.source}: time = "...", or clock = "from rate"',
-        )
-    others = f" (nor {', '.join(c.column for c in missing[1:])[:200]})" if missing[1:] else ""
-    remedy = "a dead probe is left out with its mate, in both files"
+    others = f" (nor {', '.join(feed.column for feed in missing[1:])[:200]})" if missing[1:] else ""
+    found = f"no such column{others} among {', '.join(stored.names)[:120]}"
+    for name, why in stored.left_aside.items():
+        if name.split("/")[-1] == first.column:
+            found = f"'{name}': {why}"
+    near = nearest_name(first.column, spare)
+    if first.channel is None:
+        remedy = 'name it in [file], time = "...", or write clock = "from rate"'
+        expected = f"a table with a header and a column {first.column}"
+    else:
+        remedy = "a dead probe is left out with its mate, in both files"
+        expected = f"it in the table, as {test.source} describes it"
     if near:
-        remedy = f"is '{near[0]}' meant? then write column = \"{near[0]}\""
+        where = "time" if first.channel is None else "column"
+        remedy = f"is '{near}' meant? then write {where} = \"{near}\""
     return InputError(
-        f"{stored.source}: {first.title}",
-        expected=f"it in the table, as {test.source} describes it",
-        found=why or f"no such column{others}",
-        remedy="resample it to the clock of the others" if why else remedy,
+        f"{stored.source}: {first.title}", expected=expected, found=found, remedy=remedy
     )
 
 
-def check_units(stored: RawFile, test: TestDescription, columns: tuple[FeedColumn, ...]) -> None:
-    """Refuse a unit of test.toml that is not the one the file states.
-
-    Parameters
-    ----------
-    stored : RawFile
-        The file as it is.
-    test : TestDescription
-        The description; its ``[file] units`` may say that the units of the file are of no account.
-    columns : tuple of FeedColumn
-        What :func:`feeds` gives for the two.
-
-    Raises
-    ------
-    InputError
-        Naming the channel and both units.
-    """
-    if test.file.units != "check":
-        return
-    references: Mapping[str, float | None] = {c.name: c.reference_Pa for c in test.pressures}
-    kinds = {"count": "pressure", "Pa": "pressure", "K": "temperature", "s": "time"}
-    for column in columns:
-        stated = stored.units.get(column.column, "")
-        kind = kinds[column.record_unit]
-        if states_a_unit(stated) and not same_unit(
-            stated, column.unit, kind, references.get(column.name)
-        ):
-            raise InputError(
-                f"{stored.source}: {column.title}",
-                expected=f'the unit "{column.unit}", as {test.source} says',
-                found=f'"{stated}", as the file says',
-                remedy="correct the one that is wrong; where the file is, write "
-                'units = "from test.toml" in [file]',
-            )
-
-
-def sampled_apart(stored: RawFile, names: Collection[str]) -> InputError | None:
-    """Return what is wrong where the file says that columns were not sampled together.
-
-    Parameters
-    ----------
-    stored : RawFile
-        The file.
-    names : collection of str
-        Columns that are read.
-    """
-    stated = [(name, stored.sampled[name]) for name in stored.sampled if name in names]
-    for name, sampling in stated[1:]:
-        other, first = stated[0]
-        later_s = sampling.start_s - first.start_s
-        found = ""
-        if abs(sampling.step_s / first.step_s - 1.0) > SAME_STEP:
-            found = f"steps by {sampling.step_s:g} s where the first steps by {first.step_s:g} s"
-        elif abs(later_s) > SAME_START * first.step_s:
-            found = f"starts {abs(later_s):g} s {'later' if later_s > 0.0 else 'earlier'}"
-        if found:
-            return InputError(
-                f"{stored.source}: channels {other} and {name}",
-                expected="one start and one wf_increment for all channels that are read",
-                found=f"that the second {found}",
-                remedy="resample them to one clock, or correct the properties that are wrong",
-            )
-    return None
+def _check_unit(stored: StoredTable, test: TestDescription, feed: Feed) -> None:
+    """Refuse a unit of test.toml that is not the one the file states."""
+    stated = stored.unit(feed.column)
+    if not same_unit(stated, feed.unit, getattr(feed.channel, "reference_Pa", None)):
+        raise InputError(
+            f"{stored.source}: {feed.title}",
+            expected=f'the unit "{feed.unit}", as {test.source} says',
+            found=f'"{stated}", as the file says',
+            remedy="correct the one that is wrong; where the file is, write "
+            'units = "from test.toml" in [file]',
+        )

@@ -57,7 +57,7 @@ def test_sixteen_bit_codes_do_not_overflow(loaded) -> None:
 def test_the_pressure_does_not_depend_on_the_range_of_the_converter(loaded) -> None:
     _, _, test = loaded
     probe, codes = test.pressures[0], np.arange(0.0, 4096.0, 100.0)
-    other = dataclasses.replace(test.adc, low_V=0.0, high_V=2.5)
+    other = test.adc.model_copy(update={"low_V": 0.0, "high_V": 2.5})
     np.testing.assert_allclose(
         pressure_from_counts(probe, test.adc, codes), pressure_from_counts(probe, other, codes)
     )
@@ -106,7 +106,7 @@ def test_a_reduction_refuses_what_the_steps_refuse() -> None:
         reduce_record(record.after(record.history[-1], add=[hot]), test)
     with pytest.raises(InputError, match='expected the unit "count", found "Pa"'):
         reduce_record(calibrate(record, test), test)
-    elsewhere = dataclasses.replace(test.near_stall, from_s=5.0, to_s=6.0)
+    elsewhere = test.near_stall.model_copy(update={"from_s": 5.0, "to_s": 6.0})
     with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval"):
         reduce_record(record, dataclasses.replace(test, near_stall=elsewhere))
 
@@ -171,7 +171,7 @@ def test_a_reading_far_from_the_facility_s_is_refused(loaded, name: str, change)
 
 def test_a_near_stall_interval_outside_the_record_is_refused(loaded) -> None:
     _, record, test = loaded
-    elsewhere = dataclasses.replace(test.near_stall, from_s=5.0, to_s=6.0)
+    elsewhere = test.near_stall.model_copy(update={"from_s": 5.0, "to_s": 6.0})
     with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval with at least 20"):
         match_near_stall(calibrate(record, test), dataclasses.replace(test, near_stall=elsewhere))
 

@@ -283,11 +283,11 @@ def test_both_ends_are_found_at_once() -> None:
 @pytest.mark.parametrize(
     ("unit", "more", "value", "words"),
     [
-        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa .* which a gauge reading needs"),
+        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa"),
         ("psia", {}, -1.0, r"found -6894\.\d+ Pa in row 301"),
         ("kPa", {"reference_Pa": 0.0}, -0.5, "found -500 Pa in row 301"),
-        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa .* which is added to it"),
-        ("psid", {"reference_Pa": 2.5e5}, -40.0, "found -2.* reference_Pa .* which is added to it"),
+        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa"),
+        ("psid", {"reference_Pa": 2.5e5}, -40.0, "found -2.* reference_Pa"),
     ],
 )
 def test_no_pressure_is_below_nothing(
