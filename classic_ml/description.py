@@ -1,7 +1,8 @@
 """What was tested, where each channel sits and how it was calibrated: the tables of test.toml.
 
 Each table is a pydantic model that declares its keys once: type, range and, in words, what is
-expected there. What no single table shows is checked by :mod:`classic_ml.io.description_file`.
+expected there; ``docs/test_toml.md`` says what each is for. What no single table shows is checked
+by :mod:`classic_ml.io.description_file`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from classic_ml.units import COUNT, conversion_to_si, kind_of_unit, quantity_in
+from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit, quantity_in
 from surge_core.errors import InputError
 from surge_core.models import Table
 
@@ -22,6 +23,7 @@ __all__ = [
     "COUNT_KEYS",
     "PLAUSIBLE_BIAS",
     "PLAUSIBLE_BIAS_K",
+    "AnyChannel",
     "Compressor",
     "Converter",
     "CountChannel",
@@ -70,21 +72,7 @@ _STALL_K = "a temperature in K, 100 to 2000"
 
 
 class Compressor(Table):
-    """Constants of the machine that the reduction needs.
-
-    Parameters
-    ----------
-    mean_radius_m : float
-        Radius of the mean rotor velocity U.
-    inertia_per_m : float
-        ∫dx/A from plane 25 to plane 31 (Eq 5).
-    internal_volume_m3 : float
-        Volume between the planes that stores mass and energy (Eq 13).
-    gamma : float
-        Ratio of the specific heats.
-    gas_constant_J_kg_K : float
-        Specific gas constant.
-    """
+    """``[compressor]``: constants of the machine that the reduction needs."""
 
     # The limits are wider than any compressor and narrower than another unit: mm, ft·lbf, litres.
     mean_radius_m: float = key("a length of 0.02 to 2 m", "is it in mm or inches?", ge=0.02, le=2.0)
@@ -110,15 +98,7 @@ class Compressor(Table):
 
 
 class Converter(Table):
-    """The analogue-to-digital converter.
-
-    Parameters
-    ----------
-    bits : int
-        Resolution; the codes run from 0 to 2^bits − 1.
-    low_V, high_V : float
-        Its range in volts.
-    """
+    """``[adc]``: the analogue-to-digital converter."""
 
     bits: int = key("a whole number from 4 to 32", ge=4, le=32)
     low_V: float
@@ -153,16 +133,9 @@ class Window(Table):
 
 
 class NearStall(Window):
-    """The facility's steady reading before the surge, and when the record shows the same state.
+    """``[near_stall]``: the facility's steady reading before the surge.
 
-    Parameters
-    ----------
-    from_s, to_s : float
-        Part of the record, on the facility clock, to be matched with the reading.
-    P25_Pa, P31_Pa : float
-        Plane-average total pressures.
-    T25_K, T31_K : float
-        Plane-average total temperatures.
+    The plane averages of pressure and temperature, and when the record shows the same state.
     """
 
     P25_Pa: Pascal = key(_STALL_PA, "is it in kPa or psi?", ge=1e3, le=1e8)
@@ -186,26 +159,7 @@ class NearStall(Window):
 
 
 class FileLayout(Table):
-    """How the raw record lies in its file, whatever the format.
-
-    Parameters
-    ----------
-    time : str
-        Column of the clock.
-    time_unit : str, optional
-        Its unit; without it the one that the file states, else seconds.
-    group : str, optional
-        Group, struct or table of the file that holds the channels; needed where several do.
-    clock : {"column", "from rate"}
-        Where the time of a row comes from: from the column, or from its number and the sample
-        rate.
-    start_s : float, optional
-        Facility clock at the first row, for a clock that is made or that states the date.
-    other_columns : {"refuse", "ignore"}
-        What to do with a column that feeds no channel.
-    units : {"check", "from test.toml"}
-        Whether a unit that the file states must be the one of test.toml, or is passed over.
-    """
+    """``[file]``: how the raw record lies in its file, whatever the format."""
 
     time: Text = "time_s"
     time_unit: Text | None = None
@@ -235,29 +189,6 @@ class PressureChannel(_Channel):
     """One pressure probe: its place and its calibration.
 
     This one is recorded in a unit of pressure, and has no calibration of counts (``nan``).
-
-    Parameters
-    ----------
-    name : str
-        Channel name.
-    column : str
-        Column of the file; empty where it has the channel's name.
-    unit : str
-        Unit in the file: ``"count"``, or a unit of pressure.
-    plane : int
-        25 or 31.
-    rake, immersion, facing : str
-        Its place; immersion is ``"hub"`` or ``"tip"``, facing is ``"forward"`` or ``"aft"``.
-    probe_slope, probe_offset : float
-        a and b of Eq 2, common to the forward and aft probes of a pair.
-    reference_Pa : float, optional
-        Absolute pressure that a reading of zero stands for, in a unit that leaves it open.
-    zoc_reference_Pa : float
-        Pressure on the reference side of the transducer.
-    zero_count, calibrate_count : float
-        Mean codes of the zero and the calibrate readings.
-    calibrate_pressure_Pa : float
-        Differential pressure that was applied for the calibrate reading.
     """
 
     kind: Literal["pressure"] = key('"pressure" or "temperature"')
@@ -280,7 +211,7 @@ class PressureChannel(_Channel):
         if kind == COUNT and self.reference_Pa is not None:
             raise InputError("reference_Pa", expected=f'none beside "{COUNT}"', found="one")
         if kind == "pressure" and not stated:
-            conversion_to_si(self.unit, kind, "", self.reference_Pa)
+            _ = self.conversion
         elif kind != COUNT:
             beside = f" beside {', '.join(stated)}" if stated else " or a unit of pressure"
             raise InputError("unit", expected=f'"{COUNT}"{beside}', found=f'"{self.unit}"')
@@ -290,6 +221,12 @@ class PressureChannel(_Channel):
     def record_unit(self) -> str:
         """Unit in a record as read: ``"count"``, or ``"Pa"`` for every unit of pressure."""
         return COUNT if self.unit == COUNT else "Pa"
+
+    @property
+    def conversion(self) -> Conversion:
+        """From the unit of the file to that of the record."""
+        kind = COUNT if self.unit == COUNT else self.kind
+        return conversion_to_si(self.unit, kind, "", self.reference_Pa)
 
 
 class CountChannel(PressureChannel):
@@ -320,25 +257,7 @@ class CountChannel(PressureChannel):
 
 
 class TemperatureChannel(_Channel):
-    """One aspirated thermocouple.
-
-    Parameters
-    ----------
-    name : str
-        Channel name.
-    column : str
-        Column of the file; empty where it has the channel's name.
-    unit : str
-        Unit in the file.
-    plane : int
-        25 or 31.
-    rake : str
-        Rake it sits on.
-    recovery_factor : float
-        Indicated over total temperature, both absolute.
-    time_constant_s : float
-        Lag of the junction.
-    """
+    """One aspirated thermocouple."""
 
     kind: Literal["temperature"]
     recovery_factor: float = key("a number from 0.5 to 1.1", ge=0.5, le=1.1)
@@ -346,13 +265,21 @@ class TemperatureChannel(_Channel):
 
     @model_validator(mode="after")
     def _in_kelvin(self) -> TemperatureChannel:
-        conversion_to_si(self.unit, self.kind, "")
+        _ = self.conversion
         return self
 
     @property
     def record_unit(self) -> str:
         """Unit in a record as read: ``"K"``."""
         return "K"
+
+    @property
+    def conversion(self) -> Conversion:
+        """From the unit of the file to that of the record."""
+        return conversion_to_si(self.unit, self.kind, "")
+
+
+AnyChannel = PressureChannel | TemperatureChannel
 
 
 def _check_above(name: str, high: float, other: str, low: float, remedy: str = "") -> None:
@@ -466,7 +393,7 @@ class TestDescription:
         return 2.0 * pi * self.rotor_speed_rpm / 60.0 * self.compressor.mean_radius_m
 
     @property
-    def channels(self) -> tuple[PressureChannel | TemperatureChannel, ...]:
+    def channels(self) -> tuple[AnyChannel, ...]:
         """All channels: pressures, then temperatures."""
         return (*self.pressures, *self.temperatures)
 

@@ -7,7 +7,6 @@ from classic_ml.inspect.draft import draft_test_toml
 from classic_ml.inspect.facts import ChannelFacts, Inspection, inspect_file, is_still
 from classic_ml.inspect.match import (
     ChannelMatch,
-    PairOrder,
     TestMatch,
     match_test,
 )
@@ -17,7 +16,6 @@ __all__ = [
     "ChannelMatch",
     "ClockFacts",
     "Inspection",
-    "PairOrder",
     "TestMatch",
     "draft_test_toml",
     "inspect_file",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.description import FileLayout
-from classic_ml.io.mapping import CLOCK_NAMES
+from classic_ml.io.raw import CLOCK_NAMES
 from classic_ml.io.table import StoredTable
 from classic_ml.units import Conversion, conversion_to_si, kind_of_unit
 from surge_core.types import FloatArray

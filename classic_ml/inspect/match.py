@@ -9,77 +9,53 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.calibration import probe_pressure_Pa
-from classic_ml.description import PressureChannel, TestDescription
+from classic_ml.description import AnyChannel, PressureChannel, TestDescription
 from classic_ml.inspect.facts import Inspection
-from classic_ml.io.formats import open_stored
-from classic_ml.io.mapping import Feed, feeds, nearest_name
-from classic_ml.io.raw import MOST_VALUES, read_raw
+from classic_ml.io.raw import MOST_VALUES, nearest_name, read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelMatch", "PairOrder", "TestMatch", "match_test"]
+__all__ = ["ChannelMatch", "TestMatch", "match_test"]
 
 
 @dataclass(frozen=True)
 class ChannelMatch:
-    """A channel of test.toml, or the clock, and the column that feeds it.
+    """A channel of test.toml, and the column that feeds it.
 
     Parameters
     ----------
     channel : str
         Its name in test.toml.
     column : str
-        Column of the file; empty for a clock that is made.
+        Column of the file.
     present : bool
         Whether the file has it.
     why_not : str
         Why not, where the file says more than that; else a column of a similar name.
-    stated_unit, unit : str
-        Unit as the file states it, and as test.toml says.
+    unit : str
+        Unit as test.toml says.
     si_unit : str
-        ``"Pa"``, ``"K"`` or ``"s"``.
+        ``"Pa"`` or ``"K"``.
     minimum, maximum : float
         Range of the readings in that unit; NaN where the column is missing.
     near_stall : float
         Mean over the near-stall interval; NaN where it could not be taken.
     facility : float
-        What the facility read there; NaN for the clock.
+        What the facility read there.
     """
 
     channel: str
     column: str
     present: bool
     why_not: str
-    stated_unit: str
     unit: str
     si_unit: str
     minimum: float
     maximum: float
     near_stall: float
     facility: float
-
-
-@dataclass(frozen=True)
-class PairOrder:
-    """The forward probe of a pair above the aft one near stall.
-
-    Parameters
-    ----------
-    pair : str
-        Plane, rake, immersion.
-    above_Pa : float
-        Forward minus aft.
-    """
-
-    pair: str
-    above_Pa: float
-
-    @property
-    def exchanged(self) -> bool:
-        """Whether the aft probe reads no less than the forward one."""
-        return not self.above_Pa > 0.0
 
 
 @dataclass(frozen=True)
@@ -91,11 +67,12 @@ class TestMatch:
     test : str
         The name of the test.
     channels : tuple of ChannelMatch
-        The clock and the channels.
+        The channels.
     left_over : tuple of str
         Columns that feed nothing.
-    pairs : tuple of PairOrder
-        Forward against aft, where both are there.
+    above_Pa : mapping of str to float
+        By pair, the forward probe above the aft one near stall; not above 0 where they are
+        exchanged.
     refusal : str
         The sentence that the reduction would refuse the record with; the rest is empty then.
     window_s : tuple of float or None
@@ -110,7 +87,7 @@ class TestMatch:
     test: str
     channels: tuple[ChannelMatch, ...]
     left_over: tuple[str, ...]
-    pairs: tuple[PairOrder, ...]
+    above_Pa: Mapping[str, float]
     refusal: str
     window_s: tuple[float, float] | None
     history: tuple[LedgerEntry, ...]
@@ -136,27 +113,24 @@ def match_test(
     TestMatch
         Whatever does not fit is a finding in it, not an error.
     """
-    columns: tuple[Feed, ...] = ()
     means: dict[str, float] = {}
     refusal, found, history = "", None, tuple[LedgerEntry, ...]()
     too_long = inspection.rows * (len(test.channel_names) + 1) > MOST_VALUES
     window = inspection.surges_s if too_long and test.window_s is None else None
     try:
-        with open_stored(raw_path, test.file, lenient=True) as stored:
-            columns = feeds(stored, test)
         record, test = read_raw(raw_path, test, window=window)
         means = _near_stall_means(record, test)
         reduction = reduce_record(record, test, keep_probes=False)
         found, history = reduction.window_s, reduction.record.history
     except InputError as error:
         refusal = str(error)
-    fed = {column.column for column in columns}
+    fed = {test.file.time, *(channel.file_column for channel in test.channels)}
     left_over = tuple(c.name for c in inspection.channels if c.name not in fed)
     return TestMatch(
         test.name,
-        tuple(_match(column, test, inspection, means, left_over) for column in columns),
+        tuple(_match(channel, test, inspection, means, left_over) for channel in test.channels),
         left_over,
-        tuple(_pairs(test, means)),
+        dict(_pairs(test, means)),
         refusal,
         found,
         history,
@@ -169,60 +143,56 @@ def _near_stall_means(record: Record, test: TestDescription) -> dict[str, float]
     if rows.stop == rows.start:
         return {}
     # Every conversion is a straight line, so that the mean may be taken before it.
-    means = {name: np.array([np.mean(record[name][rows])]) for name in test.channel_names}
-    return {name: float(_total(name, mean, test)[0]) for name, mean in means.items()}
+    means = {}
+    for channel in test.channels:
+        mean = np.array([np.mean(record[channel.name][rows])])
+        means[channel.name] = float(_total(channel, mean, test)[0])
+    return means
 
 
-def _total(name: str, values: FloatArray, test: TestDescription) -> FloatArray:
+def _total(channel: AnyChannel, values: FloatArray, test: TestDescription) -> FloatArray:
     """Return readings of a channel as total pressures or temperatures."""
-    channel = next((channel for channel in test.channels if channel.name == name), None)
-    if channel is None:
-        return values
     if isinstance(channel, PressureChannel):
         return probe_pressure_Pa(channel, test, values)
     return values / channel.recovery_factor
 
 
 def _match(
-    feed: Feed,
+    channel: AnyChannel,
     test: TestDescription,
     inspection: Inspection,
     means: Mapping[str, float],
     left_over: tuple[str, ...],
 ) -> ChannelMatch:
-    facts = inspection.channel(feed.column)
-    low = high = facility = np.nan
+    facts = inspection.channel(channel.file_column)
+    low = high = np.nan
+    why_not = ""
     if facts is not None:
-        ends = feed.conversion.to_si(np.array([facts.minimum, facts.maximum]))
-        low, high = sorted(float(value) for value in _total(feed.name, ends, test))
-    if feed.channel is not None:
-        is_pressure = isinstance(feed.channel, PressureChannel)
-        of_plane = test.near_stall.pressure_Pa if is_pressure else test.near_stall.temperature_K
-        facility = of_plane(feed.channel.plane)
-    present = facts is not None or not feed.column
-    near = "" if present else nearest_name(feed.column, left_over)
-    why_not = f"perhaps {near}" if near else ""
-    for name, why in inspection.left_aside.items():
-        if name.split("/")[-1] == feed.column:
-            why_not = why
+        ends = channel.conversion.to_si(np.array([facts.minimum, facts.maximum]))
+        low, high = sorted(float(value) for value in _total(channel, ends, test))
+    else:
+        near = nearest_name(channel.file_column, left_over)
+        why_not = f"perhaps {near}" if near else ""
+        for name, why in inspection.left_aside.items():
+            if name.split("/")[-1] == channel.file_column:
+                why_not = why
+    is_pressure = isinstance(channel, PressureChannel)
+    facility = test.near_stall.pressure_Pa if is_pressure else test.near_stall.temperature_K
     return ChannelMatch(
-        feed.name,
-        feed.column,
-        present,
-        "" if present else why_not,
-        facts.unit if facts is not None else "",
-        feed.unit,
-        "Pa" if feed.record_unit == "count" else feed.record_unit,
+        channel.name,
+        channel.file_column,
+        facts is not None,
+        why_not,
+        channel.unit,
+        "Pa" if is_pressure else "K",
         low,
         high,
-        means.get(feed.name, np.nan),
-        facility,
+        means.get(channel.name, np.nan),
+        facility(channel.plane),
     )
 
 
-def _pairs(test: TestDescription, means: Mapping[str, float]) -> Iterator[PairOrder]:
-    for plane in test.areas_m2:
-        for pair in test.pairs(plane):
-            if means:
-                above_Pa = means[pair.forward.name] - means[pair.aft.name]
-                yield PairOrder(f"P{pair.name}", above_Pa)
+def _pairs(test: TestDescription, means: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+    for pair in (*test.pairs(25), *test.pairs(31)):
+        if means:
+            yield f"P{pair.name}", means[pair.forward.name] - means[pair.aft.name]

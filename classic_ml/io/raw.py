@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
-from classic_ml.description import CountChannel, PressureChannel, TestDescription
+from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
-from classic_ml.io.mapping import Feed, check_columns, feeds
 from classic_ml.io.table import StoredTable
 from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.series import MINIMUM_ROWS
+from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["MOST_VALUES", "read_raw"]
+__all__ = ["CLOCK_NAMES", "MOST_VALUES", "clock_unit", "nearest_name", "read_raw"]
 
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
@@ -29,6 +30,11 @@ MOST_VALUES = 200_000_000
 RATE_TOLERANCE = 1e-3
 # Beyond these no gas of a compressor is, nor a thermocouple that measures it.
 POSSIBLE_K = (50.0, 3000.0)
+
+# What a clock is called, in small letters.
+CLOCK_NAMES = ("time_s", "time", "t", "time (s)", "time [s]", "timestamp", "elapsed time")
+# Of a step: channels that start further apart were not sampled together.
+SAME_START = 0.01
 
 Window = tuple[float, float]
 
@@ -85,27 +91,138 @@ def read_raw(
             "window", expected="its start before its end", found=f"{window[0]:g} to {window[1]:g} s"
         )
     with open_stored(raw_path, test.file) as stored:
-        columns = feeds(stored, test)
-        check_columns(stored, test, columns)
-        read = _read(stored, test, columns, window, progress)
+        _check_columns(stored, test)
+        read = _read(stored, test, window, progress)
         if read is None and window is None and test.window_s is not None:
             window = test.window_s
-            read = _read(stored, test, columns, window, progress)
+            read = _read(stored, test, window, progress)
     if read is None:
         raise _too_long(stored, test)
-    return _record(stored, test, columns, read, window), test
+    return _record(stored, test, read, window), test
+
+
+def clock_unit(stored: StoredTable, test: TestDescription) -> str:
+    """Return the unit of the clock: that of test.toml, else that of the file, else seconds.
+
+    Parameters
+    ----------
+    stored : StoredTable
+        The file as it is.
+    test : TestDescription
+        The description.
+    """
+    stated = stored.unit(test.file.time) if test.file.units == "check" else ""
+    return test.file.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
+
+
+def nearest_name(name: str, names: Iterable[str]) -> str:
+    """Return the name most like another, whatever stands between its letters; empty without one.
+
+    Parameters
+    ----------
+    name : str
+        The name that is not there.
+    names : iterable of str
+        Those that are.
+    """
+    folded = {"".join(filter(str.isalnum, other.lower())): other for other in names}
+    near = get_close_matches("".join(filter(str.isalnum, name.lower())), folded, 1)
+    return folded[near[0]] if near else ""
+
+
+def _title(channel: AnyChannel) -> str:
+    renamed = f" (column '{channel.file_column}')" if channel.file_column != channel.name else ""
+    return f"channel {channel.name}{renamed}"
+
+
+def _check_columns(stored: StoredTable, test: TestDescription) -> None:
+    """Refuse a table whose columns, units or sampling are not those that a test describes."""
+    layout = test.file
+    titles = {channel.file_column: _title(channel) for channel in test.channels}
+    if layout.clock == "column":
+        titles = {layout.time: f"column {layout.time}", **titles}
+    missing = [column for column in titles if column not in stored.names]
+    extra = [name for name in stored.names if name not in titles]
+    if missing:
+        raise _missing(stored, test, titles[missing[0]], missing, extra)
+    if extra and layout.other_columns == "refuse":
+        raise InputError(
+            f"{stored.source}: column {extra[0]}",
+            expected=f'a table [channels."{extra[0]}"] in {test.source}',
+            found="none" + (f" (nor for {', '.join(extra[1:])[:200]})" if extra[1:] else ""),
+            remedy="describe the channel, leave the column out, or write "
+            'other_columns = "ignore" in [file]',
+        )
+    if layout.units == "check":
+        _check_units(stored, test, titles)
+    sampled = [(name, stored.sampled[name]) for name in stored.sampled if name in titles]
+    for name, (start_s, step_s) in sampled[1:]:
+        other, (first_s, usual_s) = sampled[0]
+        if abs(step_s / usual_s - 1.0) > 1e-9 or abs(start_s - first_s) > SAME_START * usual_s:
+            raise InputError(
+                f"{stored.source}: channels {other} and {name}",
+                expected="one start and one wf_increment for all channels that are read",
+                found=f"steps of {usual_s:g} and {step_s:g} s, starts at {first_s:g} and "
+                f"{start_s:g} s",
+                remedy="resample them to one clock, or correct the properties that are wrong",
+            )
+
+
+def _missing(
+    stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
+) -> InputError:
+    """Return the refusal of a table that lacks columns, with what the file has instead."""
+    first, key = missing[0], "time" if title.startswith("column") else "column"
+    others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
+    found = f"no such column{others} among {', '.join(stored.names)[:120]}"
+    for name, why in stored.left_aside.items():
+        if name.split("/")[-1] == first:
+            found = f"'{name}': {why}"
+    remedy = "a dead probe is left out with its mate, in both files"
+    if key == "time":
+        remedy = 'name it in [file], time = "...", or write clock = "from rate"'
+    near = nearest_name(first, spare)
+    return InputError(
+        f"{stored.source}: {title}",
+        expected=f"it in the header of the table, as {test.source} describes it",
+        found=found,
+        remedy=f"is '{near}' meant? then write {key} = \"{near}\"" if near else remedy,
+    )
+
+
+def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, str]) -> None:
+    """Refuse a unit of test.toml that is not the one the file states."""
+    units: dict[str, tuple[str, float | None]] = {
+        channel.file_column: (channel.unit, getattr(channel, "reference_Pa", None))
+        for channel in test.channels
+    }
+    units.setdefault(test.file.time, (clock_unit(stored, test), None))
+    for column, title in titles.items():
+        unit, reference_Pa = units[column]
+        stated = stored.unit(column)
+        if not same_unit(stated, unit, reference_Pa):
+            raise InputError(
+                f"{stored.source}: {title}",
+                expected=f'the unit "{unit}", as {test.source} says',
+                found=f'"{stated}", as the file says',
+                remedy="correct the one that is wrong; where the file is, write "
+                'units = "from test.toml" in [file]',
+            )
 
 
 def _read(
     stored: StoredTable,
     test: TestDescription,
-    columns: tuple[Feed, ...],
     window: Window | None,
     progress: Callable[[int], object] | None,
 ) -> _Readings | None:
     """Read the rows of a window, or all; None where they are more than are held at once."""
-    clock, *_ = columns
-    names = tuple(column.column for column in columns if column.column)
+    layout = test.file
+    has_clock = layout.clock == "column"
+    where = f"{test.source}: file.time_unit"
+    clock = conversion_to_si(clock_unit(stored, test), "time", where)
+    fed = [channel.file_column for channel in test.channels]
+    names = (layout.time, *fed) if has_clock else tuple(fed)
     low_s, high_s = _span(test, window)
     kept: list[tuple[NDArray[np.generic], ...]] = []
     times: list[FloatArray] = []
@@ -113,10 +230,10 @@ def _read(
     for block in stored.blocks(names):
         n_rows = block[0].size
         time_s = np.arange(rows, rows + n_rows) / test.sample_rate_hz
-        if clock.column:
-            time_s = clock.conversion.to_si(np.asarray(block[0], dtype=np.float64))
+        if has_clock:
+            time_s = clock.to_si(np.asarray(block[0], dtype=np.float64))
         if shift_s is None and n_rows:
-            shift_s = 0.0 if test.file.start_s is None else test.file.start_s - time_s[0]
+            shift_s = 0.0 if layout.start_s is None else layout.start_s - time_s[0]
         time_s = time_s + (shift_s or 0.0)
         if progress is not None:
             progress(n_rows)
@@ -167,16 +284,10 @@ def _too_long(stored: StoredTable, test: TestDescription) -> InputError:
 
 
 def _record(
-    stored: StoredTable,
-    test: TestDescription,
-    columns: tuple[Feed, ...],
-    read: _Readings,
-    window: Window | None,
+    stored: StoredTable, test: TestDescription, read: _Readings, window: Window | None
 ) -> Record:
-    clock, *fed = columns
-    time_s = read.time_s
-    _check_readings(stored, test, clock, time_s, read.rows_before)
-    part = ""
+    time_s, part = read.time_s, ""
+    _check_readings(stored, test, None, time_s, read.rows_before)
     if window is not None:
         if window[1] < time_s[0] or window[0] > time_s[-1]:
             raise InputError(
@@ -189,17 +300,18 @@ def _record(
             part += f" (from {window[0]:g} s on was asked; the near-stall reading is before it)"
     _check_rate(time_s, stored.source, test)
     channels: dict[str, Channel] = {}
-    for feed in fed:
-        values = np.asarray(read.by_column.pop(feed.column), dtype=np.float64)
-        values = feed.conversion.to_si(values)
-        _check_readings(stored, test, feed, values, read.rows_before)
-        channels[feed.name] = Channel.adopt(feed.name, values, feed.record_unit)
+    for channel in test.channels:
+        values = np.asarray(read.by_column.pop(channel.file_column), dtype=np.float64)
+        values = channel.conversion.to_si(values)
+        _check_readings(stored, test, channel, values, read.rows_before)
+        channels[channel.name] = Channel.adopt(channel.name, values, channel.record_unit)
     rate_hz = test.sample_rate_hz
-    made = stored.counts_from(clock.column) if clock.column else "from the sample rate"
+    is_made = test.file.clock == "from rate"
+    made = "from the sample rate" if is_made else stored.counts_from(test.file.time)
     entry = LedgerEntry(
         "read",
-        f"{time_s.size} rows of {len(fed)} channels, {time_s[0]:.3f} to {time_s[-1]:.3f} s at "
-        f"{rate_hz:g} Hz{part}" + (f"; the clock is {made}" if made else ""),
+        f"{time_s.size} rows of {len(channels)} channels, {time_s[0]:.3f} to {time_s[-1]:.3f} s "
+        f"at {rate_hz:g} Hz{part}" + (f"; the clock is {made}" if made else ""),
         {"raw": stored.source, "test": test.source, "rows": int(time_s.size)},
     )
     return Record(channels, rate_hz, float(time_s[0]), stored.source, (entry,))
@@ -225,11 +337,14 @@ def _check_rate(time_s: FloatArray, source: str, test: TestDescription) -> None:
 
 
 def _check_readings(
-    stored: StoredTable, test: TestDescription, feed: Feed, values: FloatArray, rows_before: int
+    stored: StoredTable,
+    test: TestDescription,
+    channel: AnyChannel | None,
+    values: FloatArray,
+    rows_before: int,
 ) -> None:
     """Refuse what is no number, codes that the converter does not have, and what no gas has."""
     low, high, possible, remedy = -np.inf, np.inf, "", "check the unit of the column"
-    channel = feed.channel
     if isinstance(channel, CountChannel):
         low, high = 0.0, float(test.adc.top_code)
         possible = f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})"
@@ -244,9 +359,10 @@ def _check_readings(
         return
     finite = np.isfinite(values)
     row = int(np.argmin(finite if not finite.all() else (low <= values) & (values <= high)))
-    unit = " Pa" if feed.record_unit == "Pa" else ""
+    title = f"column {test.file.time}" if channel is None else _title(channel)
+    unit = " Pa" if channel is not None and channel.record_unit == "Pa" else ""
     raise InputError(
-        f"{stored.source}: {feed.title}",
+        f"{stored.source}: {title}",
         expected=possible if finite.all() else "a finite number in every row",
         found=f"{values[row]:g}{unit} in row {rows_before + row + 1}",
         remedy=remedy if finite.all() else "cut the record there or repair the channel",

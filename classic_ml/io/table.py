@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from classic_ml.description import FileLayout
 from surge_core.errors import InputError
 
-__all__ = ["TIME_COLUMN", "Columns", "StoredTable", "Vector", "along", "fault_of", "grouped"]
+__all__ = ["BLOCK_ROWS", "Columns", "StoredTable", "Vector", "along", "fault_of", "grouped"]
 
-TIME_COLUMN = "time_s"
 # Rows that a reader takes at once: 40 MB of 20 channels.
 BLOCK_ROWS = 1 << 18
 # How many groups a sentence names.

@@ -72,13 +72,8 @@ def inspect_document(
         "left_aside": dict(inspection.left_aside),
         "surges_s": None if inspection.surges_s is None else list(inspection.surges_s),
         "remarks": list(remarks),
-        "test": None if match is None else _match_document(match),
+        "test": None if match is None else asdict(match),
     }
-
-
-def _match_document(match: TestMatch) -> dict[str, Any]:
-    pairs = [{**asdict(pair), "exchanged": pair.exchanged} for pair in match.pairs]
-    return {**asdict(match), "pairs": pairs}
 
 
 def _file_text(inspection: Inspection) -> str:
@@ -176,10 +171,10 @@ def _match_text(match: TestMatch) -> str:
     rows = [
         (
             c.channel,
-            c.column or "(made)",
+            c.column,
             c.unit,
             f"{_in_shown_unit(c.minimum, c.si_unit)} to {_in_shown_unit(c.maximum, c.si_unit)}"
-            if c.present and c.column
+            if c.present
             else "",
             _near_stall_text(c),
             _match_notes(c),
@@ -193,13 +188,13 @@ def _match_text(match: TestMatch) -> str:
         lines.append("  ".join(cells).rstrip())
     if match.left_over:
         lines.append("columns that feed nothing: " + ", ".join(match.left_over))
-    exchanged = [pair for pair in match.pairs if pair.exchanged]
+    exchanged = {pair: above_Pa for pair, above_Pa in match.above_Pa.items() if not above_Pa > 0.0}
     lines += [
-        f"{pair.pair}: the aft probe is {-pair.above_Pa / 1e3:.3g} kPa above the forward one near "
-        "stall: exchanged?"
-        for pair in exchanged
+        f"{pair}: the aft probe is {-above_Pa / 1e3:.3g} kPa above the forward one near stall: "
+        "exchanged?"
+        for pair, above_Pa in exchanged.items()
     ]
-    if match.pairs and not exchanged:
+    if match.above_Pa and not exchanged:
         lines.append("near stall every forward probe is above its aft one, as it should be")
     return "\n".join(lines)
 
@@ -208,8 +203,6 @@ def _match_notes(match: ChannelMatch) -> str:
     if not match.present:
         return "no such column" + (f": {match.why_not}" if match.why_not else "")
     notes = []
-    if match.stated_unit and match.stated_unit != match.unit:
-        notes.append(f"the file says {match.stated_unit}")
     if abs(match.near_stall - match.facility) > FAR_OFF * match.facility:
         notes.append("far off the facility's reading: its unit?")
     return "; ".join(notes)

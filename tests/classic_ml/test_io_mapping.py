@@ -343,7 +343,7 @@ def test_a_gauge_reading_is_never_taken_as_absolute(
 @pytest.mark.parametrize(
     ("file", "columns", "words"),
     [
-        ({"time": "Time"}, {}, r"a header and a column Time, .*is 'time_s' meant"),
+        ({"time": "Time"}, {}, r"column Time: expected it in the header.*is 'time_s' meant"),
         ({"time_unit": "rpm"}, {}, "file.time_unit: expected a unit of time"),
         ({}, {"PT 1 [psi]": 1.0}, r'\[channels."PT 1 \[psi\]"\] .* other_columns'),
     ],

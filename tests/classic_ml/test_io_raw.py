@@ -90,7 +90,7 @@ def _at(row: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
     ("change", "words"),
     [
         (_without(PROBE), f"raw.csv: channel {PROBE}: .* found no such column"),
-        (_without("time_s"), "expected a table with a header and a column time_s"),
+        (_without("time_s"), "column time_s: expected it in the header"),
         (lambda c: {**c, "P99": c[PROBE]}, r'column P99: expected a table \[channels."P99"\]'),
         (_with(PROBE, _at(41, np.nan)), f"channel {PROBE}: .* nan in row 42"),
         (_with(PROBE, _at(41, np.inf)), f"channel {PROBE}: .* inf in row 42"),
