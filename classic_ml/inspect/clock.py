@@ -30,17 +30,16 @@ class ClockFacts:
     unit : str
         Its unit; ``"s"`` where the file states none.
     about : str
-        What it is where it is no column of times.
+        What its seconds count from where it is a column of dates.
     first_s, last_s : float
         Its ends.
     rate_hz : float
         Rows a second, over the steps that are neither gaps nor back; NaN without any.
     jitter : float
         The largest deviation of these from the usual step, in steps.
-    gaps, repeats, steps_back : int
-        How often it jumps, stands still and runs back.
-    first_gap, first_repeat, first_step_back : int or None
-        The row after the first of them, counted from 1.
+    troubles : mapping of str to (int, int)
+        How often there is a ``"gap"``, a ``"repeat"`` or a ``"step back"``, and the row after the
+        first of them, counted from 1.
     """
 
     name: str
@@ -50,12 +49,7 @@ class ClockFacts:
     last_s: float
     rate_hz: float
     jitter: float
-    gaps: int
-    repeats: int
-    steps_back: int
-    first_gap: int | None
-    first_repeat: int | None
-    first_step_back: int | None
+    troubles: Mapping[str, tuple[int, int]]
 
 
 def clock_column(
@@ -105,16 +99,14 @@ class ClockTally:
     """
 
     def __init__(self, stored: StoredTable, name: str, layout: FileLayout) -> None:
-        stated = layout.time_unit if name == layout.time else None
-        unit = stated or stored.unit(name)
+        unit = (layout.time_unit if name == layout.time else None) or stored.unit(name)
         self.name, self.unit, self._conversion = name, "s", Conversion()
         if kind_of_unit(unit) == "time":
             self.unit, self._conversion = unit, conversion_to_si(unit, "time", name)
         self._about = stored.counts_from(name)
         self.usual_s = self._first_s = self._last_s = np.nan
-        self._good_steps, self._good_time_s, self._jitter = 0, 0.0, 0.0
-        self._counts = {"gap": 0, "repeat": 0, "step back": 0}
-        self._firsts = dict[str, int]()
+        self._n_good, self._good_s, self._jitter = 0, 0.0, 0.0
+        self._troubles: dict[str, tuple[int, int]] = {}
 
     def add(self, values: FloatArray, first_row: int) -> FloatArray:
         """Take the next rows into account, and return their times in s.
@@ -129,36 +121,26 @@ class ClockTally:
         time_s = self._conversion.to_si(values)
         # What is no number makes no step.
         steps = np.diff(time_s, prepend=self._last_s)
+        self._last_s = float(time_s[-1])
         if first_row == 0:
             self._first_s = float(time_s[0])
             self.usual_s = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
-        self._last_s = float(time_s[-1])
-        kinds = {
-            "gap": steps > GAP_STEPS * self.usual_s,
-            "repeat": steps == 0.0,
-            "step back": steps < 0.0,
-        }
-        for kind, where in kinds.items():
-            self._counts[kind] += int(np.count_nonzero(where))
+        is_gap = steps > GAP_STEPS * self.usual_s
+        for kind, where in (("gap", is_gap), ("repeat", steps == 0.0), ("step back", steps < 0.0)):
             if where.any():
-                self._firsts.setdefault(kind, first_row + int(np.argmax(where)) + 1)
-        good = steps[(steps > 0.0) & ~kinds["gap"]]
-        self._good_steps += good.size
-        self._good_time_s += float(np.sum(good))
+                n, first = self._troubles.get(kind, (0, first_row + int(np.argmax(where)) + 1))
+                self._troubles[kind] = n + int(np.count_nonzero(where)), first
+        good = steps[(steps > 0.0) & ~is_gap]
+        self._n_good += good.size
+        self._good_s += float(np.sum(good))
         off = np.abs(good - self.usual_s) / self.usual_s
         self._jitter = max(self._jitter, float(np.max(off, initial=0.0)))
         return time_s
 
     def facts(self) -> ClockFacts:
         """Return what was found."""
+        rate_hz = self._n_good / self._good_s if self._good_s > 0.0 else np.nan
+        ends_s = self._first_s, self._last_s
         return ClockFacts(
-            self.name,
-            self.unit,
-            self._about,
-            self._first_s,
-            self._last_s,
-            self._good_steps / self._good_time_s if self._good_time_s > 0.0 else np.nan,
-            self._jitter,
-            *self._counts.values(),
-            *(self._firsts.get(kind) for kind in self._counts),
+            self.name, self.unit, self._about, *ends_s, rate_hz, self._jitter, self._troubles
         )

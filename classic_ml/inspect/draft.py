@@ -17,7 +17,6 @@ _HEAD = """\
 # Description of a test, drafted from {source}.
 # Lines that begin with "#" hold what the file does not say: fill them in and take the "#" away.
 # What was guessed from the names of the columns is marked so: check it.
-
 [test]
 name = {name}
 {rate}

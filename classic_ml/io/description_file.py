@@ -242,35 +242,33 @@ def _check_codes(document: Document) -> None:
             continue
         if document.adc is None:
             raise InputError("adc", expected=f"a table, since {name} is in counts", found="none")
-        for code in ("zero_count", "calibrate_count"):
-            if getattr(channel, code) > document.adc.top_code:
-                raise InputError(
-                    f"channels.{name}.{code}",
-                    expected=f"a code of a converter of {document.adc.bits} bits",
-                    found=f"{getattr(channel, code):g}",
-                )
+        code = max(channel.zero_count, channel.calibrate_count)
+        if code > document.adc.top_code:
+            raise InputError(
+                f"channels.{name}",
+                expected=f"codes of a converter of {document.adc.bits} bits in zero_count and "
+                "calibrate_count",
+                found=f"{code:g}",
+            )
 
 
 def _check_names(document: Document) -> None:
     """Refuse tables by channel that name none, and a column that would feed two channels."""
-    aft = {n for n, c in document.channels.items() if getattr(c, "facing", "") == "aft"}
-    for table, names in (
-        ("limits", document.limits),
-        ("near_stall_shifts", document.near_stall_shifts),
-    ):
-        for name in names:
-            if name not in document.channels:
-                found = "no such channel in [channels]"
-                raise InputError(f"{table}.{name}", expected="the name of a channel", found=found)
-            if name in aft and table == "near_stall_shifts":
+    channels = document.channels
+    moved = [name for name, c in channels.items() if getattr(c, "facing", "") != "aft"]
+    tables = (
+        ("limits", document.limits, list(channels), "channel"),
+        ("near_stall_shifts", document.near_stall_shifts, moved, "forward probe or thermocouple"),
+    )
+    for table, stated, names, what in tables:
+        for name in stated:
+            if name not in names:
                 raise InputError(
-                    f"{table}.{name}",
-                    expected="the name of a forward probe or a thermocouple",
-                    found="an aft probe, which moves with its forward mate",
+                    f"{table}.{name}", expected=f"the name of a {what}", found="another name"
                 )
     clock = [] if document.file.clock == "from rate" else [document.file.time]
-    columns = Counter([*clock, *(c.file_column for c in document.channels.values())])
-    for name, channel in document.channels.items():
+    columns = Counter([*clock, *(channel.file_column for channel in channels.values())])
+    for name, channel in channels.items():
         if columns[channel.file_column] > 1:
             raise InputError(
                 f"channels.{name}.column",

@@ -142,7 +142,7 @@ def _check_names(file: Path, names: tuple[str, ...]) -> list[str]:
 def _check_step(time_s: FloatArray, file: Path) -> None:
     """Refuse a clock in whose steps no surge could be seen: it is in another unit."""
     # A time that is no number is refused when the series is made.
-    step = float(np.median(np.diff(time_s))) if np.isfinite(time_s).all() and time_s.size else 0.0
+    step = float(np.median(np.diff(time_s))) if np.isfinite(time_s).all() and time_s.ndim else 0.0
     if step > LONGEST_STEP_S:
         raise InputError(
             f"{file}: column time_s",
@@ -181,11 +181,6 @@ def _read_netcdf(file: Path) -> tuple[_Columns, _History]:
         names = _check_names(file, tuple(map(str, dataset.variables)))
         columns = {name: dataset[name].values for name in names}
         text = str(dataset.attrs.get("history", "[]"))
-    shapes = {values.shape for values in columns.values()}
-    if len(shapes) > 1 or columns["time_s"].ndim != 1:
-        raise InputError(
-            str(file), expected="columns of one length", found=f"shapes {sorted(shapes)}"
-        )
     try:
         return columns, _ledger_from_json(text)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):

@@ -194,26 +194,30 @@ def grouped(
     InputError
         When the group is not there, holds nothing, or several hold channels and none is named.
     """
-    base = _named_group(source, vectors, (layout.group or "").strip("/"))
-    inside = [vector for vector in vectors if vector.path[: len(base)] == base]
-    if not inside:
+    wanted = (layout.group or "").strip("/")
+    named = (v.path[:k] for v in vectors for k in range(len(v.path)))
+    base = next((path for path in named if "/".join(path) == wanted), None)
+    if base is None:
+        # The names of all, of a file with many groups the first.
+        groups = f"the groups {_listed(vectors)}" if vectors else "no vector of numbers"
         also = "".join(f"; {name} is {why}" for name, why in list(left_aside.items())[:1])
-        raise InputError(source, expected="channels", found=f"no vector of numbers{also}")
+        expected = f"the group {wanted}, as [file] group says" if wanted else "channels"
+        raise InputError(source, expected=expected, found=groups + ("" if vectors else also))
+    inside = [vector for vector in vectors if vector.path[: len(base)] == base]
     shares = Counter(len(vector.values) for vector in inside)
     clocks = {len(v.values) for v in inside if v.path[-1] == layout.time}
     size = clocks.pop() if len(clocks) == 1 else max(shares, key=lambda n: (shares[n], n))
     taken = [vector for vector in inside if len(vector.values) == size]
-    groups = _groups(taken)
-    if layout.group is None and len(groups) > 1:
-        raise InputError(
-            source,
-            expected="the channels in one group",
-            found=f"channels in {_listed(groups)}",
-            remedy=f'write group = "{groups[-1]}" in [file] of test.toml for one of them, or '
-            'group = "/" for all, their columns named as "group/name"',
-        )
     if layout.group is None:
         base = taken[0].path[:-1]
+        if any(vector.path[:-1] != base for vector in taken):
+            raise InputError(
+                source,
+                expected="the channels in one group",
+                found=f"channels in {_listed(taken)}",
+                remedy=f'write group = "{"/".join(base)}" in [file] of test.toml for one of them, '
+                'or group = "/" for all, their columns named as "group/name"',
+            )
     columns = {"/".join(vector.path[len(base) :]): vector for vector in taken}
 
     def read(names: tuple[str, ...]) -> Iterator[Columns]:
@@ -238,25 +242,7 @@ def grouped(
     )
 
 
-def _named_group(source: str, vectors: Sequence[Vector], wanted: str) -> tuple[str, ...]:
-    """Return the path of a group; the top of the file without a name."""
-    if not wanted:
-        return ()
-    paths = {v.path[:depth] for v in vectors for depth in range(1, len(v.path))}
-    for path in paths:
-        if "/".join(path) == wanted:
-            return path
-    raise InputError(
-        f"{source}: group {wanted}",
-        expected="it in the file, as [file] group says",
-        found="only " + _listed(_groups(vectors)),
-    )
-
-
-def _groups(vectors: Sequence[Vector]) -> list[str]:
-    return list(dict.fromkeys("/".join(vector.path[:-1]) for vector in vectors))
-
-
-def _listed(groups: Sequence[str]) -> str:
+def _listed(vectors: Sequence[Vector]) -> str:
+    groups = list(dict.fromkeys("/".join(vector.path[:-1]) for vector in vectors))
     more = f" and {len(groups) - NAMED} more" if len(groups) > NAMED else ""
     return ", ".join(f"'{name or '/'}'" for name in groups[:NAMED]) + more

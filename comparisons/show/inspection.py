@@ -116,13 +116,8 @@ def _clock_text(clock: ClockFacts) -> str:
         f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
     )
     troubles = [
-        f"{_counted(count, one, more)} (the first before row {first})"
-        for count, first, one, more in (
-            (clock.gaps, clock.first_gap, "gap", "gaps"),
-            (clock.repeats, clock.first_repeat, "repeat", "repeats"),
-            (clock.steps_back, clock.first_step_back, "step back", "steps back"),
-        )
-        if count
+        f"{kind} {_counted(count, 'time', 'times')} (the first before row {first})"
+        for kind, (count, first) in clock.troubles.items()
     ]
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
 
