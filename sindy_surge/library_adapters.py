@@ -1,47 +1,39 @@
-"""Anybody's library of terms, pysindy's or scikit-learn's, as plain arrays and names."""
+"""A library of terms, pysindy's or scikit-learn's, as plain arrays and names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Evaluator", "evaluated", "fitted_library", "term_names"]
+__all__ = ["evaluated", "fitted_library", "term_names"]
 
 
-class Evaluator(Protocol):
-    """A fitted library."""
-
-    def transform(self, x: Any) -> Any:
-        """Evaluate the terms."""
-        ...
-
-
-def fitted_library(library: Any, X: FloatArray, where: str) -> Evaluator:
-    """Fit a library of anybody's, or say what is wrong with it.
+def fitted_library(library: Any, X: FloatArray) -> Any:
+    """Fit a library, or refuse what is none.
 
     Parameters
     ----------
+    library : pysindy feature library or scikit-learn transformer
+        The library.
     X : ndarray of shape (n_rows, n_inputs)
         What to fit it to.
     """
-    for method in ("fit", "transform"):
-        if not hasattr(library, method):
-            raise InputError(
-                where,
-                expected="a pysindy feature library or a scikit-learn transformer",
-                found=f"{type(library).__name__}, which has no `{method}`",
-            )
-    fitted: Evaluator = library.fit(X)
-    return fitted
+    if not (hasattr(library, "fit") and hasattr(library, "transform")):
+        raise InputError(
+            "library",
+            expected="a pysindy feature library or a scikit-learn transformer",
+            found=type(library).__name__,
+        )
+    return library.fit(X)
 
 
 def evaluated(
-    library: Evaluator,
+    library: Any,
     X: FloatArray,
     wanted: Sequence[int] | None = None,
     names: Sequence[str] = (),
@@ -52,10 +44,16 @@ def evaluated(
 
     Parameters
     ----------
+    library : object
+        From `fitted_library`.
     X : ndarray of shape (n_rows, n_inputs)
         Its inputs.
     wanted : sequence of int or None
         Positions of the terms; None for all of them.
+    names : sequence of str
+        Names of all its terms.
+    strict : bool
+        Refuse what is not finite.
 
     Returns
     -------
@@ -78,16 +76,15 @@ def evaluated(
             values = np.array(values, dtype=np.float64, order="F", subok=False)
             if wanted is not None and len(wanted) != values.shape[1]:
                 values = values[:, list(wanted)]
-    finite = np.isfinite(values)
-    if strict and not finite.all():
-        column = int(np.flatnonzero(~finite.all(axis=0))[0])
-        column = column if wanted is None else wanted[column]
-        row = int(np.flatnonzero(~finite.all(axis=1))[0])
+    bad = np.argwhere(~np.isfinite(values))
+    if strict and bad.size:
+        row, column = bad[0]
+        name = names[column if wanted is None else wanted[column]] if names else f"term {column}"
         raise InputError(
             "library",
             expected="finite terms over the whole range of the data",
-            found=f"an infinite or NaN value of {names[column] if names else f'term {column}'!r}, "
-            f"first at inputs {np.round(X[row], 6).tolist()}",
+            found=f"an infinite or NaN value of {name!r}, first at inputs "
+            f"{np.round(X[row], 6).tolist()}",
             remedy="leave that term out, or restrict the range",
         )
     result: FloatArray = values

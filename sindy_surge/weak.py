@@ -170,10 +170,7 @@ class WeakEquations:
     def of(cls, problem: LagProblem, half_width: int | None = None) -> WeakEquations | None:
         """Set up the equations of a record; None takes a half width of two time constants.
 
-        Returns
-        -------
-        WeakEquations or None
-            None if the segments are too short for a test function, or no lag shows.
+        None also if the segments are too short for a test function, or no lag shows.
         """
         # Terms with ψ' need a simulated ψ', of which the weak form has none.
         without = problem.columns[: problem.n_without_state].tolist()
