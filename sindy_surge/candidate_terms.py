@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sindy_surge.library import default_library, hinge_name
-from sindy_surge.library_adapters import evaluated, fitted_library, term_names
 from sindy_surge.linear_problem import least_squares
 from sindy_surge.state_terms import ProductStateTerms
 from surge_core.errors import InputError
@@ -53,10 +52,10 @@ class CandidateTerms:
         output_name: str = "psi_p",
     ) -> None:
         chosen = default_library(X, degree=degree, knots=knots) if library is None else library
-        self._library = fitted_library(copy.deepcopy(chosen), X)
-        n_terms = evaluated(self._library, X[:1], strict=False).shape[1]
+        self._library = _fitted(copy.deepcopy(chosen), X)
+        n_terms = self._of_inputs(X[:1], strict=False).shape[1]
         self.input_names = tuple(input_names)
-        self._own_names = term_names(self._library, input_names, n_terms)
+        self._own_names = _term_names(self._library, input_names, n_terms)
         self._extra: tuple[float, ...] = ()
         self.states: ProductStateTerms | None = None
         if psi_p is not None and len(input_names) <= _MOST_INPUTS_WITH_STATE:
@@ -126,7 +125,7 @@ class CandidateTerms:
         parts: list[FloatArray] = []
         inputs_alone = [i for i in wanted if i < own]
         if inputs_alone:
-            parts.append(evaluated(self._library, X, inputs_alone, self._own_names, strict=strict))
+            parts.append(self._of_inputs(X, inputs_alone, strict=strict))
         extra = [self._extra[i - own] for i in wanted if own <= i < edge]
         parts += [np.maximum(X[:, 0] - knot, 0.0)[:, None] for knot in extra]
         with_state = [i - edge for i in wanted if i >= edge]
@@ -135,6 +134,54 @@ class CandidateTerms:
         if not parts:
             return np.empty((X.shape[0], 0))
         return parts[0] if len(parts) == 1 else np.asfortranarray(np.hstack(parts))
+
+    def _of_inputs(
+        self, X: FloatArray, wanted: Sequence[int] | None = None, *, strict: bool = True
+    ) -> FloatArray:
+        """Evaluate terms of the library as a plain array."""
+        # A plain float array: pysindy hands back its own subclass, slow in everything after.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if wanted is not None and hasattr(self._library, "columns_at"):
+                values = self._library.columns_at(X, wanted)
+            else:
+                values = self._library.transform(X)
+                values = np.array(values, dtype=np.float64, order="F", subok=False)
+                values = values if wanted is None else values[:, list(wanted)]
+        bad = np.argwhere(~np.isfinite(values)) if strict else np.empty((0, 2))
+        if bad.size:
+            row, column = bad[0].tolist()
+            position = column if wanted is None else wanted[column]
+            raise InputError(
+                "library",
+                expected="finite terms over the whole range of the data",
+                found=f"an infinite or NaN value of {self._own_names[position]!r}, "
+                f"first at inputs {np.round(X[row], 6).tolist()}",
+                remedy="leave that term out, or restrict the range",
+            )
+        result: FloatArray = values
+        return result
+
+
+def _fitted(library: Any, X: FloatArray) -> Any:
+    """Fit a library, or refuse what is none."""
+    if not (hasattr(library, "fit") and hasattr(library, "transform")):
+        raise InputError(
+            "library",
+            expected="a pysindy feature library or a scikit-learn transformer",
+            found=type(library).__name__,
+        )
+    return library.fit(X)
+
+
+def _term_names(library: Any, input_names: list[str], n_terms: int) -> tuple[str, ...]:
+    if hasattr(library, "get_feature_names"):
+        names = library.get_feature_names(input_names)
+    elif hasattr(library, "get_feature_names_out"):
+        names = library.get_feature_names_out(np.asarray(input_names, dtype=object))
+    else:
+        names = [f"s{i}" for i in range(n_terms)]
+    # pysindy and scikit-learn write a product as "a b".
+    return tuple(str(name) for name in names)
 
 
 def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[np.intp]:

@@ -129,12 +129,8 @@ class ModelSummary:
             rows.append(("dead time d", f"{round_to_error(dead, error)} s"))
             rows.append(("d, 95 % interval", f"{_interval(interval95(dead, error), error)} s"))
         if weak is not None:
-            readings = (weak.forward_s, weak.reverse_s, weak.compensated_s)
-            for name, value in zip(
-                ("forward", "reverse", "noise taken off"), readings, strict=True
-            ):
-                if math.isfinite(value):
-                    rows.append((f"weak τ, {name}", f"{significant(value)} s"))
+            rows.append(("weak τ, forward", f"{significant(weak.forward_s)} s"))
+            rows.append(("weak τ, reverse", f"{significant(weak.reverse_s)} s"))
             rows.append(("weak gap (noise)", f"{significant(100 * weak.gap, 3)} %"))
         return [Field(*row) for row in rows]
 

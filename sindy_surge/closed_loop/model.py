@@ -65,15 +65,7 @@ class LoopState(AdvisedState):
 
 
 class CycleRow(NamedTuple):
-    """One line of the comparison of measured and simulated cycles.
-
-    Parameters
-    ----------
-    quantity : str
-        What is compared, with its unit.
-    measured, simulated : float
-        The two values; nan if the model does not cycle.
-    """
+    """A quantity of the cycles, with its unit, as measured and simulated (nan without cycles)."""
 
     quantity: str
     measured: float
@@ -150,18 +142,7 @@ class SurgeModel:
         return tuple(np.split(errors, np.cumsum([len(t) for t in self.terms])[:-1]))
 
     def rate(self, states: ArrayLike) -> FloatArray:
-        """Return the time derivative of the states.
-
-        Parameters
-        ----------
-        states : array-like of shape (..., 3)
-            φ, ψ' and Ψ.
-
-        Returns
-        -------
-        ndarray of shape (..., 3)
-            Their derivatives per second.
-        """
+        """Return the time derivative of states (..., 3) per second, of the same shape."""
         x = np.asarray(states, dtype=np.float64)
         pairs = zip(self.terms, self.coefficients, strict=True)
         return np.stack([terms.values(x) @ beta for terms, beta in pairs], axis=-1)

@@ -164,19 +164,8 @@ class Windows:
     ) -> FloatArray:
         """Simulate all windows of several trials side by side, as one system of equations.
 
-        Parameters
-        ----------
-        support : tuple of int
-            The candidates that stand in the equations.
-        coefficients : ndarray of shape (n_trials, n_support)
-            Their coefficients.
-        starts : ndarray of shape (n_trials, n_windows, 3)
-            First state of each window.
-
-        Returns
-        -------
-        ndarray of shape (n_trials, n_windows, n_samples, 3)
-            The states; nan where the integrator gave up.
+        From coefficients (n_trials, n_support) and starts (n_trials, n_windows, 3) to states
+        (n_trials, n_windows, n_samples, 3), nan where the integrator gave up.
         """
         from scipy.integrate import solve_ivp
 
@@ -219,18 +208,18 @@ class Windows:
 
 @dataclass(frozen=True)
 class Linearised:
-    """The residual about one trial, in each window the start apart from the coefficients.
+    """The simulation of a fit differentiated, the starts of the windows apart.
 
     Parameters
     ----------
     starts : ndarray of shape (n_windows, n_equations, 3)
-        Derivatives of the simulation with respect to the start of the window.
+        Derivatives with respect to the start of the window.
     columns : ndarray of shape (n_windows, n_equations, n_support)
         Derivatives with respect to the coefficients.
     residual : ndarray of shape (n_windows, n_equations)
         The residual.
     fit : JointFit
-        The trial.
+        The fit.
     """
 
     starts: FloatArray
@@ -242,13 +231,7 @@ class Linearised:
     def about(
         cls, windows: Windows, fit: JointFit, support: Support | None = None
     ) -> Linearised | None:
-        """Differentiate the simulation of a fit, with respect to a support that holds its own.
-
-        Returns
-        -------
-        Linearised or None
-            None if the simulation breaks off.
-        """
+        """Take differences for a support that holds the fit's; None if a simulation breaks off."""
         wide = fit.support if support is None else support
         values = np.zeros(len(wide))
         values[[wide.index(i) for i in fit.support]] = fit.coefficients
