@@ -54,27 +54,36 @@ class Twin:
         """Return the twin's readings, with noise and an error of calibration drawn by rng."""
         test = self.signals.test
         flow, total = {}, {}
-        for plane in test.areas_m2:
-            for pair in test.pairs(plane):
-                if pair.name in self.flow_kg_s:
-                    flow[pair.name], total[pair.name] = self._pair(pair, test, rng)
+        for pair in (pair for plane in test.areas_m2 for pair in test.pairs(plane)):
+            if pair.name not in self.total_Pa:
+                continue
+            pressures = self.total_Pa[pair.name], self.total_Pa[pair.name]
+            if pair.name in self.flow_kg_s:
+                pressures = _pressures(self.flow_kg_s[pair.name], pressures[0], pair, test)
+            forward, aft = (
+                self._read(channel.name, pressure, rng)
+                for channel, pressure in zip((pair.forward, pair.aft), pressures, strict=True)
+            )
+            total[pair.name] = forward
+            if pair.name in self.flow_kg_s:
+                probe = pair.forward
+                total[pair.name] = np.maximum(forward, aft)
+                flow[pair.name] = pair_flow(
+                    forward,
+                    aft,
+                    probe.probe_slope,
+                    probe.probe_offset,
+                    test.areas_m2[probe.plane],
+                    test.compressor,
+                )
         return self.signals.measured_again(flow, total)
 
-    def _pair(
-        self, pair: ProbePair, test: TestDescription, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        probe, machine = pair.forward, test.compressor
-        area_m2 = test.areas_m2[probe.plane]
-        forward, aft = _pressures(self.flow_kg_s[pair.name], self.total_Pa[pair.name], pair, test)
-        read = []
-        for name, pressure in ((pair.forward.name, forward), (pair.aft.name, aft)):
-            noise = self.signals.noise_Pa[name]
-            # The mean of the reading to which the channel was matched is as uncertain as this.
-            offset = noise / np.sqrt(self.signals.near_stall_rows) * rng.standard_normal()
-            noisy = pressure + offset + noise * rng.standard_normal(pressure.size)
-            read.append(np.maximum(noisy, LEAST_PA))
-        slope, zero = probe.probe_slope, probe.probe_offset
-        return pair_flow(*read, slope, zero, area_m2, machine), np.maximum(*read)
+    def _read(self, name: str, pressure_Pa: FloatArray, rng: np.random.Generator) -> FloatArray:
+        noise_Pa = self.signals.noise_Pa[name]
+        # The mean of the reading to which the channel was matched is as uncertain as this.
+        offset_Pa = noise_Pa / np.sqrt(self.signals.near_stall_rows) * rng.standard_normal()
+        noise = noise_Pa * rng.standard_normal(pressure_Pa.size)
+        return np.asarray(np.maximum(pressure_Pa + offset_Pa + noise, LEAST_PA))
 
 
 def twin_of(

@@ -16,7 +16,6 @@ from classic_ml.coefficients import (
 )
 from classic_ml.description import TestDescription
 from classic_ml.flow import corrected_flow, physical_flow
-from classic_ml.planes import present_pairs
 from classic_ml.records import Record, fault_name
 from surge_core.types import BoolArray, FloatArray
 
@@ -53,7 +52,7 @@ class RakeSignals:
     Parameters
     ----------
     flow_kg_s, total_Pa : mapping of str to ndarray of shape (n,)
-        Corrected flow (Eq 3) and total pressure by pair, as in ``"25_A_tip"``.
+        Corrected flow of the inlet's pairs (Eq 3) and total pressure of all, as in ``"25_A_tip"``.
     inlet_K : ndarray of shape (n,)
         T25 with the thermocouples' lag undone.
     counts : ndarray of bool, shape (n,)
@@ -125,9 +124,8 @@ class RakeSignals:
         choked = LARGEST_SHARE * float(
             corrected_flow(np.ones(1), self.test.areas_m2[25], self.test.compressor)[0]
         )
-        for name, flow in self.flow_kg_s.items():
-            if name.startswith("25"):
-                over = over | (np.abs(flow) > choked)
+        for flow in self.flow_kg_s.values():
+            over = over | (np.abs(flow) > choked)
         for pressure in self.total_Pa.values():
             over = over | ~(pressure > 0.0)
         return np.asarray(over)
@@ -170,7 +168,12 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
     test : TestDescription
         Its test.
     """
-    pairs = [pair for plane in test.areas_m2 for pair in present_pairs(record, test, plane)]
+    pairs = [
+        pair
+        for plane in test.areas_m2
+        for pair in test.pairs(plane)
+        if f"Pt{pair.name}_Pa" in record
+    ]
     couples = [c.name for c in test.thermocouples(25) if c.name in record]
     counts = np.ones(record.n_samples, dtype=np.bool_)
     noise = {}
@@ -181,7 +184,7 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
         steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
         noise[probe.name] = float(np.std(steps) / np.sqrt(GAIN))
     return RakeSignals(
-        {pair.name: record[f"Wc{pair.name}_kg_s"] for pair in pairs},
+        {p.name: record[f"Wc{p.name}_kg_s"] for p in pairs if p.forward.plane == 25},
         {pair.name: record[f"Pt{pair.name}_Pa"] for pair in pairs},
         np.asarray(np.mean([record[name] for name in couples], axis=0)),
         counts,

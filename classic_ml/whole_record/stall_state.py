@@ -1,4 +1,4 @@
-"""The in-stall state by two flows: recovery above one on the way up, stall below one on the way down.
+"""The in-stall state by two flows: recovery above one, going up, stall below one, going down.
 
 Both are estimated together: by what the state leaves of ψ' in the free run, and by what it leaves
 of the hub-minus-tip flow, each by its likelihood.
@@ -99,7 +99,7 @@ def estimated_state(passes: Passes, spec: Specification) -> tuple[BoolArray, Sta
     state = passes.in_stall
     inner = passes.piece[1:] == passes.piece[:-1]
     recoveries = np.flatnonzero(state[:-1] & ~state[1:] & inner)
-    entries = np.count_nonzero(~state[:-1] & state[1:] & inner)
+    entries = int(np.count_nonzero(~state[:-1] & state[1:] & inner))
     if min(recoveries.size, entries) < FEWEST_EPISODES:
         return state, None
     phi = passes.smooth(passes.phi, LEVEL_AVERAGE_S)
@@ -159,7 +159,7 @@ def _misfit(passes: Passes, spec: Specification, levels: StallLevels) -> float:
 
 
 def _shift_error(passes: Passes, shift: FloatArray, state: BoolArray) -> float:
-    """Return the mean square of what the state, averaged alike, leaves of the hub-minus-tip flow."""
+    """Return the mean square of what the averaged state leaves of the hub-minus-tip flow."""
     stalled = passes.smooth(state.astype(np.float64), passes.period_s)
     flow = passes.smooth(passes.phi, passes.period_s)
     columns = np.column_stack([np.ones(stalled.size), stalled, stalled * flow])
