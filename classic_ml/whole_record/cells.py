@@ -105,7 +105,7 @@ def without_cells(
     def cleaned(average: FloatArray, taps: _Taps | None) -> FloatArray:
         if taps is None:
             return average
-        return average - np.where(in_stall, taps.cells_of(average, fitted), 0.0)
+        return average - taps.cells_of(average, fitted)
 
     return Planes(
         cleaned(planes.corrected_kg_s, inlet),

@@ -86,10 +86,17 @@ class Passes:
 
     @property
     def cycle(self) -> IntArray:
-        """Number of the surge cycle of each row: from one reversal to the next, or a new piece."""
-        reversed_ = self.smooth(self.phi, self.period_s) < 0.0
-        begins = np.zeros(self.phi.size, dtype=np.bool_)
-        begins[1:] = (reversed_[1:] & ~reversed_[:-1]) | (self.piece[1:] != self.piece[:-1])
+        """Number of the surge cycle of each row: from one rise of φ to the next, or a new piece."""
+        phi = self.smooth(self.phi, self.period_s)
+        low, middle, high = np.percentile(phi, [20.0, 50.0, 80.0])
+        # Between low and high the flow has not come back yet.
+        level = np.where(
+            phi > 0.5 * (middle + high), 1, np.where(phi < 0.5 * (low + middle), -1, 0)
+        )
+        last = np.maximum.accumulate(np.where(level != 0, np.arange(phi.size), 0))
+        risen = level[last] > 0
+        begins = np.zeros(phi.size, dtype=np.bool_)
+        begins[1:] = (risen[1:] & ~risen[:-1]) | (self.piece[1:] != self.piece[:-1])
         return np.asarray(np.cumsum(begins), dtype=np.int64)
 
 
