@@ -426,7 +426,7 @@ def _sweeps(phi: FloatArray, stated: tuple[float, float]) -> NDArray[np.int64]:
 def _contrasts(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> FloatArray:
     """Return τ and the curve at three points as linear functions of the fit's parameters."""
     points = np.percentile(inputs, CURVE_PERCENTILES, axis=0)
-    terms = np.asarray(model.basis_.transform(points), dtype=np.float64) @ fit.back
+    terms = model.terms_at(points) @ fit.back
     contrasts = np.zeros((1 + terms.shape[0], fit.jacobian.shape[1]))
     contrasts[0, 0] = 1.0
     contrasts[1:, 1 : 1 + terms.shape[1]] = terms

@@ -181,7 +181,8 @@ def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
         An earlier fit to start from, in place of a scan.
     """
     starts = _starts(data) if start is None else [start.shape]
-    at, near, state = _search(data, starts)
+    is_long = data.rows_of_errors.size > LONG_RECORD
+    at, near, state = _search(data, starts, NEWTON_DECREMENT if is_long else FINE_DECREMENT)
     scored = at.errors[data.scored]
     n_lags = correlation_length(scored, data.piece_lengths)
     shortest = n_lags
@@ -253,29 +254,27 @@ def _is_deficient(gram: FloatArray) -> bool:
 
 
 def _search(
-    data: LagData, starts: list[FloatArray], fine: float | None = None
+    data: LagData, starts: list[FloatArray], tolerance: float
 ) -> tuple[Profile, Newton, FitState]:
     """Refine from each start and return the best fit, and how it ended."""
-    if fine is None:
-        fine = NEWTON_DECREMENT if data.rows_of_errors.size > LONG_RECORD else FINE_DECREMENT
-    if len(starts) > 1:
+    found = []
+    for start in starts:
+        at = profile(data, start)
+        found.append((at, newton(data, at)))
+    if len(found) > 1:
         # The choice among them needs no more digits than their costs differ in.
-        ends = [_refine(data, start, CHOICE_DECREMENT)[0] for start in starts]
-        starts = [min(ends, key=lambda end: end.cost).shape]
-    return _refine(data, starts[0], fine)
+        ends = [_refine(data, at, near, CHOICE_DECREMENT)[:2] for at, near in found]
+        found = [min(ends, key=lambda end: end[0].cost)]
+    return _refine(data, *found[0], tolerance)
 
 
-def _refine(data: LagData, start: FloatArray, tolerance: float) -> tuple[Profile, Newton, FitState]:
-    low, high = data.log_tau_bounds
-    fitted = data.held_log_tau is None
-    if fitted:
-        start = np.concatenate([[np.clip(start[0], low, high)], start[1:]])
-    at = profile(data, start)
-    near = newton(data, at)
+def _refine(
+    data: LagData, at: Profile, near: Newton, tolerance: float
+) -> tuple[Profile, Newton, FitState]:
     n_errors = max(data.scored.size, 1)
     damping, state, at_kink = 1e-3, FitState.NOT_CONVERGED, False
+    left = near.decrement
     for _ in range(MAXIMUM_ITERATIONS):
-        left = near.decrement
         if left <= tolerance * at.cost / n_errors:
             state = FitState.CONVERGED
             break
@@ -289,12 +288,15 @@ def _refine(data: LagData, start: FloatArray, tolerance: float) -> tuple[Profile
         else:
             at = trial
         near = newton(data, at, at_kink=at_kink)
-    if near.decrement <= COARSE_DECREMENT * at.cost / n_errors:
+        left = near.decrement
+    if left <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
-    if fitted and at.shape[0] <= low + 1e-9:
-        state = FitState.AT_LOWER_BOUND
-    elif fitted and at.shape[0] >= high - 1e-9:
-        state = FitState.AT_UPPER_BOUND
+    if data.held_log_tau is None:
+        low, high = data.log_tau_bounds
+        if at.shape[0] <= low + 1e-9:
+            state = FitState.AT_LOWER_BOUND
+        elif at.shape[0] >= high - 1e-9:
+            state = FitState.AT_UPPER_BOUND
     return at, near, state
 
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
+from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
-from classic_ml.characteristics import feature_names, polynomial_basis, term_names
+from classic_ml.characteristics import feature_names, polynomial_names, term_names
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
 from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal, rows_late
 from classic_ml.lag_fit import LagFit, fit_lag
@@ -223,7 +224,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         inputs = np.asarray(validate_data(self, X, dtype=np.float64, reset=False))
-        quasi_steady = self._terms_of(inputs) @ self.coef_
+        quasi_steady = self.terms_at(inputs) @ self.coef_
         if np.isnan(self.time_constant_s_):
             return quasi_steady
         begin = quasi_steady if start is None else np.asarray(start, dtype=np.float64)
@@ -253,7 +254,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X, y = self._validated(X, y, reset=False)
-        terms = self._terms_of(X)
+        terms = self.terms_at(X)
         known = np.ones(y.size, dtype=np.bool_)
         if np.isnan(self.time_constant_s_):
             return terms @ self.coef_, known
@@ -288,11 +289,17 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         points = np.asarray(phi, dtype=np.float64)
         points = points.reshape(-1, self.n_features_in_) if points.ndim < 2 else points
-        terms = self._terms_of(points)
+        terms = self.terms_at(points)
         # Raw powers of φ all but cancel: t' covariance_ t keeps no digit where the curve has many.
         moves = (terms @ self._curve_back) @ self._curve_moves.T
         share = (len(self._curve_moves) - 1) / len(self._curve_moves)
         return terms @ self.coef_, np.sqrt(share) * np.linalg.norm(moves, axis=1)
+
+    def terms_at(self, X: FloatArray) -> FloatArray:
+        """Return the terms s_i, of shape (n, n_terms), at inputs of shape (n, n_features)."""
+        if self._is_polynomial:
+            return np.vander(X[:, 0], self.degree + 1, increasing=True)
+        return np.asarray(self.basis_.transform(X), dtype=np.float64)
 
     def score(
         self,
@@ -344,7 +351,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         X, y = self._validated(X, y, reset=False)
         weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
         runs = self._runs(segments, y.size)
-        terms = nearly_orthogonal(self._terms_of(X))
+        terms = nearly_orthogonal(self.terms_at(X))
         beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
         if np.isnan(self.time_constant_s_):
             return linearised_static(y - terms.columns @ beta, terms, weight, runs)
@@ -414,22 +421,24 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return np.asarray(checked[0]), np.asarray(checked[1], dtype=np.float64)
 
     def _fit_basis(self, X: FloatArray) -> FloatArray:
-        self.basis_ = polynomial_basis(self.degree) if self.basis is None else clone(self.basis)
-        if self.basis is None and X.shape[1] == 1:
-            self.basis_.fit(X[:1])
-            terms = np.vander(X[:, 0], self.degree + 1, increasing=True)
-        else:
-            terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
+        names = feature_names(X.shape[1], getattr(self, "feature_names_in_", None))
+        if self._is_polynomial:
+            self.terms_ = polynomial_names(names[0], self.degree)
+            return self.terms_at(X)
+        plain = PolynomialFeatures(self.degree)
+        self.basis_ = plain if self.basis is None else clone(self.basis)
+        terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
         if terms.ndim != 2 or terms.shape[0] != X.shape[0] or not np.all(np.isfinite(terms)):
             raise InputError(
                 "basis", expected="a finite table with one row a sample", found=f"{terms.shape}"
             )
-        names = feature_names(X.shape[1], getattr(self, "feature_names_in_", None))
         self.terms_ = term_names(self.basis_, names, terms.shape[1])
         return terms
 
-    def _terms_of(self, X: FloatArray) -> FloatArray:
-        return np.asarray(self.basis_.transform(X), dtype=np.float64)
+    @property
+    def _is_polynomial(self) -> bool:
+        """Whether the terms are powers of one input, for which no transformer is needed."""
+        return self.basis is None and self.n_features_in_ == 1
 
     def _lag(self) -> FirstOrderLag:
         period = float(self.sample_period_s)

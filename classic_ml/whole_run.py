@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.characteristics import polynomial_basis, term_names
+from classic_ml.characteristics import polynomial_names
 from classic_ml.checks import (
     CheckRow,
     coverage,
@@ -253,7 +253,7 @@ def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -
     return WholeRunFit(
         math.nan,
         math.nan,
-        _names(degree),
+        polynomial_names("phi", degree),
         np.zeros(degree + 1),
         np.full((degree + 1, degree + 1), math.nan),
         degree,
@@ -291,7 +291,7 @@ def _result(
     return WholeRunFit(
         tau_s,
         stderr_s,
-        _names(degree),
+        polynomial_names("phi", degree),
         model.coef_[:n_terms],
         covariance,
         degree,
@@ -302,11 +302,6 @@ def _result(
         rows,
         kept,
     )
-
-
-def _names(degree: int) -> list[str]:
-    basis = polynomial_basis(degree).fit(np.zeros((2, 1)))
-    return term_names(basis, ["phi"], degree + 1)
 
 
 def check_rates(records: Sequence[CoefficientSeries]) -> None:

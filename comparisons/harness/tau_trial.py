@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from classic_ml.characteristics import polynomial_basis
 from classic_ml.emptied_band import emptied_above_hz
 from comparisons.harness.fit_quality import block_errors, paired_difference, rms
 from comparisons.results import Comparison, FitRows, TauEstimate, TauTrial
@@ -135,7 +134,7 @@ def reconstruction_error_over_tau(
     """
     taus = trial_taus(*(e.tau_s for e in estimates)) if taus_s is None else _increasing(taus_s)
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
-    inputs = polynomial_basis(degree).fit_transform(rows.X) if terms is None else terms
+    inputs = np.vander(rows.phi, degree + 1, increasing=True) if terms is None else terms
     if np.count_nonzero(keep) <= inputs.shape[1] + 1:
         raise InputError(
             "τ by trial",
