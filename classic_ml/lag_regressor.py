@@ -16,7 +16,7 @@ from classic_ml.characteristics import feature_names, polynomial_names, term_nam
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
 from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal, rows_late
 from classic_ml.lag_fit import LagFit, fit_lag
-from classic_ml.linearised import LinearisedFit, linearised, linearised_static
+from classic_ml.linearised import LinearisedFit, linearised
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
 from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError
@@ -344,8 +344,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Returns
         -------
         LinearisedFit
-            At the τ, β and C of the fit; start and drift of each segment are the best for these.
-            The recursion of C starts from zero.
+            At the τ, β and C of a fit with a lag; start and drift of each segment are the best for
+            these. The recursion of C starts from zero.
         """
         check_is_fitted(self)
         X, y = self._validated(X, y, reset=False)
@@ -353,8 +353,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         runs = self._runs(segments, y.size)
         terms = nearly_orthogonal(self.terms_at(X))
         beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
-        if np.isnan(self.time_constant_s_):
-            return linearised_static(y - terms.columns @ beta, terms, weight, runs)
         dead = self.dead_time_s_ / float(self.sample_period_s)
         if self._n_late:
             weight = with_known_inputs(weight, runs, self._n_late)
