@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,14 +81,6 @@ class StackedRuns:
     run: NDArray[np.int64]
 
 
-class Ending(Protocol):
-    """How a fit ended, by this package or by another."""
-
-    @property
-    def advice(self) -> str:
-        """What it means and what to do about it."""
-
-
 @dataclass(frozen=True)
 class WholeRunFit(Displayed):
     """A fitted lag model, with the attributes of an estimator.
@@ -109,7 +100,7 @@ class WholeRunFit(Displayed):
     n_blocks_, n_scored_ : int
         Blocks behind the jackknife and rows scored.
     fit_state_ : FitState
-        How it ended; of another package a state with an advice of its own.
+        How it ended.
     model_ : LagRegressor
         The fit behind it, over the averaged terms and the nuisances.
     rows_ : tuple of WholeRunRows
@@ -126,7 +117,7 @@ class WholeRunFit(Displayed):
     degree: int
     n_blocks_: int
     n_scored_: int
-    fit_state_: Ending
+    fit_state_: FitState
     model_: LagRegressor
     rows_: tuple[WholeRunRows, ...]
     kept_: tuple[int, ...]

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surge_core.leave_out import leave_out
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["jackknife_covariance", "leave_out_moves", "newey_west", "unit_norms"]
+__all__ = ["leave_out_moves", "newey_west", "unit_norms"]
 
 
 def unit_norms(columns: FloatArray) -> FloatArray:
@@ -49,15 +50,12 @@ def leave_out_moves(
 ) -> FloatArray:
     """Return how the parameters of a least-squares fit move when one block is left out.
 
-    -B (I - A_g B)⁻¹ J_g'e_g with B = (J'J)⁻¹ and A_g = J_g'J_g: exact for a linear
-    regression, to first order otherwise.
-
     Parameters
     ----------
     columns : ndarray of shape (n_rows, n_parameters)
-        Derivatives J of the fitted values.
+        Derivatives of the fitted values.
     residual : ndarray of shape (n_rows,)
-        What the fit leaves, e.
+        What the fit leaves.
     blocks : sequence of ndarray of int
         Rows of each block.
 
@@ -66,32 +64,4 @@ def leave_out_moves(
     ndarray of shape (n_blocks, n_parameters)
         The moves.
     """
-    norms = unit_norms(columns)
-    scaled = columns / norms
-    bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
-    identity = np.eye(norms.size)
-    moves = np.empty((len(blocks), norms.size))
-    for number, rows in enumerate(blocks):
-        part = scaled[rows]
-        # lstsq, not solve: a block that alone determines a parameter makes this singular.
-        system = identity - part.T @ part @ bread
-        moves[number] = -bread @ np.linalg.lstsq(system, part.T @ residual[rows])[0]
-    moves /= norms
-    return moves
-
-
-def jackknife_covariance(moves: FloatArray) -> FloatArray:
-    """Return the covariance (G - 1)/G Σ (Δ_g - mean Δ)(Δ_g - mean Δ)' of leave-one-out moves.
-
-    It allows for colour within a block, for errors that grow with the signal, and for blocks
-    that carry much of the information (CR3 of Bell & McCaffrey 2002); on a dozen segments a
-    Newey-West sum over strongly coloured errors is far too small.
-
-    Parameters
-    ----------
-    moves : ndarray of shape (n_blocks, n_parameters)
-        From `leave_out_moves`.
-    """
-    spread = moves - moves.mean(axis=0)
-    result: FloatArray = (len(moves) - 1) / len(moves) * spread.T @ spread
-    return result
+    return leave_out(-columns, residual, blocks).moves

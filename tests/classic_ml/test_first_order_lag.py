@@ -90,14 +90,3 @@ def test_derivative_matches_finite_differences(hold: str) -> None:
     exact = lag.d_respond(f, lag.respond(f, 0.2))
     numeric = (run(np.log(tau) + step) - run(np.log(tau) - step)) / (2 * step)
     np.testing.assert_allclose(exact, numeric, atol=1e-9)
-
-
-def test_two_columns_run_as_two_runs() -> None:
-    lag = FirstOrderLag(0.018, 1e-3, "first")
-    rng = np.random.default_rng(4)
-    f = rng.standard_normal((40, 2))
-    both = lag.respond(f, f[0])
-    for column in range(2):
-        np.testing.assert_array_equal(
-            both[:, column], lag.respond(f[:, column], float(f[0, column]))
-        )

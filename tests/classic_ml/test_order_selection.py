@@ -109,13 +109,6 @@ def test_one_segment_is_parted_in_time() -> None:
     assert table.recommended.held_out_rms < 0.1
 
 
-def test_a_kind_that_occurs_twice_is_fitted_once() -> None:
-    X, y, labels = record(7, [1.0], n=200)
-    table = select_order(X, y, labels, sample_period_s=PERIOD_S, input_lags=(0,), degrees=(2,))
-    assert [row.name for row in table.rows].count("arx, lag 0, degree 2") == 1
-    assert len(table.rows) == 4
-
-
 @pytest.mark.parametrize(
     "options",
     [

@@ -19,7 +19,6 @@ from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from classic_ml.work.balance import (
     EXIT_WEIGHT,
     MIXING_PHI,
-    credit_of_storage,
     delivered_power,
     exit_flow_at_inlet,
     flat_average,
@@ -176,11 +175,6 @@ def test_power_without_storage_is_flow_times_temperature_rise_in_either_directio
     np.testing.assert_allclose(power, flow * rise, rtol=1e-12, atol=1e-12)
 
 
-def test_storage_counts_for_nothing_in_reversed_flow() -> None:
-    credit = credit_of_storage(np.array([-0.3, -1e-9, 0.0, MIXING_PHI, 10 * MIXING_PHI]))
-    np.testing.assert_allclose(credit, [0.0, 0.0, 0.0, 0.5, 1.0], atol=1e-4)
-
-
 @pytest.mark.parametrize("tau_s", [0.012, 0.018, 0.025])
 def test_lag_and_curve_come_back_from_planes_without_error(tau_s: float) -> None:
     work = fitted(*planes(tau_s))
@@ -191,12 +185,6 @@ def test_lag_and_curve_come_back_from_planes_without_error(tau_s: float) -> None
     assert work.terms == ("1", "min(phi,0.05)", "clip(phi-0.05,0,0.075)", "relu(phi-0.125)")
     assert work.n_cycles >= 15
     assert "simulated, not scored" in work.entry.did
-
-
-def test_a_machine_twice_the_size_has_the_same_characteristic() -> None:
-    one, two = fitted(*planes()), fitted(*planes(size=2.0))
-    assert two.time_constant_s == pytest.approx(one.time_constant_s, rel=1e-6)
-    np.testing.assert_allclose(two.coef, one.coef, rtol=1e-5)
 
 
 def test_a_given_time_constant_is_kept_and_has_no_error() -> None:
