@@ -167,8 +167,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For malformed arrays, as scikit-learn's estimators raise.
         """
         self._check_parameters()
-        X, y = self._validated(X, y, reset=True)
-        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        X, y, weight = self._validated(X, y, sample_weight, reset=True)
         runs = self._runs(segments, y.size)
         terms = self._fit_basis(X)
         combined = nearly_orthogonal(terms)
@@ -187,26 +186,10 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self._store(fit, data, combined)
         return self
 
-    def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
-        """Return the free run of ψ', each segment from rest on its characteristic.
-
-        Parameters
-        ----------
-        X : array-like of shape (n, n_features)
-            Inputs; rows in time order.
-        segments : array-like of int, shape (n,), optional
-            Labels as in :meth:`fit`.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-        """
-        return self.simulate(X, segments)
-
-    def simulate(
+    def predict(
         self, X: ArrayLike, segments: ArrayLike | None = None, start: ArrayLike | None = None
     ) -> FloatArray:
-        """Return the free run of ψ' from given starts (the reconstruction of the paper's Fig 27).
+        """Return the free run of ψ' (the reconstruction of the paper's Fig 27).
 
         Parameters
         ----------
@@ -216,7 +199,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             Labels as in :meth:`fit`.
         start : array-like of shape (n,), optional
             Only the value at the first row of each segment is used: ψ' there. Without it a
-            segment starts on its characteristic.
+            segment starts at rest, on its characteristic.
 
         Returns
         -------
@@ -253,7 +236,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             False at the first row of each segment of an equation-error model.
         """
         check_is_fitted(self)
-        X, y = self._validated(X, y, reset=False)
+        X, y, _ = self._validated(X, y, None, reset=False)
         terms = self.terms_at(X)
         known = np.ones(y.size, dtype=np.bool_)
         if np.isnan(self.time_constant_s_):
@@ -308,13 +291,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         segments: ArrayLike | None = None,
         sample_weight: ArrayLike | None = None,
     ) -> float:
-        """Return R² of the free run.
-
-        Parameters
-        ----------
-        X, y, segments, sample_weight
-            As in :meth:`fit`.
-        """
+        """Return R² of the free run; arguments as in :meth:`fit`."""
         return float(r2_score(y, self.predict(X, segments), sample_weight=sample_weight))
 
     def equation(self) -> str:
@@ -348,8 +325,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             these. The recursion of C starts from zero.
         """
         check_is_fitted(self)
-        X, y = self._validated(X, y, reset=False)
-        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        X, y, weight = self._validated(X, y, sample_weight, reset=False)
         runs = self._runs(segments, y.size)
         terms = nearly_orthogonal(self.terms_at(X))
         beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
@@ -367,11 +343,12 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         state = self.fit_state_
         held = " (held)" if self.time_constant_s is not None else ""
         tone = "good" if state is FitState.CONVERGED else "advice"
-        tau = milliseconds(self.time_constant_s_, self.time_constant_stderr_s_)
+        lag = self.time_constant_s_, self.time_constant_stderr_s_
+        curve = self.terms_, self.coef_, self.covariance_
         fields = [
-            Field("equation", equation_with_errors(self)),
+            Field("equation", equation_with_errors(lag, *curve)),
             Field("state", f"{state.code}: {state.advice}", tone),
-            Field("time constant τ", tau + held),
+            Field("time constant τ", milliseconds(*lag) + held),
         ]
         if self.dead_time_s_:
             fields.append(
@@ -382,7 +359,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             Field("residual (std)", significant(self.residual_std_, 3)),
             Field("scored", f"{self.n_scored_} rows; errors from {self.n_blocks_} blocks"),
         ]
-        return Sheet("LagRegressor", tuple(fields), (characteristic_grid(self),))
+        return Sheet("LagRegressor", tuple(fields), (characteristic_grid(*curve),))
 
     def __sklearn_tags__(self) -> Any:
         """Declare what scikit-learn's checks should know."""
@@ -411,12 +388,13 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             )
 
     def _validated(
-        self, X: ArrayLike, y: ArrayLike, *, reset: bool
-    ) -> tuple[FloatArray, FloatArray]:
-        checked = validate_data(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, *, reset: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        X, y = validate_data(
             self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2, reset=reset
         )
-        return np.asarray(checked[0]), np.asarray(checked[1], dtype=np.float64)
+        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        return np.asarray(X), np.asarray(y, dtype=np.float64), np.asarray(weight)
 
     def _fit_basis(self, X: FloatArray) -> FloatArray:
         names = feature_names(X.shape[1], getattr(self, "feature_names_in_", None))

@@ -241,7 +241,7 @@ def _held_out(
     trained: LagRegressor, X: FloatArray, y: FloatArray, labels: IntArray, test: BoolArray
 ) -> FloatArray:
     """Return the sum of squares and rows of each held-out block of cycles."""
-    free_run = trained.simulate(X[test], labels[test], start=y[test])
+    free_run = trained.predict(X[test], labels[test], start=y[test])
     squares = (y[test] - free_run) ** 2
     runs = runs_of(labels[test], squares.size)
     parts = max(1, math.ceil(FEWEST_BLOCKS / len(runs)))

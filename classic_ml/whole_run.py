@@ -126,11 +126,12 @@ class WholeRunFit(Displayed):
         state = self.fit_state_
         held = " (held)" if self.model_.time_constant_s is not None else ""
         n_rows, n_runs = sum(row.phi.size for row in self.rows_), len(self.rows_)
-        tau = milliseconds(self.time_constant_s_, self.time_constant_stderr_s_)
+        lag = self.time_constant_s_, self.time_constant_stderr_s_
+        curve = self.terms_, self.coef_, self.covariance_
         fields = (
-            Field("equation", equation_with_errors(self)),
+            Field("equation", equation_with_errors(lag, *curve)),
             Field("state", state.advice, "good" if state is FitState.CONVERGED else "advice"),
-            Field("time constant τ", tau + held),
+            Field("time constant τ", milliseconds(*lag) + held),
             Field(
                 "fitted to",
                 f"{n_runs} run{'' if n_runs == 1 else 's'} of unfiltered signals, {n_rows} rows, "
@@ -142,7 +143,7 @@ class WholeRunFit(Displayed):
                 "blocks, with those that all cycles share",
             ),
         )
-        return Sheet("WholeRunFit", fields, (characteristic_grid(self),))
+        return Sheet("WholeRunFit", fields, (characteristic_grid(*curve),))
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
