@@ -44,18 +44,6 @@ def line(ax: Axes, label: str) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-def test_each_has_numbers_in_its_caption_and_units_on_its_axes(
-    figures: tuple[Picture, ...],
-) -> None:
-    assert len({figure.title for figure in figures}) == 6
-    for figure in figures:
-        (ax,) = figure.figure.axes
-        assert "[" in ax.get_xlabel()
-        assert "[" in ax.get_ylabel()
-        assert any(letter.isdigit() for letter in figure.alt)
-        assert "nan" not in figure.alt
-
-
 def test_the_spectrum_peaks_at_the_cells_and_the_filters_attenuate_them(
     figures: tuple[Picture, ...],
 ) -> None:
