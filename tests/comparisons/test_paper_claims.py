@@ -50,9 +50,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, object
 
 def altered(runs: Instabilities, **changed: InstabilityRun) -> Instabilities:
     """Return the runs with others in place of ``r985``, ``r90`` and so on."""
-    return Instabilities(
-        {**runs.runs, **{name[1:].replace("_", "-"): run for name, run in changed.items()}}
-    )
+    return {**runs, **{name[1:].replace("_", "-"): run for name, run in changed.items()}}
 
 
 def remade(
