@@ -71,7 +71,7 @@ class CompressorTable(Table):
     )
     inertia_per_m: float = _key(
         "a number above 0, at most 10 000 1/m",
-        "ReductionSettings.inertia_factor of 0 leaves its term out",
+        "",
         gt=0.0,
         le=1e4,
     )

@@ -52,10 +52,7 @@ PAPER_SETTINGS = ReductionSettings(
     cutoff_hz=48.0,
     phase="causal",
     probes="all",
-    stall_rule="threshold",
-    inertia_factor=1.0,
     thermocouple_inversion=False,
-    near_stall_match="pair",
     # The paper's Eq 13 takes W31 as measured; on the rig the two planes' flows disagree by too much
     # for that (claim 40 says what comes of it).
     work_form="temperature-rise",
