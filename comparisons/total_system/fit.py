@@ -24,7 +24,7 @@ from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSyste
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["fit_total_system", "started_at"]
+__all__ = ["fit_total_system"]
 
 _FITTED = [COLUMNS.index(name) for name in OUTPUTS]
 # Of β, of order (1, 3, 50); the logarithm of τ is its own scale.
@@ -58,8 +58,8 @@ _LOST, _SLOW_SHARE = 0.2, 0.5
 _FIRST_BETA = (1.0, 2.0, 40.0)
 # A single run has no segments over which to sum the scores; it is cut into blocks.
 _BLOCK_S = 0.05
-# How well each pass must converge: the first two only find the weights of the last.
-_PASSES = (1e-2, 1e-3, 1e-5)
+# How well each pass must converge: the first only finds the weights of the last.
+_PASSES = (1e-3, 1e-5)
 # Of the scaled parameters: small against what they are to be known to, large against rounding.
 _DIFFERENCE = 1e-4
 
@@ -99,7 +99,8 @@ def fit_total_system(
         # The cost of a single run has many minima.
         shooting = replace(settings, start=MULTIPLE, start_error_s=0.0)
         first = fit_total_system(measured, shooting, progress=progress)
-        settings = started_at(first, settings)
+        if first.state is TotalSystemState.CONVERGED:
+            settings = replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
     runs = _prepare(measured, settings)
     z, nodes = np.zeros(_N_COMMON), np.zeros((len(runs.segments), 0))
     outputs = np.concatenate([measured.outputs[rows] for rows in runs.segments])
@@ -107,9 +108,7 @@ def fit_total_system(
     sigma = heaviest = np.hypot(_FIRST_SIGMA * spread, runs.noise())
     found, trace = None, []
     for tolerance in _PASSES:
-        # The segments' own states take part once the common parameters are roughly known.
-        n_free = 0 if settings.start == ALIGNED or found is None else len(_NODE_STATES)
-        result = _solve(runs, z, n_free, sigma, tolerance, settings.max_iterations)
+        result = _solve(runs, z, sigma, tolerance)
         progress()
         if result is None:
             break
@@ -145,21 +144,6 @@ def fit_total_system(
         n_rows=len(outputs),
         settings=settings,
     )
-
-
-def started_at(first: TotalSystemFit, settings: TotalSystemSettings) -> TotalSystemSettings:
-    """Return settings whose search starts where another fit ended, where that converged.
-
-    Parameters
-    ----------
-    first : TotalSystemFit
-        The other fit.
-    settings : TotalSystemSettings
-        The switches.
-    """
-    if first.state is not TotalSystemState.CONVERGED:
-        return replace(settings, initial_beta=_FIRST_BETA)
-    return replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
 
 
 @dataclass(frozen=True)
@@ -303,9 +287,10 @@ def _segments(
 
 
 def _solve(
-    runs: _Runs, common: FloatArray, n_free: int, sigma: FloatArray, tolerance: float, most: int
+    runs: _Runs, common: FloatArray, sigma: FloatArray, tolerance: float
 ) -> tuple[Any, FloatArray, FloatArray] | None:
     """Minimise the sum of squares from a start; None where the model is not finite there."""
+    n_free = 0 if runs.settings.start == ALIGNED else len(_NODE_STATES)
     shape = (len(runs.segments), n_free)
 
     def apart(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -330,7 +315,7 @@ def _solve(
         ftol=tolerance,
         xtol=1e-10,
         gtol=1e-12,
-        max_nfev=most,
+        max_nfev=runs.settings.max_iterations,
     )
     return found, *apart(found.x)
 
