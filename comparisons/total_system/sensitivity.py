@@ -163,9 +163,8 @@ def _component(
     record: Record, test: TestDescription, error_s: float, factor: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], float, float, str, float]:
     """Reduce and fit the component method again with what it would take as known."""
-    machine = replace(
-        test.compressor, internal_volume_m3=factor * test.compressor.internal_volume_m3
-    )
+    volume_m3 = factor * test.compressor.internal_volume_m3
+    machine = test.compressor.model_copy(update={"internal_volume_m3": volume_m3})
     moved = replace(record, start_s=record.start_s - error_s)
     reduction = reduce_record(moved, replace(test, compressor=machine), ReductionSettings())
     rows = stack_rows([reduction.series])

@@ -24,14 +24,13 @@ def flagged(record: Record, test: TestDescription) -> list[str]:
 
 def facility(test: TestDescription, **factors: float) -> TestDescription:
     near = test.near_stall
-    return replace(
-        test, near_stall=replace(near, **{n: getattr(near, n) * f for n, f in factors.items()})
-    )
+    moved = {name: getattr(near, name) * factor for name, factor in factors.items()}
+    return replace(test, near_stall=near.model_copy(update=moved))
 
 
 def calibrated(test: TestDescription, factor: float, *names: str) -> TestDescription:
     pressures = tuple(
-        replace(p, calibrate_pressure_Pa=p.calibrate_pressure_Pa * factor)
+        p.model_copy(update={"calibrate_pressure_Pa": p.calibrate_pressure_Pa * factor})
         if p.name.startswith(names)
         else p
         for p in test.pressures
