@@ -90,12 +90,9 @@ def test_numbers_of_the_long_claims(rows: dict[int, dict[str, object]]) -> None:
     [
         (SensorSettings(tube_frequency_hz=100.0), 4),
         (SensorSettings(leak_lag_s=0.01), 5),
-        (SensorSettings(thermocouple_lag_s=0.020), 6),
-        (SensorSettings(recovery_factor=0.98), 7),
         (SensorSettings(rake_coupling=0.3), 8),
         (SensorSettings(reading_samples=2), 10),
         (SensorSettings(noise_percent=0.0), 12),
-        (SensorSettings(bits=10), 13),
         (SensorSettings(hub_tip=0.0), 29),
         (SensorSettings(cells=0.0), 32),
     ],
