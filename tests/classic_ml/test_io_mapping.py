@@ -15,7 +15,7 @@ import xarray as xr
 from nptdms import ChannelObject, TdmsWriter
 from raw_data import RawTest, make_test, to_toml, write_csv
 
-from classic_ml.calibration import calibrate, pressure_from_counts
+from classic_ml.calibration import calibrate, probe_pressure_Pa
 from classic_ml.io import read_raw, read_test_description
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
@@ -158,7 +158,7 @@ def test_counts_and_pressures_go_together_in_one_record(
         np.testing.assert_allclose(found[name], pascals[name], rtol=1e-14)
     for probe in test.pressures:
         if probe.name not in others:
-            expected = pressure_from_counts(probe, test.adc, made.columns[probe.name])
+            expected = probe_pressure_Pa(probe, test, made.columns[probe.name])
             np.testing.assert_array_equal(found[probe.name], expected)
     assert found.history[-1].did.startswith("14 pressures from counts")
 
