@@ -135,31 +135,15 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
 def estimated_threshold_lbm_s(
     record: Record, corrected_kg_s: FloatArray, window: slice, state: BoolArray | None
 ) -> tuple[float | None, LedgerEntry]:
-    """Estimate the corrected flow between the regimes from the record itself.
+    """Estimate the corrected flow between the regimes, and say how, from the record itself.
 
-    The machine shows its state by the shift between hub and tip; the threshold is the middle of
-    the flows that divide the rows of the window as that state does, as nearly as the switches
-    decide: within one standard error of the fewest rows on the wrong side. Without
-    such a shift it is the flow that leaves the least variance on its two sides (Otsu's method),
-    where the flow comes back to a good part of that before surge at all.
-
-    Parameters
-    ----------
-    record : Record
-        Unfiltered averages.
-    corrected_kg_s : ndarray of shape (n,)
-        Corrected flow at plane 25, filtered, which the threshold will be applied to.
-    window : slice
-        Rows of the surge cycles.
-    state : ndarray of bool, shape (n,), optional
-        In-stall state by :func:`hub_tip_stall`; None where hub and tip do not show it.
-
-    Returns
-    -------
-    float or None
-        In lbm/s; None where hardly a row of the window is unstalled.
-    LedgerEntry
-        How it was estimated.
+    The machine shows its state by the shift between hub and tip; the threshold is the middle of the
+    flows that divide the rows of the window as that state does, as nearly as the switches decide:
+    within one standard error of the fewest rows on the wrong side. Without such a shift (no
+    ``state``) it is the flow that leaves the least variance on its two sides (Otsu's method), where
+    the flow comes back to a good part of that before surge at all. It is applied to
+    ``corrected_kg_s``, filtered; the record has the unfiltered averages. None where hardly a row of
+    the window is unstalled.
     """
     flow = corrected_kg_s[window]
     order = np.argsort(flow)
@@ -203,24 +187,11 @@ def segment(
     threshold_lbm_s: float | None,
     hysteresis_lbm_s: float = 0.0,
 ) -> Record:
-    """Mark the in-stall rows and number the in-stall intervals inside the window.
+    """Mark the in-stall rows and number the in-stall intervals inside the window of the cycles.
 
-    Parameters
-    ----------
-    record : Record
-        Plane averages.
-    window : slice
-        Rows of the quasi-steady cycles.
-    threshold_lbm_s : float or None
-        Corrected inlet flow between the regimes; None for a record without an unstalled regime,
-        whose window is one segment.
-    hysteresis_lbm_s : float
-        Half width of the band around the threshold.
-
-    Returns
-    -------
-    Record
-        With ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere).
+    Added are ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere). Without a
+    threshold of the corrected inlet flow there is no unstalled regime, and the window is one
+    segment.
 
     Raises
     ------
