@@ -53,11 +53,23 @@ FEW_CYCLES = 6
 
 @dataclass(frozen=True)
 class SurgeCycles:
-    """The repetitive cycles of a record, and the window that they fill, trough to trough of P31.
+    """The repetitive cycles of a record.
 
-    ``left_out`` counts those before or after that do not repeat the others; ``flow_swing`` is how
-    far the flow swings in the median cycle, as a share of its level before the surge, infinite
-    where nothing was before.
+    Parameters
+    ----------
+    from_s, to_s : float
+        The window that they fill, on the facility clock, from trough to trough of P31.
+    n_cycles : int
+        Complete cycles inside.
+    period_s : float
+        Their median period.
+    first_reversal_s : float
+        When the flow at plane 25 first ran backwards.
+    left_out : int
+        Cycles before or after that do not repeat the others.
+    flow_swing : float
+        How far the flow swings in the median cycle, as a share of its level before the surge;
+        infinite where nothing was before.
     """
 
     from_s: float
@@ -75,12 +87,17 @@ class SurgeCycles:
 
 
 def find_cycles(record: Record) -> SurgeCycles:
-    """Find the quasi-steady surge cycles by ``P31_Pa``, ``Wc25_kg_s`` and ``Nc_frac``.
+    """Find the quasi-steady surge cycles of a record.
 
     A cycle is a rise of P31 by at least half of the deepest one's in which the flow swings by about
     half of what it was before the surge, unless the machine does nothing else but oscillate less
     for many cycles; those that count agree with the others in rise, period
     and corrected speed, and follow one another without a break.
+
+    Parameters
+    ----------
+    record : Record
+        With ``P31_Pa``, ``Wc25_kg_s`` and ``Nc_frac``.
 
     Raises
     ------
@@ -122,7 +139,18 @@ def find_cycles(record: Record) -> SurgeCycles:
 
 
 def first_reversal(record: Record) -> int:
-    """Return the row at which the flow at plane 25 first runs backwards, or refuse the record."""
+    """Return the row at which the flow at plane 25 first runs backwards.
+
+    Parameters
+    ----------
+    record : Record
+        With ``Wc25_kg_s``.
+
+    Raises
+    ------
+    InputError
+        When it never does.
+    """
     return _first_negative(_slow(record, "Wc25_kg_s"))
 
 

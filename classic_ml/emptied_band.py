@@ -33,7 +33,7 @@ BEFORE_CORNER = 0.3
 def emptied_above_hz(
     values: ArrayLike, segments: ArrayLike | None = None, *, sample_period_s: float
 ) -> float | None:
-    """Return the corner in hertz above which a low-pass has emptied a signal, if one has.
+    """Return the corner above which a low-pass has emptied a signal, if one has.
 
     Parameters
     ----------
@@ -47,10 +47,10 @@ def emptied_above_hz(
     Returns
     -------
     float or None
-        A frequency from which on the spectrum falls at least as fast as its fifth power all the way
-        to half the sample rate, the highest that has a flatter stretch before it; None where there
-        is none below an eighth of the sample rate. A signal without any noise is empty by itself
-        and looks like a filtered one.
+        In hertz: a frequency from which on the spectrum falls at least as fast as its fifth
+        power all the way to half the sample rate, the highest that has a flatter stretch before
+        it; None where there is none below an eighth of the sample rate. A signal
+        without any noise is empty by itself and looks like a filtered one.
     """
     signal = np.asarray(values, dtype=np.float64)
     frequency, density = _spectrum(signal, runs_of(segments, signal.size), float(sample_period_s))

@@ -27,8 +27,6 @@ def local_flows(
 ) -> Record:
     """Compute corrected flow and total pressure at every probe pair (Eq 1 to 3).
 
-    Added are ``Wc25_A_tip_kg_s``, ``Pt25_A_tip_Pa`` and so on for every pair in the record.
-
     Parameters
     ----------
     record : Record
@@ -39,6 +37,11 @@ def local_flows(
         Planes whose flow is wanted; of the others only the total pressures are returned.
     ahead : Record, optional
         One whose flows are known: those of the same readings are taken from it.
+
+    Returns
+    -------
+    Record
+        With ``Wc25_A_tip_kg_s``, ``Pt25_A_tip_Pa`` and so on for every pair in the record.
 
     Raises
     ------
@@ -77,11 +80,24 @@ def local_flows(
 def plane_averages(record: Record, test: TestDescription, probes: str = "all") -> Record:
     """Average over rakes and immersions, and compute the physical flow (Eq 4).
 
-    The arithmetic mean over the rakes is taken at each immersion and then over the immersions, so
-    that a missing pair does not tilt the mean to the other immersion; with all pairs there it is
-    the plain arithmetic mean. ``probes`` are the immersions to use. Added are ``P25_Pa``,
-    ``T25_K``, ``Wc25_kg_s``, ``Wc25_tip_kg_s``, ``Wc25_hub_kg_s`` and ``W25_kg_s``; the same at
-    plane 31 as far as its flow and T31 are known.
+    The arithmetic mean over the rakes is taken at each immersion and then over the immersions,
+    so that a missing pair does not tilt the mean to the other immersion; with all pairs there
+    it is the plain arithmetic mean.
+
+    Parameters
+    ----------
+    record : Record
+        Local flows, and temperatures in K.
+    test : TestDescription
+        Places of the probes.
+    probes : {"all", "tip", "hub"}
+        Immersions to use.
+
+    Returns
+    -------
+    Record
+        With ``P25_Pa``, ``T25_K``, ``Wc25_kg_s``, ``Wc25_tip_kg_s``, ``Wc25_hub_kg_s`` and
+        ``W25_kg_s``; the same at plane 31 as far as its flow and T31 are known.
 
     Raises
     ------

@@ -45,7 +45,19 @@ LEAST_UNSTALLED = 0.02
 def window_rows(record: Record, window_s: tuple[float, float], where: str = "window") -> slice:
     """Return the rows of a window, or refuse one that the record does not hold.
 
-    ``where`` is what to call the window in an error, e.g. ``"test.toml: [window]"``.
+    Parameters
+    ----------
+    record : Record
+        For its clock.
+    window_s : tuple of float
+        First and last time.
+    where : str
+        What to call the window in an error, e.g. ``"test.toml: [window]"``.
+
+    Returns
+    -------
+    slice
+        Its rows.
     """
     half = 0.5 * record.sample_period_s
     first_s, last_s = record.time_at_s(0), record.time_at_s(record.n_samples - 1)
@@ -64,10 +76,21 @@ def window_rows(record: Record, window_s: tuple[float, float], where: str = "win
 def in_stall_by_threshold(
     corrected_kg_s: FloatArray, threshold_kg_s: float, hysteresis_kg_s: float = 0.0
 ) -> BoolArray:
-    """Return the in-stall state by a threshold of the corrected inlet flow, 50 lbm/s in the paper.
+    """Return the in-stall state by a threshold of the corrected inlet flow.
 
-    Stall begins below threshold − hysteresis and ends above threshold + hysteresis. Until the flow
-    first leaves that band, the state is that of its middle.
+    Parameters
+    ----------
+    corrected_kg_s : ndarray of shape (n,)
+        Corrected flow at plane 25.
+    threshold_kg_s : float
+        The paper's 50 lbm/s, in kg/s.
+    hysteresis_kg_s : float
+        Stall begins below threshold − hysteresis and ends above threshold + hysteresis.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True in stall. Until the flow first leaves the band, the state is that of its middle.
     """
     stalled = corrected_kg_s < threshold_kg_s - hysteresis_kg_s
     if hysteresis_kg_s > 0.0 and stalled.size:
@@ -81,7 +104,17 @@ def in_stall_by_threshold(
 def cell_frequency_hz(record: Record, window: slice) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
-    The record has the plane average ``P25_unfiltered_Pa``; the window holds the surge cycles.
+    Parameters
+    ----------
+    record : Record
+        With the plane average ``P25_unfiltered_Pa``.
+    window : slice
+        Rows of the surge cycles.
+
+    Returns
+    -------
+    float
+        Frequency in Hz.
     """
     return _cell_line(record, window)[0]
 
@@ -112,8 +145,19 @@ def shows_stall(record: Record, window: slice) -> bool:
 def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     """Return the in-stall state by the machine itself: in stall the hub passes more than the tip.
 
-    True where the difference, averaged over one period of the stall cells, is above half its median
-    in the window.
+    Parameters
+    ----------
+    record : Record
+        As for :func:`hub_tip_difference`.
+    window : slice
+        Rows of the surge cycles, whose median difference is the scale.
+    cell_hz : float
+        Rotating-stall frequency; the difference is averaged over one of its periods.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_samples,)
+        True where the difference is above half its median in the window.
 
     Raises
     ------
@@ -135,15 +179,31 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
 def estimated_threshold_lbm_s(
     record: Record, corrected_kg_s: FloatArray, window: slice, state: BoolArray | None
 ) -> tuple[float | None, LedgerEntry]:
-    """Estimate the corrected flow between the regimes, and say how, from the record itself.
+    """Estimate the corrected flow between the regimes from the record itself.
 
-    The machine shows its state by the shift between hub and tip; the threshold is the middle of the
-    flows that divide the rows of the window as that state does, as nearly as the switches decide:
-    within one standard error of the fewest rows on the wrong side. Without such a shift (no
-    ``state``) it is the flow that leaves the least variance on its two sides (Otsu's method), where
-    the flow comes back to a good part of that before surge at all. It is applied to
-    ``corrected_kg_s``, filtered; the record has the unfiltered averages. None where hardly a row of
-    the window is unstalled.
+    The machine shows its state by the shift between hub and tip; the threshold is the middle of
+    the flows that divide the rows of the window as that state does, as nearly as the switches
+    decide: within one standard error of the fewest rows on the wrong side. Without
+    such a shift it is the flow that leaves the least variance on its two sides (Otsu's method),
+    where the flow comes back to a good part of that before surge at all.
+
+    Parameters
+    ----------
+    record : Record
+        Unfiltered averages.
+    corrected_kg_s : ndarray of shape (n,)
+        Corrected flow at plane 25, filtered, which the threshold will be applied to.
+    window : slice
+        Rows of the surge cycles.
+    state : ndarray of bool, shape (n,), optional
+        In-stall state by :func:`hub_tip_stall`; None where hub and tip do not show it.
+
+    Returns
+    -------
+    float or None
+        In lbm/s; None where hardly a row of the window is unstalled.
+    LedgerEntry
+        How it was estimated.
     """
     flow = corrected_kg_s[window]
     order = np.argsort(flow)
@@ -187,11 +247,24 @@ def segment(
     threshold_lbm_s: float | None,
     hysteresis_lbm_s: float = 0.0,
 ) -> Record:
-    """Mark the in-stall rows and number the in-stall intervals inside the window of the cycles.
+    """Mark the in-stall rows and number the in-stall intervals inside the window.
 
-    Added are ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere). Without a
-    threshold of the corrected inlet flow there is no unstalled regime, and the window is one
-    segment.
+    Parameters
+    ----------
+    record : Record
+        Plane averages.
+    window : slice
+        Rows of the quasi-steady cycles.
+    threshold_lbm_s : float or None
+        Corrected inlet flow between the regimes; None for a record without an unstalled regime,
+        whose window is one segment.
+    hysteresis_lbm_s : float
+        Half width of the band around the threshold.
+
+    Returns
+    -------
+    Record
+        With ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere).
 
     Raises
     ------

@@ -36,10 +36,18 @@ LATE_ROWS = 0.48
 
 
 def held_rows(values: FloatArray) -> float:
-    """Return how many rows each value of a channel stands for, as read.
+    """Return how many rows each value of a channel stands for.
 
-    1 for one that is not held or that moves too little to say; an average where the rates of the
-    two recorders have no whole ratio.
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        The channel, as read.
+
+    Returns
+    -------
+    float
+        1 for one that is not held or that moves too little to say; an average where the rates of
+        the two recorders have no whole ratio.
     """
     changes = np.flatnonzero(values[1:] != values[:-1]) + 1
     # Less than that share of rows without a change is in no channel that is held.

@@ -62,7 +62,17 @@ MOST_PIECES = 4000
 
 @dataclass(frozen=True)
 class RangeEnd:
-    """An end of the range, at which so many readings of a channel are cut off."""
+    """An end of the range, at which the readings of a channel are cut off.
+
+    Parameters
+    ----------
+    reading : float
+        The channel's largest or least reading.
+    upper : bool
+        Whether it is the largest.
+    rows : int
+        How many readings stand there.
+    """
 
     reading: float
     upper: bool
@@ -74,7 +84,18 @@ class RangeEnd:
 
 
 def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
-    """Return the ends of its range, none to two, at which a channel is cut off, as read."""
+    """Return the ends of its range at which a channel is cut off.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        The channel, as read.
+
+    Returns
+    -------
+    tuple of RangeEnd
+        None, one or two.
+    """
     low, high = float(values.min()), float(values.max())
     if low == high:
         return ()

@@ -56,7 +56,7 @@ def test_a_reduction_refuses_what_the_steps_refuse() -> None:
         reduce_record(record.after(record.history[-1], add=[hot]), test)
     with pytest.raises(InputError, match='expected the unit "count", found "Pa"'):
         reduce_record(calibrate(record, test), test)
-    elsewhere = dataclasses.replace(test.near_stall, from_s=5.0, to_s=6.0)
+    elsewhere = test.near_stall.model_copy(update={"from_s": 5.0, "to_s": 6.0})
     with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval"):
         reduce_record(record, dataclasses.replace(test, near_stall=elsewhere))
 

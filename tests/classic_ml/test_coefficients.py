@@ -23,7 +23,13 @@ from classic_ml.records import Channel, LedgerEntry, Record
 from classic_ml.work.forms import with_work
 from surge_core.errors import InputError
 
-AIR = Compressor(0.28, 10.7, 0.08, GAMMA, GAS)
+AIR = Compressor(
+    mean_radius_m=0.28,
+    inertia_per_m=10.7,
+    internal_volume_m3=0.08,
+    gamma=GAMMA,
+    gas_constant_J_kg_K=GAS,
+)
 HEAT = GAMMA * GAS / (GAMMA - 1)
 ONE = np.ones(5)
 
@@ -181,7 +187,7 @@ def test_the_inertia_scales_its_term() -> None:
 
     def with_inertia(factor: float) -> Record:
         inertia = factor * test.compressor.inertia_per_m
-        machine = replace(test.compressor, inertia_per_m=inertia)
+        machine = test.compressor.model_copy(update={"inertia_per_m": inertia})
         return coefficients(record, replace(test, compressor=machine))
 
     none, one, two = (with_inertia(factor) for factor in (0.0, 1.0, 2.0))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from raw_data import GAMMA, GAS, corrected, make_test
@@ -26,7 +24,13 @@ from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Record
 from surge_core.errors import InputError
 
-AIR = Compressor(0.28, 10.7, 0.08, GAMMA, GAS)
+AIR = Compressor(
+    mean_radius_m=0.28,
+    inertia_per_m=10.7,
+    internal_volume_m3=0.08,
+    gamma=GAMMA,
+    gas_constant_J_kg_K=GAS,
+)
 MACH = np.linspace(-0.95, 0.95, 381)
 
 
@@ -40,7 +44,7 @@ def test_eq_3_has_the_constant_and_the_choke_of_air() -> None:
 
 @pytest.mark.parametrize("gamma", [1.3, 1.378, 1.4])
 def test_the_inverse_holds_up_to_the_choke_for_any_gas(gamma: float) -> None:
-    gas = dataclasses.replace(AIR, gamma=gamma)
+    gas = AIR.model_copy(update={"gamma": gamma})
     mach = np.array([0.0, 1e-9, 0.5, 0.99, 1.0])
     back = mach_from_corrected_flow(corrected_flow(mach, 0.1, gas) * (1 - 1e-15), 0.1, gas)
     # Near the choke the flow hardly depends on the Mach number: 1e-15 of flow is 3e-8 of it.
@@ -88,7 +92,7 @@ def test_eq_2_adds_the_offset_away_from_zero_and_none_at_zero() -> None:
 @pytest.mark.parametrize("gamma", [1.2, 1.378, 1.4])
 def test_a_pair_shows_the_flow_that_its_pressures_were_made_of(gamma: float) -> None:
     """Isentropic pressures of a Mach number, read by a probe whose Eq 2 is known."""
-    gas = dataclasses.replace(AIR, gamma=gamma)
+    gas = AIR.model_copy(update={"gamma": gamma})
     mach = np.linspace(-0.8, 0.8, 161)
     seen = np.sign(mach) * np.maximum((np.abs(mach) - 0.012) / 1.1, 0.0)
     total = 9e4 * (1.0 + 0.5 * (gamma - 1.0) * seen**2) ** (gamma / (gamma - 1.0))

@@ -139,7 +139,7 @@ def test_ten_percent_more_inlet_pressure_would_clip_and_is_refused(
             offset = 0.1 * gain * probe.zoc_reference_Pa
             codes = 1.1 * (record[probe.name] - probe.zero_count) + probe.zero_count + offset
             raised.append(Channel(probe.name, np.clip(np.round(codes), 0, 4095), "count"))
-    reading = replace(test.near_stall, P25_Pa=1.1 * test.near_stall.P25_Pa)
+    reading = test.near_stall.model_copy(update={"P25_Pa": 1.1 * test.near_stall.P25_Pa})
     with pytest.raises(InputError, match=r"P25_._tip_.*: .* last tip pair .* clipped in \d+ of"):
         reduce_record(
             record.after(LedgerEntry("raise", "P25 by 10 %"), add=raised),

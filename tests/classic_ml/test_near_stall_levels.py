@@ -24,9 +24,8 @@ def flagged(record: Record, test: TestDescription) -> list[str]:
 
 def facility(test: TestDescription, **factors: float) -> TestDescription:
     near = test.near_stall
-    return replace(
-        test, near_stall=replace(near, **{n: getattr(near, n) * f for n, f in factors.items()})
-    )
+    moved = {name: getattr(near, name) * factor for name, factor in factors.items()}
+    return replace(test, near_stall=near.model_copy(update=moved))
 
 
 @pytest.mark.parametrize("name", CLEAN)

@@ -284,8 +284,8 @@ def test_both_ends_are_found_at_once() -> None:
 @pytest.mark.parametrize(
     ("unit", "more", "value", "words"),
     [
-        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa .* which a gauge reading needs"),
-        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa .* which is added to it"),
+        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa"),
+        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa"),
     ],
 )
 def test_no_pressure_is_below_nothing(
