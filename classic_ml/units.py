@@ -22,9 +22,9 @@ __all__ = [
     "Conversion",
     "conversion_to_si",
     "kind_of_unit",
-    "pressure_reference",
     "quantity_in",
     "same_unit",
+    "split_reference",
     "unit_in_brackets",
 ]
 
@@ -100,7 +100,7 @@ def conversion_to_si(
     """
     if kind == COUNT:
         return Conversion()
-    plain, reference = _split_reference(unit) if kind == "pressure" else (unit, "")
+    plain, reference = split_reference(unit) if kind == "pressure" else (unit, "")
     known = _to_si(plain.strip(), kind)
     if known is None:
         expected = f"a unit of {kind}, such as {_COMMON[kind]}"
@@ -128,26 +128,9 @@ def kind_of_unit(unit: str) -> str:
     """Return ``"count"``, ``"pressure"``, ``"temperature"``, ``"time"``, or nothing for others."""
     if unit.strip().lower() in _COUNT_WORDS:
         return COUNT
-    plain, _ = _split_reference(unit)
+    plain, _ = split_reference(unit)
     kinds = (("pressure", plain), ("temperature", unit), ("time", unit))
     return next((kind for kind, name in kinds if _to_si(name.strip(), kind) is not None), "")
-
-
-def pressure_reference(unit: str) -> str:
-    """Return what a pressure unit is taken against, as far as its name says so.
-
-    Parameters
-    ----------
-    unit : str
-        For example ``"psia"``, ``"bar(g)"``, ``"kPa abs"``, ``"psi"``.
-
-    Returns
-    -------
-    str
-        ``"absolute"``; ``"gauge"``, also for a differential reading; ``""`` where the name leaves
-        it open.
-    """
-    return _split_reference(unit)[1]
 
 
 def unit_in_brackets(name: str) -> str:
@@ -187,7 +170,7 @@ def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:
         return True
     if kind != "pressure":
         return kind in _SI and _to_si(one.strip(), kind) == _to_si(other.strip(), kind)
-    (plain, reference), (plain_other, reference_other) = map(_split_reference, (one, other))
+    (plain, reference), (plain_other, reference_other) = map(split_reference, (one, other))
     if _to_si(plain, kind) != _to_si(plain_other, kind):
         return False
     is_absolute = reference_other == "absolute" or reference_Pa == 0.0
@@ -221,8 +204,21 @@ def quantity_in(text: str, kind: str, where: str) -> float:
         raise InputError(where, expected=expected, found=repr(text)) from None
 
 
-def _split_reference(unit: str) -> tuple[str, str]:
-    """Return a unit of pressure without its "a" or "gauge", and what that stood for."""
+def split_reference(unit: str) -> tuple[str, str]:
+    """Return a unit of pressure without its "a" or "gauge", and what that stood for.
+
+    Parameters
+    ----------
+    unit : str
+        For example ``"psia"``, ``"bar(g)"``, ``"kPa abs"``, ``"psi"``.
+
+    Returns
+    -------
+    plain : str
+        The unit alone.
+    reference : str
+        ``"absolute"``; ``"gauge"``, also for a differential reading; ``""`` where it is open.
+    """
     # The time that a match takes grows with the square of the length.
     text = unit.strip()[:60]
     match = _LETTERED.fullmatch(text) or _WORDED.fullmatch(text)

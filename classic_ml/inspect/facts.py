@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.description import FileLayout
-from classic_ml.faults.held import held_rows
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.inspect.clock import ClockFacts, ClockTally, clock_column
 from classic_ml.io.formats import open_stored
@@ -17,13 +16,10 @@ from classic_ml.io.table import Columns
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelFacts", "Inspection", "inspect_file", "is_still"]
+__all__ = ["ChannelFacts", "Inspection", "inspect_file"]
 
 # Rows that are looked at together: what is shorter than this is found whole.
 SEARCHED_ROWS = 1 << 20
-# A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
-# whatever the rate from so many rows on.
-STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
 # A surge cycle lasts from a tenth of a second to some seconds: sections in which it shows, and
 # quiet ones between two cycles that do not end it.
 SECTION_S, BRIDGED_S = 0.25, 3.0
@@ -60,9 +56,6 @@ class ChannelFacts:
         Whether all values are whole, as codes are.
     plateaus : tuple of str
         Ends of its range at which it is cut off: ``"minimum"``, ``"maximum"``.
-    held_rows : float
-        Rows that each value stands for, on average where it is no whole number; 1 for a channel
-        that is not held, or moves too little to show it.
     """
 
     name: str
@@ -79,7 +72,6 @@ class ChannelFacts:
     longest_run_row: int
     whole_numbers: bool
     plateaus: tuple[str, ...] = ()
-    held_rows: float = 1.0
 
     @property
     def constant(self) -> bool:
@@ -202,20 +194,6 @@ def _searched(blocks: Iterator[Columns]) -> Iterator[Columns]:
         raise fault
 
 
-def is_still(channel: ChannelFacts, rate_hz: float) -> bool:
-    """Return whether a channel repeats one value for longer than a surging machine lets any.
-
-    Parameters
-    ----------
-    channel : ChannelFacts
-        The column.
-    rate_hz : float
-        Rows a second; NaN or 0 where it is not known.
-    """
-    rows = STILL_S * rate_hz if rate_hz > 0.0 else STILL_ROWS
-    return channel.longest_run >= max(STILL_LEAST_ROWS, rows)
-
-
 def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelFacts:
     """Return what some rows of a column hold."""
     good = np.isfinite(values)
@@ -227,15 +205,11 @@ def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelF
     longest = int(np.argmax(still))
     at_maximum, whole = int(np.count_nonzero(finite == high)), bool(np.all(finite % 1.0 == 0.0))
     plateaus: set[str] = set()
-    held = 1.0
     if low < high:
         # The rules are those of a reduction; beside them the top code of a converter is known.
         plateaus = {"maximum" if end.upper else "minimum" for end in range_ends(finite)}
         if whole and at_maximum > 1 and high >= 255.0 and np.log2(high + 1.0) % 1.0 == 0.0:
             plateaus.add("maximum")
-        # At least half of the values of a channel that is held stand for several rows.
-        if 2 * np.count_nonzero(lengths > 1) >= lengths.size:
-            held = held_rows(finite)
     with np.errstate(over="ignore"):
         mean = float(np.mean(finite)) if finite.size else np.nan
     return ChannelFacts(
@@ -253,7 +227,6 @@ def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelF
         first_row + int(starts[longest]) + 1,
         finite.size > 0 and whole,
         tuple(sorted(plateaus, reverse=True)),
-        held,
     )
 
 
@@ -283,8 +256,6 @@ def _joined(one: ChannelFacts, later: ChannelFacts) -> ChannelFacts:
             for end, ends in (("minimum", lowest), ("maximum", highest))
             if any(end in part.plateaus for part in ends)
         ),
-        # A channel that is held is so throughout.
-        held_rows=min(one.held_rows, later.held_rows),
     )
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CLOCK_NAMES", "MOST_VALUES", "clock_unit", "nearest_name", "read_raw"]
+__all__ = ["CLOCK_NAMES", "MOST_VALUES", "clock_unit", "read_raw"]
 
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
@@ -115,21 +114,6 @@ def clock_unit(stored: StoredTable, test: TestDescription) -> str:
     return test.file.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
 
 
-def nearest_name(name: str, names: Iterable[str]) -> str:
-    """Return the name most like another, whatever stands between its letters; empty without one.
-
-    Parameters
-    ----------
-    name : str
-        The name that is not there.
-    names : iterable of str
-        Those that are.
-    """
-    folded = {"".join(filter(str.isalnum, other.lower())): other for other in names}
-    near = get_close_matches("".join(filter(str.isalnum, name.lower())), folded, 1)
-    return folded[near[0]] if near else ""
-
-
 def _title(channel: AnyChannel) -> str:
     renamed = f" (column '{channel.file_column}')" if channel.file_column != channel.name else ""
     return f"channel {channel.name}{renamed}"
@@ -172,21 +156,19 @@ def _missing(
     stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
 ) -> InputError:
     """Return the refusal of a table that lacks columns, with what the file has instead."""
-    first, key = missing[0], "time" if title.startswith("column") else "column"
     others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
-    found = f"no such column{others} among {', '.join(stored.names)[:120]}"
+    found = f"no such column{others}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
     for name, why in stored.left_aside.items():
-        if name.split("/")[-1] == first:
+        if name.split("/")[-1] == missing[0]:
             found = f"'{name}': {why}"
-    remedy = "a dead probe is left out with its mate, in both files"
-    if key == "time":
+    remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
+    if title.startswith("column"):
         remedy = 'name it in [file], time = "...", or write clock = "from rate"'
-    near = nearest_name(first, spare)
     return InputError(
         f"{stored.source}: {title}",
         expected=f"it in the header of the table, as {test.source} describes it",
         found=found,
-        remedy=f"is '{near}' meant? then write {key} = \"{near}\"" if near else remedy,
+        remedy=remedy,
     )
 
 
