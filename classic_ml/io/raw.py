@@ -20,7 +20,7 @@ from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CLOCK_NAMES", "MOST_VALUES", "clock_unit", "read_raw"]
+__all__ = ["CLOCK_NAMES", "MOST_VALUES", "read_raw"]
 
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
@@ -100,16 +100,8 @@ def read_raw(
     return _record(stored, test, read, window), test
 
 
-def clock_unit(stored: StoredTable, test: TestDescription) -> str:
-    """Return the unit of the clock: that of test.toml, else that of the file, else seconds.
-
-    Parameters
-    ----------
-    stored : StoredTable
-        The file as it is.
-    test : TestDescription
-        The description.
-    """
+def _clock_unit(stored: StoredTable, test: TestDescription) -> str:
+    """Return the unit of the clock: that of test.toml, else that of the file, else seconds."""
     stated = stored.unit(test.file.time) if test.file.units == "check" else ""
     return test.file.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
 
@@ -178,7 +170,7 @@ def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, s
         channel.file_column: (channel.unit, getattr(channel, "reference_Pa", None))
         for channel in test.channels
     }
-    units.setdefault(test.file.time, (clock_unit(stored, test), None))
+    units.setdefault(test.file.time, (_clock_unit(stored, test), None))
     for column, title in titles.items():
         unit, reference_Pa = units[column]
         stated = stored.unit(column)
@@ -202,7 +194,7 @@ def _read(
     layout = test.file
     has_clock = layout.clock == "column"
     where = f"{test.source}: file.time_unit"
-    clock = conversion_to_si(clock_unit(stored, test), "time", where)
+    clock = conversion_to_si(_clock_unit(stored, test), "time", where)
     fed = [channel.file_column for channel in test.channels]
     names = (layout.time, *fed) if has_clock else tuple(fed)
     low_s, high_s = _span(test, window)
