@@ -71,6 +71,8 @@ class Conversion:
 
     def to_si(self, values: FloatArray) -> FloatArray:
         """Return values in SI; what is too large for a double there is infinite."""
+        if self == Conversion():
+            return values
         with np.errstate(over="ignore"):
             return np.asarray(values * self.factor + self.offset)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +35,8 @@ CLOCK_NAMES = ("time_s", "time", "t", "time (s)", "time [s]", "timestamp", "elap
 SAME_START = 0.01
 
 Window = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class _Readings:
-    """The columns of a part of a file, and the rows of the file before it."""
-
-    by_column: dict[str, NDArray[np.generic]]
-    time_s: FloatArray
-    rows_before: int
+# The columns of a part of a file, its clock in s, and the rows of the file before it.
+_Readings = tuple[dict[str, NDArray[np.generic]], FloatArray, int]
 
 
 def read_raw(
@@ -233,7 +225,7 @@ def _read(
     joined = {
         name: np.concatenate([block[number] for block in kept]) for number, name in enumerate(names)
     }
-    return _Readings(joined, np.concatenate(times), rows_before)
+    return joined, np.concatenate(times), rows_before
 
 
 def _span(test: TestDescription, window: Window | None) -> Window:
@@ -260,8 +252,9 @@ def _too_long(stored: StoredTable, test: TestDescription) -> InputError:
 def _record(
     stored: StoredTable, test: TestDescription, read: _Readings, window: Window | None
 ) -> Record:
-    time_s, part = read.time_s, ""
-    _check_readings(stored, test, None, time_s, read.rows_before)
+    columns, time_s, rows_before = read
+    part = ""
+    _check_readings(stored, test, None, time_s, rows_before)
     if window is not None:
         if window[1] < time_s[0] or window[0] > time_s[-1]:
             raise InputError(
@@ -275,9 +268,9 @@ def _record(
     _check_rate(time_s, stored.source, test)
     channels: dict[str, Channel] = {}
     for channel in test.channels:
-        values = np.asarray(read.by_column.pop(channel.file_column), dtype=np.float64)
+        values = np.asarray(columns.pop(channel.file_column), dtype=np.float64)
         values = channel.conversion.to_si(values)
-        _check_readings(stored, test, channel, values, read.rows_before)
+        _check_readings(stored, test, channel, values, rows_before)
         channels[channel.name] = Channel.adopt(channel.name, values, channel.record_unit)
     rate_hz = test.sample_rate_hz
     is_made = test.file.clock == "from rate"

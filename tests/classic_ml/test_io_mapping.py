@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from raw_data import RawTest, make_test, to_toml, write_csv
 
-from classic_ml.calibration import calibrate, pressure_from_counts
+from classic_ml.calibration import calibrate
 from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
@@ -138,27 +138,6 @@ def test_a_record_in_psi_is_reduced_to_the_numbers_of_the_counts(tmp_path: Path)
     np.testing.assert_allclose(found.psi_p, expected.psi_p, rtol=1e-10, atol=1e-9)
 
 
-def test_counts_and_pressures_go_together_in_one_record(
-    made: RawTest, pascals: Columns, tmp_path: Path
-) -> None:
-    """One pair in psia among transducers in counts."""
-    others = ("P25_A_tip_forward", "P25_A_tip_aft")
-    change = in_unit("psia")
-    tables = described(made, lambda n, t: change(n, t) if n in others else t)
-    columns = {**made.columns, **{n: pascals[n] / PSI for n in others}}
-    record, test = read_raw(*write(tmp_path, columns, tables))
-    assert record.channel(others[0]).unit == "Pa"
-    assert record.channel("P25_A_hub_aft").unit == "count"
-    found = calibrate(record, test)
-    for name in others:
-        np.testing.assert_allclose(found[name], pascals[name], rtol=1e-14)
-    for probe in test.pressures:
-        if probe.name not in others:
-            expected = pressure_from_counts(probe, test.adc, made.columns[probe.name])
-            np.testing.assert_array_equal(found[probe.name], expected)
-    assert found.history[-1].did.startswith("14 pressures from counts")
-
-
 def test_columns_have_the_names_of_their_users(made: RawTest, tmp_path: Path) -> None:
     """Names with spaces and brackets, a clock in milliseconds, columns that are of no concern."""
     renamed = {n: f"{n.replace('_', ' ')} [rig 2]" for n in made.description["channels"]}
@@ -192,6 +171,9 @@ def test_a_clock_is_in_the_unit_that_test_toml_says(
     record, _ = read_raw(*write(tmp_path, columns, tables))
     assert record.start_s == pytest.approx(3.0, abs=1e-12)
     assert record.sample_rate_hz == 1000.0
+    tables = described(made, same, file={"time_unit": "rpm"})
+    with pytest.raises(InputError, match=r"file.time_unit: expected a unit of time"):
+        read_raw(*write(tmp_path, columns, tables))
 
 
 def test_a_clock_may_be_made_or_moved(made: RawTest, tmp_path: Path) -> None:
@@ -247,25 +229,3 @@ def test_a_gauge_reading_is_never_taken_as_absolute(
         toml.write_text(to_toml(described(made, in_unit(unit, **more))), "utf-8")
         with pytest.raises(InputError, match=words):
             read_raw(raw, toml)
-
-
-@pytest.mark.parametrize(
-    ("file", "columns", "words"),
-    [
-        (
-            {"time": "Time"},
-            {},
-            r"column Time: expected it in the header.* feed nothing: time_s; .* time = ",
-        ),
-        ({"time_unit": "rpm"}, {}, "file.time_unit: expected a unit of time"),
-        ({}, {"PT 1 [psi]": 1.0}, r'\[channels."PT 1 \[psi\]"\] .* other_columns'),
-    ],
-)
-def test_a_file_table_that_does_not_fit_is_refused(
-    made: RawTest, tmp_path: Path, file: Any, columns: dict[str, float], words: str
-) -> None:
-    added = {n: np.full(501, v) for n, v in columns.items()}
-    paths = write(tmp_path, {**made.columns, **added}, {**made.description, "file": file})
-    with pytest.raises(InputError, match=words) as caught:
-        read_raw(*paths)
-    assert "\n" not in str(caught.value)

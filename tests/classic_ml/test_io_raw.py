@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -121,8 +122,11 @@ def _cut(text: str) -> bytes:
         (_cut, "21 values in every row, found \\d+ in row .* cut short"),
         (lambda t: t.replace("\n", ",1.0\n").replace(",1.0\n", "\n", 1).encode(), "found 22 in"),
         (lambda t: t.replace("0.05,", "0.05,?", 1).encode(), r"P25_A_tip_forward: .* '\?\d"),
-        (lambda t: t.replace("0.05,", "0.05,,", 1).encode(), "found 22 in row 51"),
         (lambda t: t.replace("T25_A", "T25_B").encode(), "T25_B: expected each column once"),
+        (
+            lambda t: re.sub(r"\n(0\.011,[^,]*,)[^,]*", r"\n\1", t).encode(),
+            "an empty cell in row 12",
+        ),
         (lambda t: t.replace("T25_A", "").encode(), "under a name, found one without"),
         (lambda t: t.split("\n", 1)[1].encode(), "a header and a column time_s"),
     ],
@@ -135,17 +139,6 @@ def test_a_spoiled_file_is_refused(
     with pytest.raises(InputError, match=words):
         read_raw(raw, test)
     assert str(raw) in refusal(raw, test)
-
-
-def test_an_empty_cell_is_named(files: tuple[Path, Path]) -> None:
-    raw, test = files
-    lines = raw.read_text("utf-8").splitlines()
-    cells = lines[12].split(",")
-    cells[3] = ""
-    lines[12] = ",".join(cells)
-    raw.write_text("\n".join(lines), "utf-8")
-    assert "P25_A_hub_forward" in refusal(raw, test)
-    assert "an empty cell in row 12" in refusal(raw, test)
 
 
 @pytest.mark.parametrize("name", ["nothing.csv", "raw.dat", ""])

@@ -298,26 +298,6 @@ def test_the_draft_filled_in_is_the_description_of_the_test(
     assert draft.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("word", "facing"),
-    [
-        *((w, "forward") for w in ("for", "fwd", "FOR", "Fwd", "fore", "forward", "front")),
-        *((w, "aft") for w in ("aft", "AFT", "rear")),
-        # Letters within another word say nothing.
-        ("format", None),
-        ("former", None),
-    ],
-)
-def test_the_facing_is_read_from_its_word_in_a_name(
-    tmp_path: Path, word: str, facing: str | None
-) -> None:
-    rows = "".join(f"{k / 1000:.3f},{14.0 + k % 7}\n" for k in range(300))
-    (tmp_path / "raw.csv").write_text(f"t [s],PT25-A-hub-{word} [psia]\n{rows}", "utf-8")
-    found = tomllib.loads(draft_test_toml(inspect_file(tmp_path / "raw.csv")))
-    (channel,) = found["channels"].values()
-    assert channel.get("facing") == facing
-
-
 def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) -> None:
     time_ms = np.arange(300.0) * 0.5
     rng = np.random.default_rng(0)
