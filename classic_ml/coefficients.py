@@ -39,25 +39,10 @@ def flow_coefficient(
     rotor_velocity_m_s: float,
     compressor: Compressor,
 ) -> FloatArray:
-    """Return φ = C_z/U from corrected flow and total temperature (Eq 7).
+    """Return φ = C_z/U from the signed corrected flow and the total temperature of plane 25 (Eq 7).
 
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Signed corrected flow at plane 25.
-    temperature_K : ndarray of shape (n,)
-        Total temperature there.
-    area_m2 : float
-        Flow area there.
-    rotor_velocity_m_s : float
-        Mean rotor velocity U, from the physical speed.
-    compressor : Compressor
-        For γ and R.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        M √(γ R T_s)/U with M from the inverse of Eq 3 and T_s = T/(1 + (γ−1)/2 M²).
+    φ = M √(γ R T_s)/U with M from the inverse of Eq 3 and T_s = T/(1 + (γ−1)/2 M²); U is the mean
+    rotor velocity, from the physical speed.
     """
     gamma = compressor.gamma
     mach = mach_from_corrected_flow(corrected_kg_s, area_m2, compressor)
@@ -77,25 +62,8 @@ def pressure_coefficient(
 ) -> FloatArray:
     """Return the instantaneous pressure coefficient ψ' (Eq 5).
 
-    Parameters
-    ----------
-    inlet_Pa, exit_Pa : ndarray of shape (n,)
-        Total pressures P25 and P31.
-    inlet_K : ndarray of shape (n,)
-        Total temperature T25.
-    flow_rate_kg_s2 : ndarray of shape (n,)
-        dW25/dt of the physical flow.
-    inertia_per_m : float
-        I = ∫dx/A between the planes.
-    rotor_velocity_m_s : float
-        U.
-    compressor : Compressor
-        For γ and R.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        ψ' = (2 c_p T25/U²) [((P31 + I dW25/dt)/P25)^((γ−1)/γ) − 1].
+    ψ' = (2 c_p T25/U²) [((P31 + I dW25/dt)/P25)^((γ−1)/γ) − 1] with total pressures P25 and P31,
+    the total temperature T25 and I = ∫dx/A between the planes.
 
     Raises
     ------
@@ -128,23 +96,8 @@ def work_coefficient(
 ) -> FloatArray:
     """Return the instantaneous work coefficient ψ (energy form of Eq 13); infinite at W25 = 0.
 
-    Parameters
-    ----------
-    inlet_kg_s, exit_kg_s : ndarray of shape (n,)
-        Physical flows W25 and W31.
-    inlet_K, exit_K : ndarray of shape (n,)
-        Total temperatures T25 and T31.
-    storage_W : ndarray of shape (n,)
-        V_c/(γ−1) dP̄/dt: the power that goes into the internal volume.
-    rotor_velocity_m_s : float
-        U.
-    compressor : Compressor
-        For c_p.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        ψ = (2 c_p T25/U²)(T2/T25 − 1), c_p W25 T2 = c_p W31 T31 + V_c/(γ−1) dP̄/dt.
+    ψ = (2 c_p T25/U²)(T2/T25 − 1), c_p W25 T2 = c_p W31 T31 + V_c/(γ−1) dP̄/dt: ``storage_W``, the
+    power that goes into the internal volume.
     """
     heat = compressor.specific_heat_J_kg_K
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -163,17 +116,8 @@ def corrected_speed_fraction(temperature_K: FloatArray, test: TestDescription) -
     return np.asarray(corrected / test.design_corrected_speed_rpm)
 
 
-def coefficients(record: Record, test: TestDescription, *, inertia_factor: float = 1.0) -> Record:
-    """Compute φ, ψ' and the corrected speed.
-
-    Parameters
-    ----------
-    record : Record
-        Plane averages.
-    test : TestDescription
-        Machine and speed.
-    inertia_factor : float
-        Multiplies ∫dx/A; 0 drops the inertia term of Eq 5.
+def coefficients(record: Record, test: TestDescription) -> Record:
+    """Compute φ, ψ' and the corrected speed from plane averages.
 
     Returns
     -------
@@ -186,25 +130,16 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         When the flow is more than the area passes, or P31 + I dW25/dt is not positive.
     """
     machine, speed = test.compressor, test.rotor_velocity_m_s
-    inertia = inertia_factor * machine.inertia_per_m
+    inertia = machine.inertia_per_m
     inlet_Pa, exit_Pa, inlet_K = record["P25_Pa"], record["P31_Pa"], record["T25_K"]
     flow_rate = rate_of_change(record["W25_kg_s"], record.sample_period_s)
-    try:
-        phi = flow_coefficient(record["Wc25_kg_s"], inlet_K, test.areas_m2[25], speed, machine)
-    except InputError as error:
-        raise InputError(
-            f"{record.source}: {error.where} at plane 25",
-            expected=error.expected,
-            found=error.found,
-            remedy=f"check area_m2 of [planes.25] in {test.source}, and the calibration of the "
-            "probes",
-        ) from error
+    phi = flow_coefficient(record["Wc25_kg_s"], inlet_K, test.areas_m2[25], speed, machine)
     psi_p = pressure_coefficient(inlet_Pa, exit_Pa, inlet_K, flow_rate, inertia, speed, machine)
     entry = LedgerEntry(
         "coefficients",
         f"φ (Eq 7) from {phi.min():.3f} to {phi.max():.3f}, "
         f"ψ' (Eq 5) from {psi_p.min():.2f} to {psi_p.max():.2f}",
-        {"inertia_per_m": inertia, "U_m_s": round(speed, 3), "inertia_factor": inertia_factor},
+        {"inertia_per_m": inertia, "U_m_s": round(speed, 3)},
     )
     added = {
         "phi": (phi, "1"),

@@ -76,12 +76,7 @@ class Compressor(Table):
 
     # The limits are wider than any compressor and narrower than another unit: mm, ft·lbf, litres.
     mean_radius_m: float = key("a length of 0.02 to 2 m", "is it in mm or inches?", ge=0.02, le=2.0)
-    inertia_per_m: float = key(
-        "a number above 0, at most 10 000 1/m",
-        "ReductionSettings.inertia_factor of 0 leaves its term out",
-        gt=0.0,
-        le=1e4,
-    )
+    inertia_per_m: float = key("a number above 0, at most 10 000 1/m", gt=0.0, le=1e4)
     internal_volume_m3: float = key("a volume of 0 to 10 m³", "is it in litres?", ge=0.0, le=10.0)
     gamma: float = key("a number between 1 and 2", gt=1.0, lt=2.0)
     gas_constant_J_kg_K: float = key(
