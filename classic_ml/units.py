@@ -22,10 +22,8 @@ __all__ = [
     "Conversion",
     "conversion_to_si",
     "kind_of_unit",
-    "quantity_in",
     "same_unit",
     "split_reference",
-    "unit_in_brackets",
 ]
 
 COUNT = "count"
@@ -49,7 +47,6 @@ _WORDED = re.compile(
     re.IGNORECASE,
 )
 _LETTERED = re.compile(r"(?P<unit>psi|psf|m?bar|[kMh]?Pa)(?:(?P<absolute>a)|g|d)", re.IGNORECASE)
-_BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
 # pint works numbers out, however large: one digit in an exponent is all that a unit has of them.
 _PLAIN = re.compile(r"(?!.*\d\d)(?!.*(\*\*|\^).*(\*\*|\^))[^\d].{0,39}")
 
@@ -135,25 +132,6 @@ def kind_of_unit(unit: str) -> str:
     return next((kind for kind, name in kinds if _to_si(name.strip(), kind) is not None), "")
 
 
-def unit_in_brackets(name: str) -> str:
-    """Return the unit of pressure, temperature or time, or the counts, that ends a column's name.
-
-    Parameters
-    ----------
-    name : str
-        For example ``"PT25A fwd [psia]"``.
-
-    Returns
-    -------
-    str
-        The text in the brackets, or nothing: ``"P25 (C)"`` names a rake, ``"T25 (C)"`` a unit.
-    """
-    match = _BRACKETED.search(name)
-    unit = match["unit"].strip() if match is not None else ""
-    is_rake = len(unit) == 1 and unit != "s" and not name.lower().startswith("t")
-    return unit if unit and not is_rake and kind_of_unit(unit) else ""
-
-
 def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:
     """Return whether what a file states is what test.toml says.
 
@@ -177,33 +155,6 @@ def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:
         return False
     is_absolute = reference_other == "absolute" or reference_Pa == 0.0
     return not reference or (reference == "absolute") == is_absolute
-
-
-def quantity_in(text: str, kind: str, where: str) -> float:
-    """Return a number with a unit, such as ``"14.7 psia"`` or ``"-0.67 degF"``, in SI.
-
-    Parameters
-    ----------
-    text : str
-        Number, space, unit; a pressure must say that it is absolute.
-    kind : str
-        ``"pressure"`` or ``"temperature"``.
-    where : str
-        What to call it in an error.
-
-    Raises
-    ------
-    InputError
-        When it is something else.
-    """
-    number, _, unit = text.strip().partition(" ")
-    try:
-        return float(conversion_to_si(unit, kind, where).to_si(np.asarray(float(number))))
-    except ValueError:
-        example = '"7.98 psia"' if kind == "pressure" else '"-0.67 degF"'
-        an = "an absolute" if kind == "pressure" else "a"
-        expected = f"a number, or {an} {kind} with its unit as in {example}"
-        raise InputError(where, expected=expected, found=repr(text)) from None
 
 
 def split_reference(unit: str) -> tuple[str, str]:

@@ -7,8 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from classic_ml.inspect.clock import ClockFacts
-from classic_ml.inspect.facts import ChannelFacts, Inspection
+from classic_ml.inspect.facts import ChannelFacts, ClockFacts, Inspection
 from classic_ml.units import COUNT, kind_of_unit, split_reference
 
 __all__ = ["draft_test_toml"]

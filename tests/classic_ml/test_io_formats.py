@@ -84,6 +84,24 @@ def test_units_are_taken_from_where_each_format_keeps_them(tmp_path: Path) -> No
             assert "psia" in stored.units.values(), path
 
 
+def test_a_unit_in_the_brackets_of_a_name_is_read(tmp_path: Path) -> None:
+    units = {
+        "PT25 fwd [psia]": "psia",
+        "Time (ms)": "ms",
+        "P31 {kPa(g)}": "kPa(g)",
+        "T25_A (°C)": "°C",
+        "P25 raw (counts)": "counts",
+        "P25 (C)": "",
+        "T25 (C)": "C",
+        "P25 (fwd)": "",
+        "P25 []": "",
+        "speed (rpm)": "",
+    }
+    pd.DataFrame({name: [1.0, 2.0] for name in units}).to_csv(tmp_path / "raw.csv", index=False)
+    with open_stored(tmp_path / "raw.csv") as stored:
+        assert {name: stored.unit(name) for name in stored.names} == units
+
+
 def test_several_groups_must_be_chosen_from(made: RawTest, tmp_path: Path) -> None:
     path, toml = tmp_path / "raw.h5", tmp_path / "test.toml"
     with h5py.File(path, "w") as file:
