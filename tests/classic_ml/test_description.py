@@ -178,9 +178,8 @@ def test_defaults_stand_for_what_many_channels_share(made: RawTest, tmp_path: Pa
         for pair in expected.pairs(plane):
             keys = {name: getattr(pair.aft, name) for name in ("probe_slope", "probe_offset")}
             defaults[f"P{pair.name}_*"] = keys
-    quoted = {f'"{name}"': table for name, table in defaults.items()}
-    test = read(tmp_path, {**made.description, "channels": channels, "defaults": quoted})
+    test = read(tmp_path, {**made.description, "channels": channels, "defaults": defaults})
     assert dataclasses.replace(test, source="") == dataclasses.replace(expected, source="")
     own = {**channels, PROBE: {**channels[PROBE], "probe_slope": 2.0}}
     with pytest.raises(InputError, match=r"probe_slope: expected that of its mate .* and 2"):
-        read(tmp_path, {**made.description, "channels": own, "defaults": quoted})
+        read(tmp_path, {**made.description, "channels": own, "defaults": defaults})

@@ -213,19 +213,3 @@ def test_a_unit_that_the_file_states_is_held_against_test_toml(
         toml.write_text(to_toml(tables), "utf-8")
     record, _ = read_raw(raw, toml)
     np.testing.assert_array_equal(record["P25_A_tip_forward"], made.columns["P25_A_tip_forward"])
-
-
-def test_a_gauge_reading_is_never_taken_as_absolute(
-    made: RawTest, pascals: Columns, tmp_path: Path
-) -> None:
-    columns = {"time_s": made.columns["time_s"], **pascals}
-    raw = stating("psig", tmp_path, columns)
-    toml = tmp_path / "test.toml"
-    for unit, more, words in (
-        ("psia", {}, 'expected the unit "psia", as .* found "psig"'),
-        ("psi", {"reference_Pa": 0.0}, 'expected the unit "psi", as .* found "psig"'),
-        ("psi", {}, 'reading of 0 "psi" stands for, found nothing'),
-    ):
-        toml.write_text(to_toml(described(made, in_unit(unit, **more))), "utf-8")
-        with pytest.raises(InputError, match=words):
-            read_raw(raw, toml)

@@ -298,7 +298,7 @@ SERIES = (
         channel("time_s", lambda v: 1e3 * v, "series.csv"),
         COMPARE,
     ),
-    refused("series-twice", "series.csv|twice", nothing, "compare series.csv series.csv"),
+    refused("series-twice", "series.csv|once", nothing, "compare series.csv series.csv"),
     refused(
         "ledger-broken",
         "series.ledger.json|delete it or reduce",
