@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from raw_data import RawTest, make_test, to_toml, write_csv
 
-from classic_ml.calibration import calibrate
 from classic_ml.io import read_raw
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
@@ -28,9 +27,8 @@ def made() -> RawTest:
     return make_test(seconds=0.5)
 
 
-@pytest.fixture(scope="module")
-def pascals(made: RawTest) -> Columns:
-    """The pressures of the record by their zero and calibrate readings, in Pa."""
+def pascals_of(made: RawTest) -> Columns:
+    """The pressures of a record by their zero and calibrate readings in Pa, temperatures in K."""
     columns = {}
     for name, table in made.description["channels"].items():
         values = made.columns[name]
@@ -71,18 +69,10 @@ def write(folder: Path, columns: Columns, tables: Tables, name: str = "raw.csv")
 
 
 UNITS: dict[str, tuple[str, dict[str, Any], Callable[[np.ndarray], np.ndarray]]] = {
-    "Pa": ("Pa", {"reference_Pa": 0.0}, lambda p: p),
-    "psia": ("psia", {}, lambda p: p / PSI),
-    "psi absolute": ("psi", {"reference_Pa": 0.0}, lambda p: p / PSI),
-    "psig": ("psig", {"reference_Pa": BAROMETER_PA}, lambda p: (p - BAROMETER_PA) / PSI),
-    "psid": ("psid", {"reference_Pa": 250e3}, lambda p: (p - 250e3) / PSI),
-    "kPa gauge": ("kPa", {"reference_Pa": BAROMETER_PA}, lambda p: (p - BAROMETER_PA) / 1e3),
-    "reference as text": (
-        "mbar gauge",
-        {"reference_Pa": "1.012 bar abs"},
-        lambda p: (p - BAROMETER_PA) / 1e2,
-    ),
-    "inHg": ("inHg abs", {}, lambda p: p / (13595.1 * 9.80665 * 0.0254)),
+    "psia": ("degC", {}, lambda p: p / PSI),
+    "psig": ("degF", {"reference_Pa": BAROMETER_PA}, lambda p: (p - BAROMETER_PA) / PSI),
+    "psid": ("degR", {"reference_Pa": 250e3}, lambda p: (p - 250e3) / PSI),
+    "mbar gauge": ("K", {"reference_Pa": "1.012 bar abs"}, lambda p: (p - BAROMETER_PA) / 1e2),
 }
 TEMPERATURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "K": lambda t: t,
@@ -92,46 +82,32 @@ TEMPERATURES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-@pytest.mark.parametrize("form", UNITS)
-def test_pressures_in_any_unit_are_those_of_the_counts(
-    made: RawTest, pascals: Columns, tmp_path: Path, form: str
-) -> None:
-    unit, more, from_pascals = UNITS[form]
-    temperature = list(TEMPERATURES)[len(form) % len(TEMPERATURES)]
-    tables = described(made, in_unit(unit, temperature, **more))
-    del tables["adc"]
+def in_other_units(made: RawTest, unit: str) -> tuple[Columns, Tables]:
+    """Return the columns and the description of a record in a unit of pressure."""
+    temperature, more, from_pascals = UNITS[unit]
     columns = {
         n: from_pascals(v) if n.startswith("P") else TEMPERATURES[temperature](v)
-        for n, v in pascals.items()
+        for n, v in pascals_of(made).items()
     }
-    record, test = read_raw(*write(tmp_path, {"time_s": made.columns["time_s"], **columns}, tables))
-    assert {record.channel(n).unit for n in columns} == {"Pa", "K"}
-    for name, values in pascals.items():
+    tables = described(made, in_unit(unit, temperature, **more))
+    del tables["adc"]
+    return {"time_s": made.columns["time_s"], **columns}, tables
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_pressures_in_any_unit_are_those_of_the_counts(
+    made: RawTest, tmp_path: Path, unit: str
+) -> None:
+    record, _ = read_raw(*write(tmp_path, *in_other_units(made, unit)))
+    assert {channel.unit for channel in record.channels.values()} == {"Pa", "K"}
+    for name, values in pascals_of(made).items():
         np.testing.assert_allclose(record[name], values, rtol=1e-14, atol=1e-9, err_msg=name)
-    counted, counts = made.load()
-    found, expected = calibrate(record, test), calibrate(counted, counts)
-    for name in columns:
-        np.testing.assert_allclose(found[name], expected[name], rtol=1e-12, atol=1e-7)
-    did = found.history[-1].did
-    assert "16 pressures recorded as such" in did
-    assert "counts" not in did
 
 
 def test_a_record_in_psi_is_reduced_to_the_numbers_of_the_counts(tmp_path: Path) -> None:
     """The whole way: the same surge recorded as counts, and as psig with degF, gives one series."""
     made = make_test(seconds=2.0)
-    columns = {"time_s": made.columns["time_s"]}
-    for name, table in made.description["channels"].items():
-        values = made.columns[name]
-        if table["kind"] == "pressure":
-            gain = (table["calibrate_count"] - table["zero_count"]) / table["calibrate_pressure_Pa"]
-            values = (values - table["zero_count"]) / gain + table["zoc_reference_Pa"]
-            columns[name] = (values - BAROMETER_PA) / PSI
-        else:
-            columns[name] = TEMPERATURES["degF"](values)
-    tables = described(made, in_unit("psig", "degF", reference_Pa=BAROMETER_PA))
-    del tables["adc"]
-    found = reduce_record(*read_raw(*write(tmp_path, columns, tables))).series
+    found = reduce_record(*read_raw(*write(tmp_path, *in_other_units(made, "psig")))).series
     expected = reduce_record(*made.load()).series
     np.testing.assert_array_equal(found.segment, expected.segment)
     np.testing.assert_allclose(found.phi, expected.phi, rtol=0.0, atol=1e-9)
