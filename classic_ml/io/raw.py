@@ -110,7 +110,7 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
     if layout.clock == "column":
         titles = {layout.time: f"column {layout.time}", **titles}
     missing = [column for column in titles if column not in stored.names]
-    extra = [name for name in stored.names if name not in titles]
+    extra = [name for name in stored.names if name not in {*titles, *_own_clock(stored, test)}]
     if missing:
         raise _missing(stored, test, titles[missing[0]], missing, extra)
     if extra and layout.other_columns == "refuse":
@@ -187,8 +187,9 @@ def _read(
     has_clock = layout.clock == "column"
     where = f"{test.source}: file.time_unit"
     clock = conversion_to_si(_clock_unit(stored, test), "time", where)
-    fed = [channel.file_column for channel in test.channels]
-    names = (layout.time, *fed) if has_clock else tuple(fed)
+    watched = _own_clock(stored, test)
+    fed = (*(channel.file_column for channel in test.channels), *watched)
+    names = (layout.time, *fed) if has_clock else fed
     low_s, high_s = _span(test, window)
     kept: list[tuple[NDArray[np.generic], ...]] = []
     times: list[FloatArray] = []
@@ -225,7 +226,39 @@ def _read(
     joined = {
         name: np.concatenate([block[number] for block in kept]) for number, name in enumerate(names)
     }
+    for name in watched:
+        _check_own_clock(stored, test, name, np.asarray(joined[name], dtype=np.float64))
     return joined, np.concatenate(times), rows_before
+
+
+def _own_clock(stored: StoredTable, test: TestDescription) -> tuple[str, ...]:
+    """Return the clock that a file has although its time is made from the rate, if there is one."""
+    if test.file.clock == "column":
+        return ()
+    fed = {channel.file_column for channel in test.channels}
+    named = (name for name in CLOCK_NAMES if name in stored.names)
+    return tuple(name for name in (*stored.dates, *named) if name not in fed)[:1]
+
+
+def _check_own_clock(
+    stored: StoredTable, test: TestDescription, name: str, values: FloatArray
+) -> None:
+    """Refuse a file whose own clock, in s, ms, us or ns, contradicts the one that is made."""
+    steps = np.diff(values)
+    usual = float(np.median(steps))
+    if not usual > 0.0:
+        # A clock that is too coarse to say when a row was taken.
+        return
+    ratio = float(np.mean(steps[np.abs(steps - usual) <= 0.5 * usual])) * test.sample_rate_hz
+    agreed = any(abs(ratio / unit - 1.0) <= RATE_TOLERANCE for unit in (1.0, 1e3, 1e6, 1e9))
+    if not agreed or steps.max() > 1.5 * usual:
+        raise InputError(
+            f"{stored.source}: column {name}",
+            expected=f"uniform steps at {test.sample_rate_hz:g} samples a second, as "
+            f"{test.source} [test] sample_rate_hz says",
+            found=f"steps of {usual:.6g}, and one of {steps.max():.6g}",
+            remedy="correct the one that is wrong, or take the column out of the file",
+        )
 
 
 def _span(test: TestDescription, window: Window | None) -> Window:
