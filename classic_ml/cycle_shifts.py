@@ -65,7 +65,13 @@ class CycleShifts:
 
 
 def cycle_shifts(fit: LinearisedFit) -> CycleShifts:
-    """Leave out one cycle, that is one segment, at a time; fewer than ten are cut into a dozen."""
+    """Leave out one cycle at a time.
+
+    Parameters
+    ----------
+    fit : LinearisedFit
+        Each segment is a cycle; fewer than ten are cut into a dozen pieces.
+    """
     cycles = _cycles(fit)
     rest = leave_out(fit.jacobian, fit.before, cycles, fit.local)
     nothing = leave_out(fit.jacobian, fit.before, [slice(0, 0)], fit.local)

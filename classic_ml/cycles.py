@@ -139,7 +139,18 @@ def find_cycles(record: Record) -> SurgeCycles:
 
 
 def first_reversal(record: Record) -> int:
-    """Return the row at which the flow at plane 25 first runs backwards, or refuse the record."""
+    """Return the row at which the flow at plane 25 first runs backwards.
+
+    Parameters
+    ----------
+    record : Record
+        With ``Wc25_kg_s``.
+
+    Raises
+    ------
+    InputError
+        When it never does.
+    """
     return _first_negative(_slow(record, "Wc25_kg_s"))
 
 

@@ -46,8 +46,21 @@ def low_pass(
 def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -> FloatArray:
     """Return the centred moving average over exactly one period.
 
-    It has a null at 1/period and at all its harmonics, and no delay. The ends of the window get
-    fractional weights; near the ends of the record the average is over what there is.
+    It has a null at 1/period and at all its harmonics, and no delay.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,)
+        Uniformly sampled signal.
+    period_s : float
+        Width of the average; the ends of the window get fractional weights.
+    sample_rate_hz : float
+        Samples a second.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        The averaged signal; near the ends of the record over what there is.
     """
     width = period_s * sample_rate_hz
     side = max(0, int(np.ceil(0.5 * (width - 1.0))))

@@ -34,10 +34,20 @@ LEAST_SLOPE = 1e-6
 
 
 def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) -> FloatArray:
-    """Return the signed calculated Mach number of a probe pair (Eq 1 with the reverse rule).
+    """Return the signed calculated Mach number of a probe pair.
 
-    M_calc = ±√{2/(γ−1) [(P_high/P_low)^((γ−1)/γ) − 1]}. In reversed flow the aft probe reads the
-    total pressure and the forward one the wake; the Mach number is then negative.
+    Parameters
+    ----------
+    forward_Pa, aft_Pa : ndarray of shape (n,)
+        Pressures of the forward and the aft probe. In reversed flow the aft probe reads the
+        total pressure and the forward one the wake; the Mach number is then negative.
+    gamma : float
+        Ratio of the specific heats.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        M_calc = ±√{2/(γ−1) [(P_high/P_low)^((γ−1)/γ) − 1]}, Eq 1 with the reverse rule.
     """
     ratio = np.maximum(forward_Pa, aft_Pa) / np.minimum(forward_Pa, aft_Pa)
     square = 2.0 / (gamma - 1.0) * (ratio ** ((gamma - 1.0) / gamma) - 1.0)
@@ -47,17 +57,38 @@ def calculated_mach(forward_Pa: FloatArray, aft_Pa: FloatArray, gamma: float) ->
 def true_mach(calculated: FloatArray, slope: float, offset: float) -> FloatArray:
     """Return the signed true Mach number, M_true = ±(a |M_calc| + b) (Eq 2).
 
-    a and b are the slope and offset of the pair's flow calibration, the same in reversed flow; zero
-    where the probes read alike, since the sign is not known there.
+    Parameters
+    ----------
+    calculated : ndarray of shape (n,)
+        Signed M_calc.
+    slope, offset : float
+        a and b of the pair, from its flow calibration; the same in reversed flow.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Signed M_true; zero where the probes read alike, since the sign is not known there.
     """
     magnitude = np.maximum(slope * np.abs(calculated) + offset, 0.0)
     return np.asarray(np.sign(calculated) * magnitude)
 
 
 def corrected_flow(mach: FloatArray, area_m2: float, compressor: Compressor) -> FloatArray:
-    """Return the corrected flow in kg/s for a signed true Mach number, odd in it (Eq 3).
+    """Return the corrected flow for a Mach number, odd in it (Eq 3).
 
-    W_c = A P_o √(γ/(R T_o)) M / (1 + (γ−1)/2 M²)^((γ+1)/(2(γ−1))).
+    Parameters
+    ----------
+    mach : ndarray of shape (n,)
+        Signed true Mach number.
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        W_c = A P_o √(γ/(R T_o)) M / (1 + (γ−1)/2 M²)^((γ+1)/(2(γ−1))), in kg/s.
     """
     return _flow_constant_kg_s(area_m2, compressor) * mach / _expansion(mach, compressor.gamma)
 
@@ -70,7 +101,24 @@ def pair_flow(
     area_m2: float,
     compressor: Compressor,
 ) -> FloatArray:
-    """Return the signed corrected flow in kg/s that a probe pair shows, Eq 1 to 3."""
+    """Return the corrected flow that a probe pair shows, Eq 1 to 3 one after the other.
+
+    Parameters
+    ----------
+    forward_Pa, aft_Pa : ndarray of shape (n,)
+        Absolute pressures.
+    slope, offset : float
+        a and b of Eq 2.
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Signed W_c, in kg/s.
+    """
     calculated = calculated_mach(forward_Pa, aft_Pa, compressor.gamma)
     return corrected_flow(true_mach(calculated, slope, offset), area_m2, compressor)
 
@@ -78,7 +126,21 @@ def pair_flow(
 def mach_from_corrected_flow(
     corrected_kg_s: FloatArray, area_m2: float, compressor: Compressor
 ) -> FloatArray:
-    """Invert Eq 3 on its subsonic branch, by Newton's method; |M| ≤ 1, of the sign of the flow.
+    """Invert Eq 3 on its subsonic branch, by Newton's method.
+
+    Parameters
+    ----------
+    corrected_kg_s : ndarray of shape (n,)
+        Signed corrected flow, in kg/s.
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Signed Mach number, |M| ≤ 1.
 
     Raises
     ------

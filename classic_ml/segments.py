@@ -45,7 +45,19 @@ LEAST_UNSTALLED = 0.02
 def window_rows(record: Record, window_s: tuple[float, float], where: str = "window") -> slice:
     """Return the rows of a window, or refuse one that the record does not hold.
 
-    ``where`` is what to call the window in an error, e.g. ``"test.toml: [window]"``.
+    Parameters
+    ----------
+    record : Record
+        For its clock.
+    window_s : tuple of float
+        First and last time.
+    where : str
+        What to call the window in an error, e.g. ``"test.toml: [window]"``.
+
+    Returns
+    -------
+    slice
+        Its rows.
     """
     half = 0.5 * record.sample_period_s
     first_s, last_s = record.time_at_s(0), record.time_at_s(record.n_samples - 1)
@@ -64,10 +76,21 @@ def window_rows(record: Record, window_s: tuple[float, float], where: str = "win
 def in_stall_by_threshold(
     corrected_kg_s: FloatArray, threshold_kg_s: float, hysteresis_kg_s: float = 0.0
 ) -> BoolArray:
-    """Return the in-stall state by a threshold of the corrected inlet flow, 50 lbm/s in the paper.
+    """Return the in-stall state by a threshold of the corrected inlet flow.
 
-    Stall begins below threshold − hysteresis and ends above threshold + hysteresis. Until the flow
-    first leaves that band, the state is that of its middle.
+    Parameters
+    ----------
+    corrected_kg_s : ndarray of shape (n,)
+        Corrected flow at plane 25.
+    threshold_kg_s : float
+        The paper's 50 lbm/s, in kg/s.
+    hysteresis_kg_s : float
+        Stall begins below threshold − hysteresis and ends above threshold + hysteresis.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True in stall. Until the flow first leaves the band, the state is that of its middle.
     """
     stalled = corrected_kg_s < threshold_kg_s - hysteresis_kg_s
     if hysteresis_kg_s > 0.0 and stalled.size:
@@ -81,7 +104,17 @@ def in_stall_by_threshold(
 def cell_frequency_hz(record: Record, window: slice) -> float:
     """Return the rotating-stall frequency: the highest peak of P25's spectrum above surge.
 
-    The record has the plane average ``P25_unfiltered_Pa``; the window holds the surge cycles.
+    Parameters
+    ----------
+    record : Record
+        With the plane average ``P25_unfiltered_Pa``.
+    window : slice
+        Rows of the surge cycles.
+
+    Returns
+    -------
+    float
+        Frequency in Hz.
     """
     return _cell_line(record, window)[0]
 
@@ -112,8 +145,19 @@ def shows_stall(record: Record, window: slice) -> bool:
 def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     """Return the in-stall state by the machine itself: in stall the hub passes more than the tip.
 
-    True where the difference, averaged over one period of the stall cells, is above half its median
-    in the window.
+    Parameters
+    ----------
+    record : Record
+        As for :func:`hub_tip_difference`.
+    window : slice
+        Rows of the surge cycles, whose median difference is the scale.
+    cell_hz : float
+        Rotating-stall frequency; the difference is averaged over one of its periods.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_samples,)
+        True where the difference is above half its median in the window.
 
     Raises
     ------

@@ -148,7 +148,15 @@ def whole_run_rows(
 def scored_until(
     rows: Sequence[WholeRunRows], until_s: Sequence[float] | None
 ) -> tuple[WholeRunRows, ...]:
-    """Return the rows of each record, scored up to a time only, where one is given for each."""
+    """Return the rows, scored up to a time only; the rest is held out.
+
+    Parameters
+    ----------
+    rows : sequence of WholeRunRows
+        One for each record.
+    until_s : sequence of float, optional
+        Time for each record; without it all stays as it is.
+    """
     if until_s is None:
         return tuple(rows)
     return tuple(
@@ -162,7 +170,13 @@ def scored_until(
 
 
 def is_blowdown(rows: Sequence[WholeRunRows]) -> bool:
-    """Return whether hardly a row in stall is in forward flow: then τ is not to be read."""
+    """Tell whether hardly a row in stall is in forward flow: then τ is not to be read.
+
+    Parameters
+    ----------
+    rows : sequence of WholeRunRows
+        One for each record.
+    """
     scored = sum(float(row.weight.sum()) for row in rows)
     in_stall = sum(row.in_stall_rows for row in rows)
     return scored < max(LEAST_SCORED_SHARE * in_stall, LEAST_SCORED_ROWS)
@@ -172,6 +186,11 @@ def stacked_rows(
     rows: Sequence[WholeRunRows],
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Return the runs one behind the other.
+
+    Parameters
+    ----------
+    rows : sequence of WholeRunRows
+        One for each record.
 
     Returns
     -------
@@ -193,7 +212,12 @@ def stacked_rows(
 def moving_columns(inputs: FloatArray, n_terms: int) -> tuple[int, ...]:
     """Return the columns of the terms, and of the nuisances those of which a record has any.
 
-    Columns that are nothing would make the fit look rank deficient.
+    Parameters
+    ----------
+    inputs : ndarray of shape (n, n_terms + 4)
+        Terms and nuisances; columns that are nothing would make the fit look rank deficient.
+    n_terms : int
+        Number of terms.
     """
     moving = np.ptp(inputs[:, n_terms:], axis=0) > 1e-9
     return (*range(n_terms), *(n_terms + np.flatnonzero(moving)).tolist())
@@ -202,4 +226,5 @@ def moving_columns(inputs: FloatArray, n_terms: int) -> tuple[int, ...]:
 def _average_s(series: CoefficientSeries) -> float | None:
     """Return what the free run is averaged over as the ledger says, None where it does not."""
     stated = [e.parameters.get("average_s") for e in series.history if e.step == "free run"]
-    return float(stated[-1]) if stated and stated[-1] is not None else None
+    found = stated[-1] if stated else None
+    return float(found) if isinstance(found, int | float) and 0.0 < found < 1.0 else None
