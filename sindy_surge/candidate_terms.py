@@ -60,15 +60,6 @@ class CandidateTerms:
         self.states: ProductStateTerms | None = None
         if psi_p is not None and len(input_names) <= _MOST_INPUTS_WITH_STATE:
             self.states = ProductStateTerms.of(psi_p, input_names, output_name, self._own_names)
-        double = [n for n in self._own_names if self._own_names.count(n) > 1]
-        double += [output_name] * (output_name in input_names)
-        if double:
-            raise InputError(
-                "library",
-                expected="a name of its own for every term, input and output",
-                found=f"{double[0]!r} twice",
-                remedy="rename the term or the column, or give another `output_name`",
-            )
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sindy_surge.lag_fit import WhiteEquations
-from sindy_surge.leave_out import unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from sindy_surge.sparse_paths import beam_search
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["inclusion_probabilities"]
@@ -62,8 +60,6 @@ def inclusion_probabilities(
     equations are first factored as Q R over all rows, the blocks are summed up as Grams of Q, which
     is orthogonal, and a resample with Gram G = L L' of Q is the regression on L' R.
     """
-    if n_resamples < 1:
-        raise InputError("n_resamples", expected="at least 1", found=str(n_resamples))
     n_nuisances, n_terms = equations.nuisances.shape[1], equations.columns.shape[1]
     forced = tuple(sorted({int(i) for i in required}))
     largest = max(min(max_terms, n_terms), len(forced), 1)
@@ -120,7 +116,8 @@ def _compressed_blocks(
     ]
     used = [rows for rows in used if rows.stop > rows.start]
     stacked = np.column_stack((equations.nuisances, equations.columns, equations.target))
-    norms = unit_norms(stacked)
+    norms = np.linalg.norm(stacked, axis=0)
+    norms[norms == 0] = 1.0
     orthogonal, triangle = np.linalg.qr(stacked / norms)
     # The target keeps its size: χ² is in units of the noise.
     triangle[:, -1] *= norms[-1]

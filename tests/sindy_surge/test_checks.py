@@ -75,15 +75,6 @@ def test_units_of_the_flow_do_not_matter(surge: Callable[..., Any], noise: float
     np.testing.assert_allclose(found, one.coef_, rtol=2e-3)
 
 
-def test_names_that_collide_are_refused(surge: Callable[..., Any]) -> None:
-    record = surge("quadratic", 0.02, 3, 500)
-    with pytest.raises(InputError, match="twice"):
-        SparseLagRegressor(output_name="phi", n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
-    twice = PolynomialLibrary(1) + CustomLibrary([lambda x: x**2], [lambda n: n])
-    with pytest.raises(InputError, match="library"):
-        SparseLagRegressor(library=twice, n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
-
-
 def test_few_equations_are_no_success() -> None:
     rng = np.random.default_rng(0)
     phi = 0.25 + 0.2 * np.sin(np.arange(60) / 9)
