@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sindy_surge.library import default_library, hinge_name
+from sindy_surge.library import StallLibrary, default_library, hinge_name
 from sindy_surge.linear_problem import least_squares
 from sindy_surge.state_terms import ProductStateTerms
 from surge_core.errors import InputError
@@ -66,6 +66,12 @@ class CandidateTerms:
         """Names of all terms; those that hold ψ' come last."""
         extra = tuple(hinge_name(self.input_names[0], knot) for knot in self._extra)
         return self._own_names + extra + (() if self.states is None else self.states.names)
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Knots of all hinges of the first input."""
+        own = self._library.knots if isinstance(self._library, StallLibrary) else ()
+        return (*(own[0] if own else ()), *self._extra)
 
     @property
     def n_without_state(self) -> int:
