@@ -143,10 +143,14 @@ def test_sheet_states_the_fields_and_escapes_them() -> None:
     assert "<b>" in sheet.text()
 
 
-def test_an_estimator_shows_its_sheet_once_it_is_fitted() -> None:
+def test_an_estimator_shows_its_sheet_once_it_is_fitted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     model = SparseLagRegressor()
     assert str(model) == "SparseLagRegressor()"
     phi = np.linspace(0.0, 0.3, 9)
     model.fit(phi[:, None], 0.3 + phi)
     assert "too_few_rows" in str(model)
+    model.print()
+    assert capsys.readouterr().out == model.equation() + "\n"
     assert model._repr_html_().startswith('<div class="sindy-surge">')
