@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,17 +31,8 @@ _PART_OF_STEP = 0.25
 _NEIGHBOURS = 0.15
 
 
-@dataclass(frozen=True)
-class MovedKnot:
-    """A hinge off the library's grid.
-
-    Parameters
-    ----------
-    knot : float
-        Where it bends, rounded within its standard error.
-    stderr : float
-        Standard error of the knot.
-    """
+class MovedKnot(NamedTuple):
+    """A hinge off the library's grid: where it bends, rounded within its standard error."""
 
     knot: float
     stderr: float
