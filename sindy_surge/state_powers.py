@@ -18,7 +18,7 @@ _TIE = 4.0
 
 
 class PowerChoice(NamedTuple):
-    """The power of ψ' that fits best, in its library, and the structure with the other if as good."""
+    """The power of ψ' that fits best, in its library, and the other's structure if as good."""
 
     problem: LagProblem
     fit: StructureFit
