@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surge_core.leave_out import leave_out
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["leave_out_moves", "newey_west", "unit_norms"]
@@ -50,12 +49,15 @@ def leave_out_moves(
 ) -> FloatArray:
     """Return how the parameters of a least-squares fit move when one block is left out.
 
+    -B (I - A_g B)⁻¹ J_g'e_g with B = (J'J)⁻¹ and A_g = J_g'J_g: exact for a linear
+    regression, to first order otherwise.
+
     Parameters
     ----------
     columns : ndarray of shape (n_rows, n_parameters)
-        Derivatives of the fitted values.
+        Derivatives J of the fitted values.
     residual : ndarray of shape (n_rows,)
-        What the fit leaves.
+        What the fit leaves, e; rows of ``columns`` behind it are a prior, which no block holds.
     blocks : sequence of ndarray of int
         Rows of each block.
 
@@ -64,4 +66,15 @@ def leave_out_moves(
     ndarray of shape (n_blocks, n_parameters)
         The moves.
     """
-    return leave_out(-columns, residual, blocks).moves
+    norms = unit_norms(columns)
+    scaled = columns / norms
+    bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
+    identity = np.eye(norms.size)
+    moves = np.empty((len(blocks), norms.size))
+    for number, rows in enumerate(blocks):
+        part = scaled[rows]
+        # lstsq, not solve: a block that alone determines a parameter makes this singular.
+        system = identity - part.T @ part @ bread
+        moves[number] = -bread @ np.linalg.lstsq(system, part.T @ residual[rows])[0]
+    moves /= norms
+    return moves
