@@ -75,20 +75,6 @@ def test_armax_is_unbiased_and_its_errors_are_honest(c: float) -> None:
     assert np.mean(ma) == pytest.approx(c, abs=4 * np.std(ma) / np.sqrt(30) + 0.01)
 
 
-def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
-    z, lags = [], []
-    for seed in range(25):
-        rng = np.random.default_rng(100 + seed)
-        phi = flow(4000, rng)
-        y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
-        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
-        z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
-        lags.append(m.residual_lag_)
-    assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
-    assert 0.6 < np.std(z) < 1.6
-    assert np.median(lags) > 10  # the residual's colour was seen
-
-
 def test_arx_reads_output_noise_as_a_shorter_lag() -> None:
     rng = np.random.default_rng(5)
     phi = flow(4000, rng)
@@ -276,17 +262,6 @@ def test_the_band_of_the_curve_does_not_depend_on_where_phi_is_counted_from(
     assert np.all(stderr > 0.0)
     np.testing.assert_allclose(band, stderr, rtol=1e-4)
     np.testing.assert_allclose(raw, value, atol=1e-3 * stderr.min())
-
-
-def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
-    X, y = clean()
-    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
-    at = np.linspace(0.1, 0.5, 5)
-    for held in (None, TAU_S):
-        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
-        terms = at[:, None] ** np.arange(3)
-        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
-        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)
 
 
 @pytest.mark.parametrize("drift", [None, "spline"])
