@@ -6,7 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 
+from classic_ml import LagRegressor
 from surge_core.leave_out import block_edges, correlation_length, leave_out, scatter
 
 
@@ -86,3 +88,23 @@ def test_blocks_are_stretches_or_pieces_of_long_ones() -> None:
     assert all(block_edges([n], 1)[0].size + 1 == 20 for n in range(1900, 2100))
     assert [e.size + 1 for e in block_edges([2000], 400)] == [5]
     assert sum(e.size + 1 for e in block_edges([150, 150], 1000)) >= 4
+
+
+@pytest.mark.parametrize("noise", ["armax", "output-error"])
+def test_stated_errors_hold_on_short_segments(noise: str) -> None:
+    z = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        X, y, labels = [], [], []
+        for label in range(12):
+            phi = flow(200, rng)[100:]
+            X.append(phi)
+            y.append(lagged(phi, "zero") + coloured(400, 0.0, 0.002, rng)[300:])
+            labels.append(np.full(100, label))
+        m = LagRegressor(PERIOD_S, noise=noise)
+        m.fit(np.concatenate(X)[:, None], np.concatenate(y), np.concatenate(labels))
+        stderr = [m.time_constant_stderr_s_, *np.sqrt(np.diag(m.covariance_))]
+        z.append((np.array([m.time_constant_s_, *m.coef_]) - [TAU_S, *BETA]) / stderr)
+    # A root mean square of 40 z-scores scatters by 1/sqrt(80) = 11 % about one.
+    assert np.all(np.sqrt(np.mean(np.square(z), axis=0)) < 1.45)
+    assert np.all(np.sqrt(np.mean(np.square(z), axis=0)) > 0.6)

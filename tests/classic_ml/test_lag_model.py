@@ -376,3 +376,40 @@ def test_too_many_knots_are_refused_before_memory_runs_out() -> None:
         LagRegressor(PERIOD_S, drift="spline", knot_spacing_s=1e-3).fit(
             np.linspace(0, 1, 40_000)[:, None], np.linspace(0, 1, 40_000)
         )
+
+
+def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
+    z, lags = [], []
+    for seed in range(25):
+        rng = np.random.default_rng(100 + seed)
+        phi = flow(4000, rng)
+        y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
+        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
+        z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
+        lags.append(m.residual_lag_)
+    assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
+    assert 0.6 < np.std(z) < 1.6
+    assert np.median(lags) > 10  # the residual's colour was seen
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
+    X, y, labels = segmented(8, n_segments=4)
+    m = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=labels)
+    renamed = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=100 - 7 * labels)
+    order = np.concatenate([np.flatnonzero(labels == k) for k in (3, 1, 4, 2)])
+    shuffled = LagRegressor(PERIOD_S, noise=noise).fit(X[order], y[order], segments=labels[order])
+    assert renamed.time_constant_s_ == m.time_constant_s_
+    assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
+    np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
+
+
+def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
+    X, y = clean()
+    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
+    at = np.linspace(0.1, 0.5, 5)
+    for held in (None, TAU_S):
+        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
+        terms = at[:, None] ** np.arange(3)
+        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
+        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)

@@ -331,3 +331,9 @@ def test_above_90_percent_one_sentence_says_why_there_is_no_psi(case: str) -> No
     assert all("beyond its limits" in d.why for d in beyond)
     with pytest.raises(InputError, match="without which there is no W31 and no ψ"):
         fit_work_characteristic(record, reduction.test, record["window"] > 0.5, breakpoints=BREAKS)
+
+
+def test_a_machine_twice_the_size_has_the_same_characteristic() -> None:
+    one, two = fitted(*planes()), fitted(*planes(size=2.0))
+    assert two.time_constant_s == pytest.approx(one.time_constant_s, rel=1e-6)
+    np.testing.assert_allclose(two.coef, one.coef, rtol=1e-5)
