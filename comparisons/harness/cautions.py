@@ -164,8 +164,9 @@ def spread_speeds(records: Sequence[CoefficientSeries]) -> dict[str, float]:
     records : sequence of CoefficientSeries
         The records.
     """
-    known = [r for r in records if r.Nc_frac is not None]
-    speeds = {r.source: float(np.median(r.Nc_frac[r.scored])) for r in known}
+    speeds = {
+        r.source: float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None
+    }
     apart = len(speeds) > 1 and max(speeds.values()) - min(speeds.values()) > SPEED_SPREAD
     return speeds if apart else {}
 
