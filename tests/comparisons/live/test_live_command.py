@@ -83,11 +83,11 @@ def test_a_pipe_with_page_and_estimate_ends_with_what_reduce_gives(
         port = int(session.wait_for(r"http://127\.0\.0\.1:(\d+)/")[1])
         pipe = session.process.stdin
         assert pipe is not None
-        pipe.write(record.header + b"".join(record.lines[:2500]))
+        pipe.write(b"\n".join([*record.rows[:2501], b""]))
         pipe.flush()
         session.wait_for("first estimate of τ")
         document = state_with_tau(port)
-        pipe.write(b"".join(record.lines[2500:]))
+        pipe.write(b"\n".join(record.rows[2501:]))
         pipe.close()
         session.process.stdin = None
         assert session.process.wait(PATIENCE_S) == 0, session.said
@@ -102,7 +102,7 @@ def test_a_signal_ends_the_run_in_order(record: LiveRecord, tmp_path: Path) -> N
     with running(record, tmp_path, "--listen", "0", "--raw", str(tmp_path / "kept.csv")) as session:
         port = int(session.wait_for(r"waiting for a sender at 127\.0\.0\.1:(\d+)")[1])
         with socket.create_connection(("127.0.0.1", port)) as sender:
-            sender.sendall(record.header + b"".join(record.lines[:2500]))
+            sender.sendall(b"\n".join([*record.rows[:2501], b""]))
             session.wait_for("cycle 6 ended")
             session.process.send_signal(signal.SIGTERM)
             assert session.process.wait(PATIENCE_S) == 0, session.said
@@ -112,7 +112,7 @@ def test_a_signal_ends_the_run_in_order(record: LiveRecord, tmp_path: Path) -> N
 
 
 def live(record: LiveRecord, *options: str) -> list[str]:
-    return ["live", "-", "--test", str(record.test_path), "--quiet", "--no-estimate", *options]
+    return ["live", "-", "--test", str(record.test_path), "--quiet", *options]
 
 
 def test_the_options_of_a_reduction_are_those_of_reduce(
