@@ -28,16 +28,12 @@ __all__ = ["add_parser"]
 SERIES = (".csv", ".nc", ".nc4", ".netcdf")
 _BEHAVIOUR = """\
 While it runs, the operating point comes from pressures behind a causal low-pass (48 Hz, about 7 ms
-late) and is one row late; it is matched at near stall once the interval [near_stall] of test.toml
-has passed, and says so. Surge is reported when the filtered flow at plane 25 has run backwards for
-3 ms, some 12 ms after the machine itself on the simulated rig; a cycle when P31 has risen by 15 %
-of its mean behind its trough. The time constant is that of `reduce` and `compare` over the last
-half minute, estimated again behind every cycle, and provisional.
+late). Surge is reported when the flow at plane 25 has run backwards for 3 ms, some 12 ms after the
+machine itself; the time constant is that of `reduce` and `compare` over the last half minute.
 
-A feed may fall silent or break. Rows whose clock was had are dropped, what is no row is counted and
-left out. Where rows are missing the record goes on as a new piece, which is reduced by itself,
-matched by the near-stall reading of the first piece. `reduce` does the same with the test.toml that
-lies beside its raw record (--raw), where the table [near_stall_shifts] holds the match.
+Rows whose clock was had are dropped, what is no row is counted and left out. Where rows are missing
+the record goes on as a new piece, which is reduced by itself, matched by the near-stall reading of
+the first piece; the test.toml with this match lies beside its raw record (--raw).
 
 The run ends with the input, with the end mark of the format, after --timeout, or with Ctrl-C or
 SIGTERM; then the rows are reduced as `reduce` would with the same options. They are on disk all the

@@ -37,8 +37,6 @@ class LiveState:
         Name of the test; how the feed does and what was kept of it, in words.
     phase : {"waiting", "running", "reducing", "done"}
         How far the session is.
-    silent : bool
-        Whether rows have stopped to come.
     machine : str
         ``"stable"``, ``"in stall"``, ``"surge"`` or ``"not known"``.
     signals : str
@@ -61,7 +59,6 @@ class LiveState:
     phase: str
     feed: str
     record: str = ""
-    silent: bool = False
     machine: str = "not known"
     signals: str = ""
     point: OperatingPoints | None = None
@@ -143,7 +140,6 @@ def page_document(state: LiveState) -> dict[str, Any]:
         "test": state.test,
         "phase": state.phase,
         "machine": state.machine,
-        "silent": state.silent,
         "fields": [{"label": label, "value": value} for label, value in field_rows(state)],
         "trail": state.trail,
         "tau_ms": [1e3 * estimate.tau_s, 1e3 * estimate.tau_stderr_s]

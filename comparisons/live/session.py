@@ -24,7 +24,7 @@ __all__ = ["Screen", "Session"]
 
 # The display moves this often, and no wait is longer.
 TICK_S = 0.1
-# No rows for so long, and the feed is reported as silent.
+# No rows for so long, and the feed is shown as silent.
 SILENT_S = 1.0
 EVENTS_KEPT = 200
 
@@ -75,7 +75,6 @@ class Session:
         self._why_stopped = ""
         self._heard_s = time.monotonic()
         self._shown_s = 0.0
-        self._silent = False
         self._events: deque[str] = deque(maxlen=EVENTS_KEPT)
 
     def stop(self, why: str | int) -> None:
@@ -152,7 +151,6 @@ class Session:
             phase=phase,
             feed=self._feed_words(),
             record=record,
-            silent=self._silent,
             machine=monitor.machine,
             signals=monitor.shown,
             point=monitor.point,
@@ -191,7 +189,8 @@ class Session:
         elif arrival is not None and self._lines is not None:
             self._take(self._lines, arrival)
         self._say_all(self.monitor.poll())
-        self._watch_silence()
+        if self._quiet_s > self.timeout_s:
+            self.stop(f"no data for {self.timeout_s:g} s")
         if time.monotonic() - self._shown_s > TICK_S:
             self._say_all(self.monitor.update())
             self._shown_s = time.monotonic()
@@ -239,18 +238,14 @@ class Session:
         self.say("a connection was refused: it began with another header")
         return False
 
-    def _watch_silence(self) -> None:
-        quiet_s = time.monotonic() - self._heard_s
-        silent = bool(self.pieces.pieces) and quiet_s > SILENT_S
-        if silent != self._silent:
-            self.say(f"silent: no data for {quiet_s:.1f} s" if silent else "data come again")
-        self._silent = silent
-        if quiet_s > self.timeout_s:
-            self.stop(f"no data for {self.timeout_s:g} s")
+    @property
+    def _quiet_s(self) -> float:
+        return time.monotonic() - self._heard_s
 
     def _feed_words(self) -> str:
         if self._why_stopped:
             return f"ended: {self._why_stopped}"
         if self._lines is None:
             return self.feed.waiting
-        return "no data" if self._silent else "receiving"
+        silent = self._quiet_s > SILENT_S
+        return f"no data for {self._quiet_s:.0f} s" if silent else "receiving"

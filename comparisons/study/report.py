@@ -12,12 +12,10 @@ from comparisons.study.comparison import (
     COLUMNS,
     GroupComparison,
     compare_methods,
-    value_words,
 )
 from comparisons.study.plots import draw_differences
-from comparisons.study.spec import Range, StudySpec
+from comparisons.study.spec import StudySpec
 from surge_core.files import write_whole
-from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,12 +78,7 @@ def render_study_report(
     leads = tuple(several[0].lead() for several in groups)
     sections = [("In short", [Part("Lead", (Bullets(leads), Words(extent, "quiet")))])]
     sections += [(several[0].score.label.capitalize(), _score_parts(several)) for several in groups]
-    run = [
-        Part("Cells that did not end well", (_failures(table),)),
-        Part("Timings", (_timings(table),)),
-        Part("Specification", (_specification(spec),)),
-    ]
-    sections.append(("How the study was run", run))
+    sections.append(("Cells that did not end well", [Part("Reasons", (_failures(table),))]))
     return render_page(sections, title=spec.title, command=command)
 
 
@@ -115,31 +108,3 @@ def _failures(table: pd.DataFrame) -> Table:
     rows = tuple((method, state, str(n), reason) for (method, state, reason), n in ends)
     heads = (Head("method"), Head("state"), Head("cells", numeric=True), Head("reason", prose=True))
     return Table(f"{len(bad)} of {len(table)} cells", heads, rows)
-
-
-def _timings(table: pd.DataFrame) -> Table:
-    """Return the seconds of the fits by method, and those of what they share."""
-    seconds = table.groupby("method")["seconds_fit"].agg(["count", "sum", "median", "max"])
-    rows = [
-        (str(name), str(int(count)), *(significant(float(value), 3) for value in several))
-        for name, count, *several in seconds.itertuples()
-    ]
-    for name, column in (("records", "seconds_record"), ("reductions", "seconds_reduction")):
-        rows.append((name, "", significant(float(table[column].sum()), 3), "", ""))
-    heads = [Head("method"), Head("cells", numeric=True)]
-    heads += [Head(f"{word} [s]", numeric=True) for word in ("sum", "median", "longest")]
-    return Table("Seconds of fits, and of making and reducing records", tuple(heads), tuple(rows))
-
-
-def _specification(spec: StudySpec) -> Table:
-    given: dict[str, Sequence[Any]] = {
-        "record.source": [spec.source],
-        "seeds": spec.seeds,
-        "design": [f"{spec.design.random} random points" if spec.design else "grid"],
-    }
-    given |= {k: [v] if isinstance(v, Range) else v for k, v in spec.settings.items()}
-    rows = [(name, ", ".join(map(value_words, values))) for name, values in given.items()]
-    for method in spec.method:
-        parameters = ", ".join(f"{key} = {value}" for key, value in method.parameters.items())
-        rows.append((f"method {method.name}", f"{method.import_path} {parameters}".strip()))
-    return Table("The specification", (Head("setting"), Head("value", prose=True)), tuple(rows))

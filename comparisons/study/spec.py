@@ -8,7 +8,6 @@ from ranges ``{from = 0.1, to = 5.0, log = true}``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
@@ -99,25 +98,6 @@ def _axes(name: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
     return create_model(name, __base__=Table, **axes, **others)
 
 
-def _reduction_axes() -> type[Table]:
-    """Return a table of the switches of a reduction, which check themselves."""
-    hints = get_type_hints(ReductionSettings)
-    names = [field.name for field in fields(ReductionSettings) if field.name != "window_s"]
-
-    def accepted(table: Any) -> Any:
-        for name, values in table:
-            for value in values if isinstance(values, tuple) else ():
-                try:
-                    ReductionSettings(**{name: value})
-                except InputError as error:
-                    raise InputError(name, expected=error.expected, found=error.found) from error
-        return table
-
-    check: Any = model_validator(mode="after")(accepted)
-    axes = _axes("Axes", {name: _or_none(hints[name]) for name in names})
-    return create_model("Reduction", __base__=axes, __validators__={"check": check})
-
-
 def _record_table(source: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
     return _axes(f"{source}Axes", kinds, source=(_one_of([source]), ...), **others)
 
@@ -157,7 +137,10 @@ _Record: Any = Annotated[
     ),
     Field(discriminator="source"),
 ]
-_Reduction: Any = _reduction_axes()
+_switches = get_type_hints(ReductionSettings)
+_Reduction: Any = _axes(
+    "Reduction", {n: _or_none(kind) for n, kind in _switches.items() if n != "window_s"}
+)
 _Series: Any = _axes("Series", {"keep_every": Count, "first_s": Positive})
 _Fit: Any = _axes("Fit", {"degree": Count, "hold": Literal["zero", "first"]})
 

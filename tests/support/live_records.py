@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+import queue
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -71,29 +72,23 @@ def changed(record: LiveRecord, folder: Path, old: str, new: str) -> LiveRecord:
 
 
 class Played:
-    """A session that was played to its end, and what it said."""
+    """A session that is played to its end, and what it said."""
 
-    def __init__(
-        self, record: LiveRecord, folder: Path, arrivals: Iterable[Arrival], *, comes_back: bool
-    ) -> None:
-        self.record, self.out, self.said = record, folder / "live.csv", ""
+    def __init__(self, record: LiveRecord, folder: Path, feed: Feed, timeout_s: float) -> None:
+        self.record, self.out = record, folder / "live.csv"
+        self.said, self.feed_words = "", set[str]()
         folder.mkdir(exist_ok=True)
-
-        def read(feed: Feed) -> None:
-            for arrival in (Opened(), *arrivals, END):
-                feed.arrivals.put(arrival)
-
         self.monitor = Monitor(record.test, ReductionSettings(), folder)
         self.pieces = Pieces(folder / "live.raw.csv")
-        feed = Feed("waiting for the play", read, comes_back)
-        self.session = Session(record.test, feed, self.pieces, self.monitor, [self])
+        test = record.test
+        self.session = Session(test, feed, self.pieces, self.monitor, [self], timeout_s)
         self.session.run()
 
     def say(self, event: str) -> None:
         self.said += event + "\n"
 
     def show(self, state: LiveState) -> None:
-        """Show nothing."""
+        self.feed_words.add(state.feed)
 
     def reduce(self) -> None:
         reduce_pieces(
@@ -105,6 +100,17 @@ class Played:
         )
 
 
-def play(record: LiveRecord, folder: Path, *arrivals: Arrival, comes_back: bool = True) -> Played:
+def play(
+    record: LiveRecord,
+    folder: Path,
+    *arrivals: Arrival,
+    comes_back: bool = True,
+    end: bool = True,
+    timeout_s: float = math.inf,
+) -> Played:
     """Run a session over arrivals; the first connection is opened, and the last closed, here."""
-    return Played(record, folder, arrivals, comes_back=comes_back)
+    feed = Feed("waiting for the play", lambda feed: None, comes_back)
+    feed.arrivals = queue.Queue()
+    for arrival in (Opened(), *arrivals, *([END] if end else [])):
+        feed.arrivals.put(arrival)
+    return Played(record, folder, feed, timeout_s)

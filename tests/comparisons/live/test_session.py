@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 from live_records import LiveRecord, changed, play, series_of
 
-from comparisons.live.display import LiveState
-from comparisons.live.feeds import Closed, Feed, Opened
-from comparisons.live.session import Session
+from comparisons.live.feeds import Closed, Opened
 from surge_core.errors import InputError
 
 LOST = Closed("lost")
@@ -131,34 +130,13 @@ def test_where_no_piece_can_be_reduced_the_rows_are_kept(
     assert len((tmp_path / "live.raw.csv").read_bytes().splitlines()) == 251
 
 
-def test_a_silent_feed_is_reported_and_ends_after_the_timeout(
+def test_a_silent_feed_is_shown_and_ends_after_the_timeout(
     record: LiveRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Clock:
-        now_s = 0.0
-
-        def monotonic(self) -> float:
-            # Each look at the clock takes a tenth of a second: no test waits.
-            self.now_s += 0.1
-            return self.now_s
-
-    class Keeps:
-        states: list[LiveState] = []  # noqa: RUF012
-
-        def say(self, event: str) -> None:
-            """Keep nothing."""
-
-        def show(self, state: LiveState) -> None:
-            self.states.append(state)
-
-    monkeypatch.setattr("comparisons.live.session.time", Clock())
+    # Each look at the clock takes a tenth of a second: no test waits.
+    ticks = iter(range(10**9))
+    monkeypatch.setattr(time, "monotonic", lambda: 0.1 * next(ticks))
     monkeypatch.setattr("comparisons.live.session.TICK_S", 0.0)
-    played = play(record, tmp_path, record.rows[:301])
-    feed = Feed("waiting", lambda feed: None)
-    # All that ever comes is there before the session looks.
-    feed.arrivals.put(Opened())
-    feed.arrivals.put(record.rows[:301])
-    screen = Keeps()
-    Session(record.test, feed, played.pieces, played.monitor, [screen], timeout_s=60.0).run()
-    assert any(state.silent and state.feed == "no data" for state in screen.states)
-    assert screen.states[-1].feed == "ended: no data for 60 s"
+    played = play(record, tmp_path, record.rows[:301], end=False, timeout_s=60.0)
+    assert "no data for 30 s" in played.feed_words
+    assert "ended: no data for 60 s" in played.said
