@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from classic_ml.faults.findings import (
 )
 from classic_ml.faults.probes import Agreement, compare_probes, disagreements, slow_pressures
 from classic_ml.intervals import bridged
-from classic_ml.records import Channel, Dropped, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name
 from surge_core.errors import InputError
 
 __all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_bridged"]
@@ -41,42 +41,21 @@ GAIN_REFUSED, APART_REFUSED = 2.0, 0.6
 ALL_KINDS = sum(MARK_WORDS)
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    """Why a channel is left out, for how many rows, and whether its limits are to blame."""
-
-    channel: str
-    rows: int
-    why: str
-    beyond_limits: bool = False
-
-
 def choose_channels(record: Record, test: TestDescription, window: slice) -> Record:
     """Leave out the channels that cannot be used in the window, a pressure with its mate.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated and matched, with the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Places of the channels.
-    window : slice
-        Rows of the quasi-steady cycles.
-
-    Returns
-    -------
-    Record
-        Without the channels that were left out. Of those that stay, thermocouples are bridged by
-        straight lines where their readings do not count, pressures where they have spikes.
+    The record is calibrated and matched, with the marks of :func:`inspect_readings`. Of the
+    channels that stay, thermocouples are bridged by straight lines where their readings do not
+    count, pressures where they have spikes.
 
     Raises
     ------
     InputError
         When an immersion of a plane, or the thermocouples of plane 25, would be left out whole.
     """
-    verdicts = {name: _judge(record, test, name, window) for name in test.channel_names}
-    bad = {name: verdict for name, verdict in verdicts.items() if verdict is not None}
-    slow = slow_pressures(record, test, window).without(bad)
+    bad = _marked_out(record, test, window)
+    slow = slow_pressures(record, test, window)
+    slow = {name: means for name, means in slow.items() if name not in bad}
     agreements = compare_probes(slow, test)
     bad |= _come_off(agreements, window)
     dropped, gone = _drop_pairs(record, test, bad)
@@ -85,15 +64,13 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         out = [c.name for c in couples if c.name in bad]
         if plane == 25 and len(out) == len(couples):
             raise _refusal(record, bad[out[0]], "the last thermocouple of plane 25")
-        dropped += [Dropped(name, bad[name].rows, bad[name].why) for name in out]
+        dropped += [bad[name] for name in out]
         gone += out
         if couples and len(out) == len(couples):
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
-    kept = record.without(gone)
-    lines = [_bridged(kept, c.name, ALL_KINDS) for c in test.temperatures if c.name in kept]
-    lines += [_bridged(kept, p.name, SPIKED) for p in test.pressures if p.name in kept]
-    findings = _kept_faults(kept, test, window)
-    findings += disagreements(slow.without(gone), test, agreements)
+    kept = record.without([*gone, *map(fault_name, gone)])
+    used = {name: means for name, means in slow.items() if name not in gone}
+    findings = [*_kept_faults(kept, test, window), *disagreements(used, test, agreements)]
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
@@ -101,59 +78,55 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         tuple(dropped),
         tuple(finding.sentence for finding in findings),
     )
-    return kept.after(entry, add=[line for line in lines if line is not None])
+    kept = with_faults_bridged(kept.after(entry), [c.name for c in test.temperatures])
+    return with_faults_bridged(kept, [p.name for p in test.pressures], SPIKED)
 
 
-def with_faults_bridged(record: Record, test: TestDescription) -> Record:
-    """Return a record with straight lines across all readings that do not count.
-
-    Only what a window is looked for with: a dropout must not end it.
-
-    Parameters
-    ----------
-    record : Record
-        With the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Its channels.
-    """
-    lines = [_bridged(record, name, ALL_KINDS) for name in test.channel_names]
-    channels = {line.name: line for line in lines if line is not None}
-    return replace(record, channels={**record.channels, **channels})
+def with_faults_bridged(record: Record, names: Iterable[str], kinds: int = ALL_KINDS) -> Record:
+    """Return a record with straight lines across readings that do not count, of some kinds."""
+    channels = dict(record.channels)
+    for name in names:
+        marks = marked_rows(record, name) if name in record else None
+        if marks is not None and np.any(marks & kinds):
+            values = bridged(record[name], marks & kinds == 0)
+            channels[name] = Channel.adopt(name, values, record.channel(name).unit)
+    return replace(record, channels=channels)
 
 
-def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _Verdict | None:
-    n_rows = window.stop - window.start
-    readings = record[name][window]
-    if n_rows and np.all(readings == readings[0]):
-        return _Verdict(name, n_rows, f"the same in all {n_rows} rows in the window")
-    aft = {probe.name for probe in test.pressures if probe.facing == "aft"}
-    if test.near_stall_shifts and name not in {*test.near_stall_shifts, *aft}:
-        why = f"not in {test.source} [near_stall_shifts], so that it cannot be matched"
-        return _Verdict(name, record.n_samples, why)
-    marks = marked_rows(record, name)
-    if marks is None:
-        return None
-    looked_at = [(window, "in the window")]
+def _marked_out(record: Record, test: TestDescription, window: slice) -> dict[str, Dropped]:
+    """Return the channels of which too many readings do not count, or that cannot be matched."""
+    looked_at = {"in the window": window}
     if not test.near_stall_shifts:
         rows = near_stall_rows(record, test)
-        looked_at.append((rows, "at near stall, so that it cannot be matched"))
-    for rows, where in looked_at:
-        n = rows.stop - rows.start
-        for kind, word in MARK_WORDS.items():
-            count = int(np.count_nonzero(marks[rows] & kind))
-            if count > ALLOWED_SHARE[kind] * n:
-                why = f"{word} in {count} of {n} rows {where}"
-                return _Verdict(name, count, why, kind == BEYOND_LIMITS)
-    return None
-
-
-def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _Verdict]:
-    """Return the probes that do not take part in what those beside them show."""
+        looked_at["at near stall, so that it cannot be matched"] = rows
+    aft = {probe.name for probe in test.pressures if probe.facing == "aft"}
     n_rows = window.stop - window.start
+    out: dict[str, Dropped] = {}
+    for name in test.channel_names:
+        readings, marks = record[name][window], marked_rows(record, name)
+        for where, rows in looked_at.items():
+            if marks is None:
+                break
+            n = rows.stop - rows.start
+            for kind, word in MARK_WORDS.items():
+                count = int(np.count_nonzero(marks[rows] & kind))
+                if count > ALLOWED_SHARE[kind] * n:
+                    why = f"{word} in {count} of {n} rows {where}"
+                    out.setdefault(name, Dropped(name, count, why))
+        if test.near_stall_shifts and name not in {*test.near_stall_shifts, *aft}:
+            why = f"not in {test.source} [near_stall_shifts], so that it cannot be matched"
+            out[name] = Dropped(name, record.n_samples, why)
+        if n_rows and np.all(readings == readings[0]):
+            out[name] = Dropped(name, n_rows, f"the same in all {n_rows} rows in the window")
+    return out
+
+
+def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, Dropped]:
+    """Return the probes that do not take part in what those beside them show."""
     return {
-        name: _Verdict(
+        name: Dropped(
             name,
-            n_rows,
+            window.stop - window.start,
             f"moving {found.gain:.2f} times as much as the probes beside it in the window, and "
             f"{found.apart:.0%} apart from them",
         )
@@ -163,56 +136,46 @@ def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _
 
 
 def _drop_pairs(
-    record: Record, test: TestDescription, bad: Mapping[str, _Verdict]
+    record: Record, test: TestDescription, bad: Mapping[str, Dropped]
 ) -> tuple[list[Dropped], list[str]]:
     dropped: list[Dropped] = []
     gone: list[str] = []
     for plane in test.areas_m2:
-        left: dict[str, int] = {}
-        last: dict[str, _Verdict] = {}
-        for pair in test.pairs(plane):
-            verdict = bad.get(pair.forward.name) or bad.get(pair.aft.name)
-            left[pair.immersion] = left.get(pair.immersion, 0) + (verdict is None)
-            if verdict is not None:
-                last.setdefault(pair.immersion, verdict)
-                gone += [pair.forward.name, pair.aft.name]
-                why = f"{verdict.channel} is {verdict.why}"
-                dropped.append(Dropped(f"pair {pair.name}", verdict.rows, why))
-        for immersion, count in left.items():
-            if count == 0:
-                raise _refusal(
-                    record, last[immersion], f"the last {immersion} pair of plane {plane}"
-                )
+        pairs = test.pairs(plane)
+        verdicts = {p.name: bad.get(p.forward.name) or bad.get(p.aft.name) for p in pairs}
+        for pair in pairs:
+            verdict = verdicts[pair.name]
+            if verdict is None:
+                continue
+            beside = (p for p in pairs if p.immersion == pair.immersion)
+            if all(verdicts[p.name] is not None for p in beside):
+                last = f"the last {pair.immersion} pair of plane {plane}"
+                raise _refusal(record, verdict, last)
+            gone += [pair.forward.name, pair.aft.name]
+            why = f"{verdict.what} is {verdict.why}"
+            dropped.append(Dropped(f"pair {pair.name}", verdict.count, why))
     return dropped, gone
 
 
-def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
+def _refusal(record: Record, verdict: Dropped, last: str) -> InputError:
     return InputError(
-        f"{record.source}: channel {verdict.channel}",
+        f"{record.source}: channel {verdict.what}",
         expected=f"readings that count, since {last} goes with it",
         found=f"it {verdict.why}",
-        remedy="are its unit (psia or psig?) and reference_Pa right? else correct its [limits], or "
-        "choose another window"
-        if verdict.beyond_limits
-        else "choose a window without the fault, or widen the range of the transducer",
+        remedy="are its unit (psia or psig?), reference_Pa and [limits] right? else choose a "
+        "window without the fault, or widen the range of the transducer",
     )
-
-
-def _bridged(record: Record, name: str, kinds: int) -> Channel | None:
-    """Return a channel with straight lines across its faults of some kinds, if it has any."""
-    marks = marked_rows(record, name)
-    if marks is None or not np.any(marks & kinds):
-        return None
-    channel = record.channel(name)
-    return Channel.adopt(name, bridged(channel.values, marks & kinds == 0), channel.unit)
 
 
 def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Finding]:
     """Return the channels that have faults and stay nevertheless."""
     findings = []
     for name in test.channel_names:
-        marks = marked_rows(kept, name) if name in kept else None
+        marks = marked_rows(kept, name)
         if marks is not None:
             inside = int(np.count_nonzero(marks[window]))
-            findings.append(Finding("kept" if inside else "faulty outside", name, inside))
+            words = f"{name}: faulty rows outside the window only"
+            if inside:
+                words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
+            findings.append(Finding("kept", words, name))
     return findings

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from classic_ml.io.csv import separator_of
-
 __all__ = ["TEXT_FORMAT", "Lines", "RowOrder", "Run"]
 
 END_LINE = b"#end"
@@ -88,7 +86,8 @@ class Lines:
     def _begin(self, line: bytes) -> None:
         self.header = line
         text = line.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
-        separator = separator_of(text)
+        # As the reader of files chooses it.
+        separator = max((",", ";", "\t"), key=text.count)
         cells = next(csv.reader([text], delimiter=separator), [])
         self.names = [name.strip() for name in cells]
         self._separator = separator.encode()

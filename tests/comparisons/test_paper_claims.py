@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from comparisons.paper.instabilities import (
     PAPER_SETTINGS,
     Instabilities,
     InstabilityRun,
-    fit_paper,
     reduce_run,
     run_case,
 )
@@ -46,15 +44,13 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, object
         assert main(["reproduce", *arguments]) == 0
     page = (folder / "claims.html").read_text("utf-8")
     assert page.count('class="failed"') == len(DO_NOT_HOLD)
-    assert page.count("data:image/png;base64,") == 8
+    assert page.count("data:image/png;base64,") == 6
     return {row["id"]: row for row in json.loads((folder / "claims.json").read_text("utf-8"))}
 
 
 def altered(runs: Instabilities, **changed: InstabilityRun) -> Instabilities:
     """Return the runs with others in place of ``r985``, ``r90`` and so on."""
-    return Instabilities(
-        {**runs.runs, **{name[1:].replace("_", "-"): run for name, run in changed.items()}}
-    )
+    return {**runs, **{name[1:].replace("_", "-"): run for name, run in changed.items()}}
 
 
 def remade(
@@ -65,7 +61,7 @@ def remade(
 ) -> InstabilityRun:
     """Simulate another rig for a run and reduce it in the paper's way; its fits stay."""
     rig = simulate(case, seed=0, sensors=sensors)
-    paper = reduce_run(rig, PAPER_SETTINGS)[0] if reduced else run.paper
+    paper = reduce_run(rig) if reduced else run.paper
     return replace(run, rig=rig, paper=paper)
 
 
@@ -94,12 +90,9 @@ def test_numbers_of_the_long_claims(rows: dict[int, dict[str, object]]) -> None:
     [
         (SensorSettings(tube_frequency_hz=100.0), 4),
         (SensorSettings(leak_lag_s=0.01), 5),
-        (SensorSettings(thermocouple_lag_s=0.020), 6),
-        (SensorSettings(recovery_factor=0.98), 7),
         (SensorSettings(rake_coupling=0.3), 8),
         (SensorSettings(reading_samples=2), 10),
         (SensorSettings(noise_percent=0.0), 12),
-        (SensorSettings(bits=10), 13),
         (SensorSettings(hub_tip=0.0), 29),
         (SensorSettings(cells=0.0), 32),
     ],
@@ -127,7 +120,7 @@ def test_the_spectrum_follows_the_cells(runs: Instabilities) -> None:
     "settings", [replace(PAPER_SETTINGS, cutoff_hz=40.0), replace(PAPER_SETTINGS, phase="zero")]
 )
 def test_another_filter_is_not_the_papers(runs: Instabilities, settings: ReductionSettings) -> None:
-    paper, *_ = reduce_run(runs["90"].rig, settings)
+    paper = reduce_run(runs["90"].rig, settings)
     assert not check_claim(altered(runs, r90=replace(runs["90"], paper=paper)), 21).holds
 
 
@@ -164,24 +157,6 @@ def test_a_wrong_curve_does_not_reconstruct_and_a_true_one_is_valid(runs: Instab
     assert check_claim(right, 35).holds
 
 
-def test_linked_intervals_and_a_single_one_are_the_same(runs: Instabilities) -> None:
-    series = runs["90"].paper.series
-    plain, linked = fit_paper(series), fit_paper(series, link_segments=True)
-    assert linked.coefficients == pytest.approx(plain.coefficients, rel=1e-9)
-
-
-def test_the_papers_settings_name_every_switch() -> None:
-    # A new switch of the reduction has to be thought of here: what did the paper do?
-    known = {
-        "filter_order", "cutoff_hz", "phase", "probes", "threshold_lbm_s", "hysteresis_lbm_s",
-        "stall_rule", "inertia_factor", "thermocouple_inversion", "near_stall_match", "work_form",
-        "window_s",
-    }  # fmt: skip
-    assert {field.name for field in fields(ReductionSettings)} == known
-    assert (PAPER_SETTINGS.phase, PAPER_SETTINGS.cutoff_hz) == ("causal", 48.0)
-    assert PAPER_SETTINGS.stall_rule == "threshold"
-
-
 def test_rows_table_and_block_agree() -> None:
     claims = [
         Claim(4, "p. 3", "Tubes", "built in", 400.0, 400.0, True, "read", "Hz"),
@@ -189,30 +164,6 @@ def test_rows_table_and_block_agree() -> None:
     ]
     assert [row["found"] for row in claims_json(claims)] == [400.0, None]
     text = claims_table(claims)
-    assert "1 of 2 claims hold." in text
+    assert "1 of 2 hold" in text
     assert max(len(line) for line in text.splitlines()) <= 118
     assert claims_block(claims).marks == ("", "failed")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["--report", "claims.txt"], ".html"),
-        (["--json", "no_such_folder/claims.json"], "no_such_folder"),
-        (["--json", "same.html", "--report", "same.html"], "same.html"),
-    ],
-)
-def test_targets_are_refused_before_any_work(
-    arguments: list[str],
-    word: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        "comparisons.paper.instabilities.run_instabilities", lambda *_: pytest.fail("it ran")
-    )
-    assert main(["reproduce", *arguments]) == 2
-    assert word in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

@@ -299,6 +299,7 @@ def test_unrelated_output_does_not_pass_for_a_lag() -> None:
         ({"max_terms": 0}, "max_terms"),
         ({"degree": 0}, "degree"),
         ({"knots": [np.nan]}, "knots"),
+        ({"n_bootstrap": -1}, "n_bootstrap"),
     ],
 )
 def test_bad_parameters_are_named(options: dict[str, Any], where: str) -> None:

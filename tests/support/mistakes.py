@@ -153,7 +153,7 @@ RAW_FILES = (
     harmless("raw-spreadsheet", as_text(decimal_commas)),
     refused(
         "raw-two-decimal-signs",
-        "raw.csv|one decimal sign",
+        "raw.csv|time_s|points in all numbers",
         as_text(lambda text: decimal_commas(text).replace("0,001;", "0.001;", 1)),
     ),
     refused(
@@ -320,6 +320,16 @@ TEST_TOML = (
         "test.toml|[near_stall]|5 to 5.2 s",
         toml(("near_stall/from_s", 5.0), ("near_stall/to_s", 5.2)),
     ),
+    refused(
+        "threshold-word",
+        "test.toml: segmentation.threshold_lbm_s|none|'auto'",
+        toml(("segmentation/threshold_lbm_s", "auto")),
+    ),
+    refused(
+        "near-stall-in-surge",
+        "test.toml [near_stall]|end before the surge",
+        toml(("near_stall/to_s", 0.5)),
+    ),
     refused("speed-hz", "test.toml|rotor_speed_rpm|Hz", toml(("test/rotor_speed_rpm", 1.9))),
     refused("radius-mm", "test.toml|mean_radius_m|mm", toml(("compressor/mean_radius_m", 280.0))),
     refused("area-cm2", "test.toml|planes.25.area_m2|cm²", toml(("planes/25/area_m2", 2938.0))),
@@ -427,7 +437,7 @@ OPTIONS = tuple(
         ("option-unknown", "--cuttoff", f"{REDUCE} --cuttoff 48"),
         ("option-test-missing", "--test", "reduce raw.csv -o reduced.csv"),
         ("option-cutoff-nyquist", "--cutoff|600|500", f"{REDUCE} --cutoff 600"),
-        ("option-order", "--filter-order|3 or 5", f"{REDUCE} --filter-order 4"),
+        ("option-order", "--filter-order|3, 5", f"{REDUCE} --filter-order 4"),
         ("option-window-reversed", "--window", f"{REDUCE} --window 1.5 1.0"),
         ("option-part-reversed", "--to-s", f"{REDUCE} --from-s 1.5 --to-s 1.0"),
         ("option-degree", "--degree|1 to 12", "compare series.csv --degree 40"),
