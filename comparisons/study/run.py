@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 
 from comparisons.study.design import Cell, cells_of, tasks_of
@@ -148,15 +147,7 @@ def _worked_off(tasks: list[list[Cell]], jobs: int, scheduler: str | None) -> It
             client = stack.enter_context(_client(scheduler))
             backend = {"backend": "dask", "client": client, "n_jobs": CLUSTER}
         stack.enter_context(parallel_config(**backend))
-        try:
-            yield from Parallel(return_as="generator_unordered")(map(delayed(run_task), tasks))
-        except TerminatedWorkerError as error:
-            raise InputError(
-                "--jobs",
-                expected="workers that live until the study ends",
-                found="one that was killed, perhaps for want of memory",
-                remedy="--resume goes on, with fewer jobs",
-            ) from error
+        yield from Parallel(return_as="generator_unordered")(map(delayed(run_task), tasks))
 
 
 def _client(scheduler: str) -> Any:
