@@ -13,7 +13,7 @@ from comparisons.live.estimate import Estimate
 from comparisons.live.operating_point import OperatingPoints
 from surge_core.rounding import round_to_error
 
-__all__ = ["LiveState", "Terminal", "field_rows", "page_document", "status_line", "tau_words"]
+__all__ = ["LiveState", "Terminal", "page_document", "tau_words"]
 
 CLEAR_LINE = "\r\x1b[K"
 # The quantities of an operating point: label, name, factor and format.
@@ -69,14 +69,8 @@ class LiveState:
     events: tuple[str, ...] = ()
 
 
-def field_rows(state: LiveState) -> list[tuple[str, str]]:
-    """Return label and value of everything that is shown in words.
-
-    Parameters
-    ----------
-    state : LiveState
-        The moment.
-    """
+def _fields(state: LiveState) -> list[tuple[str, str]]:
+    """Return label and value of everything that is shown in words."""
     cycles = str(state.n_cycles)
     if math.isfinite(state.period_s):
         cycles += f", one every {1e3 * state.period_s:.0f} ms ({1.0 / state.period_s:.2f} Hz)"
@@ -112,15 +106,9 @@ def tau_words(estimate: Estimate | None) -> str:
     return f"{tau} ms, provisional"
 
 
-def status_line(state: LiveState) -> str:
-    """Return the moment in one line of a terminal; what matters most first, since it may be cut.
-
-    Parameters
-    ----------
-    state : LiveState
-        The moment.
-    """
-    values = dict(field_rows(state))
+def _status_line(state: LiveState) -> str:
+    """Return the moment in one line of a terminal; what matters most first, since it may be cut."""
+    values = dict(_fields(state))
     labels = ("clock", "machine", "φ", "ψ'", "surge cycles", "time constant τ", "feed")
     return "  ".join(f"{label} {values[label]}" for label in labels)
 
@@ -140,7 +128,7 @@ def page_document(state: LiveState) -> dict[str, Any]:
         "test": state.test,
         "phase": state.phase,
         "machine": state.machine,
-        "fields": [{"label": label, "value": value} for label, value in field_rows(state)],
+        "fields": [{"label": label, "value": value} for label, value in _fields(state)],
         "trail": state.trail,
         "tau_ms": [1e3 * estimate.tau_s, 1e3 * estimate.tau_stderr_s]
         if estimate is not None and known
@@ -171,7 +159,7 @@ class Terminal:
         """Write the state over the one before."""
         if self._moving:
             width = shutil.get_terminal_size().columns - 1
-            self._write(_plain(status_line(state))[:width])
+            self._write(_plain(_status_line(state))[:width])
 
     def close(self) -> None:
         """Leave the line."""

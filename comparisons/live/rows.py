@@ -6,7 +6,6 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +23,9 @@ numbers. Between them stand commas, semicolons or tabs; beside the latter two a 
 decimal sign. Lines that begin with # count for nothing, but for "{END_LINE.decode()}", which ends
 the run."""
 
+# Clock and line of a row; what is missing before rows, empty where they follow on, and their lines.
 Row = tuple[float, bytes]
+Run = tuple[str, list[bytes]]
 
 
 class Lines:
@@ -105,22 +106,6 @@ class Lines:
         return (values[self._place], line) if all(map(math.isfinite, values)) else None
 
 
-@dataclass
-class Run:
-    """Rows that follow one another.
-
-    Parameters
-    ----------
-    gap : str
-        What is missing before them; empty where they follow on what was had.
-    lines : list of bytes
-        The rows.
-    """
-
-    gap: str = ""
-    lines: list[bytes] = field(default_factory=list)
-
-
 class RowOrder:
     """Drop rows that were had, and cut the record where rows are missing.
 
@@ -164,8 +149,8 @@ class RowOrder:
             if self._follows(clock, self._last):
                 self.close()
                 if not runs:
-                    runs.append(Run())
-                runs[-1].lines.append(line)
+                    runs.append(("", []))
+                runs[-1][1].append(line)
                 self._last = clock
             elif clock <= self._last:
                 self.repeated += 1
@@ -195,6 +180,6 @@ class RowOrder:
             count = "1 row is" if missing == 1 else f"{missing} rows are"
             gap = f"{count} missing before the clock {begins:.10g}"
         self._last = self._waiting[-1][0]
-        run = Run(gap, [line for _, line in self._waiting])
+        lines = [line for _, line in self._waiting]
         self._waiting = []
-        return run
+        return gap, lines

@@ -202,16 +202,16 @@ class Session:
             self._lines = None
             self.feed.refuse()
             return
-        for run in self.order.take(rows):
-            if run.gap or not self.pieces.pieces:
+        for gap, kept in self.order.take(rows):
+            if gap or not self.pieces.pieces:
                 self._say_all(self.monitor.update())
-                if run.gap:
-                    self.say(f"a new piece of the record begins: {run.gap}")
-                self.pieces.begin(run.gap)
+                if gap:
+                    self.say(f"a new piece of the record begins: {gap}")
+                self.pieces.begin(gap)
                 self.monitor.head = self.pieces.head
                 self.monitor.restart()
-            self.pieces.append(run.lines)
-            self._say_all(self.monitor.take(run.lines))
+            self.pieces.append(kept)
+            self._say_all(self.monitor.take(kept))
         if rows:
             # Behind the work on them, which is no silence of the feed.
             self._heard_s = time.monotonic()

@@ -47,10 +47,10 @@ def order_of(*parts: list[tuple[float, bytes]]) -> tuple[list[tuple[str, int]], 
     refused: Counter[str] = Counter()
     order = RowOrder(refused)
     pieces: list[tuple[str, int]] = []
-    for run in [run for part in parts for run in order.take(part)]:
-        if run.gap or not pieces:
-            pieces.append((run.gap, 0))
-        pieces[-1] = (pieces[-1][0], pieces[-1][1] + len(run.lines))
+    for gap, lines in [run for part in parts for run in order.take(part)]:
+        if gap or not pieces:
+            pieces.append((gap, 0))
+        pieces[-1] = (pieces[-1][0], pieces[-1][1] + len(lines))
     order.close()
     return pieces, order.repeated, refused.total()
 

@@ -131,7 +131,7 @@ def test_failed_cells_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         ({"class": "no_such_package:Thing"}, "no_such_package"),
         ({"class": "study_methods:Nothing"}, "Nothing"),
         ({"class": "study_methods:Short", "parameters": {"colour": 1}}, "no arguments"),
-        ({"class": "study_methods:NoFit"}, "without fit"),
+        ({"class": "study_methods:NoFit"}, "with fit and predict"),
     ],
 )
 def test_a_class_that_cannot_be_had_is_refused_before_the_study(
