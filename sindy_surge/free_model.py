@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.free_run import DelayedLag, run_lag
+from sindy_surge.free_run import run_lag, solve_recursion
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
@@ -71,18 +71,7 @@ class FreeModel:
         return (above - below) / (2 * step)
 
     def at_rest(self, inputs: FloatArray) -> FloatArray:
-        """Return the ψ' at which nothing changes, by Newton's method from ψ' = 0.
-
-        Parameters
-        ----------
-        inputs : ndarray of shape (n, n_inputs)
-            The inputs.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            ψ'_QS; nan where terms with ψ' leave none.
-        """
+        """Return the ψ' at which nothing changes, by Newton's method; nan where there is none."""
         state = self.forcing(inputs, np.zeros(inputs.shape[0]))
         if not self.holds_state:
             return state
@@ -113,20 +102,14 @@ class FreeModel:
             The runs of rows.
         initial : ndarray of shape (n_segments,)
             ψ' at the first row of each segment.
-
-        Returns
-        -------
-        ndarray of shape (n_rows,)
-            ψ'.
         """
-        delayed, lag = DelayedLag.of(self.lag), self.lag
+        lag, later = self.lag, segments.later
         rows = np.arange(segments.n_rows)
-        weights = delayed.weights[0]
-        sources = [segments.within(rows - delayed.shift - i) for i in range(weights.size)]
+        sources = [segments.within(rows - lag.whole_samples - i) for i in range(3)]
 
         def driven(forcing: FloatArray) -> FloatArray:
-            pairs = zip(weights, sources, strict=True)
-            return np.asarray(sum(weight * forcing[source] for weight, source in pairs))
+            pairs = zip(lag.taps[0], sources, strict=True)
+            return np.asarray(sum(tap * forcing[source] for tap, source in pairs))
 
         state = np.repeat(initial, segments.lengths)
         if not self.holds_state:
@@ -141,23 +124,10 @@ class FreeModel:
             target = driven(self.forcing(inputs, acting)) - state
             target[1:] += lag.a * state[:-1]
             target[segments.starts] = initial - state[segments.starts]
-            now, before = 1.0 - lag.gain_now * gain, lag.a + lag.gain_before * gain
-            change = _bidiagonal(now, before, target, segments)
+            now = 1.0 - lag.gain_now * gain[later]
+            before = lag.a + lag.gain_before * gain[later - 1]
+            change = solve_recursion(now, before, target, segments)
             state = self._bounded(state + change)
             if float(np.max(np.abs(change))) < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
                 break
         return state
-
-
-def _bidiagonal(
-    ahead: FloatArray, behind: FloatArray, target: FloatArray, segments: Segments
-) -> FloatArray:
-    """Solve ahead[k] x[k] - behind[k-1] x[k-1] = target[k], each segment's first x given."""
-    from scipy.linalg import solve_banded
-
-    band = np.zeros((2, target.size))
-    band[0], band[1] = ahead, -behind
-    band[0, segments.starts] = 1.0
-    # No equation reaches across the start of a segment.
-    band[1, segments.starts[1:] - 1] = 0.0
-    return np.asarray(solve_banded((1, 0), band, target))

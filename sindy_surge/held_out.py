@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,15 +11,12 @@ import numpy as np
 from sindy_surge.constraints import Constraints
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import jackknife_covariance, leave_out_moves, unit_norms
 from sindy_surge.linear_problem import Support
 from sindy_surge.preparation import Prepared
 from sindy_surge.segments import block_slices
-from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
 from sindy_surge.trials import (
     FEWEST_BLOCKS,
-    Block,
     Trials,
     best_of_each_size,
     climb,
@@ -27,9 +24,10 @@ from sindy_surge.trials import (
     special_structures,
 )
 from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
-from surge_core.types import FloatArray
+from surge_core.leave_out import leave_out, pseudo_inverse, scatter
+from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out", "with_held_out"]
+__all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out"]
 
 
 # Variance of what all terms leave over that of the noise which fourth differences show. An
@@ -50,17 +48,9 @@ _FEWEST_RUNGS = 2
 def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
     """Return whether what the terms leave is an error of the model rather than noise.
 
-    Parameters
-    ----------
-    consistent : bool
-        Whether a structure stands against all others.
-
-    Returns
-    -------
-    bool
-        True if even all terms leave more than 100 times the variance of the noise, or if no
-        structure stands and all terms leave a coloured rest. With a white rest it is the number
-        of terms allowed that no structure fits in.
+    True if even all terms leave more than 100 times the variance of the noise, or if no
+    structure stands against all others (`consistent`) and all terms leave a coloured rest. With a
+    white rest it is the number of terms allowed that no structure fits in.
     """
     coloured = prepared.problem.noise.colour.size > 0
     return prepared.excess > _MOST_EXCESS or (not consistent and coloured)
@@ -74,24 +64,21 @@ class HeldOutFit:
     ----------
     support : tuple of int
         Positions of the terms within the usable columns.
-    time_constant_s : float
-        τ in seconds.
-    coefficients : ndarray of shape (n_support,)
-        β in physical units.
+    parameters : ndarray of shape (n_support + 1,)
+        β in physical units and, last, τ in seconds.
     covariance : ndarray of shape (n_support + 1, n_support + 1)
-        Of β and, last, τ.
+        Their covariance.
     initial : ndarray of shape (n_segments,)
         ψ' at the start of each segment.
-    tried : dict
-        Each structure tried, with the rms of its weak equations on blocks left out and its τ.
+    trials : Trials
+        Each structure tried, with the errors of its weak equations on blocks left out and its τ.
     """
 
     support: Support
-    time_constant_s: float
-    coefficients: FloatArray
+    parameters: FloatArray
     covariance: FloatArray
     initial: FloatArray
-    tried: dict[Support, tuple[float, float]]
+    trials: Trials
 
 
 def select_by_held_out(
@@ -99,7 +86,7 @@ def select_by_held_out(
     optimizer: Any,
     max_terms: int,
     degrees: Sequence[int | None],
-    constraints: Constraints | None = None,
+    constraints: Constraints,
 ) -> HeldOutFit | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
 
@@ -120,8 +107,6 @@ def select_by_held_out(
     ----------
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
-    constraints : Constraints or None
-        What is known of the terms beforehand.
 
     Returns
     -------
@@ -136,12 +121,11 @@ def select_by_held_out(
         return None
     linear = weak.linear()
     # Terms with ψ' have no part in the weak form.
-    n_terms = linear.columns.shape[1]
-    required = tuple(i for i in constraints.required if i < n_terms) if constraints else ()
+    required = tuple(i for i in constraints.required if i < linear.columns.shape[1])
 
     def admitted(support: Support) -> bool:
         held = set(required) <= set(support)
-        return held and (not constraints or constraints.allow(support, weak.fit(support)[0][:-1]))
+        return held and constraints.allow(support, weak.fit(support)[0][:-1])
 
     proposed = [s for s in proposals(linear, optimizer, max_terms, required) if admitted(s)]
     ladder = [s for s in polynomial_ladder(degrees, max_terms) if admitted(s)]
@@ -155,10 +139,14 @@ def select_by_held_out(
     chosen = min(special, key=lambda s: (len(s), special[s]), default=chosen)
     if not problem.shortest_lag_s < trials.lags[chosen] < problem.longest_lag_s:
         return None
-    return _finished(problem, weak, trials, chosen)
+    parameters, design, residual = weak.fit(chosen)
+    covariance = scatter(leave_out(-design, residual, [own for _, own in trials.blocks]).moves)
+    covariance += _repeated(design, residual) + _spread(problem, weak, chosen)
+    initial = _starts(problem, chosen, parameters)
+    return HeldOutFit(chosen, parameters, covariance, initial, trials)
 
 
-def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
+def _blocks(problem: LagProblem, weak: WeakEquations) -> list[tuple[IndexArray, IndexArray]]:
     """Return the blocks to leave out, each scored on the equations centred in it."""
     centres, reach = weak.centres, weak.half_width
     blocks = []
@@ -166,49 +154,19 @@ def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
         own = np.flatnonzero((centres >= rows.start) & (centres < rows.stop))
         touched = (centres > rows.start - reach) & (centres < rows.stop - 1 + reach)
         if own.size:
-            blocks.append(Block(np.flatnonzero(touched), own))
+            blocks.append((np.flatnonzero(touched), own))
     return blocks
 
 
-def with_held_out(
-    path: Sequence[PathRow], fit: HeldOutFit, names: Sequence[str]
-) -> tuple[PathRow, ...]:
-    """Add the structures tried on rows left out to the table of structures."""
-    rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
-    for support, (rms, tau) in fit.tried.items():
-        terms = tuple(names[i] for i in support)
-        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False, False)
-        rows[terms] = replace(
-            rows.get(terms, none),
-            time_constant_s=tau,
-            refitted=True,
-            chosen=support == fit.support,
-            held_out_rms=rms,
-        )
-
-    def order(row: PathRow) -> tuple[int, float]:
-        return row.size, row.held_out_rms if np.isfinite(row.held_out_rms) else np.inf
-
-    return tuple(sorted(rows.values(), key=order))
-
-
-def _finished(
-    problem: LagProblem, weak: WeakEquations, trials: Trials, support: Support
-) -> HeldOutFit:
-    parameters, design, residual = weak.fit(support)
-    homes = [block.own for block in trials.blocks]
-    covariance = jackknife_covariance(leave_out_moves(design, residual, homes))
-    covariance += _repeated(design, residual) + _spread(problem, weak, support)
-    tau = float(parameters[-1])
-    lag = problem.hold_at(tau)
+def _starts(problem: LagProblem, support: Support, parameters: FloatArray) -> FloatArray:
+    """Return ψ' at the start of each segment that its free run fits best."""
+    segments, lag = problem.segments, problem.lag(float(parameters[-1]))
     wanted = problem.columns[list(support)].tolist()
     values = problem.late(problem.terms(problem.inputs, wanted=wanted))
-    forcing = values @ parameters[:-1]
-    rest = problem.output - simulate(forcing, problem.segments, lag)
-    decay = lag.a ** problem.segments.offsets().astype(float)
-    starts = problem.segments.starts
-    initial = np.add.reduceat(decay * rest, starts) / np.add.reduceat(decay**2, starts)
-    return HeldOutFit(support, tau, parameters[:-1], covariance, initial, trials.tried())
+    rest = problem.output - simulate(values @ parameters[:-1], segments, lag)
+    decay = lag.a ** segments.offsets().astype(float)
+    power = np.add.reduceat(decay**2, segments.starts)
+    return np.asarray(np.add.reduceat(decay * rest, segments.starts) / power)
 
 
 def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
@@ -217,11 +175,8 @@ def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
     Cycles that repeat an error agree about it, and their scatter says nothing of its size. The
     information is that of one cycle, however many there are.
     """
-    norms = unit_norms(design)
-    scaled = design / norms
-    bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
     total = float(residual @ residual) / _EQUATIONS_IN_CYCLE
-    return np.asarray(total * bread / np.outer(norms, norms))
+    return total * pseudo_inverse(design.T @ design)
 
 
 def _spread(problem: LagProblem, weak: WeakEquations, support: Support) -> FloatArray:
@@ -230,14 +185,12 @@ def _spread(problem: LagProblem, weak: WeakEquations, support: Support) -> Float
     A true model gives one answer for every test function and either direction of the
     regression; the mean square of the two shifts is what a wrong one adds.
     """
-    parameters = weak.fit(support)[0]
     others = [weak.fit_forward(support)]
     narrow = round(weak.half_width / np.sqrt(2.0))
-    if narrow >= MIN_HALF_WIDTH:
-        narrower = WeakEquations.of(problem, narrow)
-        others.append(None if narrower is None else narrower.fit(support)[0])
-    shifts = [other - parameters for other in others if other is not None]
-    result = np.zeros((parameters.size, parameters.size))
-    for shift in shifts:
-        result += np.outer(shift, shift) / len(shifts)
-    return result
+    narrower = WeakEquations.of(problem, narrow) if narrow >= MIN_HALF_WIDTH else None
+    if narrower is not None:
+        others.append(narrower.fit(support)[0])
+    parameters = weak.fit(support)[0]
+    shifts = np.array([other - parameters for other in others if other is not None])
+    shifts = shifts.reshape(-1, parameters.size)
+    return np.asarray(shifts.T @ shifts / max(len(shifts), 1))

@@ -6,12 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sindy_surge.leave_out import unit_norms
 from surge_core.types import FloatArray
 
-__all__ = ["LinearProblem", "Support", "least_squares", "without_nuisances"]
+__all__ = ["LinearProblem", "Support", "least_squares", "unit_norms", "without_nuisances"]
 
 Support = tuple[int, ...]
+
+
+def unit_norms(columns: FloatArray) -> FloatArray:
+    """Return the norms of columns, 1 for columns of zeros."""
+    norms: FloatArray = np.linalg.norm(columns, axis=0)
+    norms[norms == 0] = 1.0
+    return norms
 
 
 @dataclass(frozen=True)
@@ -79,17 +85,10 @@ def without_nuisances(
     ----------
     nuisances : ndarray of shape (n_rows, n_nuisances)
         Columns that are in every structure.
-    columns : ndarray of shape (n_rows, n_columns)
-        Every usable term.
-    target : ndarray of shape (n_rows,)
-        What the terms have to explain.
+    columns, target : ndarray of shape (n_rows, n_columns) and (n_rows,)
+        Every usable term, and what they have to explain.
     n_equations : int or None
         Number of equations that the rows stand for; None takes one each.
-
-    Returns
-    -------
-    LinearProblem
-        With as many rows as there are terms.
     """
     n = nuisances.shape[1]
     stacked = np.column_stack((nuisances, columns, target))
@@ -106,20 +105,7 @@ def without_nuisances(
 
 
 def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
-    """Solve a regression on columns of unlike size.
-
-    Parameters
-    ----------
-    design : ndarray of shape (n_rows, n_columns)
-        The columns.
-    target : ndarray of shape (n_rows,)
-        What they have to explain.
-
-    Returns
-    -------
-    ndarray of shape (n_columns,)
-        The coefficients, of least norm where columns are dependent.
-    """
+    """Solve a regression on columns of unlike size; of least norm where they are dependent."""
     norms = unit_norms(design)
     solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
     return solution

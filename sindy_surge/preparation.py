@@ -18,8 +18,13 @@ from sindy_surge.lag_fit import (
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import unit_norms
-from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.linear_problem import (
+    LinearProblem,
+    Support,
+    least_squares,
+    unit_norms,
+    without_nuisances,
+)
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
@@ -89,7 +94,8 @@ def prepare(
             found=f"{given:g} s, which leaves {problem.usable.later.size} equations",
             remedy="check its unit (seconds), or use longer segments",
         )
-    tau = scan_lag(problem, _brackets(_weak(problem)))
+    weak = _weak(problem)
+    tau = scan_lag(problem, (weak.reverse_s, weak.forward_s) if weak else ())
     problem = _screened(problem, tau, required)
     problem = replace(problem, noise=_noise(problem, tau))
     everything = tuple(range(problem.n_without_state))
@@ -101,9 +107,9 @@ def prepare(
     colour = autoregression(left, rich.groups)
     # Five orders below the least noise assumed there is only rounding, and its colour is nothing.
     if colour.size and excess > 1e-10:
-        problem = replace(problem, noise=replace(problem.noise, colour=colour))
+        problem = problem.with_colour(colour)
         rich = _refitted(problem, rich)
-        if problem.dead_time.fitted and dead_time == "auto" and not _late(problem, rich):
+        if problem.fits_dead_time and dead_time == "auto" and not _late(problem, rich):
             # Coloured noise had passed for a time shift.
             problem = problem.with_dead_time(0.0, False)
             rich = _refitted(problem, rich)
@@ -125,37 +131,24 @@ def _weak(problem: LagProblem) -> WeakLag | None:
     # One weak equation comes every quarter of a half width, so far fewer than rows.
     most = max(2, min(20, problem.output.size // 100, problem.n_without_state))
     few = problem.terms(problem.inputs, wanted=problem.columns[:most].tolist())
-    return weak_lag(
-        problem.output,
-        problem.late(few),
-        problem.segments,
-        problem.sample_period_s,
-        surge_period_s=_surge_period_s(problem),
-    )
+    return _weak_lag(problem, problem.late(few))
 
 
-def _surge_period_s(problem: LagProblem) -> float | None:
-    return surge_period_s(problem.inputs[:, 0], problem.segments, problem.sample_period_s)
+def _weak_lag(problem: LagProblem, values: FloatArray) -> WeakLag | None:
+    segments, sample_s = problem.segments, problem.sample_period_s
+    surge_s = surge_period_s(problem.inputs[:, 0], segments, sample_s)
+    return weak_lag(problem.output, values, segments, sample_s, surge_period_s=surge_s)
 
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     """Estimate τ of a structure in the weak form: forward, reverse, and with the noise taken off.
 
-    Returns
-    -------
-    WeakLag or None
-        None if the segments are too short.
+    None if the segments are too short.
     """
     without = [i for i in support if i < problem.n_without_state]
     found = features(problem, problem.inputs, problem.noise.inputs, without)
     values = problem.late(found.values)
-    weak = weak_lag(
-        problem.output,
-        values,
-        problem.segments,
-        problem.sample_period_s,
-        surge_period_s=_surge_period_s(problem),
-    )
+    weak = _weak_lag(problem, values)
     if weak is None or problem.noise.colour.size or problem.holds_state(support):
         # What would be taken off is the noise of white signals, of a model without ψ' in its terms.
         return weak
@@ -166,10 +159,6 @@ def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     slopes = np.stack([problem.late(slope) for slope in found.slopes])
     compensated = equations.compensated_lag(slopes, problem.noise.output, problem.noise.inputs)
     return replace(weak, compensated_s=compensated)
-
-
-def _brackets(weak: WeakLag | None) -> tuple[float, ...]:
-    return () if weak is None else (weak.reverse_s, weak.forward_s)
 
 
 def _refitted(problem: LagProblem, fit: StructureFit) -> StructureFit:
@@ -189,9 +178,7 @@ def _with_dead_time(
         further, other = _walked(problem, _far_off(problem, fit))
         if other.chi2 / other.residual.size < fit.chi2 / fit.residual.size:
             found, fit = further, other
-    if not found.dead_time.fitted:
-        return problem, rich
-    if not (always or _late(found, fit)):
+    if not (found.fits_dead_time and (always or _late(found, fit))):
         return problem, rich
     found = found.with_dead_time(fit.dead_time_s, True)
     return found, fit_structure(
@@ -230,7 +217,7 @@ def _far_off(problem: LagProblem, fit: StructureFit) -> StructureFit:
         cost = output_error(trial, values, tau)[0] / rows
         if cost < best:
             point = replace(
-                fit.point, dead_time_s=trial.dead_time.seconds, time_constant_s=tau, state=None
+                fit.point, dead_time_s=trial.dead_time_s, time_constant_s=tau, state=None
             )
             best, start = cost, replace(fit, point=point)
     return start
@@ -246,8 +233,8 @@ def _late(problem: LagProblem, fit: StructureFit) -> bool:
     if abs(fit.dead_time_s) <= _BELIEVED * stderr:
         return False
     equations = white_equations(problem, fit)
-    tau, dead_time = equations.nuisances[:, :1], equations.nuisances[:, 1]
-    others = np.column_stack((tau, equations.nuisances[:, 2:]))
+    dead_time = equations.nuisances[:, -2]
+    others = np.delete(equations.nuisances, -2, axis=1)
     # What the terms have to explain if there is no dead time.
     target = equations.target + fit.dead_time_s * dead_time
     without = without_nuisances(others, equations.columns, target)
@@ -262,7 +249,7 @@ def _screened(problem: LagProblem, tau: float, required: tuple[int, ...]) -> Lag
     if n_inputs_terms <= most:
         return problem
     values = problem.terms(problem.inputs)[:, problem.columns[:n_inputs_terms]]
-    columns = simulate(problem.late(values), problem.segments, problem.hold_at(tau))
+    columns = simulate(problem.late(values), problem.segments, problem.lag(tau))
     norms = unit_norms(columns)
     plain = LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
     always = tuple(i for i in required if i < n_inputs_terms)
@@ -285,13 +272,8 @@ def _noise(problem: LagProblem, tau: float) -> NoiseLevels:
     values = features(clean, problem.inputs, silent.inputs, everything).values
     beta = output_error(clean, values, tau)[1]
     eq = equations_about(clean, everything, start_point(clean, tau, beta))
-    taps = problem.taps_at(tau, problem.dead_time.seconds)
-    usable = problem.usable
-    limited = _limited(eq.slopes)
-    return refine_noise(eq.residual, taps, limited, guess, usable.segments, usable.rows, scale)
-
-
-def _limited(slopes: FloatArray) -> FloatArray:
-    """Cap slopes at their 95 % level: a fit with every term is wild at the ends of the range."""
-    top = np.quantile(np.abs(slopes), 0.95, axis=1, keepdims=True)
-    return np.clip(slopes, -top, top)
+    lag = problem.lag(tau, problem.dead_time_s)
+    # Capped at their 95 % level: a fit with every term is wild at the ends of the range.
+    top = np.quantile(np.abs(eq.slopes), 0.95, axis=1, keepdims=True)
+    slopes, usable = np.clip(eq.slopes, -top, top), problem.usable
+    return refine_noise(eq.residual, lag, slopes, guess, usable.segments, usable.rows, scale)

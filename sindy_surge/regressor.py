@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +18,7 @@ from sindy_surge.export import RateFunction, python_source
 from sindy_surge.free_model import FreeModel
 from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import unit_norms
+from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.segments import Segments
@@ -59,7 +59,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
         exponentials over the range of the data.
-    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "best-subset"} or pysindy optimizer
         What proposes the structures; the best subsets of each size are always looked at too.
     max_terms : int
         Largest structure considered.
@@ -227,14 +227,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     def _fit_lag(
         self, X: FloatArray, y: FloatArray, runs: Segments, columns: NDArray[np.intp]
     ) -> None:
-        choices = Choices(
-            self.optimizer,
-            int(self.max_terms),
-            self.constraints,
-            self.dead_time_s,
-            int(self.n_bootstrap),
-            self.random_state,
-        )
+        choices = Choices(**{one.name: getattr(self, one.name) for one in fields(Choices)})
         terms, period = self._candidates, float(self.sample_period_s)
         with_state = np.arange(terms.n_without_state, len(terms.names))
         usable = np.concatenate((columns, with_state)).astype(np.intp)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from sindy_surge.leave_out import leave_out_moves, unit_norms
-from sindy_surge.linear_problem import LinearProblem, Support
+from sindy_surge.linear_problem import LinearProblem, Support, unit_norms
+from sindy_surge.selection import PathRow
+from surge_core.leave_out import leave_out
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
     "FEWEST_BLOCKS",
-    "Block",
     "Equations",
     "Trials",
     "best_of_each_size",
@@ -22,6 +22,7 @@ __all__ = [
     "pays",
     "polynomial_ladder",
     "special_structures",
+    "with_held_out",
 ]
 
 
@@ -40,22 +41,6 @@ class Equations(Protocol):
         """Return parameters with τ last, derivatives of the fitted values, and the residual."""
 
 
-@dataclass(frozen=True)
-class Block:
-    """Equations that are left out together.
-
-    Parameters
-    ----------
-    touched : ndarray of int
-        Equations that any row of the block enters: what has to be left out.
-    own : ndarray of int
-        Equations on which the fit without it is scored.
-    """
-
-    touched: IndexArray
-    own: IndexArray
-
-
 @dataclass
 class Trials:
     """Held-out errors of the structures tried.
@@ -64,8 +49,9 @@ class Trials:
     ----------
     equations : Equations
         What is fitted.
-    blocks : list of Block
-        What is left out in turn.
+    blocks : list of tuple of two ndarray of int
+        What is left out in turn: the equations that any row of a block enters, and those on which
+        the fit without them is scored.
     most_leverage : float
         A block that holds more than this share of the information on some parameter is not
         scored: without it the parameter would be a guess. From 0 to 1; 1 scores all.
@@ -76,7 +62,7 @@ class Trials:
     """
 
     equations: Equations
-    blocks: list[Block]
+    blocks: list[tuple[IndexArray, IndexArray]]
     most_leverage: float = 1.0
     errors: dict[Support, FloatArray] = field(default_factory=dict)
     lags: dict[Support, float] = field(default_factory=dict)
@@ -85,17 +71,14 @@ class Trials:
         """Return the mean square error of each block's equations, fitted without that block."""
         if support not in self.errors:
             parameters, design, residual = self.equations.fit(support)
-            moves = leave_out_moves(design, residual, [block.touched for block in self.blocks])
-            self.lags[support] = float(parameters[-1])
-            self.errors[support] = np.array(
-                [
-                    float(np.mean((residual[block.own] - design[block.own] @ move) ** 2))
-                    for move, block in zip(moves, self.blocks, strict=True)
-                ]
-            )
-            if self.most_leverage < 1.0:
-                held = [_leverage(design, block.touched) for block in self.blocks]
-                self.errors[support][np.array(held) > self.most_leverage] = np.nan
+            moves = leave_out(-design, residual, [touched for touched, _ in self.blocks]).moves
+            own_errors = np.empty(len(self.blocks))
+            for number, (touched, own) in enumerate(self.blocks):
+                error = residual[own] - design[own] @ moves[number]
+                own_errors[number] = np.mean(error**2)
+                if self.most_leverage < 1.0 and _leverage(design, touched) > self.most_leverage:
+                    own_errors[number] = np.nan
+            self.lags[support], self.errors[support] = float(parameters[-1]), own_errors
         return self.errors[support]
 
     def pair(self, one: Support, other: Support) -> tuple[FloatArray, FloatArray]:
@@ -110,31 +93,23 @@ class Trials:
         known = known[np.isfinite(known)]
         return float(np.mean(known)) if known.size else float("nan")
 
-    def tried(self) -> dict[Support, tuple[float, float]]:
-        """Return the rms over the blocks and τ of every structure tried."""
-        return {s: (self.mean(s) ** 0.5, self.lags[s]) for s in self.errors}
-
 
 def _leverage(design: FloatArray, rows: IndexArray) -> float:
     """Return the largest share of the information on any parameter that some rows hold."""
-    norms = unit_norms(design)
-    basis, values, _ = np.linalg.svd(design / norms, full_matrices=False)
+    basis, values, _ = np.linalg.svd(design / unit_norms(design), full_matrices=False)
     within = basis[np.ix_(rows, values > 1e-10 * values[0])]
     return float(np.linalg.norm(within, 2) ** 2)
 
 
 def polynomial_ladder(degrees: Sequence[int | None], max_terms: int) -> list[Support]:
-    """Return the complete polynomials from degree 1 upwards, up to a cubic.
+    """Return the complete polynomials from degree 1 up to a cubic, smallest first.
 
     Parameters
     ----------
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
-
-    Returns
-    -------
-    list of tuple of int
-        Smallest first; empty if the terms hold no straight line.
+    max_terms : int
+        Largest structure considered.
     """
     known = [degree for degree in degrees if degree is not None]
     if not {0, 1} <= set(known):
@@ -168,7 +143,7 @@ def climb(trials: Trials, ladder: list[Support], start: int = 0) -> Support:
 
 
 def pays(trials: Trials, one: Support, other: Support) -> bool:
-    """Tell whether the other leaves less by more than a standard error of the differences."""
+    """Return whether the other leaves less by more than a standard error of the differences."""
     before, after = trials.pair(one, other)
     gain = before - after
     if gain.size < FEWEST_BLOCKS:
@@ -184,15 +159,37 @@ def special_structures(
     ladder: list[Support],
     share_left: float,
 ) -> dict[Support, float]:
-    """Return the structures off the ladder, and no larger, that leave little of the error."""
+    """Return the structures off the ladder, and no larger, that leave little of the error.
+
+    With the share each leaves of the held-out error of the chosen one, below `share_left`.
+    """
     largest = max(len(rung) for rung in ladder)
     others = [s for s in proposed if s not in ladder and len(s) <= largest]
-    others = sorted(others, key=linear.chi2)[:_MOST_SPECIAL]
-    shares = {s: _share(trials, s, chosen) for s in others}
-    return {s: share for s, share in shares.items() if share < share_left}
+    found = {}
+    for support in sorted(others, key=linear.chi2)[:_MOST_SPECIAL]:
+        own, reference = trials.pair(support, chosen)
+        if own.size >= FEWEST_BLOCKS and own.mean() / reference.mean() < share_left:
+            found[support] = float(own.mean() / reference.mean())
+    return found
 
 
-def _share(trials: Trials, support: Support, chosen: Support) -> float:
-    """Return what a structure leaves of the held-out error of the chosen one."""
-    own, reference = trials.pair(support, chosen)
-    return float(own.mean() / reference.mean()) if own.size >= FEWEST_BLOCKS else np.inf
+def with_held_out(
+    path: Sequence[PathRow], trials: Trials, chosen: Support, names: Sequence[str]
+) -> tuple[PathRow, ...]:
+    """Add the structures tried on rows left out, with their rms there, to a table."""
+    rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
+    for support, tau in trials.lags.items():
+        terms = tuple(names[i] for i in support)
+        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False, False)
+        rows[terms] = replace(
+            rows.get(terms, none),
+            time_constant_s=tau,
+            refitted=True,
+            chosen=support == chosen,
+            held_out_rms=trials.mean(support) ** 0.5,
+        )
+
+    def order(row: PathRow) -> tuple[int, float]:
+        return row.size, row.held_out_rms if np.isfinite(row.held_out_rms) else np.inf
+
+    return tuple(sorted(rows.values(), key=order))

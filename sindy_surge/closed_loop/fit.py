@@ -9,8 +9,8 @@ import numpy as np
 
 from sindy_surge.closed_loop.terms import StateTerms
 from sindy_surge.closed_loop.windows import Supports, Windows, simulate_windows
-from sindy_surge.leave_out import newey_west, unit_norms
-from sindy_surge.linear_problem import LinearProblem, without_nuisances
+from sindy_surge.linear_problem import LinearProblem, unit_norms, without_nuisances
+from sindy_surge.uncertainty import newey_west
 from surge_core.types import FloatArray
 
 __all__ = [

@@ -30,7 +30,7 @@ def _equations(
     if nuisances is None:
         nuisances = np.sin(np.arange(n) / 7.0)[:, None]
     rows = np.arange(n)
-    return WhiteEquations(nuisances, columns, target, Segments.from_labels(None, n), rows)
+    return WhiteEquations(nuisances, columns, target, rows)
 
 
 def _even_blocks(n: int, n_blocks: int = N_BLOCKS) -> list[slice]:
