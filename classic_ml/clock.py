@@ -15,7 +15,7 @@ CLOCK_TOLERANCE = 0.15
 
 
 def uniform_period_s(time_s: FloatArray, where: str) -> float:
-    """Return the step of a uniform clock, or refuse the clock.
+    """Return the mean step of a uniform clock in seconds, or refuse the clock.
 
     Parameters
     ----------
@@ -24,11 +24,6 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
     where : str
         What to call the clock in an error, e.g. ``"run.csv: column time_s"``.
 
-    Returns
-    -------
-    float
-        The mean step, in seconds.
-
     Raises
     ------
     InputError
@@ -36,30 +31,28 @@ def uniform_period_s(time_s: FloatArray, where: str) -> float:
         than 0.15 of a step, or a step differs from the others by as much.
     """
     steps = np.diff(time_s)
+    mean_s = float((time_s[-1] - time_s[0]) / steps.size)
+    line = time_s[0] + np.arange(1, time_s.size) * mean_s
+    off = (steps <= 0.0) | (np.abs(steps - mean_s) > CLOCK_TOLERANCE * mean_s)
+    off |= np.abs(time_s[1:] - line) > CLOCK_TOLERANCE * mean_s
+    if not off.any():
+        return mean_s
     back = np.flatnonzero(steps <= 0.0)
     if back.size:
         row = int(back[0]) + 1
-        kind = "repeats" if time_s[row] == time_s[row - 1] else "runs back"
+        kind = "repeats" if steps[row - 1] == 0.0 else "runs back"
         raise InputError(
             where,
             expected="a clock that runs forward",
             found=f"that it {kind} at row {row + 1} ({time_s[row]:g} s)",
         )
-    mean_s = float((time_s[-1] - time_s[0]) / steps.size)
-    line = time_s[0] + np.arange(1, time_s.size) * mean_s
-    off = np.abs(steps - mean_s) > CLOCK_TOLERANCE * mean_s
-    off |= np.abs(time_s[1:] - line) > CLOCK_TOLERANCE * mean_s
-    if not off.any():
-        return mean_s
     # A gap moves the mean: what is off is judged by the step that most rows have.
     usual_s = float(np.median(steps))
-    near = steps[np.abs(steps - usual_s) < 0.5 * usual_s]
-    period_s = float(near.mean()) if near.size else usual_s
-    worst = np.flatnonzero(np.abs(steps - period_s) > CLOCK_TOLERANCE * period_s)
+    worst = np.flatnonzero(np.abs(steps - usual_s) > CLOCK_TOLERANCE * usual_s)
     row = int(worst[0]) if worst.size else int(np.argmax(off))
     raise InputError(
         where,
-        expected=f"a uniform step (here {period_s:g} s)",
+        expected=f"a uniform step (here {usual_s:g} s)",
         found=f"a step of {steps[row]:g} s after {time_s[row]:g} s (row {row + 1})",
         remedy="fill the gap at the source or write one file a record",
     )

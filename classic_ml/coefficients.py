@@ -163,17 +163,8 @@ def corrected_speed_fraction(temperature_K: FloatArray, test: TestDescription) -
     return np.asarray(corrected / test.design_corrected_speed_rpm)
 
 
-def coefficients(record: Record, test: TestDescription, *, inertia_factor: float = 1.0) -> Record:
-    """Compute φ, ψ' and the corrected speed.
-
-    Parameters
-    ----------
-    record : Record
-        Plane averages.
-    test : TestDescription
-        Machine and speed.
-    inertia_factor : float
-        Multiplies ∫dx/A; 0 drops the inertia term of Eq 5.
+def coefficients(record: Record, test: TestDescription) -> Record:
+    """Compute φ, ψ' and the corrected speed from plane averages.
 
     Returns
     -------
@@ -186,25 +177,16 @@ def coefficients(record: Record, test: TestDescription, *, inertia_factor: float
         When the flow is more than the area passes, or P31 + I dW25/dt is not positive.
     """
     machine, speed = test.compressor, test.rotor_velocity_m_s
-    inertia = inertia_factor * machine.inertia_per_m
+    inertia = machine.inertia_per_m
     inlet_Pa, exit_Pa, inlet_K = record["P25_Pa"], record["P31_Pa"], record["T25_K"]
     flow_rate = rate_of_change(record["W25_kg_s"], record.sample_period_s)
-    try:
-        phi = flow_coefficient(record["Wc25_kg_s"], inlet_K, test.areas_m2[25], speed, machine)
-    except InputError as error:
-        raise InputError(
-            f"{record.source}: {error.where} at plane 25",
-            expected=error.expected,
-            found=error.found,
-            remedy=f"check area_m2 of [planes.25] in {test.source}, and the calibration of the "
-            "probes",
-        ) from error
+    phi = flow_coefficient(record["Wc25_kg_s"], inlet_K, test.areas_m2[25], speed, machine)
     psi_p = pressure_coefficient(inlet_Pa, exit_Pa, inlet_K, flow_rate, inertia, speed, machine)
     entry = LedgerEntry(
         "coefficients",
         f"φ (Eq 7) from {phi.min():.3f} to {phi.max():.3f}, "
         f"ψ' (Eq 5) from {psi_p.min():.2f} to {psi_p.max():.2f}",
-        {"inertia_per_m": inertia, "U_m_s": round(speed, 3), "inertia_factor": inertia_factor},
+        {"inertia_per_m": inertia, "U_m_s": round(speed, 3)},
     )
     added = {
         "phi": (phi, "1"),

@@ -47,18 +47,11 @@ class CycleShifts:
     def studentised(self, contrasts: FloatArray) -> FloatArray:
         """Return each shift over what shifts of the other cycles make usual.
 
-        Parameters
-        ----------
-        contrasts : ndarray of shape (k, p)
-            Linear functions of θ, e.g. τ alone or the curve at one φ.
-
-        Returns
-        -------
-        ndarray of shape (n_cycles, k)
-            Student's t with ``n_cycles - 2`` degrees of freedom where all cycles are alike. The
-            shift is scaled by what the cycle's share of the information predicts, so that a long
-            cycle may move more than a short one; the common scale is that of the other cycles
-            (externally studentised), so that coloured errors do not count against a cycle.
+        ``contrasts`` of shape (k, p) are linear functions of θ, e.g. τ alone or the curve at one φ.
+        The result, of shape (n_cycles, k), is Student's t with ``n_cycles - 2`` degrees of freedom
+        where all cycles are alike. The shift is scaled by what the cycle's share of the information
+        predicts, so that a long cycle may move more than a short one; the common scale is that of
+        the other cycles (externally studentised), so that coloured errors do not count against one.
         """
         moved = self.shift @ contrasts.T
         variance = np.einsum("ki,gij,kj->gk", contrasts, self.spread, contrasts)

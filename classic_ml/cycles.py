@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -19,12 +20,10 @@ __all__ = [
     "FEW_CYCLES",
     "LEAST_SWING",
     "SurgeCycles",
-    "cycles_within",
     "deep_ones",
     "find_cycles",
     "first_reversal",
 ]
-
 
 # Surge is below 20 Hz; what lies above (cells, noise) must not make peaks of its own.
 CYCLE_BAND_HZ = 30.0
@@ -100,11 +99,6 @@ def find_cycles(record: Record) -> SurgeCycles:
     record : Record
         With ``P31_Pa``, ``Wc25_kg_s`` and ``Nc_frac``.
 
-    Returns
-    -------
-    SurgeCycles
-        The window and what is in it.
-
     Raises
     ------
     InputError
@@ -119,19 +113,20 @@ def find_cycles(record: Record) -> SurgeCycles:
             expected="surge cycles after the first reversal of the flow",
             found=f"no surge in the record, no rise of P31 by {LEAST_SWING:.0%} of its mean",
         )
-    swings = _swings(slow, peaks, start)
+    swings = _swings(slow, _troughs(pressure, peaks, start), start)
     pumping = swings >= LEAST_FLOW_SWING
     mild = int(np.count_nonzero(~pumping))
     if np.count_nonzero(pumping) < MINIMUM_CYCLES and mild >= MANY_MILD:
         pumping[:] = True
     peaks, rises, swings = peaks[pumping], rises[pumping], swings[pumping]
     if peaks.size < MINIMUM_CYCLES:
-        raise _too_few(record, peaks.size, mild)
+        raise _too_few(record, peaks.size, f" beside {mild} mild oscillations in stall")
     edges = _troughs(pressure, peaks, start)
-    good = _repeats(record, peaks, rises, edges)
-    first, last = _longest_run(good)
-    if last - first < MINIMUM_CYCLES:
-        raise _too_few(record, last - first)
+    runs = intervals_where(_repeats(record, peaks, rises, edges))
+    lengths = np.diff(runs, axis=1)
+    if np.max(lengths, initial=0) < MINIMUM_CYCLES:
+        raise _too_few(record, int(np.max(lengths, initial=0)))
+    first, last = runs[np.argmax(lengths)].tolist()
     return SurgeCycles(
         from_s=record.time_at_s(int(edges[first])),
         to_s=record.time_at_s(int(edges[last])),
@@ -141,42 +136,6 @@ def find_cycles(record: Record) -> SurgeCycles:
         left_out=int(peaks.size - (last - first)),
         flow_swing=float(np.median(swings[first:last])),
     )
-
-
-def cycles_within(record: Record, window_s: tuple[float, float]) -> tuple[str, ...]:
-    """Return a flag for a stated window that few surge cycles fit into.
-
-    Parameters
-    ----------
-    record : Record
-        As for :func:`find_cycles`.
-    window_s : tuple of float
-        The window, on the facility clock.
-
-    Returns
-    -------
-    tuple of str
-        The flag; nothing where the record has no cycles that repeat each other, as in steady
-        stall.
-    """
-    try:
-        cycles = find_cycles(record)
-    except InputError:
-        return ()
-    fit = (window_s[1] - window_s[0]) / cycles.period_s
-    if fit >= FEW_CYCLES - 0.5:
-        return ()
-    return (
-        f"the window of {window_s[0]:g} to {window_s[1]:g} s holds {fit:.1f} cycles of "
-        f"{cycles.period_s * 1e3:.0f} ms, too few: the time constant will be uncertain",
-    )
-
-
-def _slow(record: Record, *names: str) -> Record:
-    """Return the record with what is too fast for surge taken out of some channels."""
-    if record.sample_rate_hz <= 4.0 * CYCLE_BAND_HZ:
-        return record
-    return filter_channels(record, names, order=3, cutoff_hz=CYCLE_BAND_HZ, phase="zero")
 
 
 def first_reversal(record: Record) -> int:
@@ -193,6 +152,20 @@ def first_reversal(record: Record) -> int:
         When it never does.
     """
     return _first_negative(_slow(record, "Wc25_kg_s"))
+
+
+def deep_ones(rises: FloatArray) -> BoolArray:
+    """Return which rises of P31 are those of cycles: at least half of the deepest one's."""
+    # The second deepest of many, so that one freak cycle does not set the scale.
+    scale = np.sort(rises)[-2:][0]
+    return np.asarray(rises >= DEEP_SHARE * scale)
+
+
+def _slow(record: Record, *names: str) -> Record:
+    """Return the record with what is too fast for surge taken out of some channels."""
+    if record.sample_rate_hz <= 4.0 * CYCLE_BAND_HZ:
+        return record
+    return filter_channels(record, names, order=3, cutoff_hz=CYCLE_BAND_HZ, phase="zero")
 
 
 def _first_negative(record: Record) -> int:
@@ -220,35 +193,15 @@ def _deep_peaks(
     return peaks[deep] + start, rises[deep]
 
 
-def deep_ones(rises: FloatArray) -> BoolArray:
-    """Separate the rises of cycles from those of the mild oscillations between them.
-
-    Parameters
-    ----------
-    rises : ndarray of shape (n,)
-        How far the peaks stand out, at least one.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True for at least half of the deepest one's.
-    """
-    # The second deepest of many, so that one freak cycle does not set the scale.
-    scale = np.sort(rises)[-min(2, rises.size)]
-    return np.asarray(rises >= DEEP_SHARE * scale)
-
-
-def _swings(slow: Record, peaks: IntArray, start: int) -> FloatArray:
-    """Return by how much of its level before the surge the flow swings about each peak of P31."""
+def _swings(slow: Record, edges: IntArray, start: int) -> FloatArray:
+    """Return by how much of its level before the surge the flow swings between each two edges."""
     if start == 0:
         # Nothing was before.
-        return np.full(peaks.size, np.inf)
+        return np.full(edges.size - 1, np.inf)
     flow = slow["Wc25_kg_s"]
-    edges = _troughs(slow["P31_Pa"], peaks, start)
-    inside = flow[: edges[-1]]
-    largest = np.maximum.reduceat(inside, edges[:-1])
-    least = np.minimum.reduceat(inside, edges[:-1])
-    return np.asarray((largest - least) / np.median(flow[:start]))
+    inside, first = flow[: edges[-1]], edges[:-1]
+    swing = np.maximum.reduceat(inside, first) - np.minimum.reduceat(inside, first)
+    return np.asarray(swing / np.median(flow[:start]))
 
 
 def _troughs(pressure: FloatArray, peaks: IntArray, start: int) -> IntArray:
@@ -256,12 +209,8 @@ def _troughs(pressure: FloatArray, peaks: IntArray, start: int) -> IntArray:
     period = int(np.median(np.diff(peaks))) if peaks.size > 1 else pressure.size
     first = max(start, int(peaks[0]) - period)
     last = min(pressure.size, int(peaks[-1]) + period)
-    bounds = np.array([first, *peaks.tolist(), last])
-    lows = [
-        low + int(np.argmin(pressure[low:high]))
-        for low, high in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
-    ]
-    return np.array(lows)
+    bounds = [first, *peaks.tolist(), last]
+    return np.array([low + np.argmin(pressure[low:high]) for low, high in pairwise(bounds)])
 
 
 def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray) -> BoolArray:
@@ -274,17 +223,7 @@ def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray
     return np.asarray(good)
 
 
-def _longest_run(good: BoolArray) -> tuple[int, int]:
-    """First and one past the last of the longest run of True."""
-    runs = intervals_where(good)
-    if runs.size == 0:
-        return 0, 0
-    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
-    return int(first), int(last)
-
-
-def _too_few(record: Record, found: int, mild: int = 0) -> InputError:
-    beside = f" beside {mild} mild oscillations in stall" if mild else ""
+def _too_few(record: Record, found: int, beside: str = "") -> InputError:
     return InputError(
         f"{record.source}: P31",
         expected=f"at least {MINIMUM_CYCLES} surge cycles that repeat each other",

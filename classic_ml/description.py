@@ -1,59 +1,90 @@
-"""What was tested, where each channel sits and how it was calibrated."""
+"""What was tested, where each channel sits and how it was calibrated: the tables of test.toml.
+
+Each table is a pydantic model that declares its keys once: type, range and, in words, what is
+expected there; ``docs/test_toml.md`` says what each is for. What no single table shows is checked
+by :mod:`classic_ml.io.description_file`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from math import nan, pi
-from types import MappingProxyType
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from classic_ml.units import COUNT
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit, quantity_in
 from surge_core.errors import InputError
+from surge_core.models import Table
 
 __all__ = [
+    "COUNT_KEYS",
     "PLAUSIBLE_BIAS",
     "PLAUSIBLE_BIAS_K",
+    "AnyChannel",
     "Compressor",
     "Converter",
+    "CountChannel",
     "FileLayout",
     "NearStall",
     "PressureChannel",
     "ProbePair",
     "TemperatureChannel",
     "TestDescription",
+    "Text",
+    "Window",
+    "key",
 ]
 
-# The match mends the drift of an amplifier. A reading that is off by more has another unit,
+# The match takes out the drift of an amplifier. A reading that is off by more has another unit,
 # or its zero and calibrate readings belong to another channel.
 PLAUSIBLE_BIAS = 0.2
 # No thermocouple is off by an eighth; 698 K written in °F is off by a seventh.
 PLAUSIBLE_BIAS_K = 0.12
+# What belongs to a channel in counts alone.
+COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
 
 
-@dataclass(frozen=True)
-class Compressor:
-    """Constants of the machine that the reduction needs.
+def key(expected: str, remedy: str = "", **bounds: Any) -> Any:
+    """Return the declaration of a key: what is expected, what may have happened, its range."""
+    return Field(description=expected, json_schema_extra={"remedy": remedy}, **bounds)
 
-    Parameters
-    ----------
-    mean_radius_m : float
-        Radius of the mean rotor velocity U.
-    inertia_per_m : float
-        ∫dx/A from plane 25 to plane 31 (Eq 5).
-    internal_volume_m3 : float
-        Volume between the planes that stores mass and energy (Eq 13).
-    gamma : float
-        Ratio of the specific heats.
-    gas_constant_J_kg_K : float
-        Specific gas constant.
-    """
 
-    mean_radius_m: float
-    inertia_per_m: float
-    internal_volume_m3: float
-    gamma: float
-    gas_constant_J_kg_K: float
+def _with_unit(kind: str, value: Any) -> Any:
+    """Return a text such as "7.98 psia" in SI, and anything else as it is."""
+    return quantity_in(value, kind, "") if isinstance(value, str) else value
+
+
+def _one_line(text: str) -> str:
+    if not text.strip() or not text.isprintable():
+        raise InputError("", expected="a text of one line", found=repr(text[:60]))
+    return text
+
+
+Text = Annotated[str, AfterValidator(_one_line)]
+Pascal = Annotated[float, BeforeValidator(partial(_with_unit, "pressure"))]
+Kelvin = Annotated[float, BeforeValidator(partial(_with_unit, "temperature"))]
+
+_STALL_PA = "an absolute pressure in Pa, 1000 to 10⁸"
+_STALL_K = "a temperature in K, 100 to 2000"
+
+
+class Compressor(Table):
+    """``[compressor]``: constants of the machine that the reduction needs."""
+
+    # The limits are wider than any compressor and narrower than another unit: mm, ft·lbf, litres.
+    mean_radius_m: float = key("a length of 0.02 to 2 m", "is it in mm or inches?", ge=0.02, le=2.0)
+    inertia_per_m: float = key("a number above 0, at most 10 000 1/m", gt=0.0, le=1e4)
+    internal_volume_m3: float = key("a volume of 0 to 10 m³", "is it in litres?", ge=0.0, le=10.0)
+    gamma: float = key("a number between 1 and 2", gt=1.0, lt=2.0)
+    gas_constant_J_kg_K: float = key(
+        "a number from 200 to 600 J/(kg K)",
+        "air has 287.05; 53.35 is in ft lbf/(lbm °R)",
+        ge=200.0,
+        le=600.0,
+    )
 
     @property
     def specific_heat_J_kg_K(self) -> float:
@@ -61,21 +92,17 @@ class Compressor:
         return self.gamma * self.gas_constant_J_kg_K / (self.gamma - 1.0)
 
 
-@dataclass(frozen=True)
-class Converter:
-    """The analogue-to-digital converter.
+class Converter(Table):
+    """``[adc]``: the analogue-to-digital converter."""
 
-    Parameters
-    ----------
-    bits : int
-        Resolution; the codes run from 0 to 2^bits − 1.
-    low_V, high_V : float
-        Its range in volts.
-    """
-
-    bits: int
+    bits: int = key("a whole number from 4 to 32", ge=4, le=32)
     low_V: float
     high_V: float
+
+    @model_validator(mode="after")
+    def _upwards(self) -> Converter:
+        _check_above("high_V", self.high_V, "low_V", self.low_V)
+        return self
 
     @property
     def top_code(self) -> int:
@@ -88,26 +115,34 @@ class Converter:
         return float((self.high_V - self.low_V) / 2**self.bits)
 
 
-@dataclass(frozen=True)
-class NearStall:
-    """The facility's steady reading before the surge, and when the record shows the same state.
-
-    Parameters
-    ----------
-    from_s, to_s : float
-        Part of the record, on the facility clock, to be matched with the reading.
-    P25_Pa, P31_Pa : float
-        Plane-average total pressures.
-    T25_K, T31_K : float
-        Plane-average total temperatures.
-    """
+class Window(Table):
+    """A part of the record, in s of the facility clock, from ``from_s`` to ``to_s``."""
 
     from_s: float
     to_s: float
-    P25_Pa: float
-    T25_K: float
-    P31_Pa: float
-    T31_K: float
+
+    @model_validator(mode="after")
+    def _forward(self) -> Window:
+        _check_above("to_s", self.to_s, "from_s", self.from_s)
+        return self
+
+
+class NearStall(Window):
+    """``[near_stall]``: the facility's steady reading before the surge.
+
+    The plane averages of pressure and temperature, and when the record shows the same state.
+    """
+
+    P25_Pa: Pascal = key(_STALL_PA, "is it in kPa or psi?", ge=1e3, le=1e8)
+    T25_K: Kelvin = key(_STALL_K, "is it in °C?", ge=100.0, le=2e3)
+    P31_Pa: Pascal = key(_STALL_PA, "is it in kPa or psi?", ge=1e3, le=1e8)
+    T31_K: Kelvin = key(_STALL_K, "is it in °C?", ge=100.0, le=2e3)
+
+    @model_validator(mode="after")
+    def _compressed(self) -> NearStall:
+        _check_above("P31_Pa", self.P31_Pa, "P25_Pa", self.P25_Pa, "are the planes exchanged?")
+        _check_above("T31_K", self.T31_K, "T25_K", self.T25_K, "are the planes exchanged?")
+        return self
 
     def pressure_Pa(self, plane: int) -> float:
         """Return the facility's total pressure at a plane."""
@@ -118,83 +153,64 @@ class NearStall:
         return {25: self.T25_K, 31: self.T31_K}[plane]
 
 
-@dataclass(frozen=True)
-class FileLayout:
-    """How the raw record lies in its file, whatever the format.
+class FileLayout(Table):
+    """``[file]``: how the raw record lies in its file, whatever the format."""
 
-    Parameters
-    ----------
-    time : str
-        Column of the clock.
-    time_unit : str, optional
-        Its unit; without it the one that the file states, else seconds.
-    group : str, optional
-        Group, struct or table of the file that holds the channels; needed where several do.
-    clock : {"column", "from rate"}
-        Where the time of a row comes from: from the column, or from its number and the sample
-        rate.
-    start_s : float, optional
-        Facility clock at the first row, for a clock that is made or that tells the date.
-    other_columns : {"refuse", "ignore"}
-        What to do with a column that feeds no channel.
-    units : {"check", "from test.toml"}
-        Whether a unit that the file states must be the one of test.toml, or is passed over.
-    """
-
-    time: str = "time_s"
-    time_unit: str | None = None
-    group: str | None = None
-    clock: str = "column"
+    time: Text = "time_s"
+    time_unit: Text | None = None
+    group: Text | None = None
+    clock: Literal["column", "from rate"] = "column"
     start_s: float | None = None
-    other_columns: str = "refuse"
-    units: str = "check"
+    other_columns: Literal["refuse", "ignore"] = "refuse"
+    units: Literal["check", "from test.toml"] = "check"
 
 
-@dataclass(frozen=True)
-class PressureChannel:
+class _Channel(Table):
+    """What every channel has: its name, its column in the file, and its place."""
+
+    name: str = ""
+    column: Text = ""
+    unit: Text
+    plane: Literal[25, 31] = key("25 or 31")
+    rake: Text
+
+    @property
+    def file_column(self) -> str:
+        """Column of the file."""
+        return self.column or self.name
+
+
+class PressureChannel(_Channel):
     """One pressure probe: its place and its calibration.
 
-    A channel in counts has the zero and the calibrate reading of its transducer; one that is
-    recorded in a unit of pressure has none of them (``nan``) and may have a reference instead.
-
-    Parameters
-    ----------
-    name : str
-        Channel name.
-    plane : int
-        25 or 31.
-    rake, immersion, facing : str
-        Its place; immersion is ``"hub"`` or ``"tip"``, facing is ``"forward"`` or ``"aft"``.
-    probe_slope, probe_offset : float
-        a and b of Eq 2, common to the forward and aft probes of a pair.
-    zoc_reference_Pa : float
-        Pressure on the reference side of the transducer.
-    zero_count, calibrate_count : float
-        Mean codes of the zero and the calibrate readings.
-    calibrate_pressure_Pa : float
-        Differential pressure that was applied for the calibrate reading.
-    unit : str
-        Unit in the file: ``"count"``, or a unit of pressure.
-    reference_Pa : float, optional
-        Absolute pressure that a reading of zero stands for, in a unit that leaves it open.
-    column : str
-        Column of the file; empty where it has the channel's name.
+    This one is recorded in a unit of pressure, and has no calibration of counts (``nan``).
     """
 
-    name: str
-    plane: int
-    rake: str
-    immersion: str
-    facing: str
-    probe_slope: float
-    probe_offset: float
-    zoc_reference_Pa: float = nan
-    zero_count: float = nan
-    calibrate_count: float = nan
-    calibrate_pressure_Pa: float = nan
-    unit: str = COUNT
-    reference_Pa: float | None = None
-    column: str = ""
+    kind: Literal["pressure"] = key('"pressure" or "temperature"')
+    immersion: Literal["hub", "tip"]
+    facing: Literal["forward", "aft"]
+    probe_slope: float = key(
+        "a number from 0.2 to 5", "it is near 1; is it in per cent?", ge=0.2, le=5.0
+    )
+    probe_offset: float = key("a number from -0.5 to 0.5", ge=-0.5, le=0.5)
+    reference_Pa: Pascal | None = key("an absolute pressure in Pa", default=None, ge=0.0)
+    zoc_reference_Pa: Pascal = Field(default=nan)
+    zero_count: float = Field(default=nan)
+    calibrate_count: float = Field(default=nan)
+    calibrate_pressure_Pa: Pascal = Field(default=nan)
+
+    @model_validator(mode="after")
+    def _in_its_unit(self) -> PressureChannel:
+        kind = kind_of_unit(self.unit)
+        stated = [name for name in COUNT_KEYS if name in self.model_fields_set]
+        if kind == COUNT and self.reference_Pa is not None:
+            raise InputError("reference_Pa", expected=f'none beside "{COUNT}"', found="one")
+        if kind == "pressure" and not stated:
+            _ = self.conversion
+        elif kind != COUNT:
+            beside = f" beside {', '.join(stated)}" if stated else " or a unit of pressure"
+            raise InputError("unit", expected=f'"{COUNT}"{beside}', found=f'"{self.unit}"')
+        return self
 
     @property
     def record_unit(self) -> str:
@@ -202,40 +218,50 @@ class PressureChannel:
         return COUNT if self.unit == COUNT else "Pa"
 
     @property
-    def file_column(self) -> str:
-        """Column of the file."""
-        return self.column or self.name
+    def conversion(self) -> Conversion:
+        """From the unit of the file to that of the record."""
+        kind = COUNT if self.unit == COUNT else self.kind
+        return conversion_to_si(self.unit, kind, "", self.reference_Pa)
 
 
-@dataclass(frozen=True)
-class TemperatureChannel:
-    """One aspirated thermocouple.
+class CountChannel(PressureChannel):
+    """A pressure probe that is recorded as codes of the converter, with its calibration."""
 
-    Parameters
-    ----------
-    name : str
-        Channel name.
-    plane : int
-        25 or 31.
-    rake : str
-        Rake it sits on.
-    recovery_factor : float
-        Indicated over total temperature, both absolute.
-    time_constant_s : float
-        Lag of the junction.
-    unit : str
-        Unit in the file.
-    column : str
-        Column of the file; empty where it has the channel's name.
-    """
+    unit: Annotated[str, AfterValidator(lambda _: COUNT)]
+    zoc_reference_Pa: Pascal = key("a pressure in Pa, 0 for vacuum", ge=0.0)
+    zero_count: float = key("a code of the converter", ge=0.0)
+    calibrate_count: float = key("a code of the converter", ge=0.0)
+    calibrate_pressure_Pa: Pascal = key("a pressure in Pa")
 
-    name: str
-    plane: int
-    rake: str
-    recovery_factor: float
-    time_constant_s: float
-    unit: str = "K"
-    column: str = ""
+    @model_validator(mode="after")
+    def _calibrated(self) -> CountChannel:
+        counts = abs(self.calibrate_count - self.zero_count)
+        step_Pa, reference_Pa = abs(self.calibrate_pressure_Pa), self.zoc_reference_Pa
+        in_pascal = "500 Pa and more (is it in kPa or psi?)"
+        for name, good, expected in (
+            # With fewer counts the sensitivity is not known to 1 %.
+            ("calibrate_count", counts >= 100.0, "at least 100 counts from zero_count"),
+            # No rake is calibrated by less than a twentieth of a metre of water, nor stands in
+            # such a vacuum; a transducer against vacuum has a reference of zero.
+            ("calibrate_pressure_Pa", step_Pa >= 500.0, in_pascal),
+            ("zoc_reference_Pa", reference_Pa == 0.0 or reference_Pa >= 500.0, in_pascal),
+        ):
+            if not good:
+                raise InputError(name, expected=expected, found=f"{getattr(self, name):g}")
+        return self
+
+
+class TemperatureChannel(_Channel):
+    """One aspirated thermocouple."""
+
+    kind: Literal["temperature"]
+    recovery_factor: float = key("a number from 0.5 to 1.1", ge=0.5, le=1.1)
+    time_constant_s: float = key("a time of 0 to 2 s", "is it in ms?", ge=0.0, le=2.0)
+
+    @model_validator(mode="after")
+    def _in_kelvin(self) -> TemperatureChannel:
+        _ = self.conversion
+        return self
 
     @property
     def record_unit(self) -> str:
@@ -243,9 +269,19 @@ class TemperatureChannel:
         return "K"
 
     @property
-    def file_column(self) -> str:
-        """Column of the file."""
-        return self.column or self.name
+    def conversion(self) -> Conversion:
+        """From the unit of the file to that of the record."""
+        return conversion_to_si(self.unit, self.kind, "")
+
+
+AnyChannel = PressureChannel | TemperatureChannel
+
+
+def _check_above(name: str, high: float, other: str, low: float, remedy: str = "") -> None:
+    if high <= low:
+        raise InputError(
+            name, expected=f"more than {other} ({low:g})", found=f"{high:g}", remedy=remedy
+        )
 
 
 @dataclass(frozen=True)
@@ -334,31 +370,12 @@ class TestDescription:
     window_s: tuple[float, float] | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     near_stall_shifts: Mapping[str, float] = field(default_factory=dict)
-    file: FileLayout = FileLayout()
+    file: FileLayout = field(default_factory=FileLayout)
     source: str = "test.toml"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "areas_m2", MappingProxyType(dict(self.areas_m2)))
-        object.__setattr__(self, "limits", MappingProxyType(dict(self.limits)))
-        shifts = MappingProxyType(dict(self.near_stall_shifts))
-        object.__setattr__(self, "near_stall_shifts", shifts)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Survive pickling, which a mapping proxy does not."""
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        for name in ("areas_m2", "limits", "near_stall_shifts"):
-            values[name] = dict(getattr(self, name))
-        return (_rebuild, (values,))
 
     @property
     def adc(self) -> Converter:
-        """The converter behind the channels that are in counts.
-
-        Raises
-        ------
-        InputError
-            When no channel is.
-        """
+        """The converter behind the channels that are in counts; refused where there is none."""
         if self.converter is None:
             raise InputError(
                 f"{self.source}: [adc]", expected="the converter of the counts", found="none"
@@ -371,24 +388,22 @@ class TestDescription:
         return 2.0 * pi * self.rotor_speed_rpm / 60.0 * self.compressor.mean_radius_m
 
     @property
+    def channels(self) -> tuple[AnyChannel, ...]:
+        """All channels: pressures, then temperatures."""
+        return (*self.pressures, *self.temperatures)
+
+    @property
     def channel_names(self) -> tuple[str, ...]:
         """Names of all channels: pressures, then temperatures."""
-        return tuple(c.name for c in self.pressures) + tuple(c.name for c in self.temperatures)
+        return tuple(channel.name for channel in self.channels)
 
     def pairs(self, plane: int) -> tuple[ProbePair, ...]:
         """Return the probe pairs of a plane, in file order."""
-        forward = [c for c in self.pressures if c.plane == plane and c.facing == "forward"]
-        aft = {
-            (c.rake, c.immersion): c
-            for c in self.pressures
-            if c.plane == plane and c.facing == "aft"
-        }
+        here = [probe for probe in self.pressures if probe.plane == plane]
+        aft = {(c.rake, c.immersion): c for c in here if c.facing == "aft"}
+        forward = (c for c in here if c.facing == "forward")
         return tuple(ProbePair(c, aft[c.rake, c.immersion]) for c in forward)
 
     def thermocouples(self, plane: int) -> tuple[TemperatureChannel, ...]:
         """Return the thermocouples of a plane, in file order."""
         return tuple(c for c in self.temperatures if c.plane == plane)
-
-
-def _rebuild(values: dict[str, object]) -> TestDescription:
-    return TestDescription(**values)  # type: ignore[arg-type]

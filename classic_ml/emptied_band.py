@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import detrend, welch
 
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray
@@ -52,10 +53,9 @@ def emptied_above_hz(
         without any noise is empty by itself and looks like a filtered one.
     """
     signal = np.asarray(values, dtype=np.float64)
-    found = _spectrum(signal, runs_of(segments, signal.size), float(sample_period_s))
-    if found is None:
+    frequency, density = _spectrum(signal, runs_of(segments, signal.size), float(sample_period_s))
+    if not frequency.size:
         return None
-    frequency, density = found
     tiny = np.finfo(np.float64).tiny
     log_f, log_s = np.log(frequency), np.log(np.maximum(_without_lines(frequency, density), tiny))
     # Whitened by f⁵, a skirt falls, and everything after its corner lies below it.
@@ -74,36 +74,25 @@ def emptied_above_hz(
 
 def _spectrum(
     signal: FloatArray, runs: list[slice], sample_period_s: float
-) -> tuple[FloatArray, FloatArray] | None:
-    from scipy.signal import welch
-
+) -> tuple[FloatArray, FloatArray]:
+    """Return the spectrum averaged over the segments; empty where they are too short."""
     lengths = np.sort([run.stop - run.start for run in runs])
     # Three quarters of the segments reach this length; the others do not count.
     rows = min(int(lengths[lengths.size // 4]), LONGEST_PIECE)
     if rows < SHORTEST_PIECE:
-        return None
+        return np.empty(0), np.empty(0)
     # A few pieces at least, so that the estimate does not scatter by more than a factor of two.
     while lengths[lengths >= rows].sum() < 4 * rows and rows >= 2 * SHORTEST_PIECE:
         rows //= 2
-    total, n = np.zeros(rows // 2 + 1), 0
-    for run in runs:
-        length = run.stop - run.start
-        if length < rows:
-            continue
-        pieces = 1 + 2 * (length - rows) // rows
-        frequency, density = welch(
-            signal[run],
-            fs=1.0 / sample_period_s,
-            # Its side lobes lie at -92 dB: Hann's would fill an emptied band with leakage.
-            window="blackmanharris",
-            nperseg=rows,
-            # The stubs know of "literal" only; the documentation and the code, of "linear".
-            detrend="linear",  # type: ignore[call-overload]
-        )
-        total += pieces * density
-        n += pieces
+    long = [signal[run] for run in runs if run.stop - run.start >= rows]
+    # Its side lobes lie at -92 dB: Hann's would fill an emptied band with leakage.
+    spectra = [
+        welch(part, 1.0 / sample_period_s, "blackmanharris", rows, detrend=detrend) for part in long
+    ]
+    pieces = [1 + 2 * (part.size - rows) // rows for part in long]
+    density = np.average([density for _, density in spectra], axis=0, weights=pieces)
     # The first bins hold what detrending left, the last has half the power.
-    return np.asarray(frequency[1:-1]), np.asarray(total[1:-1] / n)
+    return np.asarray(spectra[0][0][1:-1]), np.asarray(density[1:-1])
 
 
 def _without_lines(frequency: FloatArray, density: FloatArray) -> FloatArray:

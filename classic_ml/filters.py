@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
@@ -11,14 +12,7 @@ from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "butterworth_gain",
-    "filter_channels",
-    "filter_entry",
-    "low_pass",
-    "period_average",
-    "phase_delay_s",
-]
+__all__ = ["filter_channels", "low_pass", "period_average", "phase_delay_s"]
 
 
 def low_pass(
@@ -40,16 +34,6 @@ def low_pass(
         ``"zero"`` runs forth and back: no delay, and twice the attenuation in dB (−6 dB at the
         cut-off). ``"causal"`` runs once, as the paper's, and delays; it starts from the steady
         state of the first sample. ``"none"`` does nothing.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The filtered signal.
-
-    Raises
-    ------
-    ValueError
-        When a signal that is to be filtered forth and back is no longer than a few samples.
     """
     if phase == "none":
         return values
@@ -93,15 +77,6 @@ def period_average(values: FloatArray, period_s: float, sample_rate_hz: float) -
     return np.asarray(sums / (upto[stop] - upto[first]))
 
 
-def butterworth_gain(
-    frequency_hz: FloatArray, sample_rate_hz: float, *, order: int, cutoff_hz: float
-) -> FloatArray:
-    """Return the gain of one pass of the filter at the given frequencies (1 at rest)."""
-    sections = _sections(order, cutoff_hz, sample_rate_hz)
-    _, response = sosfreqz(sections, worN=np.atleast_1d(frequency_hz), fs=sample_rate_hz)
-    return np.abs(response)
-
-
 def phase_delay_s(
     frequency_hz: float, sample_rate_hz: float, *, order: int, cutoff_hz: float
 ) -> float:
@@ -113,11 +88,19 @@ def phase_delay_s(
 
 
 def filter_channels(
-    record: Record, names: Iterable[str], *, order: int, cutoff_hz: float, phase: str
+    record: Record,
+    names: Iterable[str],
+    *,
+    order: int,
+    cutoff_hz: float,
+    phase: str,
+    ahead: tuple[Record, Record] | None = None,
 ) -> Record:
     """Filter channels of a record, all with the same filter.
 
-    Pressures and temperatures alike: a delay that differs between φ and ψ' reads as dynamics.
+    Pressures and temperatures alike: a delay that differs between φ and ψ' reads as dynamics. The
+    undershoot of the filter makes no pressure lower than the least that was read: a channel that
+    it takes to zero or below is held there, and the history says so.
 
     Parameters
     ----------
@@ -127,47 +110,51 @@ def filter_channels(
         Channels to filter.
     order, cutoff_hz, phase
         See :func:`low_pass`.
+    ahead : tuple of two Record, optional
+        A record before and just after the same filter: channels that it shares with this one are
+        taken from it.
 
     Returns
     -------
     Record
         The record with those channels filtered.
     """
-    rate, names = record.sample_rate_hz, list(names)
-    entry = filter_entry(len(names), rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
     if phase == "none":
+        entry = LedgerEntry("filter", "no low-pass filter", {"phase": phase})
         return record.after(entry)
-    filtered = [
-        Channel.adopt(
-            name,
-            low_pass(record[name], rate, order=order, cutoff_hz=cutoff_hz, phase=phase),
-            record.channel(name).unit,
-        )
-        for name in names
-    ]
-    return record.after(entry, add=filtered)
-
-
-def filter_entry(
-    n_channels: int, sample_rate_hz: float, *, order: int, cutoff_hz: float, phase: str
-) -> LedgerEntry:
-    """Return the ledger entry of a filter; see :func:`low_pass` for its parameters."""
-    parameters: dict[str, str | int | float | bool] = {"phase": phase}
-    if phase == "none":
-        return LedgerEntry("filter", "no low-pass filter", parameters)
-    parameters |= {"order": order, "cutoff_hz": cutoff_hz}
+    rate, added = record.sample_rate_hz, []
+    held: dict[str, str | int | float | bool] = {}
+    for name in names:
+        channel, key = record.channel(name), f"held_{name}"
+        if ahead is not None and ahead[0].channels.get(name) is channel:
+            added.append(ahead[1].channel(name))
+            held |= {k: v for k, v in ahead[1].history[-1].parameters.items() if k == key}
+            continue
+        smooth = low_pass(channel.values, rate, order=order, cutoff_hz=cutoff_hz, phase=phase)
+        least = np.min(channel.values, initial=np.inf)
+        if channel.unit == "Pa" and np.min(smooth, initial=np.inf) <= 0.0 < least:
+            held[key] = int(np.count_nonzero(smooth < least))
+            smooth = np.maximum(smooth, least)
+        added.append(Channel.adopt(name, smooth, channel.unit))
     word = "forth and back, without delay"
     if phase == "causal":
         at_hz = 0.2 * cutoff_hz
-        delay_ms = 1e3 * phase_delay_s(at_hz, sample_rate_hz, order=order, cutoff_hz=cutoff_hz)
+        delay_ms = 1e3 * phase_delay_s(at_hz, rate, order=order, cutoff_hz=cutoff_hz)
         word = f"causal, which delays surge frequencies by {delay_ms:.1f} ms"
-    return LedgerEntry(
+    entry = LedgerEntry(
         "filter",
-        f"Butterworth of order {order} at {cutoff_hz:g} Hz on {n_channels} channels, {word}",
-        parameters,
+        f"Butterworth of order {order} at {cutoff_hz:g} Hz on {len(added)} channels, {word}",
+        {"phase": phase, "order": order, "cutoff_hz": cutoff_hz, **held},
+        flags=tuple(
+            f"{key.removeprefix('held_')}: the filter undershoots zero pressure; in {rows} rows it "
+            "is held at the least reading"
+            for key, rows in held.items()
+        ),
     )
+    return record.after(entry, add=added)
 
 
+@cache
 def _sections(order: int, cutoff_hz: float, sample_rate_hz: float) -> FloatArray:
     if not 0.0 < cutoff_hz < 0.5 * sample_rate_hz:
         raise InputError(

@@ -157,7 +157,7 @@ def mach_from_corrected_flow(
             "corrected flow",
             expected=f"at most {choked * constant_kg_s:.4g} kg/s through {area_m2:g} m²",
             found=f"{largest * constant_kg_s:.4g} kg/s",
-            remedy="check the area and the calibration of the probes",
+            remedy="check area_m2 of the plane and the calibration of its probes",
         )
     # First guess: exact at rest and at the choke, with the slopes there, as a function of
     # u = √(1 − share/choked), in which the choke is no singularity.

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import cast
 
 import numpy as np
@@ -96,11 +94,11 @@ class Channel:
             values = np.asarray(values, dtype=np.float64)
         if values.flags.writeable:
             values = values.copy()
+            values.setflags(write=False)
         if values.ndim != 1:
             raise InputError(
                 f"channel {self.name}", expected="one value a sample", found=f"shape {values.shape}"
             )
-        values.setflags(write=False)
         object.__setattr__(self, "values", values)
 
     @classmethod
@@ -140,20 +138,15 @@ class Record(Displayed):
     history: tuple[LedgerEntry, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
         lengths = {channel.values.size for channel in self.channels.values()}
+        where = f"record {self.source}"
         if len(lengths) > 1:
             raise InputError(
-                f"record {self.source}",
-                expected="channels of one length",
-                found=f"lengths {sorted(lengths)}",
+                where, expected="channels of one length", found=f"lengths {sorted(lengths)}"
             )
-        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0.0):
-            raise InputError(
-                f"record {self.source}",
-                expected="a positive sample rate in Hz",
-                found=f"{self.sample_rate_hz}",
-            )
+        rate = self.sample_rate_hz
+        if not (np.isfinite(rate) and rate > 0.0):
+            raise InputError(where, expected="a positive sample rate in Hz", found=f"{rate}")
 
     @classmethod
     def from_arrays(
@@ -165,10 +158,7 @@ class Record(Displayed):
         source: str = "",
     ) -> Record:
         """Build a record from ``{name: (values, unit)}``."""
-        channels = {
-            name: Channel(name, np.asarray(values, dtype=np.float64), unit)
-            for name, (values, unit) in arrays.items()
-        }
+        channels = {n: Channel(n, np.asarray(v), unit) for n, (v, unit) in arrays.items()}
         return cls(channels, sample_rate_hz, start_s, source)
 
     def __getitem__(self, name: str) -> FloatArray:
@@ -176,19 +166,8 @@ class Record(Displayed):
         return self.channel(name).values
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether the record holds a channel of that name."""
+        """Return whether the record holds a channel of that name."""
         return name in self.channels
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Survive pickling, which a mapping proxy does not."""
-        fields = (
-            dict(self.channels),
-            self.sample_rate_hz,
-            self.start_s,
-            self.source,
-            self.history,
-        )
-        return (Record, fields)
 
     def channel(self, name: str) -> Channel:
         """Return one channel, or raise an InputError that names those there are."""
@@ -220,23 +199,11 @@ class Record(Displayed):
         return float(self.start_s + row / self.sample_rate_hz)
 
     def rows_between(self, from_s: float, to_s: float) -> slice:
-        """Return the rows from one time to another, each within half a sample.
-
-        Parameters
-        ----------
-        from_s, to_s : float
-            On the facility clock.
-
-        Returns
-        -------
-        slice
-            Rows of the record, an empty slice where there are none.
-        """
-        half = 0.5 * self.sample_period_s
-        rows = range(self.n_samples)
-        first = bisect_left(rows, from_s - half, key=self.time_at_s)
-        stop = bisect_right(rows, to_s + half, key=self.time_at_s)
-        return slice(first, max(first, stop))
+        """Return the rows from one time to another on the facility clock, within half a sample."""
+        first, last = (self.sample_rate_hz * (at_s - self.start_s) for at_s in (from_s, to_s))
+        bounds = np.array([np.ceil(first - 0.5), np.floor(last + 0.5) + 1.0])
+        start, stop = np.clip(bounds, 0, self.n_samples).astype(int).tolist()
+        return slice(start, max(start, stop))
 
     def part(self, rows: slice) -> Record:
         """Return some rows of the record, with the clock that they have."""
@@ -248,6 +215,14 @@ class Record(Displayed):
         gone = set(names)
         kept = {name: c for name, c in self.channels.items() if name not in gone}
         return replace(self, channels=kept)
+
+    def after(self, entry: LedgerEntry, *, add: Iterable[Channel] = ()) -> Record:
+        """Return the record after one step, with its entry in the history and further channels.
+
+        Channels of the same name are replaced; this record is unchanged.
+        """
+        channels = {**self.channels, **{channel.name: channel for channel in add}}
+        return replace(self, channels=channels, history=(*self.history, entry))
 
     def _sheet(self) -> Sheet:
         end_s = self.time_at_s(self.n_samples - 1)
@@ -261,34 +236,6 @@ class Record(Displayed):
         title = f"{len(rows)} channels"
         channels = Grid(title, ("channel", "unit"), rows, frozenset({0, 1}), folded=len(rows) > 12)
         return Sheet("Record", fields, (channels, *ledger_grid(self.history)))
-
-    def after(
-        self,
-        entry: LedgerEntry,
-        *,
-        add: Iterable[Channel] = (),
-        drop: Iterable[str] = (),
-    ) -> Record:
-        """Return the record after one step.
-
-        Parameters
-        ----------
-        entry : LedgerEntry
-            What the step did; appended to the history.
-        add : iterable of Channel
-            Channels that are new or replace those of the same name.
-        drop : iterable of str
-            Names of channels that the step leaves out.
-
-        Returns
-        -------
-        Record
-            A new record; this one is unchanged.
-        """
-        gone = set(drop)
-        kept = {name: channel for name, channel in self.channels.items() if name not in gone}
-        kept.update({channel.name: channel for channel in add})
-        return replace(self, channels=kept, history=(*self.history, entry))
 
 
 def fault_name(channel: str) -> str:
@@ -315,7 +262,11 @@ def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
         (
             entry.step,
             entry.did,
-            _parameters(entry.parameters),
+            "; ".join(
+                f"{name} = {f'{value:.6g}' if isinstance(value, float) else value}"
+                for name, value in entry.parameters.items()
+            )
+            or "none",
             "; ".join(f"{d.what} ({d.count}): {d.why}" for d in entry.dropped) or "nothing",
             "; ".join(entry.flags) or "none",
         )
@@ -324,11 +275,3 @@ def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
     header = ("step", "did", "parameters", "left out", "flags")
     words = frozenset(range(len(header)))
     return (Grid("Ledger", header, rows, words, folded=True),) if rows else ()
-
-
-def _parameters(parameters: Mapping[str, str | int | float | bool]) -> str:
-    stated = (
-        f"{name} = {f'{value:.6g}' if isinstance(value, float) else value}"
-        for name, value in parameters.items()
-    )
-    return "; ".join(stated) or "none"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 
@@ -15,10 +16,10 @@ _CHOICES = {
     "filter_order": (3, 5),
     "phase": ("zero", "causal", "none"),
     "probes": ("all", "tip", "hub"),
-    "near_stall_match": ("pair", "forward", "none"),
-    "stall_rule": ("threshold", "hub-tip"),
     "work_form": WORK_FORMS,
 }
+# The slowest surge cycles last some seconds; what a filter below leaves of others is none.
+LEAST_CUTOFF_HZ = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,16 +41,10 @@ class ReductionSettings:
         estimates it where that states none.
     hysteresis_lbm_s : float or None
         Half width of the band around it; None takes what test.toml says.
-    stall_rule : {"threshold", "hub-tip"}
-        How the stall state is estimated.
-    inertia_factor : float
-        Multiplies ∫dx/A in Eq 5; 0 drops the inertia term.
     thermocouple_inversion : bool
         Undo the lag of the thermocouples. The paper did not; behind a 48 Hz filter the lag of T25
         cancels part of what the filter does to the curve, so that undoing it alone makes the
         curve worse.
-    near_stall_match : {"pair", "forward", "none"}
-        What the near-stall match moves.
     work_form : {"auto", "exit-flow", "mass-balance", "temperature-rise"}
         How ψ is computed: by Eq 13 with W31 as measured, with the storage between the planes from a
         balance of mass, from the temperature rise alone, or by the first unless the flows of the
@@ -69,43 +64,45 @@ class ReductionSettings:
     probes: str = "all"
     threshold_lbm_s: float | str | None = None
     hysteresis_lbm_s: float | None = None
-    stall_rule: str = "threshold"
-    inertia_factor: float = 1.0
     thermocouple_inversion: bool = False
-    near_stall_match: str = "pair"
     work_form: str = "auto"
     window_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise _refused(name, " or ".join(repr(c) for c in choices), getattr(self, name))
-        if not _is_number(self.cutoff_hz, above=0.0):
-            raise _refused("cutoff_hz", "a number above 0", self.cutoff_hz)
+            expected = " or ".join(repr(c) for c in choices)
+            self._check(name, expected, getattr(self, name) in choices)
+        hysteresis, window = self.hysteresis_lbm_s, self.window_s
+        self._check(
+            "cutoff_hz",
+            f"a number from {LEAST_CUTOFF_HZ:g} on, so that the surge cycles pass",
+            _is_number(self.cutoff_hz) and self.cutoff_hz >= LEAST_CUTOFF_HZ,
+        )
         threshold = self.threshold_lbm_s
-        if threshold not in (None, "none") and not _is_number(threshold, above=0.0):
-            raise _refused("threshold_lbm_s", "a number above 0, 'none' or None", threshold)
-        if not _is_number(self.inertia_factor, least=0.0):
-            raise _refused("inertia_factor", "a number from 0 on", self.inertia_factor)
-        hysteresis = self.hysteresis_lbm_s
-        if hysteresis is not None and not _is_number(hysteresis, least=0.0):
-            raise _refused("hysteresis_lbm_s", "a number from 0 on, or None", hysteresis)
-        window = self.window_s
-        if window is not None and not (
-            len(window) == 2 and all(_is_number(v) for v in window) and window[0] < window[1]
-        ):
-            raise _refused("window_s", "two times, the earlier first", window)
+        self._check(
+            "threshold_lbm_s",
+            "a number above 0, 'none' or None",
+            threshold in (None, "none") or (_is_number(threshold) and threshold > 0.0),
+        )
+        self._check(
+            "hysteresis_lbm_s",
+            "a number from 0 on, or None",
+            hysteresis is None or (_is_number(hysteresis) and hysteresis >= 0.0),
+        )
+        self._check(
+            "window_s",
+            "two times, the earlier first",
+            window is None
+            or (len(window) == 2 and all(map(_is_number, window)) and window[0] < window[1]),
+        )
+
+    def _check(self, name: str, expected: str, holds: bool) -> None:
+        if not holds:
+            where, found = f"ReductionSettings.{name}", repr(getattr(self, name))
+            raise InputError(where, expected=expected, found=found)
 
 
-def _is_number(value: object, *, above: float = -np.inf, least: float = -np.inf) -> bool:
-    return (
-        isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and bool(np.isfinite(value))
-        and value > above
-        and value >= least
-    )
-
-
-def _refused(name: str, expected: str, found: object) -> InputError:
-    return InputError(f"ReductionSettings.{name}", expected=expected, found=repr(found))
+def _is_number(value: object) -> TypeGuard[float]:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return bool(np.isfinite(value))

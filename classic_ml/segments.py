@@ -8,7 +8,7 @@ from classic_ml.cycles import first_reversal
 from classic_ml.filters import period_average
 from classic_ml.flow import LBM_KG
 from classic_ml.intervals import intervals_where, label_intervals
-from classic_ml.records import Channel, Dropped, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record, counted
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
@@ -16,25 +16,25 @@ from surge_core.types import BoolArray, FloatArray
 __all__ = [
     "SHORTEST_S",
     "cell_frequency_hz",
+    "cell_period_s",
     "estimated_threshold_lbm_s",
-    "hub_tip_difference",
     "hub_tip_stall",
     "in_stall_by_threshold",
-    "knows_hub_and_tip",
     "segment",
     "shows_stall",
     "window_rows",
 ]
 
-
 # Surge and its harmonics are below, stall cells at half the rotor's frequency or so above.
 LOWEST_CELL_HZ = 40.0
+# A line of rotating stall stands at least this far above the spectrum around it.
+LEAST_PEAK = 20.0
+# Without cells there is nothing to average out but noise.
+PLAIN_PERIOD_S = 0.010
 # A smaller shift between hub and tip shows no state.
 LEAST_SHIFT_KG_S = 2.0 * LBM_KG
 # Shorter than 20 ms is a graze of the threshold, not a regime: τ itself is about that long.
 SHORTEST_S = 0.02
-# A record of hours may graze the threshold thousands of times.
-NAMED_INTERVALS = 20
 # Share of the flow before surge that counts as recovery where no threshold says so: the paper's
 # 50 lbm/s is 0.45 of the 112 lbm/s near stall.
 RECOVERED_SHARE = 0.45
@@ -61,17 +61,13 @@ def window_rows(record: Record, window_s: tuple[float, float], where: str = "win
     """
     half = 0.5 * record.sample_period_s
     first_s, last_s = record.time_at_s(0), record.time_at_s(record.n_samples - 1)
-    if window_s[0] < first_s - half or window_s[1] > last_s + half:
-        raise InputError(
-            where,
-            expected=f"a window inside the record ({first_s:.3f} to {last_s:.3f} s)",
-            found=f"{window_s[0]:g} to {window_s[1]:g} s",
-        )
     rows = record.rows_between(*window_s)
-    if rows.stop - rows.start < SHORTEST_S * record.sample_rate_hz:
+    inside = window_s[0] >= first_s - half and window_s[1] <= last_s + half
+    if not inside or rows.stop - rows.start < SHORTEST_S * record.sample_rate_hz:
         raise InputError(
             where,
-            expected="a window with surge cycles in it",
+            expected=f"a window with surge cycles inside the record ({first_s:.3f} to "
+            f"{last_s:.3f} s)",
             found=f"{rows.stop - rows.start} rows from {window_s[0]:g} to {window_s[1]:g} s",
         )
     return rows
@@ -120,32 +116,30 @@ def cell_frequency_hz(record: Record, window: slice) -> float:
     float
         Frequency in Hz.
     """
+    return _cell_line(record, window)[0]
+
+
+def cell_period_s(record: Record, window: slice) -> tuple[float, bool]:
+    """Return the period of the stall cells, and whether the spectrum of P25 shows any."""
+    cell_hz, above = _cell_line(record, window)
+    return (1.0 / cell_hz, True) if above >= LEAST_PEAK else (PLAIN_PERIOD_S, False)
+
+
+def _cell_line(record: Record, window: slice) -> tuple[float, float]:
+    """Return the highest line above surge in Hz, and how far it stands above what is around it."""
     rate = record.sample_rate_hz
     frequency, density = power_spectrum(record["P25_unfiltered_Pa"][window], rate)
-    return peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * rate)
-
-
-def knows_hub_and_tip(record: Record) -> bool:
-    """Return whether a record has the flows that :func:`hub_tip_difference` compares."""
-    return "Wc25_hub_kg_s" in record and "Wc25_tip_kg_s" in record
-
-
-def hub_tip_difference(record: Record) -> FloatArray:
-    """Return how much more corrected flow the hub passes than the tip, in kg/s.
-
-    Parameters
-    ----------
-    record : Record
-        With ``Wc25_hub_kg_s`` and ``Wc25_tip_kg_s``.
-    """
-    return record["Wc25_hub_kg_s"] - record["Wc25_tip_kg_s"]
+    cell_hz = peak_frequency_hz(frequency, density, LOWEST_CELL_HZ, 0.4 * rate)
+    around = density[(frequency > 0.6 * cell_hz) & (frequency < 1.4 * cell_hz)]
+    return cell_hz, float(density[np.argmin(np.abs(frequency - cell_hz))] / np.median(around))
 
 
 def shows_stall(record: Record, window: slice) -> bool:
     """Return whether the flows of hub and tip differ enough in a window to show the state."""
-    if not knows_hub_and_tip(record):
+    if "Wc25_hub_kg_s" not in record or "Wc25_tip_kg_s" not in record:
         return False
-    return float(np.median(hub_tip_difference(record)[window])) > LEAST_SHIFT_KG_S
+    shift = record["Wc25_hub_kg_s"][window] - record["Wc25_tip_kg_s"][window]
+    return float(np.median(shift)) > LEAST_SHIFT_KG_S
 
 
 def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
@@ -170,20 +164,20 @@ def hub_tip_stall(record: Record, window: slice, cell_hz: float) -> BoolArray:
     InputError
         When that median is not above zero.
     """
-    shift = period_average(hub_tip_difference(record), 1.0 / cell_hz, record.sample_rate_hz)
+    shift = record["Wc25_hub_kg_s"] - record["Wc25_tip_kg_s"]
+    shift = period_average(shift, 1.0 / cell_hz, record.sample_rate_hz)
     scale = float(np.median(shift[window]))
     if scale <= 0.0:
         raise InputError(
             f"{record.source}: plane 25",
             expected="more flow at the hub than at the tip while in stall",
             found=f"a median difference of {scale / LBM_KG:.2f} lbm/s",
-            remedy='use stall_rule="threshold"',
         )
     return np.asarray(shift > 0.5 * scale)
 
 
 def estimated_threshold_lbm_s(
-    record: Record, corrected_kg_s: FloatArray, window: slice
+    record: Record, corrected_kg_s: FloatArray, window: slice, state: BoolArray | None
 ) -> tuple[float | None, LedgerEntry]:
     """Estimate the corrected flow between the regimes from the record itself.
 
@@ -196,11 +190,13 @@ def estimated_threshold_lbm_s(
     Parameters
     ----------
     record : Record
-        Unfiltered averages, with ``P25_unfiltered_Pa``.
+        Unfiltered averages.
     corrected_kg_s : ndarray of shape (n,)
         Corrected flow at plane 25, filtered, which the threshold will be applied to.
     window : slice
         Rows of the surge cycles.
+    state : ndarray of bool, shape (n,), optional
+        In-stall state by :func:`hub_tip_stall`; None where hub and tip do not show it.
 
     Returns
     -------
@@ -210,17 +206,16 @@ def estimated_threshold_lbm_s(
         How it was estimated.
     """
     flow = corrected_kg_s[window]
-    in_order = np.sort(flow)
-    n_below = np.arange(1, flow.size)
+    order = np.argsort(flow)
+    in_order, n_below = flow[order], np.arange(1, flow.size)
     slack = 0.0
-    if shows_stall(record, window):
-        state = hub_tip_stall(record, window, cell_frequency_hz(record, window))[window]
-        stalled = state[np.argsort(flow)]
+    if state is not None:
+        stalled = state[window][order]
         unstalled = 1.0 - float(np.mean(stalled))
         # Rows that a threshold behind each flow in turn gives the wrong state.
-        upto = np.cumsum(stalled)[:-1]
-        cost = (n_below - upto) + (upto[-1] + int(stalled[-1]) - upto)
-        slack = _error_of_count((flow <= in_order[int(np.argmin(cost))]) != state)
+        upto = np.cumsum(stalled)
+        cost = n_below - 2 * upto[:-1] + upto[-1]
+        slack = _error_of_count((flow <= in_order[int(np.argmin(cost))]) != state[window])
         how = "the shift between hub and tip"
     else:
         unstalled = 1.0 if _recovers(record, window) else 0.0
@@ -241,8 +236,7 @@ def estimated_threshold_lbm_s(
 
 def _error_of_count(wrong: BoolArray) -> float:
     """Return the standard error of a count of rows: those of one stretch are wrong together."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], wrong.astype(np.int8), [0]])))
-    lengths = edges[1::2] - edges[::2]
+    lengths = np.diff(intervals_where(wrong), axis=1)
     return float(np.sqrt(np.sum(lengths.astype(np.float64) ** 2)))
 
 
@@ -252,7 +246,6 @@ def segment(
     *,
     threshold_lbm_s: float | None,
     hysteresis_lbm_s: float = 0.0,
-    stall_rule: str = "threshold",
 ) -> Record:
     """Mark the in-stall rows and number the in-stall intervals inside the window.
 
@@ -267,20 +260,37 @@ def segment(
         whose window is one segment.
     hysteresis_lbm_s : float
         Half width of the band around the threshold.
-    stall_rule : {"threshold", "hub-tip"}
-        How the state is estimated: :func:`in_stall_by_threshold` or :func:`hub_tip_stall`.
 
     Returns
     -------
     Record
         With ``in_stall`` (0/1), ``window`` (0/1) and ``segment`` (1, 2, …; 0 elsewhere).
+
+    Raises
+    ------
+    InputError
+        When no row of the window is in stall.
     """
-    n_rows = record.n_samples
-    parameters: dict[str, str | int | float | bool] = {"stall_rule": stall_rule}
-    state = _state(record, window, threshold_lbm_s, hysteresis_lbm_s, parameters)
+    n_rows, flow = record.n_samples, record["Wc25_kg_s"]
     inside = np.zeros(n_rows, dtype=np.bool_)
     inside[window] = True
-    fitted = inside if threshold_lbm_s is None else inside & state
+    parameters: dict[str, str | int | float | bool] = {"threshold_lbm_s": "none"}
+    flags: tuple[str, ...] = ()
+    if threshold_lbm_s is None:
+        state, fitted = np.arange(n_rows) >= first_reversal(record), inside
+        if _recovers(record, window):
+            flags = (
+                "no unstalled regime was declared; rows after recovery, if any, are in the fit",
+            )
+    else:
+        parameters = {"threshold_lbm_s": threshold_lbm_s, "hysteresis_lbm_s": hysteresis_lbm_s}
+        state = in_stall_by_threshold(flow, threshold_lbm_s * LBM_KG, hysteresis_lbm_s * LBM_KG)
+        fitted = inside & state
+        if state[window].all():
+            flags = (
+                "all rows in the window are in stall by the threshold: unstalled rows, if any, "
+                "are fitted as such",
+            )
     labels, short = label_intervals(fitted, round(SHORTEST_S * record.sample_rate_hz))
     n_segments, n_scored = int(labels.max(initial=0)), int(np.count_nonzero(labels))
     if n_segments == 0:
@@ -291,65 +301,16 @@ def segment(
             remedy="check the threshold and the window",
         )
     why = f"shorter than {SHORTEST_S * 1e3:g} ms"
-    dropped = tuple(Dropped("in-stall interval", rows, why) for rows in short[:NAMED_INTERVALS])
-    if short[NAMED_INTERVALS:]:
-        further = short[NAMED_INTERVALS:]
-        dropped += (Dropped(f"{len(further)} more such intervals", sum(further), why),)
+    dropped: tuple[Dropped, ...] = (
+        (Dropped(counted(len(short), "in-stall interval"), sum(short), why),) if short else ()
+    )
     why = "unstalled, or outside the window: simulated, not fitted"
     dropped += (Dropped("rows", n_rows - n_scored, why),)
-    flags = _regime_flags(record, window, state, threshold_lbm_s)
     did = f"{n_segments} segments with {n_scored} rows"
-    entry = LedgerEntry("segment", did, parameters, dropped, flags)
     columns = {"in_stall": state, "window": inside, "segment": labels}
     return record.after(
-        entry, add=[Channel(n, v.astype(np.float64), "1") for n, v in columns.items()]
-    )
-
-
-def _state(
-    record: Record,
-    window: slice,
-    threshold_lbm_s: float | None,
-    hysteresis_lbm_s: float,
-    parameters: dict[str, str | int | float | bool],
-) -> BoolArray:
-    """Return the in-stall state by the rule that the parameters name, and complete them."""
-    if threshold_lbm_s is None:
-        parameters["threshold_lbm_s"] = "none"
-        return np.arange(record.n_samples) >= first_reversal(record)
-    if parameters["stall_rule"] == "hub-tip":
-        if not knows_hub_and_tip(record):
-            raise InputError(
-                f"{record.source}: plane 25",
-                expected='probe pairs at hub and tip, which stall_rule="hub-tip" compares',
-                found="none at one of them",
-                remedy='use stall_rule="threshold"',
-            )
-        cell_hz = cell_frequency_hz(record, window)
-        parameters["cell_hz"] = round(cell_hz, 3)
-        return hub_tip_stall(record, window, cell_hz)
-    parameters["threshold_lbm_s"] = threshold_lbm_s
-    parameters["hysteresis_lbm_s"] = hysteresis_lbm_s
-    return in_stall_by_threshold(
-        record["Wc25_kg_s"], threshold_lbm_s * LBM_KG, hysteresis_lbm_s * LBM_KG
-    )
-
-
-def _regime_flags(
-    record: Record, window: slice, state: BoolArray, threshold_lbm_s: float | None
-) -> tuple[str, ...]:
-    """Flag where rows of an unstalled regime may have been taken for stall."""
-    if threshold_lbm_s is None:
-        if not _recovers(record, window):
-            return ()
-        return ("no unstalled regime was declared; rows after recovery, if any, are in the fit",)
-    if not state[window].all():
-        return ()
-    if np.any(record["Wc25_kg_s"][window] >= threshold_lbm_s * LBM_KG):
-        return ("all rows in the window are in stall: unstalled rows, if any, are fitted as such",)
-    return (
-        f"the corrected flow never rises above {threshold_lbm_s:g} lbm/s in the window: unstalled "
-        "rows, if any, are fitted as in-stall",
+        LedgerEntry("segment", did, parameters, dropped, flags),
+        add=[Channel.adopt(n, v.astype(np.float64), "1") for n, v in columns.items()],
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,61 +18,41 @@ from surge_core.types import BoolArray, FloatArray, IntArray
 __all__ = ["MINIMUM_ROWS", "CoefficientSeries"]
 
 MINIMUM_ROWS = 100
-REQUIRED_COLUMNS = ("time_s", "phi", "psi_p")
-OPTIONAL_COLUMNS = (
-    "psi",
-    "T25_K",
-    "Nc_frac",
-    "in_stall",
-    "segment",
-    "phi_unfiltered",
-    "psi_p_unfiltered",
-    "stalled",
-    "free_run",
-)
-COLUMNS = REQUIRED_COLUMNS + OPTIONAL_COLUMNS
-UNITS = {
-    "time_s": "s",
-    "phi": "1",
-    "psi_p": "1",
-    "psi": "1",
-    "T25_K": "K",
-    "Nc_frac": "1",
-    "in_stall": "1",
-    "segment": "1",
-    "phi_unfiltered": "1",
-    "psi_p_unfiltered": "1",
-    "stalled": "1",
-    "free_run": "1",
+
+
+class _Column(NamedTuple):
+    """Unit of a column, what it is, and beyond which values no compressor works."""
+
+    unit: str
+    long_name: str
+    low: float = -np.inf
+    high: float = np.inf
+
+
+# φ = 1 is already an axial Mach number of order one at any useful wheel speed, and ψ' = 100 would
+# be a pressure ratio beyond 10^4 at 300 m/s.
+_KNOWN = {
+    "time_s": _Column("s", "facility clock"),
+    "phi": _Column("1", "flow coefficient", -3.0, 3.0),
+    "psi_p": _Column("1", "instantaneous pressure coefficient", -100.0, 100.0),
+    "psi": _Column("1", "instantaneous work coefficient", -1000.0, 1000.0),
+    "T25_K": _Column("K", "inlet total temperature", 50.0, 3000.0),
+    "Nc_frac": _Column("1", "corrected speed over design corrected speed", 0.01, 2.0),
+    "in_stall": _Column("1", "in stall by the rule of the reduction", 0, 1),
+    "segment": _Column("1", "number of the interval to be fitted, 0 outside of all", 0),
+    "phi_unfiltered": _Column("1", "flow coefficient from unfiltered pressures", -3.0, 3.0),
+    "psi_p_unfiltered": _Column(
+        "1", "instantaneous pressure coefficient from unfiltered pressures", -100.0, 100.0
+    ),
+    "stalled": _Column("1", "in stall as hub and tip flow show it", 0, 1),
+    "free_run": _Column("1", "free run: 0 outside, 1 simulated through, 2 scored", 0, 2),
 }
-LONG_NAMES = {
-    "time_s": "facility clock",
-    "phi": "flow coefficient",
-    "psi_p": "instantaneous pressure coefficient",
-    "psi": "instantaneous work coefficient",
-    "T25_K": "inlet total temperature",
-    "Nc_frac": "corrected speed over design corrected speed",
-    "in_stall": "in stall by the rule of the reduction",
-    "segment": "number of the interval to be fitted, 0 outside of all",
-    "phi_unfiltered": "flow coefficient from unfiltered pressures",
-    "psi_p_unfiltered": "instantaneous pressure coefficient from unfiltered pressures",
-    "stalled": "in stall as hub and tip flow show it",
-    "free_run": "free run: 0 outside, 1 simulated through, 2 scored",
-}
+COLUMNS = tuple(_KNOWN)
+REQUIRED_COLUMNS = COLUMNS[:3]
+UNITS = {name: column.unit for name, column in _KNOWN.items()}
+LONG_NAMES = {name: column.long_name for name, column in _KNOWN.items()}
 TRUTH_COLUMNS = ("in_stall", "stalled")
 COUNT_COLUMNS = ("segment", "free_run")
-# Beyond these no compressor works: φ = 1 is already an axial Mach number of order one at any
-# useful wheel speed, and ψ' = 100 would be a pressure ratio beyond 10^4 at 300 m/s.
-POSSIBLE = {
-    "phi": (-3.0, 3.0),
-    "psi_p": (-100.0, 100.0),
-    "psi": (-1000.0, 1000.0),
-    "T25_K": (50.0, 3000.0),
-    "Nc_frac": (0.01, 2.0),
-    "phi_unfiltered": (-3.0, 3.0),
-    "psi_p_unfiltered": (-100.0, 100.0),
-    "free_run": (0.0, 2.0),
-}
 
 # What a display shows of the signals: label, factor and unit.
 SHOWN = {
@@ -216,38 +197,27 @@ class CoefficientSeries(Displayed):
 
 def _checked_column(source: str, name: str, given: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return a column read-only and of its type, or refuse its first row that is impossible."""
-    values = np.asarray(given)
-    where = f"{source}: column {name}"
+    values: NDArray[Any] = np.asarray(given)
+    where, known = f"{source}: column {name}", _KNOWN[name]
     if values.ndim != 1:
         raise InputError(where, expected="one value a row", found=f"shape {values.shape}")
     kind = np.bool_ if name in TRUTH_COLUMNS else np.int64 if name in COUNT_COLUMNS else np.float64
-    if values.dtype.kind not in "biu":
-        values = values.astype(np.float64, copy=False)
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            more = f" and {bad.size - 1} more" if bad.size > 1 else ""
-            raise InputError(
-                where,
-                expected="a finite number in every row",
-                found=f"{values[bad[0]]} in row {bad[0] + 1}{more}",
-                remedy="cut the record there or repair the channel",
-            )
-    low, high = POSSIBLE.get(name, (-np.inf, np.inf))
-    whole = kind is not np.float64
-    expected = f"values between {low:g} and {high:g}{_shown_unit(name)}"
-    if whole:
-        low, high = 0.0, 1.0 if name in TRUTH_COLUMNS else high
-        expected = "0 or 1" if name in TRUTH_COLUMNS else "whole numbers from 0 on"
-    bad = np.flatnonzero((values < low) | (values > high))
-    if whole and not bad.size and values.dtype.kind == "f":
-        bad = np.flatnonzero(values != np.round(values))
+    finite, expected = np.isfinite(values), "a finite number in every row"
+    possible = finite
+    if finite.all():
+        possible = (values >= known.low) & (values <= known.high)
+        expected = f"values between {known.low:g} and {known.high:g}"
+        expected += "" if known.unit == "1" else f" {known.unit}"
+        if kind is not np.float64:
+            possible &= values == np.round(values.astype(np.float64))
+            expected = "0 or 1" if kind is np.bool_ else "whole numbers from 0 on"
+    bad = np.flatnonzero(~possible)
     if bad.size:
-        row = int(bad[0])
         raise InputError(
             where,
             expected=expected,
-            found=f"{values[row]:g}" + ("" if whole else f" in row {row + 1}"),
-            remedy="" if whole else "check the units and the calibration",
+            found=f"{values[bad[0]]:g} in row {bad[0] + 1}",
+            remedy="check the units and the calibration, or cut the record there",
         )
     if values.dtype == kind and not values.flags.writeable:
         return values
@@ -264,7 +234,3 @@ def _check_lengths(series: CoefficientSeries) -> None:
         raise InputError(
             series.source, expected=f"at least {MINIMUM_ROWS} rows", found=f"{series.n_samples}"
         )
-
-
-def _shown_unit(name: str) -> str:
-    return "" if UNITS[name] == "1" else f" {UNITS[name]}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.signal
-from scipy.signal import welch
 
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -20,56 +19,26 @@ def detrend(values: FloatArray) -> FloatArray:
     return np.asarray(scipy.signal.detrend(np.asarray(values, dtype=np.float64), type="linear"))
 
 
-def power_spectrum(
-    values: FloatArray,
-    sample_rate_hz: float,
-    *,
-    record_samples: int = RECORD_SAMPLES,
-    overlap: float = 0.5,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the one-sided power spectral density, first-order trend removed (Fig 4).
+def power_spectrum(values: FloatArray, sample_rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies in Hz and the one-sided power spectral density (Fig 4).
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        Uniformly sampled signal.
-    sample_rate_hz : float
-        Samples a second.
-    record_samples : int
-        Samples in each averaged periodogram (Hann window, its own trend removed too); bins are
-        ``sample_rate_hz / record_samples`` wide. A shorter signal is one record.
-    overlap : float
-        Share of a record that the next one repeats.
-
-    Returns
-    -------
-    frequency_hz : ndarray of shape (m,)
-        Frequencies from zero to half the sample rate.
-    density : ndarray of shape (m,)
-        Power per hertz; its integral is the variance of the detrended signal.
+    Periodograms of 1600 samples, Hann window, overlapping by half and each without its trend, are
+    averaged; a shorter signal is one of them. The integral is the variance of the detrended signal.
 
     Raises
     ------
     InputError
         When the signal has fewer than 8 samples or a value is not finite.
     """
-    signal = np.asarray(values, dtype=np.float64)
-    if signal.ndim != 1 or signal.size < 8 or not np.isfinite(signal).all():
+    if values.ndim != 1 or values.size < 8 or not np.isfinite(values).all():
         raise InputError(
             "power spectrum",
             expected="at least 8 finite samples of one signal",
-            found=f"shape {signal.shape}"
-            if signal.ndim != 1 or signal.size < 8
-            else "a value that is not finite",
+            found=f"shape {values.shape}, {np.count_nonzero(np.isfinite(values))} of them finite",
         )
-    length = min(record_samples, signal.size)
-    frequency_hz, density = welch(
-        signal,
-        sample_rate_hz,
-        window="hann",
-        nperseg=length,
-        noverlap=int(overlap * length),
-        detrend=scipy.signal.detrend,
+    length = min(RECORD_SAMPLES, values.size)
+    frequency_hz, density = scipy.signal.welch(
+        values, sample_rate_hz, "hann", length, length // 2, detrend=scipy.signal.detrend
     )
     return np.asarray(frequency_hz), np.asarray(density)
 

@@ -1,15 +1,13 @@
 """Units at the boundary: what a file or test.toml states, as one multiply-add to SI.
 
-Inside the packages a pressure is in Pa, a temperature in K and a time in s. The factors come from
-pint's definitions in exact fractions and are rounded once, so that no conversion is off by more
-than the last digit of a double.
+Inside the packages a pressure is in Pa, a temperature in K and a time in s. The factors are pint's
+definitions in exact fractions, rounded once.
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fractions import Fraction
 from functools import cache, lru_cache
 from typing import Any
@@ -22,96 +20,38 @@ from surge_core.types import FloatArray
 __all__ = [
     "COUNT",
     "Conversion",
-    "is_count",
-    "is_unit_label",
+    "conversion_to_si",
     "kind_of_unit",
-    "pressure_conversion",
     "pressure_reference",
     "quantity_in",
     "same_unit",
-    "states_a_unit",
-    "temperature_conversion",
-    "time_conversion",
     "unit_in_brackets",
 ]
 
 COUNT = "count"
-_COUNT_WORDS = frozenset(
-    ("count", "counts", "code", "codes", "adc counts", "raw counts", "lsb", "cts")
-)
+_COUNT_WORDS = ("count", "counts", "code", "codes", "adc counts", "raw counts", "lsb", "1")
 # Labels that state nothing: a form's empty field.
-_NO_STATEMENT = frozenset(("", "-", "--", "n/a", "na", "none", "unknown", "undefined", "null"))
-_DIMENSIONLESS = frozenset(("1", "dimensionless"))
-
+_NO_STATEMENT = ("", "-", "--", "n/a", "na", "none", "unknown")
 _SI = {"pressure": "Pa", "temperature": "K", "time": "s"}
 _COMMON = {
-    "pressure": (
-        *("Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "psf", "atm", "torr"),
-        *("mmHg", "inHg", "mmH2O", "inH2O"),
-    ),
-    "temperature": ("K", "degC", "degF", "degR"),
-    "time": ("s", "ms", "us", "ns", "min"),
+    "pressure": "Pa, hPa, kPa, MPa, mbar, bar, psi, psf, atm, torr, mmHg, inHg, mmH2O, inH2O",
+    "temperature": "K, degC, degF, degR",
+    "time": "s, ms, us, ns, min",
 }
-# Spellings of the trade that pint has not, or reads as something else (R is its gas constant, C
-# its coulomb, F its farad). Where a kind of quantity is asked for, none of them is in doubt.
-_SPELLINGS = {
-    "pressure": {
-        # Capitals are no matter but between MPa and mPa.
-        **{name.lower(): name for name in _COMMON["pressure"] if name != "MPa"},
-        "psf": "pound_force / foot**2",
-        "lbf/in2": "psi",
-        "lb/in2": "psi",
-        "lbf/in^2": "psi",
-        "lbf/ft2": "pound_force / foot**2",
-        "n/m2": "Pa",
-        "n/m^2": "Pa",
-        "n/m²": "Pa",
-        "in hg": "inHg",
-        "in. hg": "inHg",
-        "in h2o": "inH2O",
-        "in. h2o": "inH2O",
-        "mm hg": "mmHg",
-        "mm h2o": "mmH2O",
-        "mmh2o": "mmH2O",
-        "mmwc": "mmH2O",
-        "inwc": "inH2O",
-    },
-    "temperature": {
-        **dict.fromkeys(("c", "deg c", "deg_c", "°c", "° c", "celsius", "degree c"), "degC"),
-        **dict.fromkeys(("f", "deg f", "deg_f", "°f", "° f", "fahrenheit", "degree f"), "degF"),
-        **dict.fromkeys(("r", "deg r", "deg_r", "°r", "° r", "rankine", "degree r"), "degR"),
-        **dict.fromkeys(("k", "deg k", "deg_k", "degk", "°k", "kelvin", "kelvins"), "K"),
-        **{name.lower(): name for name in ("degC", "degF", "degR")},
-    },
-    "time": {
-        **dict.fromkeys(("sec", "secs", "sec.", "second", "seconds"), "s"),
-        **dict.fromkeys(("msec", "millisecond", "milliseconds"), "ms"),
-        **dict.fromkeys(("usec", "µs", "μs", "microsecond", "microseconds"), "us"),
-        **dict.fromkeys(("nsec", "nanosecond", "nanoseconds"), "ns"),
-    },
-}
-# mmH2O is a conventional unit, as inH2O is: a column of water of 1000 kg/m³ under g of 9.80665.
-_EXACT = {
-    ("pressure", "mmH2O"): Fraction("9.80665"),
-    ("pressure", "Pa"): Fraction(1),
-    ("temperature", "K"): Fraction(1),
-    ("time", "s"): Fraction(1),
-}
-
-_ABSOLUTE, _GAUGE, _DIFFERENTIAL = "absolute", "gauge", "differential"
-_REFERENCES = {
-    **dict.fromkeys(("a", "abs", "absolute"), _ABSOLUTE),
-    **dict.fromkeys(("g", "gauge", "gage", "ga"), _GAUGE),
-    **dict.fromkeys(("d", "diff", "differential"), _DIFFERENTIAL),
-}
-_WORDED = re.compile(r"^(?P<unit>.+?)[\s_]*[\s_(\[](?P<word>[a-z]+)[)\]]?$", re.IGNORECASE)
-_LETTERED = re.compile(r"^(?P<unit>psi|psf|m?bar|[kMh]?Pa)(?P<word>[agd])$", re.IGNORECASE)
-_BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
-_LONGEST = 60
-# pint would work 10**999999999 out: a number in a unit is the one digit of an exponent.
-_NO_UNIT = re.compile(
-    r"(?<![A-Za-z_0-9*^ -])\d|(?<![A-Za-z_0-9])\d[\d.eE_]|(?:\*\*|\^)[^*/]*(?:\*\*|\^)"
+# Units of the trade that pint has not.
+_DEFINED = {"psf": "pound_force / foot**2", "mmH2O": "kgf / meter**2"}
+_TEMPERATURE = re.compile(
+    r"(?:deg(?:ree)?s?[ _]?|° ?)?(?P<letter>[cfrk])(?:elsius|ahrenheit|ankine|elvins?)?",
+    re.IGNORECASE,
 )
+_WORDED = re.compile(
+    r"(?P<unit>.+?)[\s_]*[\s_(\[](?:(?P<absolute>a|abs|absolute)|g|ga|gage|gauge|d|diff)[)\]]?",
+    re.IGNORECASE,
+)
+_LETTERED = re.compile(r"(?P<unit>psi|psf|m?bar|[kMh]?Pa)(?:(?P<absolute>a)|g|d)", re.IGNORECASE)
+_BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
+# pint works numbers out, however large: one digit in an exponent is all that a unit has of them.
+_PLAIN = re.compile(r"(?!.*\d\d)(?!.*(\*\*|\^).*(\*\*|\^))[^\d].{0,39}")
 
 
 @dataclass(frozen=True)
@@ -130,15 +70,67 @@ class Conversion:
     offset: float = 0.0
 
     def to_si(self, values: FloatArray) -> FloatArray:
-        """Return values in SI; unchanged to the last bit where they are in it already.
-
-        What is too large for a double there is infinite.
-        """
-        # Whoever converts readings looks for those that are not finite, and says where they are.
+        """Return values in SI; what is too large for a double there is infinite."""
         with np.errstate(over="ignore"):
-            if self.factor != 1.0:
-                values = values * self.factor
-            return values + self.offset if self.offset != 0.0 else values
+            return np.asarray(values * self.factor + self.offset)
+
+
+def conversion_to_si(
+    unit: str, kind: str, where: str, reference_Pa: float | None = None
+) -> Conversion:
+    """Return what turns readings into absolute pascals, kelvins, seconds or counts.
+
+    Parameters
+    ----------
+    unit : str
+        A unit that pint knows or the trade writes; a pressure with or without "a", "g", "abs",
+        "gauge".
+    kind : str
+        ``"pressure"``, ``"temperature"`` (no difference of them), ``"time"`` or ``"count"``.
+    where : str
+        What to call the unit in an error; empty for the keys ``unit`` and ``reference_Pa``.
+    reference_Pa : float, optional
+        Absolute pressure of a reading of zero; only a pressure that names itself absolute needs
+        none.
+
+    Raises
+    ------
+    InputError
+        When the unit is of another kind, or it is open what a pressure is taken against.
+    """
+    if kind == COUNT:
+        return Conversion()
+    plain, reference = _split_reference(unit) if kind == "pressure" else (unit, "")
+    known = _to_si(plain.strip(), kind)
+    if known is None:
+        expected = f"a unit of {kind}, such as {_COMMON[kind]}"
+        raise InputError(where or "unit", expected=expected, found=f'"{unit[:60]}"')
+    if kind != "pressure" or (reference == "absolute" and not reference_Pa):
+        return Conversion(*known)
+    if reference == "absolute":
+        expected = f'none beside the unit "{unit}", which is absolute'
+    elif reference_Pa is None:
+        expected = f'the absolute pressure, in Pa, that a reading of 0 "{unit}" stands for'
+    elif reference == "gauge" and reference_Pa == 0.0:
+        expected = f'the pressure that readings in "{unit}" are taken against'
+    else:
+        return Conversion(known[0], reference_Pa)
+    raise InputError(
+        where or "reference_Pa",
+        expected=expected,
+        found="nothing" if reference_Pa is None else f"{reference_Pa:g}",
+        remedy=f'write "{plain} abs" as the unit of absolute readings, the barometer as the '
+        "reference of gauge readings",
+    )
+
+
+def kind_of_unit(unit: str) -> str:
+    """Return ``"count"``, ``"pressure"``, ``"temperature"``, ``"time"``, or nothing for others."""
+    if unit.strip().lower() in _COUNT_WORDS:
+        return COUNT
+    plain, _ = _split_reference(unit)
+    kinds = (("pressure", plain), ("temperature", unit), ("time", unit))
+    return next((kind for kind, name in kinds if _to_si(name.strip(), kind) is not None), "")
 
 
 def pressure_reference(unit: str) -> str:
@@ -152,117 +144,10 @@ def pressure_reference(unit: str) -> str:
     Returns
     -------
     str
-        ``"absolute"``, ``"gauge"``, ``"differential"``, or ``""`` where the name leaves it open.
+        ``"absolute"``; ``"gauge"``, also for a differential reading; ``""`` where the name leaves
+        it open.
     """
     return _split_reference(unit)[1]
-
-
-def pressure_conversion(unit: str, where: str, reference_Pa: float | None = None) -> Conversion:
-    """Return what turns readings of a pressure into absolute pascals.
-
-    Parameters
-    ----------
-    unit : str
-        Any unit of pressure, with or without "a", "g", "abs", "gauge".
-    where : str
-        What to call it in an error.
-    reference_Pa : float, optional
-        Absolute pressure of a reading of zero; only a unit that names itself absolute needs none.
-
-    Raises
-    ------
-    InputError
-        When the unit is no unit of pressure, or it is open what its readings are taken against.
-    """
-    plain, reference = _split_reference(unit)
-    factor, _ = _parsed(plain, "pressure", f"{where} unit", unit)
-    if reference == _ABSOLUTE:
-        if reference_Pa:
-            raise InputError(
-                f"{where} reference_Pa",
-                expected=f'none beside the unit "{unit}", which is absolute',
-                found=f"{reference_Pa:g}",
-                remedy=f'write "{plain}" if its readings are taken against that pressure',
-            )
-        return Conversion(factor)
-    if reference_Pa is None:
-        raise InputError(
-            f"{where} reference_Pa",
-            expected=f'the absolute pressure, in Pa, that a reading of 0 "{unit}" stands for',
-            found="nothing",
-            remedy="the barometer for a gauge reading"
-            + (f'; 0, or the unit "{_absolute(plain)}", for an absolute one' * (not reference)),
-        )
-    if reference == _GAUGE and reference_Pa == 0.0:
-        raise InputError(
-            f"{where} reference_Pa",
-            expected=f'the pressure that readings in "{unit}" are taken against',
-            found="0",
-            remedy=f'write "{_absolute(plain)}" if they are absolute',
-        )
-    return Conversion(factor, reference_Pa)
-
-
-def temperature_conversion(unit: str, where: str) -> Conversion:
-    """Return what turns a temperature into kelvins.
-
-    Parameters
-    ----------
-    unit : str
-        K, degC, degF, degR or a unit that pint knows; no difference of temperatures.
-    where : str
-        What to call it in an error.
-
-    Raises
-    ------
-    InputError
-        When the unit is none of temperature, or one of differences only.
-    """
-    return Conversion(*_parsed(unit, "temperature", f"{where} unit", unit))
-
-
-def time_conversion(unit: str, where: str) -> Conversion:
-    """Return what turns a time into seconds.
-
-    Parameters
-    ----------
-    unit : str
-        s, ms, us, min or a unit that pint knows.
-    where : str
-        What to call it in an error.
-
-    Raises
-    ------
-    InputError
-        When the unit is none of time.
-    """
-    return Conversion(*_parsed(unit, "time", where, unit))
-
-
-def is_count(unit: str) -> bool:
-    """Tell whether a label stands for the bare codes of a converter."""
-    return unit.strip().lower() in _COUNT_WORDS
-
-
-def states_a_unit(label: str) -> bool:
-    """Tell whether a label of a file says anything: forms leave "-" or "n/a" where they do not."""
-    return label.strip().lower() not in _NO_STATEMENT
-
-
-def is_unit_label(text: str) -> bool:
-    """Tell whether a text is a unit, or what is written where there is none."""
-    return not states_a_unit(text) or bool(kind_of_unit(text)) or _is_any_unit(text)
-
-
-def kind_of_unit(unit: str) -> str:
-    """Return ``"count"``, ``"pressure"``, ``"temperature"``, ``"time"``, or nothing for others."""
-    if is_count(unit):
-        return COUNT
-    plain, _ = _split_reference(unit)
-    for kind, name in (("pressure", plain), ("temperature", unit), ("time", unit)):
-        if _factor_and_offset(name.strip(), kind) is not None:
-            return kind
-    return ""
 
 
 def unit_in_brackets(name: str) -> str:
@@ -280,55 +165,33 @@ def unit_in_brackets(name: str) -> str:
     """
     match = _BRACKETED.search(name)
     unit = match["unit"].strip() if match is not None else ""
-    if len(unit) == 1 and unit != "s" and not name.lower().startswith("t"):
-        # "P25 (C)" names a rake; no unit of pressure has one letter.
-        return ""
-    return unit if unit and kind_of_unit(unit) else ""
+    is_rake = len(unit) == 1 and unit != "s" and not name.lower().startswith("t")
+    return unit if unit and not is_rake and kind_of_unit(unit) else ""
 
 
-def _is_any_unit(text: str) -> bool:
-    if text.strip() in _DIMENSIONLESS:
-        return text.strip() != "1"
-    if not _is_harmless(text):
-        return False
-    try:
-        _registry().parse_units(text)
-    except Exception:
-        # pint raises whatever its parser stumbles over.
-        return False
-    # The words of Python's floats are prefixed units to pint.
-    return text.strip().lower() not in ("nan", "inf", "infinity")
-
-
-def same_unit(one: str, other: str, kind: str, reference_Pa: float | None = None) -> bool:
-    """Tell whether what a file states is what test.toml says.
+def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:
+    """Return whether what a file states is what test.toml says.
 
     Parameters
     ----------
     one : str
-        Label of the file.
+        Label of the file; one that states nothing ("-", "n/a") contradicts nothing.
     other : str
         Unit of test.toml.
-    kind : str
-        ``"pressure"``, ``"temperature"`` or ``"time"``.
     reference_Pa : float, optional
         What test.toml takes a pressure against: 0 contradicts a file that says gauge, another
         value one that says absolute.
     """
-    if is_count(one) or is_count(other):
-        dimensionless = one.strip().lower() in _DIMENSIONLESS
-        return (is_count(one) or dimensionless) and is_count(other)
-    plain, reference = _split_reference(one) if kind == "pressure" else (one, "")
-    plain_other, reference_other = _split_reference(other) if kind == "pressure" else (other, "")
-    try:
-        if _parsed(plain, kind, "", one) != _parsed(plain_other, kind, "", other):
-            return False
-    except InputError:
+    kind = kind_of_unit(other)
+    if one.strip().lower() in _NO_STATEMENT or kind == COUNT == kind_of_unit(one):
+        return True
+    if kind != "pressure":
+        return kind in _SI and _to_si(one.strip(), kind) == _to_si(other.strip(), kind)
+    (plain, reference), (plain_other, reference_other) = map(_split_reference, (one, other))
+    if _to_si(plain, kind) != _to_si(plain_other, kind):
         return False
-    taken_absolute = reference_other == _ABSOLUTE or reference_Pa == 0.0
-    if reference == _ABSOLUTE:
-        return taken_absolute
-    return not (reference and taken_absolute)
+    is_absolute = reference_other == "absolute" or reference_Pa == 0.0
+    return not reference or (reference == "absolute") == is_absolute
 
 
 def quantity_in(text: str, kind: str, where: str) -> float:
@@ -349,79 +212,40 @@ def quantity_in(text: str, kind: str, where: str) -> float:
         When it is something else.
     """
     number, _, unit = text.strip().partition(" ")
-    example = "7.98 psia" if kind == "pressure" else "-0.67 degF"
-    expected = f'a number, or a number with a unit of {kind} as in "{example}"'
     try:
-        value = float(number)
+        return float(conversion_to_si(unit, kind, where).to_si(np.asarray(float(number))))
     except ValueError:
+        example = '"7.98 psia"' if kind == "pressure" else '"-0.67 degF"'
+        an = "an absolute" if kind == "pressure" else "a"
+        expected = f"a number, or {an} {kind} with its unit as in {example}"
         raise InputError(where, expected=expected, found=repr(text)) from None
-    plain, reference = _split_reference(unit) if kind == "pressure" else (unit, "")
-    factor_and_offset = _factor_and_offset(plain, kind)
-    if factor_and_offset is None:
-        raise InputError(where, expected=expected, found=repr(text))
-    if kind == "pressure" and reference != _ABSOLUTE:
-        raise InputError(
-            where,
-            expected="an absolute pressure",
-            found=repr(text),
-            remedy=f'write "{number} {_absolute(plain)}" if it is one',
-        )
-    factor, offset = factor_and_offset
-    return value * factor + offset
 
 
 def _split_reference(unit: str) -> tuple[str, str]:
     """Return a unit of pressure without its "a" or "gauge", and what that stood for."""
-    text = unit.strip()
-    if len(text) > _LONGEST:
-        # No unit, and the time that a match takes grows with the square of its length.
+    # The time that a match takes grows with the square of the length.
+    text = unit.strip()[:60]
+    match = _LETTERED.fullmatch(text) or _WORDED.fullmatch(text)
+    if match is None:
         return text, ""
-    for pattern in (_LETTERED, _WORDED):
-        match = pattern.match(text)
-        if match is not None and match["word"].lower() in _REFERENCES:
-            return match["unit"].strip(), _REFERENCES[match["word"].lower()]
-    return text, ""
-
-
-def _absolute(plain: str) -> str:
-    return f"{plain}a" if _LETTERED.match(f"{plain}a") else f"{plain} abs"
-
-
-def _is_harmless(name: str) -> bool:
-    return bool(name) and len(name) <= _LONGEST and not _NO_UNIT.search(name)
+    return match["unit"].strip(), "absolute" if match["absolute"] else "gauge"
 
 
 @cache
 def _registry() -> Any:
     import pint
 
-    # Without a cache folder nothing is written to the user's disk.
     return pint.UnitRegistry(non_int_type=Fraction, cache_folder=None)
-
-
-def _parsed(plain: str, kind: str, where: str, shown: str) -> tuple[float, float]:
-    """Return factor and offset of a unit of one kind, or refuse it."""
-    known = _factor_and_offset(plain, kind)
-    if known is None:
-        folded = {name.lower(): name for name in _COMMON[kind]}
-        near = get_close_matches(plain.lower(), folded, 1)
-        raise InputError(
-            where,
-            expected=f"a unit of {kind}, such as " + ", ".join(_COMMON[kind]),
-            found=f'"{shown[:_LONGEST]}"',
-            remedy=f"is '{folded[near[0]]}' meant?" if near else "",
-        )
-    return known
 
 
 # A file may label any number of columns, each in another way.
 @lru_cache(maxsize=1024)
-def _factor_and_offset(plain: str, kind: str) -> tuple[float, float] | None:
-    """Return what turns readings into SI, as pint's definitions have it; None for another unit."""
-    name = _SPELLINGS[kind].get(plain.lower(), plain)
-    if (kind, name) in _EXACT:
-        return float(_EXACT[kind, name]), 0.0
-    if not _is_harmless(name):
+def _to_si(plain: str, kind: str) -> tuple[float, float] | None:
+    """Return factor and offset to SI, as pint's definitions have it; None for another unit."""
+    name = _pint_name(plain, kind)
+    if name == _SI[kind]:
+        return 1.0, 0.0
+    if not _PLAIN.fullmatch(name):
         return None
     registry = _registry()
     try:
@@ -434,3 +258,17 @@ def _factor_and_offset(plain: str, kind: str) -> tuple[float, float] | None:
     except Exception:
         # pint raises whatever its parser stumbles over, and cannot even print some of it.
         return None
+
+
+def _pint_name(plain: str, kind: str) -> str:
+    """Return pint's name of a unit that the trade spells in its own way."""
+    match = _TEMPERATURE.fullmatch(plain) if kind == "temperature" else None
+    if match is not None:
+        # Alone, R is pint's gas constant, C its coulomb, F its farad.
+        letter = match["letter"].upper()
+        return "K" if letter == "K" else f"deg{letter}"
+    # Capitals are no matter but between MPa and mPa.
+    common = {name.lower(): name for name in _COMMON[kind].split(", ") if name != "MPa"}
+    name = common.get(re.sub(r"[\s.]", "", plain).lower(), plain)
+    # lbf/in2 is lbf/in^2.
+    return _DEFINED.get(name, re.sub(r"(?<=[A-Za-z])2\b", "^2", name))

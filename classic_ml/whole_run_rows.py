@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.filters import period_average
 from classic_ml.series import CoefficientSeries
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = [
     "WholeRunRows",
@@ -25,11 +24,7 @@ __all__ = [
 
 # Where the line of the unstalled branch is levelled, the same for all records of a fit.
 UNSTALLED_PHI = 0.25
-# The slowest cells that turn, some 10 Hz: a longer average would be one over surge itself.
-LONGEST_AVERAGE_S = 0.1
-# A filtered signal and its original agree to 0.9 and more, even under strong stall cells.
-LEAST_LIKENESS = 0.5
-# Width of the average that tells the reversed flow behind the loss term, in seconds.
+# Width of the average that finds the reversed flow behind the loss term, in seconds.
 LOSS_AVERAGE_S = 0.005
 # Below this share of the in-stall rows in forward flow the record is one blowdown after another.
 LEAST_SCORED_SHARE = 0.15
@@ -69,7 +64,12 @@ class WholeRunRows:
     in_stall_rows: int
 
     @property
-    def cycle(self) -> NDArray[np.int64]:
+    def scored_phi(self) -> FloatArray:
+        """Averaged φ of the rows that are scored: where a fit to them knows the curve."""
+        return np.asarray(self.phi[self.weight > 0.0])
+
+    @property
+    def cycle(self) -> IntArray:
         """Number of the surge cycle of each row: from one entry into stall to the next."""
         # The first nuisance is the averaged state: 1 where unstalled.
         stalled = self.nuisance[:, 0] < 0.5
@@ -78,15 +78,10 @@ class WholeRunRows:
 
 
 def has_whole_run(series: CoefficientSeries) -> bool:
-    """Tell whether a series carries the unfiltered columns that a whole-run fit needs."""
-    return (
-        series.phi_unfiltered is not None
-        and series.psi_p_unfiltered is not None
-        and series.stalled is not None
-        and series.free_run is not None
-        and bool(np.any(series.free_run == 2))
-        and _average_s(series) is not None
-    )
+    """Return whether a series carries the unfiltered columns that a whole-run fit needs."""
+    scored = series.free_run is not None and bool(np.any(series.free_run == 2))
+    columns = (series.phi_unfiltered, series.psi_p_unfiltered, series.stalled)
+    return scored and all(c is not None for c in columns) and _average_s(series) is not None
 
 
 def whole_run_rows(
@@ -116,25 +111,22 @@ def whole_run_rows(
     """
     period_s = _average_s(series)
     phi, psi_p = series.phi_unfiltered, series.psi_p_unfiltered
-    if phi is None or psi_p is None or series.stalled is None or series.free_run is None:
+    stalled_rows, free_run = series.stalled, series.free_run
+    if phi is None or psi_p is None or stalled_rows is None or free_run is None or not period_s:
         raise InputError(
             series.source,
-            expected="the columns phi_unfiltered, psi_p_unfiltered, stalled and free_run",
+            expected="the columns phi_unfiltered, psi_p_unfiltered, stalled and free_run, and a "
+            "ledger with the entry 'free run'",
             found="a series without them",
             remedy="reduce the raw record with `sindy-surge reduce`",
         )
-    if period_s is None:
-        raise InputError(
-            series.source, expected="a ledger with the entry 'free run'", found="none beside it"
-        )
     rate = series.sample_rate_hz
-    stalled = series.stalled.astype(np.float64)
+    stalled = stalled_rows.astype(np.float64)
 
     def average(values: FloatArray) -> FloatArray:
         return period_average(values, period_s, rate)
 
-    inside = series.free_run > 0
-    _check_alike(series, inside)
+    inside = free_run > 0
     values = np.vander(phi, degree + 1, increasing=True) if terms is None else terms(phi)
     other = [average(1.0 - stalled), average((1.0 - stalled) * (phi - UNSTALLED_PHI))]
     smooth = period_average(phi, LOSS_AVERAGE_S, rate)
@@ -147,9 +139,9 @@ def whole_run_rows(
         np.column_stack([average(stalled * value) for value in values.T])[inside],
         np.column_stack(nuisance)[inside],
         average(psi_p)[inside],
-        (series.free_run[inside] == 2).astype(np.float64),
+        (free_run[inside] == 2).astype(np.float64),
         series.time_s[inside],
-        int(np.count_nonzero(inside & series.stalled)),
+        int(np.count_nonzero(inside & stalled_rows)),
     )
 
 
@@ -192,7 +184,7 @@ def is_blowdown(rows: Sequence[WholeRunRows]) -> bool:
 
 def stacked_rows(
     rows: Sequence[WholeRunRows],
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Return the runs one behind the other.
 
     Parameters
@@ -232,35 +224,6 @@ def moving_columns(inputs: FloatArray, n_terms: int) -> tuple[int, ...]:
 
 
 def _average_s(series: CoefficientSeries) -> float | None:
-    for entry in reversed(series.history):
-        if entry.step == "free run" and "average_s" in entry.parameters:
-            return _checked_average_s(series, entry.parameters["average_s"])
-    return None
-
-
-def _checked_average_s(series: CoefficientSeries, found: object) -> float:
-    low, high = 2.0 * series.sample_period_s, LONGEST_AVERAGE_S
-    if isinstance(found, int | float) and not isinstance(found, bool) and low <= found <= high:
-        return float(found)
-    raise InputError(
-        f"{series.source}: ledger, step 'free run', average_s",
-        expected=f"a number of seconds from {low:g} to {high:g}",
-        found=repr(found),
-        remedy="reduce the record again",
-    )
-
-
-def _check_alike(series: CoefficientSeries, inside: NDArray[np.bool_]) -> None:
-    """Refuse unfiltered columns that are not those of the filtered ones beside them."""
-    for name in ("phi", "psi_p"):
-        filtered, plain = (
-            getattr(series, name)[inside],
-            getattr(series, f"{name}_unfiltered")[inside],
-        )
-        if np.ptp(plain) == 0.0 or np.corrcoef(filtered, plain)[0, 1] < LEAST_LIKENESS:
-            raise InputError(
-                f"{series.source}: column {name}_unfiltered",
-                expected=f"the signal that {name} was filtered from",
-                found="another one",
-                remedy="reduce the record again",
-            )
+    """Return what the free run is averaged over as the ledger says, None where it does not."""
+    stated = [e.parameters.get("average_s") for e in series.history if e.step == "free run"]
+    return float(stated[-1]) if stated and stated[-1] is not None else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,22 +20,13 @@ __all__ = [
     "discover_surge_model",
 ]
 
-_HOMES = {
-    "FitState": "surge_core.fit_state",
-    "InputError": "surge_core.errors",
-    "LoopState": "sindy_surge.closed_loop",
-    "SparseLagRegressor": "sindy_surge.regressor",
-    "SurgeModel": "sindy_surge.closed_loop",
-    "discover_surge_model": "sindy_surge.closed_loop",
-}
-
 
 def __getattr__(name: str) -> Any:
     # scikit-learn takes half a second to import; a command that only prints its help need not.
-    if name in _HOMES:
-        from importlib import import_module
-
-        return getattr(import_module(_HOMES[name]), name)
+    homes = {"FitState": "surge_core.fit_state", "InputError": "surge_core.errors"}
+    homes["SparseLagRegressor"] = "sindy_surge.regressor"
+    if name in __all__:
+        return getattr(import_module(homes.get(name, "sindy_surge.closed_loop")), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

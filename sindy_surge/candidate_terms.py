@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sindy_surge.library import default_library, hinge_name
-from sindy_surge.library_adapters import evaluated, fitted_library, term_names
 from sindy_surge.linear_problem import least_squares
-from sindy_surge.state_terms import ProductStateTerms, StateTerms, state_terms
+from sindy_surge.state_terms import ProductStateTerms
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["CandidateTerms", "aliases_of", "independent_columns", "polynomial_degree"]
+
+# With more inputs their products with ψ' would be most of the library.
+_MOST_INPUTS_WITH_STATE = 2
 
 
 class CandidateTerms:
@@ -32,10 +34,8 @@ class CandidateTerms:
         Name of each input, used in the names of the terms.
     degree, knots
         See `default_library`; unused with a library of one's own.
-    psi_terms : bool or library
-        See `sindy_surge.state_terms.state_terms`; without `psi_p` there are none.
     psi_p : ndarray of shape (n_rows,) or None
-        ψ' at the rows of `X`.
+        ψ' at the rows of `X`, for terms that hold it (with one or two inputs); None for none.
     output_name : str
         Name of ψ'.
     """
@@ -48,42 +48,33 @@ class CandidateTerms:
         *,
         degree: int = 5,
         knots: ArrayLike | None = None,
-        psi_terms: Any = False,
         psi_p: FloatArray | None = None,
         output_name: str = "psi_p",
     ) -> None:
         chosen = default_library(X, degree=degree, knots=knots) if library is None else library
-        self._library = fitted_library(copy.deepcopy(chosen), X, "library")
-        n_terms = evaluated(self._library, X[:1], strict=False).shape[1]
+        self._library = _fitted(copy.deepcopy(chosen), X)
+        n_terms = self._of_inputs(X[:1], strict=False).shape[1]
         self.input_names = tuple(input_names)
-        self._own_names = term_names(self._library, input_names, n_terms)
-        if output_name in input_names:
-            raise InputError(
-                "output_name",
-                expected=f"a name of its own beside the inputs {', '.join(input_names)}",
-                found=repr(output_name),
-                remedy="rename the column, or give another `output_name`",
-            )
-        double = [n for i, n in enumerate(self._own_names) if n in self._own_names[:i]]
+        self._own_names = _term_names(self._library, input_names, n_terms)
+        self._extra: tuple[float, ...] = ()
+        self.states: ProductStateTerms | None = None
+        if psi_p is not None and len(input_names) <= _MOST_INPUTS_WITH_STATE:
+            self.states = ProductStateTerms.of(psi_p, input_names, output_name, self._own_names)
+        double = [n for n in self._own_names if self._own_names.count(n) > 1]
+        double += [output_name] * (output_name in input_names)
         if double:
             raise InputError(
                 "library",
-                expected="a name of its own for every term",
+                expected="a name of its own for every term, input and output",
                 found=f"{double[0]!r} twice",
-                remedy="rename the term or the column",
+                remedy="rename the term or the column, or give another `output_name`",
             )
-        self._extra: tuple[float, ...] = ()
-        self.states: StateTerms | None = (
-            None
-            if psi_p is None
-            else state_terms(psi_terms, X, psi_p, input_names, output_name, self._own_names)
-        )
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all terms; those that hold ψ' come last."""
         extra = tuple(hinge_name(self.input_names[0], knot) for knot in self._extra)
-        return self._own_names + extra + (() if self.states is None else tuple(self.states.names))
+        return self._own_names + extra + (() if self.states is None else self.states.names)
 
     @property
     def n_without_state(self) -> int:
@@ -92,10 +83,8 @@ class CandidateTerms:
 
     def physical(self) -> CandidateTerms:
         """Return the library with terms in ψ' itself, as their names say."""
-        if not isinstance(self.states, ProductStateTerms):
-            return self
         plain = copy.copy(self)
-        plain.states = self.states.physical()
+        plain.states = None if self.states is None else self.states.physical()
         return plain
 
     def with_hinges(self, knots: Sequence[float]) -> CandidateTerms:
@@ -112,7 +101,7 @@ class CandidateTerms:
         *,
         strict: bool = True,
     ) -> FloatArray:
-        """Evaluate terms.
+        """Evaluate terms in physical units.
 
         Parameters
         ----------
@@ -122,24 +111,21 @@ class CandidateTerms:
             ψ' at the same rows; needed for the terms that hold it.
         wanted : sequence of int or None
             Positions of the terms, rising; None takes all, without ψ' all that do not hold it.
+        strict : bool
+            Refuse a term that is not finite somewhere (InputError).
 
         Returns
         -------
         ndarray of shape (n_rows, n_wanted)
-            The terms in physical units.
-
-        Raises
-        ------
-        InputError
-            If a term is not finite somewhere.
+            The terms.
         """
         own, edge = len(self._own_names), self.n_without_state
         if wanted is None:
             wanted = range(edge if psi_p is None else len(self.names))
-        parts = []
+        parts: list[FloatArray] = []
         inputs_alone = [i for i in wanted if i < own]
         if inputs_alone:
-            parts.append(evaluated(self._library, X, inputs_alone, self._own_names, strict=strict))
+            parts.append(self._of_inputs(X, inputs_alone, strict=strict))
         extra = [self._extra[i - own] for i in wanted if own <= i < edge]
         parts += [np.maximum(X[:, 0] - knot, 0.0)[:, None] for knot in extra]
         with_state = [i - edge for i in wanted if i >= edge]
@@ -148,6 +134,54 @@ class CandidateTerms:
         if not parts:
             return np.empty((X.shape[0], 0))
         return parts[0] if len(parts) == 1 else np.asfortranarray(np.hstack(parts))
+
+    def _of_inputs(
+        self, X: FloatArray, wanted: Sequence[int] | None = None, *, strict: bool = True
+    ) -> FloatArray:
+        """Evaluate terms of the library as a plain array."""
+        # A plain float array: pysindy hands back its own subclass, slow in everything after.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if wanted is not None and hasattr(self._library, "columns_at"):
+                values = self._library.columns_at(X, wanted)
+            else:
+                values = self._library.transform(X)
+                values = np.array(values, dtype=np.float64, order="F", subok=False)
+                values = values if wanted is None else values[:, list(wanted)]
+        bad = np.argwhere(~np.isfinite(values)) if strict else np.empty((0, 2))
+        if bad.size:
+            row, column = bad[0].tolist()
+            position = column if wanted is None else wanted[column]
+            raise InputError(
+                "library",
+                expected="finite terms over the whole range of the data",
+                found=f"an infinite or NaN value of {self._own_names[position]!r}, "
+                f"first at inputs {np.round(X[row], 6).tolist()}",
+                remedy="leave that term out, or restrict the range",
+            )
+        result: FloatArray = values
+        return result
+
+
+def _fitted(library: Any, X: FloatArray) -> Any:
+    """Fit a library, or refuse what is none."""
+    if not (hasattr(library, "fit") and hasattr(library, "transform")):
+        raise InputError(
+            "library",
+            expected="a pysindy feature library or a scikit-learn transformer",
+            found=type(library).__name__,
+        )
+    return library.fit(X)
+
+
+def _term_names(library: Any, input_names: list[str], n_terms: int) -> tuple[str, ...]:
+    if hasattr(library, "get_feature_names"):
+        names = library.get_feature_names(input_names)
+    elif hasattr(library, "get_feature_names_out"):
+        names = library.get_feature_names_out(np.asarray(input_names, dtype=object))
+    else:
+        names = [f"s{i}" for i in range(n_terms)]
+    # pysindy and scikit-learn write a product as "a b".
+    return tuple(str(name) for name in names)
 
 
 def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[np.intp]:
@@ -205,26 +239,21 @@ def _written_sum(parts: Sequence[tuple[float, str]]) -> str:
     text = ""
     for factor, name in parts:
         size = f"{abs(factor):.6g}"
-        body = name if size == "1" else (size if name == "1" else f"{size} {name}")
-        sign = "-" if factor < 0 else "+"
-        text += f" {sign} {body}" if text else ("-" if factor < 0 else "") + body
+        body = name if size == "1" else f"{size} {name}".removesuffix(" 1")
+        glue = (" - " if text else "-") if factor < 0 else (" + " if text else "")
+        text += glue + body
     return text or "0"
 
 
 def polynomial_degree(name: str, input_names: Sequence[str]) -> int | None:
-    """Return the total degree of a term, or None if it is no power or product of the inputs.
+    """Return the total degree of a term, e.g. 3 of ``x0 x1^2``; None if it is no such product.
 
     Parameters
     ----------
     name : str
-        Name of the term, e.g. ``1``, ``phi^2`` or ``x0 x1^2``.
+        Name of the term.
     input_names : sequence of str
         Names of the inputs.
-
-    Returns
-    -------
-    int or None
-        Sum of the exponents; 0 for ``1``.
     """
     if name == "1":
         return 0

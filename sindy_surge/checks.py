@@ -12,7 +12,7 @@ from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 from surge_core.validation import one_of, positive, whole_number
 
-__all__ = ["cautions_of", "check_parameters", "is_constant", "refuse_not_finite"]
+__all__ = ["cautions_of", "check_parameters", "is_constant"]
 
 
 # Below this gap of forward and reverse weak estimates noise does not matter: at 1 % of noise on
@@ -35,58 +35,15 @@ def check_parameters(estimator: Any) -> None:
     knots = estimator.knots
     if knots is not None and not np.all(np.isfinite(np.asarray(knots, dtype=float))):
         raise InputError("knots", expected="finite values of φ", found=repr(knots))
-    name = estimator.output_name
-    if not isinstance(name, str) or not name.isidentifier():
-        raise InputError(
-            "output_name", expected='a name such as "psi_p" or "psi"', found=repr(name)
-        )
     dead = estimator.dead_time_s
-    number = isinstance(dead, (int, float, np.number)) and not isinstance(dead, bool)
-    if dead not in ("auto", "fit") and not (number and np.isfinite(dead)):
+    if dead not in ("auto", "fit") and not (isinstance(dead, (int, float)) and np.isfinite(dead)):
         raise InputError(
             "dead_time_s", expected='a time in seconds, "auto" or "fit"', found=repr(dead)
         )
 
 
-def refuse_not_finite(X: Any, y: Any) -> None:
-    """Name the first row that holds NaN or an infinite value.
-
-    Raises
-    ------
-    InputError
-        If a value is not finite.
-    """
-    for name, data in (("X (φ)", X), ("y (ψ')", y)):
-        if data is None or hasattr(data, "toarray"):
-            continue
-        values = np.asarray(data)
-        if values.dtype.kind != "f":
-            continue
-        bad = ~np.isfinite(values)
-        if bad.any():
-            row = int(np.argwhere(bad)[0][0])
-            first = "NaN" if np.isnan(values[bad][0]) else "inf (infinity)"
-            raise InputError(
-                name,
-                expected="finite values",
-                found=f"{first} in row {row} ({int(bad.sum())} such values in all)",
-                remedy="leave those rows out and number the `segments` again behind each",
-            )
-
-
 def is_constant(values: FloatArray) -> bool:
-    """Return whether no column changes.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows, n_columns)
-        Signals.
-
-    Returns
-    -------
-    bool
-        True if all spreads are rounding.
-    """
+    """Return whether no column (n_rows, n_columns) changes but for rounding."""
     spread = np.ptp(values, axis=0)
     return bool(np.all(spread <= 1e-12 * np.maximum(np.abs(values).max(axis=0), 1e-300)))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -33,18 +32,7 @@ class Constraints:
     signs: FloatArray
 
     def allow(self, support: Sequence[int], coefficients: FloatArray) -> bool:
-        """Return whether the coefficients of a structure have the signs asked for.
-
-        Parameters
-        ----------
-        coefficients : ndarray of shape (n_support,)
-            Their coefficients.
-
-        Returns
-        -------
-        bool
-            True if no sign is wrong.
-        """
+        """Return whether the coefficients of a structure have the signs asked for."""
         return bool(np.all(self.signs[list(support)] * coefficients >= 0.0))
 
 
@@ -58,53 +46,47 @@ def constraints_of(
     wishes : mapping of str to str, or None
         For the name of a term one or two of "required", "forbidden", "positive", "negative",
         separated by a space.
+    names : sequence of str
+        Names of all terms.
+    usable : ndarray of int
+        Positions of those that the data can separate.
+
+    Returns
+    -------
+    columns : ndarray of int
+        The usable terms without the forbidden ones.
+    constraints : Constraints
+        By position among these.
 
     Raises
     ------
     InputError
         For an unknown term or word, a contradiction, or a required term that the data cannot
-        tell from others.
+        separate from others.
     """
-    asked = {} if wishes is None else _asked(wishes, names)
+    asked = {name: set(str(text).split()) for name, text in dict(wishes or {}).items()}
+    for name, words in asked.items():
+        clash = {"required", "forbidden"} <= words or {"positive", "negative"} <= words
+        if name not in names or not words or not words <= set(_WORDS) or clash:
+            raise InputError(
+                f"constraints[{name!r}]",
+                expected=f"for a term among {', '.join(names)} one of {', '.join(_WORDS)}, or two "
+                "that agree",
+                found=" ".join(sorted(words)) or "nothing",
+            )
     forbidden = {names.index(name) for name, words in asked.items() if "forbidden" in words}
     columns = np.array([i for i in usable if int(i) not in forbidden], dtype=np.intp)
     position = {names[int(i)]: number for number, i in enumerate(columns)}
     required, signs = [], np.zeros(columns.size)
     for name, words in asked.items():
-        if "required" in words:
-            if name not in position:
-                raise InputError(
-                    "constraints",
-                    expected=f"{name!r} to be separable from the other terms by the data",
-                    found="a term that is zero or a sum of others over this record",
-                    remedy="forbid one of those, or leave the requirement out",
-                )
-            required.append(position[name])
         if name in position:
+            required += [position[name]] * ("required" in words)
             signs[position[name]] = ("positive" in words) - float("negative" in words)
+        elif "required" in words:
+            raise InputError(
+                "constraints",
+                expected=f"{name!r} to be separable from the other terms by the data",
+                found="a term that is zero or a sum of others over this record",
+                remedy="forbid one of those, or leave the requirement out",
+            )
     return columns, Constraints(tuple(sorted(required)), signs)
-
-
-def _asked(wishes: Mapping[str, str], names: Sequence[str]) -> dict[str, set[str]]:
-    if not isinstance(wishes, Mapping):
-        raise InputError(
-            "constraints",
-            expected='a mapping such as {"phi^2": "negative", "1": "required"}',
-            found=type(wishes).__name__,
-        )
-    asked: dict[str, set[str]] = {}
-    for name, text in wishes.items():
-        if name not in names:
-            raise InputError(
-                "constraints", expected=f"a term among {', '.join(names)}", found=repr(name)
-            )
-        words: Any = set(text.split()) if isinstance(text, str) else {repr(text)}
-        clash = {"required", "forbidden"} <= words or {"positive", "negative"} <= words
-        if not words or not words <= set(_WORDS) or clash:
-            raise InputError(
-                f"constraints[{name!r}]",
-                expected=f"one of {', '.join(_WORDS)}, or two that agree",
-                found=repr(text),
-            )
-        asked[name] = words
-    return asked

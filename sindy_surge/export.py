@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import keyword
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,7 @@ __all__ = ["RateFunction", "TermValues", "python_source"]
 TermValues = Callable[[FloatArray, FloatArray], FloatArray]
 
 # Names the written module needs for itself.
-_RESERVED = {"numpy", "characteristic", "rate", "right_side", "gap", "slope"}
+_RESERVED = FUNCTIONS | {"numpy", "characteristic", "rate", "right_side", "gap", "slope"}
 # A knot is named with 12 digits; a term that is something else differs by far more.
 _SAME = 1e-9
 _PROBES = 64
@@ -46,25 +45,14 @@ class RateFunction:
     evaluate: TermValues
 
     def __call__(self, psi_p: ArrayLike, *inputs: ArrayLike) -> Any:
-        """Return dψ'/dt.
+        """Return dψ'/dt in 1/s, of the common shape of the arguments.
 
         Parameters
         ----------
         psi_p : float or array-like
             Pressure coefficient now.
         *inputs : float or array-like
-            φ, or every input in the order of the columns, the dead time `parts.dead_time_s` ago;
-            they broadcast with `psi_p`.
-
-        Returns
-        -------
-        float or ndarray
-            dψ'/dt in 1/s, of the common shape.
-
-        Raises
-        ------
-        InputError
-            If there is not one argument for each input.
+            φ, or every input in the order of the columns, the dead time `parts.dead_time_s` ago.
         """
         names = self.parts.input_names
         if len(inputs) != len(names):
@@ -116,8 +104,7 @@ def python_source(parts: EquationParts, evaluate: TermValues, feature_range: Flo
         def _print_Max(self, expr: sympy.Max) -> str:
             return f"numpy.maximum({', '.join(map(self._print, expr.args))})"
 
-    expressions = [formula(term, parts.names) for term in parts.terms]
-    _check(parts, expressions, evaluate, feature_range)
+    expressions = _checked(parts, evaluate, feature_range)
     codes = {name: _identifier(name, number) for number, name in enumerate(parts.names)}
     symbols = {symbol_of(name): sympy.Symbol(code, real=True) for name, code in codes.items()}
     state, inputs = codes[parts.output_name], ", ".join(codes[n] for n in parts.input_names)
@@ -125,32 +112,43 @@ def python_source(parts: EquationParts, evaluate: TermValues, feature_range: Flo
     total = "\n        + ".join(
         f"{value!r} * {printer.doprint(one.xreplace(symbols))}"
         for value, one in zip(parts.coef, expressions, strict=True)
-        if one is not None
     )
-    held = any(symbol_of(parts.output_name) in one.free_symbols for one in expressions if one)
-    lines = [
-        '"""Lag model tau dpsi\'/dt + psi\' = psi\'_QS; times in s, phi and psi\' without unit."""',
-        "\nimport numpy\n",
-        *(f"# The column {name!a} is called {c} here." for name, c in codes.items() if c != name),
-        f"TIME_CONSTANT_S = {_literal(parts.time_constant_s)}",
-        f"DEAD_TIME_S = {_literal(parts.dead_time_s)}",
-        f"\n\ndef right_side({state}, {inputs}):",
-        '    """Return the sum of the terms."""',
-        f"    return (\n        {total or '0.0'}\n        + 0.0 * {inputs.split(',')[0]}\n    )",
-        f"\n\ndef characteristic({inputs}):",
-        '    """Return the quasi-steady psi\'_QS: the psi\' at rest."""',
-        f"    {state} = right_side(0.0, {inputs})",
-        *(_NEWTON.format(state=state, inputs=inputs).splitlines() if held else ()),
-        f"    return {state}",
-    ]
-    if not parts.is_static:
-        lines += [
-            f"\n\ndef rate({state}, {inputs}):",
-            f'    """Return dpsi\'/dt in 1/s from {inputs} as of DEAD_TIME_S ago."""',
-            f"    return (right_side({state}, {inputs}) - {state}) / TIME_CONSTANT_S",
-        ]
-    return "\n".join(lines) + "\n"
+    held = any(symbol_of(parts.output_name) in one.free_symbols for one in expressions)
+    source = _MODULE.format(
+        tau="numpy.nan" if parts.is_static else repr(float(parts.time_constant_s)),
+        dead=repr(float(parts.dead_time_s)),
+        state=state,
+        inputs=inputs,
+        total=total or "0.0",
+        first=inputs.split(",")[0],
+    )
+    if held:
+        source += _NEWTON.format(state=state, inputs=inputs)
+    source += f"    return {state}\n"
+    return source if parts.is_static else source + _RATE.format(state=state, inputs=inputs)
 
+
+_MODULE = """\
+\"\"\"Lag model tau dpsi'/dt + psi' = psi'_QS; times in s, phi and psi' without unit.\"\"\"
+
+import numpy
+
+TIME_CONSTANT_S = {tau}
+DEAD_TIME_S = {dead}
+
+
+def right_side({state}, {inputs}):
+    \"\"\"Return the sum of the terms.\"\"\"
+    return (
+        {total}
+        + 0.0 * {first}
+    )
+
+
+def characteristic({inputs}):
+    \"\"\"Return the quasi-steady psi'_QS: the psi' at rest.\"\"\"
+    {state} = right_side(0.0, {inputs})
+"""
 
 # With terms in ψ' the state at rest is that of Newton's method from ψ' = 0; nan if there is none.
 _NEWTON = """\
@@ -159,45 +157,49 @@ _NEWTON = """\
         slope = right_side({state} + 1e-6, {inputs}) - right_side({state} - 1e-6, {inputs})
         {state} = {state} - gap / (slope / 2e-6 - 1.0)
     gap = right_side({state}, {inputs}) - {state}
-    {state} = numpy.where(numpy.abs(gap) < 1e-9 * (1.0 + numpy.abs({state})), {state}, numpy.nan)"""
+    {state} = numpy.where(numpy.abs(gap) < 1e-9 * (1.0 + numpy.abs({state})), {state}, numpy.nan)
+"""
+
+_RATE = """
+
+def rate({state}, {inputs}):
+    \"\"\"Return dpsi'/dt in 1/s from {inputs} as of DEAD_TIME_S ago.\"\"\"
+    return (right_side({state}, {inputs}) - {state}) / TIME_CONSTANT_S
+"""
 
 
 def _identifier(name: str, number: int) -> str:
-    taken = keyword.iskeyword(name) or name in _RESERVED | set(FUNCTIONS)
-    return name if name.isascii() and name.isidentifier() and not taken else f"x{number}"
+    usable = name.isascii() and name.isidentifier() and not keyword.iskeyword(name)
+    return name if usable and name not in _RESERVED else f"x{number}"
 
 
-def _literal(value: float) -> str:
-    return repr(float(value)) if math.isfinite(value) else f'float("{float(value)}")'
-
-
-def _check(
-    parts: EquationParts,
-    expressions: Sequence[sympy.Expr | None],
-    evaluate: TermValues,
-    feature_range: FloatArray,
-) -> None:
-    """Refuse a term whose name is no formula, or not that of its values over the range."""
+def _checked(
+    parts: EquationParts, evaluate: TermValues, feature_range: FloatArray
+) -> list[sympy.Expr]:
+    """Read the terms, and refuse one whose name does not say what its values are."""
     from sympy import lambdify
 
     rng = np.random.default_rng(0)
     low, high = np.asarray(feature_range, dtype=np.float64)
     inputs = low + (high - low) * rng.uniform(size=(_PROBES, low.size))
     psi_p = rng.uniform(-1.0, 1.0, _PROBES)
-    values = evaluate(inputs, psi_p)
-    for number, (term, one) in enumerate(zip(parts.terms, expressions, strict=True)):
-        found = "a name that cannot be written as code"
+    symbols = [symbol_of(name) for name in parts.names]
+    expressions = []
+    for term, values in zip(parts.terms, evaluate(inputs, psi_p).T, strict=True):
+        one = formula(term, parts.names)
         if one is not None:
             with np.errstate(all="ignore"):
-                written = lambdify([symbol_of(n) for n in parts.names], one)(*inputs.T, psi_p)
-            scale = float(np.max(np.abs(values[:, number]), initial=1e-300))
-            if np.all(np.abs(written - values[:, number]) <= _SAME * scale):
+                written = lambdify(symbols, one)(*inputs.T, psi_p)
+            if np.all(np.abs(written - values) <= _SAME * np.max(np.abs(values))):
+                expressions.append(one)
                 continue
-            found = "other values from the library"
         raise InputError(
             f"term {term!r}",
             expected="powers, products and named functions of the inputs, as its name says",
-            found=found,
+            found="a name that cannot be written as code"
+            if one is None
+            else "other values from the library",
             remedy="use the estimator's own `characteristic` (a scaler before the terms, or a "
             "function under another's name, does not show in the source)",
         )
+    return expressions

@@ -95,8 +95,6 @@ def _where_defined(
     base: FloatArray, above: FloatArray, below: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Prolong a term as a straight line where it is not defined on one side (√φ at zero)."""
-    if np.isfinite(above).all() and np.isfinite(below).all():
-        return above, below
     high = np.where(np.isfinite(above), above, 2 * base - below)
     low = np.where(np.isfinite(below), below, 2 * base - above)
     return np.where(np.isfinite(high), high, base), np.where(np.isfinite(low), low, base)

@@ -82,20 +82,11 @@ def moved_knots(
     kinks = [(grid[i], weights[place[i]]) for i in kept if i in grid]
     kinks += [(fine[i - first], weights[i]) for i in best if i in new]
     joined = _joined(sorted(kinks), _NEIGHBOURS * float(np.ptp(problem.inputs)))
-    trials = [
-        _placed(problem, fit, kept, free),
-        _placed(problem, fit, [i for i in kept if i not in grid], joined),
-    ]
-    return min(trials, key=lambda t: t.chi2 / linear.variance + penalty * t.price).knots
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A trial structure fitted by itself; its price is its terms and its knots."""
-
-    knots: tuple[MovedKnot, ...]
-    chi2: float
-    price: int
+    trials = []
+    for rest, knots in ((kept, free), ([i for i in kept if i not in grid], joined)):
+        placed, chi2 = _placed(problem, fit, rest, knots)
+        trials.append((chi2 / linear.variance + penalty * (len(rest) + 2 * len(placed)), placed))
+    return min(trials, key=lambda trial: trial[0])[1]
 
 
 def _joined(kinks: list[tuple[float, float]], reach: float) -> list[float]:
@@ -160,7 +151,7 @@ def _best(
 
 def _placed(
     problem: LagProblem, near: StructureFit, kept: Sequence[int], start: Sequence[float]
-) -> _Trial:
+) -> tuple[tuple[MovedKnot, ...], float]:
     """Move each free knot to the least χ² of the structure's own fit, one after the other."""
     from scipy.optimize import minimize_scalar
 
@@ -193,7 +184,7 @@ def _placed(
         stderr = float(np.sqrt(2 * width**2 / curvature)) if curvature > 0 else step
         knots[number] = _round_within(centre, stderr)
         found.append(MovedKnot(knots[number], stderr))
-    return _Trial(tuple(found), chi2(knots), len(kept) + 2 * len(knots))
+    return tuple(found), chi2(knots)
 
 
 def _round_within(value: float, stderr: float) -> float:

@@ -37,7 +37,7 @@ class StallLibrary:
     `relu(phi-k)` is a kink at k (max(φ - k, 0)); `phi^2[phi<0]` the reverse-flow branch; and
     `exp(-phi/s)` the fall of the unstalled line. φ|φ| is left out: it equals
     φ² - 2 φ²[φ<0], so it would be an exact alias. The fits evaluate the library hundreds of times,
-    a few terms at a time, hence plain arrays and chains of multiplications.
+    a few terms at a time, hence plain arrays and products in place of powers.
 
     Parameters
     ----------
@@ -78,14 +78,15 @@ class StallLibrary:
     def columns_at(self, x: FloatArray, wanted: Sequence[int]) -> FloatArray:
         """Evaluate the terms at some positions: (n_rows, n_inputs) to (n_rows, n_wanted)."""
         columns = np.ones((x.shape[0], len(wanted)), order="F")
-        # Chains of multiplications: numpy's power takes ten times as long.
-        chain: dict[tuple[int, int], FloatArray] = {}
+        # Products, one degree after the other: numpy's power takes ten times as long.
+        chains = np.ones((self.degree + 1, *x.T.shape))
+        for power in range(1, self.degree + 1):
+            np.multiply(chains[power - 1], x.T, out=chains[power])
         for number, position in enumerate(wanted):
             if position < len(self._powers):
                 exponents = self._powers[position]
-                for column in np.flatnonzero(exponents):
-                    own = _chained(x, int(column), int(exponents[column]), chain)
-                    columns[:, number] *= own
+                for own in np.flatnonzero(exponents):
+                    columns[:, number] *= chains[exponents[own], own]
                 continue
             j, kind, value = self._special[position - len(self._powers)]
             if kind == "hinge":
@@ -101,28 +102,17 @@ class StallLibrary:
         names: list[str] = self._polynomials.get_feature_names(list(input_features))
         for j, kind, value in self._special:
             name = input_features[j]
-            if kind == "hinge":
-                names.append(hinge_name(name, value))
-            else:
-                fall = f"exp(-{name}/{value:.12g})"
-                names.append(fall if kind == "fall" else f"{name}^2[{name}<0]")
+            written = {
+                "hinge": hinge_name(name, value),
+                "reverse": f"{name}^2[{name}<0]",
+                "fall": f"exp(-{name}/{value:.12g})",
+            }
+            names.append(written[kind])
         return names
 
 
-def _chained(
-    x: FloatArray, j: int, power: int, chain: dict[tuple[int, int], FloatArray]
-) -> FloatArray:
-    if (j, power) not in chain:
-        chain[j, power] = (
-            np.ascontiguousarray(x[:, j])
-            if power == 1
-            else _chained(x, j, power - 1, chain) * _chained(x, j, 1, chain)
-        )
-    return chain[j, power]
-
-
 def hinge_name(name: str, knot: float) -> str:
-    """Return the name of max(φ - k, 0), e.g. ``relu(phi-0.05)``."""
+    """Return the name of a hinge, e.g. ``relu(phi-0.05)``."""
     if knot == 0:
         return f"relu({name})"
     return f"relu({name}{'-' if knot > 0 else '+'}{abs(knot):.12g})"
@@ -139,14 +129,9 @@ def default_knots(phi: FloatArray, noise: float = 0.0) -> tuple[float, ...]:
     Parameters
     ----------
     phi : ndarray of shape (n_rows,)
-        Flow coefficient.
+        Flow coefficient; there are no knots if it is constant.
     noise : float
         Standard deviation of its noise.
-
-    Returns
-    -------
-    tuple of float
-        The knots, rising; empty if φ is constant.
     """
     step = _round_step(phi)
     if step == 0.0:
@@ -175,6 +160,8 @@ def default_library(
 ) -> StallLibrary:
     """Build the library of candidate terms that suits the range of the data.
 
+    Polynomials, hinges, the reverse-flow branch and exponentials: at least 15 terms for one input.
+
     Parameters
     ----------
     X : ndarray of shape (n_rows, n_inputs)
@@ -184,12 +171,6 @@ def default_library(
         polynomial terms remain.
     knots : array-like of float or None
         Knots of the hinges; None takes `default_knots`.
-
-    Returns
-    -------
-    StallLibrary
-        Polynomials, hinges, the reverse-flow branch and exponentials: at least 15 terms for one
-        input.
     """
     n_inputs = X.shape[1]
     while degree > 1 and comb(n_inputs + degree, degree) > _MAX_POLYNOMIAL_TERMS:
@@ -217,15 +198,7 @@ def default_library(
 def piecewise_linear_library(X: FloatArray) -> StallLibrary:
     """Build the library of piecewise-linear characteristics, as in Fig 22 of the paper.
 
-    Parameters
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        The inputs; only their ranges are used.
-
-    Returns
-    -------
-    StallLibrary
-        1, the inputs, their hinges and the reverse-flow branch.
+    1, the inputs (n_rows, n_inputs), their hinges and the reverse-flow branch.
     """
     knots = [default_knots(phi) for phi in X.T]
     return StallLibrary(1, knots, [() for _ in knots])
@@ -236,10 +209,10 @@ def _finer(knots: tuple[float, ...], phi: FloatArray, missing: int) -> tuple[flo
     low, high = float(np.min(phi)), float(np.max(phi))
     span = high - low if high > low else 1.0
     digits = 3 - int(np.floor(np.log10(span)))
-    extra: list[float] = []
+    grid: list[float] = []
     n = missing
-    while len(extra) < missing:
-        grid = (round(low + span * (i + 1) / (n + 1), digits) for i in range(n))
-        extra = [k for k in dict.fromkeys(grid) if k not in knots][:missing]
+    while len(grid) < missing:
+        even = low + span * np.arange(1, n + 1) / (n + 1)
+        grid = [k for k in dict.fromkeys(np.round(even, digits).tolist()) if k not in knots]
         n += 1
-    return tuple(sorted({*knots, *extra}))
+    return tuple(sorted({*knots, *grid[:missing]}))

@@ -29,7 +29,7 @@ from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, ref
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
-from sindy_surge.weak import WeakEquations, WeakLag, weak_lag
+from sindy_surge.weak import WeakLag, weak_lag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -141,24 +141,10 @@ def _weak_lag(problem: LagProblem, values: FloatArray) -> WeakLag | None:
 
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
-    """Estimate τ of a structure in the weak form: forward, reverse, and with the noise taken off.
-
-    None if the segments are too short.
-    """
+    """Estimate τ of a structure in the weak form; None if the segments are too short."""
     without = [i for i in support if i < problem.n_without_state]
-    found = features(problem, problem.inputs, problem.noise.inputs, without)
-    values = problem.late(found.values)
-    weak = _weak_lag(problem, values)
-    if weak is None or problem.noise.colour.size or problem.holds_state(support):
-        # What would be taken off is the noise of white signals, of a model without ψ' in its terms.
-        return weak
-    width = round(weak.half_width_s / problem.sample_period_s)
-    equations = WeakEquations.integrate(
-        problem.output, values, problem.segments, width, problem.sample_period_s
-    )
-    slopes = np.stack([problem.late(slope) for slope in found.slopes])
-    compensated = equations.compensated_lag(slopes, problem.noise.output, problem.noise.inputs)
-    return replace(weak, compensated_s=compensated)
+    values = features(problem, problem.inputs, problem.noise.inputs, without).values
+    return _weak_lag(problem, problem.late(values))
 
 
 def _refitted(problem: LagProblem, fit: StructureFit) -> StructureFit:

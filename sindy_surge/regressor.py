@@ -13,7 +13,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
-from sindy_surge.checks import cautions_of, check_parameters, is_constant, refuse_not_finite
+from sindy_surge.checks import cautions_of, check_parameters, is_constant
 from sindy_surge.export import RateFunction, python_source
 from sindy_surge.free_model import FreeModel
 from sindy_surge.identification import Choices, identify
@@ -68,9 +68,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     knots : array-like of float or None
         Knots of the default library's hinges; None takes round numbers within the data, and
         moves a knot of the chosen structure where the data ask for it.
-    psi_terms : bool or pysindy feature library or scikit-learn transformer
-        Terms that hold ψ' beside the lag's own: True for ψ'², ψ'³ and products with φ and φ²,
-        False for none, a library over (ψ', inputs) for others.
+    psi_terms : bool
+        Offer terms that hold ψ' beside the lag's own: ψ'², ψ'³ and products with φ and φ².
     constraints : mapping of str to str, or None
         What is known beforehand: for the name of a term "required", "forbidden", "positive" or
         "negative" (two joined by a space). The lag itself is always there, with τ > 0.
@@ -142,7 +141,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         max_terms: int = 6,
         degree: int = 5,
         knots: Sequence[float] | None = None,
-        psi_terms: Any = True,
+        psi_terms: bool = True,
         constraints: Mapping[str, str] | None = None,
         dead_time_s: DeadTimeChoice = "auto",
         n_bootstrap: int = 100,
@@ -191,7 +190,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For parameters, labels or a library that cannot be used.
         """
         check_parameters(self)
-        refuse_not_finite(X, y)
         X_checked, y_checked = validate_data(
             self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
         )
@@ -206,8 +204,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             self._input_names,
             degree=self.degree,
             knots=self.knots,
-            psi_terms=self.psi_terms,
-            psi_p=y_checked,
+            psi_p=y_checked if self.psi_terms else None,
             output_name=self.output_name,
         )
         self.candidate_terms_ = self._candidates.names
@@ -414,6 +411,10 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             values = self._physical_model().values
             return python_source(self._parts(), values, self.feature_range_)
         return write_equation(self._parts(), style)
+
+    def print(self) -> None:
+        """Print the equation, as pysindy's models do."""
+        print(self.equation())  # noqa: T201
 
     def equations(self, precision: int = 3) -> list[str]:
         """Write dψ'/dt as pysindy does.

@@ -9,7 +9,6 @@ import numpy as np
 from sindy_surge.lag_fit import StructureFit, fit_structure, linearise
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import Support, least_squares
-from sindy_surge.state_terms import ProductStateTerms
 
 __all__ = ["PowerChoice", "choose_power"]
 
@@ -45,7 +44,7 @@ def choose_power(problem: LagProblem, fit: StructureFit) -> PowerChoice:
     """
     states = problem.terms.states
     same = PowerChoice(problem, fit, None)
-    if not isinstance(states, ProductStateTerms) or states.centre == 0.0:
+    if states is None or states.centre == 0.0:
         return same
     names = [problem.terms.names[i] for i in problem.columns]
     powers = [names.index(states.names[i]) for i in (0, 1) if states.names[i] in names]

@@ -2,46 +2,21 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
-from typing import Any, Protocol
 
 import numpy as np
 
-from sindy_surge.library_adapters import evaluated, fitted_library, term_names
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "LibraryStateTerms",
-    "PhysicalForm",
-    "ProductStateTerms",
-    "StateTerms",
-    "physical_form",
-    "state_terms",
-]
+__all__ = ["PhysicalForm", "ProductStateTerms", "physical_form"]
 
 
 # ψ'², ψ'³, ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
 # a time shift between the channels.
 _OWN_POWERS = (2, 3)
 _PRODUCT_POWERS = (1, 2)
-_MOST_INPUTS = 2
-
-
-class StateTerms(Protocol):
-    """Terms of ψ' and the inputs."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names in terms of ψ' itself."""
-        ...
-
-    def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
-        """Evaluate every term; shape (n_rows, n_terms)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -66,21 +41,31 @@ class ProductStateTerms:
     centre: float
     scale: float
 
+    @classmethod
+    def of(
+        cls,
+        psi_p: FloatArray,
+        input_names: Sequence[str],
+        output_name: str,
+        known: Sequence[str],
+    ) -> ProductStateTerms:
+        """Make the terms for the range of ψ', beside the terms `known` of the inputs."""
+        names = [f"{output_name}^{power}" for power in _OWN_POWERS]
+        exponents = [(power, 0, 0) for power in _OWN_POWERS]
+        for j, name in enumerate(input_names):
+            for power in _PRODUCT_POWERS:
+                names.append(f"{output_name} {_power(name, power)}")
+                exponents.append((1, j, power))
+        low, high = float(np.min(psi_p)), float(np.max(psi_p))
+        centre, scale = (high + low) / 2, (high - low) / 2
+        if not scale > 1e-9 * max(abs(low), abs(high)):
+            centre, scale = 0.0, max(abs(low), abs(high)) or 1.0
+        # Products about the centre are the same model only beside what they expand to.
+        needed = {"1", *(_power(name, power) for name in input_names for power in _PRODUCT_POWERS)}
+        return cls(tuple(names), tuple(exponents), centre if needed <= set(known) else 0.0, scale)
+
     def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
-        """Evaluate every term.
-
-        Parameters
-        ----------
-        X : ndarray of shape (n_rows, n_inputs)
-            The inputs.
-        psi_p : ndarray of shape (n_rows,)
-            ψ' at the same rows.
-
-        Returns
-        -------
-        ndarray of shape (n_rows, n_terms)
-            The terms, in z.
-        """
+        """Evaluate every term in z: X (n_rows, n_inputs), ψ' (n_rows,) to (n_rows, n_terms)."""
         z = (psi_p - self.centre) / self.scale
         columns = np.empty((z.size, len(self.exponents)), order="F")
         for number, (own, j, power) in enumerate(self.exponents):
@@ -90,113 +75,6 @@ class ProductStateTerms:
     def physical(self) -> ProductStateTerms:
         """Return the same terms in ψ' itself."""
         return replace(self, centre=0.0, scale=1.0)
-
-
-class LibraryStateTerms:
-    """Terms of a library of the user's own over (ψ', inputs), as they are.
-
-    Parameters
-    ----------
-    library : pysindy feature library or scikit-learn transformer
-        Deep-copied and fitted; columns without ψ', and ψ' alone, are left out.
-    X : ndarray of shape (n_rows, n_inputs)
-        The inputs.
-    psi_p : ndarray of shape (n_rows,)
-        ψ' at the same rows.
-    input_names : sequence of str
-        Names of the inputs.
-    output_name : str
-        Name of ψ'.
-    """
-
-    def __init__(
-        self,
-        library: Any,
-        X: FloatArray,
-        psi_p: FloatArray,
-        input_names: Sequence[str],
-        output_name: str,
-    ) -> None:
-        both = np.column_stack((psi_p, X))
-        self._library = fitted_library(copy.deepcopy(library), both, "psi_terms")
-        moved = both.copy()
-        moved[:, 0] += max(float(np.ptp(psi_p)), 1e-3)
-        values = evaluated(self._library, both)
-        depends = np.any(np.abs(evaluated(self._library, moved) - values) > 0, axis=0)
-        names = term_names(self._library, [output_name, *input_names], values.shape[1])
-        kept = [i for i in np.flatnonzero(depends) if names[i] != output_name]
-        self._kept = np.array(kept, dtype=np.intp)
-        self.names = tuple(names[i] for i in kept)
-
-    def __call__(self, X: FloatArray, psi_p: FloatArray) -> FloatArray:
-        """Evaluate every term; see `ProductStateTerms`."""
-        values: FloatArray = evaluated(self._library, np.column_stack((psi_p, X)))
-        return values[:, self._kept]
-
-
-def state_terms(
-    choice: Any,
-    X: FloatArray,
-    psi_p: FloatArray,
-    input_names: Sequence[str],
-    output_name: str,
-    known: Sequence[str],
-) -> StateTerms | None:
-    """Make the terms with ψ'.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_rows, n_inputs)
-        The inputs.
-    psi_p : ndarray of shape (n_rows,)
-        ψ' at the same rows.
-
-    Returns
-    -------
-    StateTerms or None
-        None if there are none.
-
-    Raises
-    ------
-    InputError
-        If `choice` is neither a truth value nor a library.
-    """
-    if isinstance(choice, (bool, np.bool_)):
-        if not choice or X.shape[1] > _MOST_INPUTS:
-            return None
-        return _products(X, psi_p, input_names, output_name, known)
-    if not (hasattr(choice, "fit") and hasattr(choice, "transform")):
-        raise InputError(
-            "psi_terms",
-            expected="True, False, a pysindy feature library or a scikit-learn transformer",
-            found=type(choice).__name__,
-        )
-    made = LibraryStateTerms(choice, X, psi_p, input_names, output_name)
-    return made if made.names else None
-
-
-def _products(
-    X: FloatArray,
-    psi_p: FloatArray,
-    input_names: Sequence[str],
-    output_name: str,
-    known: Sequence[str],
-) -> ProductStateTerms:
-    names = [f"{output_name}^{power}" for power in _OWN_POWERS]
-    exponents = [(power, 0, 0) for power in _OWN_POWERS]
-    for j, name in enumerate(input_names):
-        for power in _PRODUCT_POWERS:
-            names.append(f"{output_name} {_power(name, power)}")
-            exponents.append((1, j, power))
-    low, high = float(np.min(psi_p)), float(np.max(psi_p))
-    scale = (high - low) / 2
-    centre = (high + low) / 2
-    if not scale > 1e-9 * max(abs(low), abs(high)):
-        centre, scale = 0.0, max(abs(low), abs(high)) or 1.0
-    needed = {"1", *(_power(name, power) for name in input_names for power in _PRODUCT_POWERS)}
-    if not needed <= set(known):
-        centre = 0.0
-    return ProductStateTerms(tuple(names), tuple(exponents), centre, scale)
 
 
 def _power(name: str, power: int) -> str:
@@ -230,7 +108,7 @@ def physical_form(
     coefficients: FloatArray,
     time_constant_s: float,
     covariance: FloatArray,
-    states: StateTerms | None,
+    states: ProductStateTerms | None,
     input_names: Sequence[str],
 ) -> PhysicalForm:
     """Write a model that was found in z = (ψ' - c)/s in ψ' itself.
@@ -246,11 +124,10 @@ def physical_form(
         τ in seconds.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
         Of the coefficients and, last, τ.
-    states : StateTerms or None
+    states : ProductStateTerms or None
         The terms with ψ'.
     """
-    own = set(names) & set(states.names) if isinstance(states, ProductStateTerms) else set()
-    if not own or not isinstance(states, ProductStateTerms):
+    if states is None or not set(names) & set(states.names):
         return PhysicalForm(tuple(names), coefficients, time_constant_s, covariance)
     # Rows of the map: physical terms; its last row is the share L of ψ' itself.
     rows: dict[str, FloatArray] = {}
@@ -262,7 +139,7 @@ def physical_form(
 
     output = states.names[0].partition("^")[0]
     for number, name in enumerate(names):
-        if name not in own:
+        if name not in states.names:
             add(name, number, 1.0)
             continue
         power, j, q = states.exponents[states.names.index(name)]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sindy_surge.selection import PathRow
-from sindy_surge.text import FUNCTIONS, EquationParts, write_equation
+from sindy_surge.text import EquationParts, write_equation
 from sindy_surge.weak import WeakLag
 from surge_core.display import Field, Grid, Sheet
 from surge_core.fit_state import FitState
@@ -21,8 +20,6 @@ from surge_core.types import FloatArray
 __all__ = ["ModelSummary", "interval95"]
 
 _NORMAL_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
-# Functions whose value carries a unit if their argument does.
-_KEEP_UNIT = {"relu", "abs", "sqrt"}
 
 
 def interval95(value: float, stderr: float, *, positive: bool = False) -> tuple[float, float]:
@@ -98,12 +95,20 @@ class ModelSummary:
 
     def sheet(self) -> Sheet:
         """Return the fields and tables: the terms, and the structures by size where known."""
+        parts, low_high = self.parts, self.input_ranges
+        names = [pretty_term(name) for name in (parts.output_name, *parts.input_names)]
+        noise = () if self.noise is None else (self.noise[0], *self.noise[1])
+        ranges = () if low_high is None else np.asarray(low_high, dtype=np.float64).T.tolist()
         tone = "good" if self.state is FitState.OK else "advice"
         fields = [
-            Field("equation", write_equation(self.parts)),
+            Field("equation", write_equation(parts)),
             Field("state", f"{self.state}: {self.state.advice}", tone),
             *self._times(),
-            *self._inputs(),
+            *(Field(f"noise of {n} (std)", f"{x:.3g}") for n, x in zip(names, noise, strict=False)),
+            *(
+                Field(f"range of {name}", f"{low:.4g} to {high:.4g}")
+                for name, (low, high) in zip(names[1:], ranges, strict=False)
+            ),
             Field("rivals", _ledger(self.rivals, ", ", "the data cannot tell from it:")),
             Field("aliases", _ledger(self.aliases, " = ", "the same on this data:")),
             *([Field("cautions", tuple(self.cautions))] if self.cautions else []),
@@ -112,71 +117,41 @@ class ModelSummary:
         return Sheet(self.name, tuple(fields), grids)
 
     def _times(self) -> list[Field]:
-        parts = self.parts
+        parts, weak = self.parts, self.weak
         tau, error = parts.time_constant_s, parts.time_constant_stderr_s
-        fields = []
-        if parts.is_static:
-            fields.append(Field("time constant τ", "none: the fit is static"))
-        else:
-            bounds = interval95(tau, error, positive=True)
-            fields.append(Field("time constant τ", f"{round_to_error(tau, error)} s"))
-            fields.append(Field("τ, 95 % interval", f"{_interval(bounds, error)} s"))
+        rows = [("time constant τ", "none: the fit is static")]
+        if not parts.is_static:
+            interval = _interval(interval95(tau, error, positive=True), error)
+            rows = [("time constant τ", f"{round_to_error(tau, error)} s")]
+            rows.append(("τ, 95 % interval", f"{interval} s"))
         if parts.has_dead_time:
             dead, error = parts.dead_time_s, parts.dead_time_stderr_s
-            fields.append(Field("dead time d", f"{round_to_error(dead, error)} s"))
-            bounds = interval95(dead, error)
-            fields.append(Field("d, 95 % interval", f"{_interval(bounds, error)} s"))
-        if self.weak is not None:
-            readings = {
-                "forward": self.weak.forward_s,
-                "reverse": self.weak.reverse_s,
-                "noise taken off": self.weak.compensated_s,
-            }
-            fields += [
-                Field(f"weak τ, {name}", f"{significant(value)} s")
-                for name, value in readings.items()
-                if math.isfinite(value)
-            ]
-            fields.append(Field("weak gap (noise)", f"{significant(100 * self.weak.gap, 3)} %"))
-        return fields
-
-    def _inputs(self) -> list[Field]:
-        names = [pretty_term(name) for name in (self.parts.output_name, *self.parts.input_names)]
-        fields = []
-        if self.noise is not None:
-            levels = (self.noise[0], *self.noise[1])
-            fields += [
-                Field(f"noise of {name} (std)", f"{level:.3g}")
-                for name, level in zip(names, levels, strict=True)
-            ]
-        if self.input_ranges is not None:
-            low, high = np.asarray(self.input_ranges, dtype=np.float64)
-            fields += [
-                Field(f"range of {name}", f"{a:.4g} to {b:.4g}")
-                for name, a, b in zip(names[1:], low, high, strict=True)
-            ]
-        return fields
+            rows.append(("dead time d", f"{round_to_error(dead, error)} s"))
+            rows.append(("d, 95 % interval", f"{_interval(interval95(dead, error), error)} s"))
+        if weak is not None:
+            rows.append(("weak τ, forward", f"{significant(weak.forward_s)} s"))
+            rows.append(("weak τ, reverse", f"{significant(weak.reverse_s)} s"))
+            rows.append(("weak gap (noise)", f"{significant(100 * weak.gap, 3)} %"))
+        return [Field(*row) for row in rows]
 
     def _terms(self) -> Grid:
         parts = self.parts
+        header = ["term", "coefficient ± std error", "95 % interval"]
         rows = [
-            (
+            [
                 pretty_term(term),
                 round_to_error(value, error),
                 _interval(interval95(value, error), error),
-                _unit_of(term, parts),
-            )
+            ]
             for term, value, error in zip(parts.terms, parts.coef, parts.stderr, strict=True)
         ]
-        header: tuple[str, ...] = ("term", "coefficient ± std error", "95 % interval", "unit")
-        cells: list[tuple[str, ...]] = list(rows)
         if self.inclusion is not None:
-            header = (*header, "inclusion probability")
-            known = [f"{p:.2f}" if math.isfinite(p) else NOT_KNOWN for p in self.inclusion]
-            cells = [(*row, p) for row, p in zip(rows, known, strict=True)]
+            header.append("inclusion probability")
+            for row, share in zip(rows, self.inclusion, strict=True):
+                row.append(f"{share:.2f}" if math.isfinite(share) else NOT_KNOWN)
         title = f"Terms of {pretty_term(parts.output_name)}_QS: {len(rows)}"
         title += f" of {self.n_candidates} candidates"
-        return Grid(title, header, tuple(cells), frozenset({0, 3}))
+        return Grid(title, tuple(header), tuple(map(tuple, rows)))
 
 
 def _interval(bounds: tuple[float, float], stderr: float) -> str:
@@ -192,42 +167,32 @@ def _ledger(groups: Sequence[Sequence[str]] | None, glue: str, heading: str) -> 
     return (heading, *written) if written else ("none",)
 
 
-def _unit_of(term: str, parts: EquationParts) -> str:
-    """Return the unit of a coefficient: only φ, ψ' and functions as exp are known to have none."""
-    bare = re.sub(r"\[[^\]]*\]", "", term)
-    bare = re.sub(rf"\b(?:{'|'.join(set(FUNCTIONS) - _KEEP_UNIT)})\([^()]*\)", "", bare)
-    words = set(re.findall(r"[^\W\d]\w*", bare)) - set(FUNCTIONS)
-    return "1" if words <= {"phi", parts.output_name} else f"per {pretty_term(term)}"
-
-
 def _path_grid(path: Sequence[PathRow]) -> Grid:
     """Tabulate the best structure of each size, and the chosen one wherever it stands."""
-    held_out = any(math.isfinite(row.held_out_rms) for row in path)
 
-    def rank(row: PathRow) -> tuple[float, float]:
+    def rank(row: PathRow) -> tuple[int, float, float]:
         # Where cycles were left out they decide, and the score of the likelihood means little.
-        values = (row.held_out_rms, row.score)
-        return values[0] if math.isfinite(values[0]) else math.inf, np.nan_to_num(
-            values[1], nan=math.inf
-        )
+        return row.size, *np.nan_to_num([row.held_out_rms, row.score], nan=math.inf).tolist()
 
-    shown: list[PathRow] = []
-    for size in sorted({row.size for row in path}):
-        ranked = sorted((row for row in path if row.size == size), key=rank)
-        shown += [row for row in ranked if row.chosen or row is ranked[0]]
-    write: list[tuple[str, Callable[[PathRow], str]]] = [
-        ("size", lambda row: str(row.size)),
-        ("chosen", lambda row: "yes" if row.chosen else ""),
-        ("terms", lambda row: ", ".join(map(pretty_term, row.terms))),
-        ("score", lambda row: f"{row.score:.1f}" if math.isfinite(row.score) else NOT_KNOWN),
-        ("score about", lambda row: "own fit" if row.refitted else "all terms"),
-    ]
-    if held_out:
-        write.append(("held-out rms", lambda row: significant(row.held_out_rms)))
+    ranked = sorted(path, key=rank)
+    first = {row.size: row for row in reversed(ranked)}
+    shown = [row for row in ranked if row.chosen or row is first[row.size]]
+    held_out = any(math.isfinite(row.held_out_rms) for row in path)
+    rows = []
+    for row in shown:
+        cells = [
+            str(row.size),
+            "yes" if row.chosen else "",
+            ", ".join(map(pretty_term, row.terms)),
+            f"{row.score:.1f}" if math.isfinite(row.score) else NOT_KNOWN,
+            "own fit" if row.refitted else "all terms",
+        ]
+        rows.append((*cells, significant(row.held_out_rms)) if held_out else tuple(cells))
+    header = ("size", "chosen", "terms", "score", "score about")
     return Grid(
         f"Structures by size: the best of {len(path)} tried",
-        tuple(head for head, _ in write),
-        tuple(tuple(cell(row) for _, cell in write) for row in shown),
+        (*header, "held-out rms") if held_out else header,
+        tuple(rows),
         frozenset({1, 2, 4}),
         next((number for number, row in enumerate(shown) if row.chosen), None),
         folded=True,

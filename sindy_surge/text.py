@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from surge_core.errors import InputError
 from surge_core.rounding import bracketed
 from surge_core.terms import pretty_term
+from surge_core.validation import whole_number
 
 if TYPE_CHECKING:
     import sympy
@@ -26,27 +27,13 @@ __all__ = [
     "write_equation",
 ]
 
-# Functions that the name of a term may call, by their names in sympy.
-FUNCTIONS = {
-    "relu": "relu",
-    "abs": "Abs",
-    "sign": "sign",
-    "sqrt": "sqrt",
-    "exp": "exp",
-    "log": "log",
-    "sin": "sin",
-    "cos": "cos",
-    "tan": "tan",
-    "sinh": "sinh",
-    "cosh": "cosh",
-    "tanh": "tanh",
-    "arctan": "atan",
-}
+# Functions that the name of a term may call, and those that sympy has under another name.
+_CALLED = "relu abs sign sqrt exp log sin cos tan sinh cosh tanh arctan"
+FUNCTIONS = frozenset(_CALLED.split())
+_IN_SYMPY = {"abs": "Abs", "arctan": "atan"}
 _LATEX_NAMES = {"phi": r"\varphi", "psi_p": r"{\psi'}", "psi": r"\psi"}
 # An error below this share of the value is rounding: the value is taken as exact.
 _EXACT = 1e-12
-
-Token = tuple[Literal["function", "name", "number", "operator", "space"], str]
 
 
 @dataclass(frozen=True)
@@ -96,16 +83,13 @@ class EquationParts:
         return (*self.input_names, self.output_name)
 
     def rate_or_refuse(self) -> float:
-        """Return τ, or refuse a static fit where dψ'/dt is asked for."""
+        """Return τ, or refuse a fit without one where dψ'/dt is asked for."""
         if not self.time_constant_s > 0:
             raise InputError(
                 "time constant",
                 expected="a positive one, for dψ'/dt",
-                found="none, for the fit is static"
-                if self.is_static
-                else f"{self.time_constant_s}",
-                remedy="`equation()` and `characteristic` give the curve; `fit_state_.advice` says "
-                "why there is no lag",
+                found="none, for the fit is static",
+                remedy="`characteristic` gives the curve; `fit_state_.advice` says why",
             )
         return self.time_constant_s
 
@@ -222,10 +206,7 @@ def pysindy_equations(parts: EquationParts, precision: int = 3) -> list[str]:
     InputError
         For a static fit, which has no rate, or a precision below 1.
     """
-    if not precision >= 1:
-        raise InputError(
-            "precision", expected="a whole number of at least 1", found=repr(precision)
-        )
+    whole_number("precision", precision, 1, 15)
     tau = parts.rate_or_refuse()
     rates = [(-1.0, parts.output_name)]
     rates += [(v, _delayed(term, parts)) for v, term in zip(parts.coef, parts.terms, strict=True)]
@@ -233,46 +214,20 @@ def pysindy_equations(parts: EquationParts, precision: int = 3) -> list[str]:
 
 
 def _digits(value: float, precision: int) -> str:
-    size = abs(value)
-    if size == 0 or not math.isfinite(size):
-        return f"{value:.{precision}f}"
-    if size < 1e-4 or size >= 1e9:
-        return f"{value:.{precision - 1}e}"
-    return f"{value:.{max(precision, precision - 1 - math.floor(math.log10(size)))}f}"
+    return f"{value:.{precision}f}" if abs(value) >= 0.1 else f"{value:.{precision}g}"
 
 
 def _delayed(term: str, parts: EquationParts) -> str:
     if not parts.dead_time_s:
         return term
-    when = f"t{-parts.dead_time_s:+.6g}"
-    tokens = _tokens(term, parts.names)
-    if tokens is None:
-        return f"({term})({when})"
-    return "".join(
-        f"{text}({when})" if kind == "name" and text in parts.input_names else text
-        for kind, text in tokens
-    )
+    when = f"(t{-parts.dead_time_s:+.6g})"
+    return _whole_words(parts.input_names).sub(lambda match: match.group() + when, term)
 
 
-def _tokens(term: str, names: Sequence[str]) -> list[Token] | None:
-    """Split a name into inputs, numbers, functions and operators; None if it is not all these."""
-    longest_first = sorted({name for name in names if name}, key=len, reverse=True)
-    known = "|".join(rf"(?<!\w){re.escape(name)}(?!\w)" for name in longest_first) or "(?!)"
-    pattern = re.compile(
-        rf"(?P<function>(?:{'|'.join(FUNCTIONS)})(?=\())|(?P<name>{known})"
-        r"|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
-        r"|(?P<operator><=|>=|\*\*|[-+*/^()\[\]|<>])|(?P<space>\s+)"
-    )
-    tokens: list[Token] = []
-    position = 0
-    while position < len(term):
-        match = pattern.match(term, position)
-        if match is None:
-            return None
-        kind: Any = match.lastgroup
-        tokens.append((kind, match.group()))
-        position = match.end()
-    return tokens
+def _whole_words(names: Sequence[str]) -> re.Pattern[str]:
+    """Match any of the names, the longest first, where it stands by itself."""
+    longest_first = sorted(filter(None, names), key=len, reverse=True)
+    return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
 
 
 def symbol_of(name: str) -> sympy.Symbol:
@@ -299,36 +254,21 @@ def formula(term: str, names: Sequence[str]) -> sympy.Expr | None:
     """
     import sympy
 
-    tokens = _tokens(term, names)
-    if not tokens:
+    space: dict[str, Any] = {f"_{i}": symbol_of(name) for i, name in enumerate(names)}
+    text = _whole_words(names).sub(lambda match: f"_{list(names).index(match.group())}", term)
+    text = re.sub(r"\|([^|]+)\|", r"abs(\1)", text)
+    words = set(re.findall(r"(?<![\w.])[^\W\d]\w*", text))
+    # Nothing but known names, numbers, operators and functions is handed to sympy to evaluate.
+    if not words <= space.keys() | FUNCTIONS or re.search(r"[^\w\s.+\-*/^()\[\]<>=]|\.\D", text):
         return None
-    space: dict[str, Any] = {code: getattr(sympy, code, None) for code in FUNCTIONS.values()}
+    space |= {name: getattr(sympy, _IN_SYMPY.get(name, name), None) for name in FUNCTIONS}
     space["relu"] = lambda x: sympy.Max(x, 0)
     space["only"] = lambda condition: sympy.Piecewise((1, condition), (0, True))
-    space.update({f"_{number}": symbol_of(name) for number, name in enumerate(names)})
-    plain = {"^": "**", "[": "only(", "]": ")"}
-    words: list[str] = []
-    in_bars = operand_before = False
-    for kind, text in tokens:
-        if kind == "space":
-            continue
-        closes = text in (")", "]") or (text == "|" and in_bars)
-        opens = kind != "operator" or text in ("(", "[") or (text == "|" and not in_bars)
-        if operand_before and opens:
-            words.append("*")
-        if kind == "name":
-            words.append(f"_{list(names).index(text)}")
-        elif kind == "function":
-            words.append(FUNCTIONS[text])
-        elif text == "|":
-            words.append(")" if in_bars else "Abs(")
-            in_bars = not in_bars
-        else:
-            words.append(plain.get(text, text))
-        operand_before = kind in ("name", "number") or closes
+    text = text.replace("[", " only(").replace("]", ")").replace("^", "**")
+    # A product is written without a sign.
+    text = re.sub(r"(?<=[\w)])\s+(?=[\w(])|(?<=\))(?=\w)", "*", text.strip())
     try:
-        # Nothing but known names, numbers, operators and functions is in it.
-        found = sympy.sympify(" ".join(words), locals=space)
+        found = sympy.sympify(text, locals=space)
     except (sympy.SympifyError, SyntaxError, TypeError, ValueError):
         return None
     return found if isinstance(found, sympy.Expr) else None

@@ -13,7 +13,7 @@ from sindy_surge.lag_problem import LagProblem
 from surge_core.leave_out import leave_out
 from surge_core.types import FloatArray
 
-__all__ = ["held_out_rms", "newey_west", "sandwich"]
+__all__ = ["held_out_rms", "sandwich"]
 
 
 # Scores further apart than two time constants are taken for independent.
@@ -57,7 +57,7 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
         information = known[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep])
     reach = int(_LAG_IN_TAU * fit.time_constant_s / problem.sample_period_s)
     reach = min(max(reach, 1), max(int(_MOST_LAGS_SHARE * n), 1))
-    middle = newey_west(scaled * residual[:, None], fit.groups.slices(), reach) + prior
+    middle = _newey_west(scaled * residual[:, None], fit.groups.slices(), reach) + prior
     bread = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
     inner = bread @ middle @ bread * n / max(n - keep.size, 1)
     # Where the residual is white the sandwich is the inverse information with some scatter; it
@@ -72,7 +72,7 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
     return full[np.ix_(wanted, wanted)]
 
 
-def newey_west(scores: FloatArray, runs: Sequence[slice], reach: int) -> FloatArray:
+def _newey_west(scores: FloatArray, runs: Sequence[slice], reach: int) -> FloatArray:
     """Return Σ_l (1 - l/(reach + 1)) Σ_k s[k+l] s[k]' within each run (Newey & West 1987)."""
     middle = scores.T @ scores
     for lag in range(1, reach + 1):

@@ -45,16 +45,12 @@ class WeakLag:
         Half width of the test function in seconds.
     n_rows : int
         Number of weak equations.
-    compensated_s : float
-        τ with the known noise of both channels taken off the normal equations (errors in
-        variables), in seconds; nan where the noise is not known, or leaves nothing.
     """
 
     forward_s: float
     reverse_s: float
     half_width_s: float
     n_rows: int
-    compensated_s: float = float("nan")
 
     @property
     def gap(self) -> float:
@@ -86,11 +82,6 @@ def half_width_samples(
         Sample period in seconds.
     surge_period_s : float or None
         Period of the surge cycles in seconds, if any are seen.
-
-    Returns
-    -------
-    int or None
-        Half width of the test function in samples.
     """
     lengths = np.sort(segments.lengths)[::-1]
     # The longest width that still leaves half of all rows in segments long enough.
@@ -131,8 +122,6 @@ class WeakEquations:
         Row at the middle of each test function.
     half_width : int
         Half width m in samples.
-    sample_period_s : float
-        Sample period in seconds.
     """
 
     derivative: FloatArray
@@ -140,7 +129,6 @@ class WeakEquations:
     columns: FloatArray
     centres: IndexArray
     half_width: int
-    sample_period_s: float
 
     @classmethod
     def integrate(
@@ -164,16 +152,13 @@ class WeakEquations:
                 centres.append(rows.start + half_width + stride * np.arange(len(seen)))
         every = np.concatenate(parts)
         places = np.concatenate(centres)
-        return cls(every[:, 0], every[:, 1], every[:, 2:], places, half_width, sample_period_s)
+        return cls(every[:, 0], every[:, 1], every[:, 2:], places, half_width)
 
     @classmethod
     def of(cls, problem: LagProblem, half_width: int | None = None) -> WeakEquations | None:
         """Set up the equations of a record; None takes a half width of two time constants.
 
-        Returns
-        -------
-        WeakEquations or None
-            None if the segments are too short for a test function, or no lag shows.
+        None also if the segments are too short for a test function, or no lag shows.
         """
         # Terms with ψ' need a simulated ψ', of which the weak form has none.
         without = problem.columns[: problem.n_without_state].tolist()
@@ -219,52 +204,6 @@ class WeakEquations:
         """Return the regression on all terms, τ projected out, for the optimizers."""
         return without_nuisances(self.derivative[:, None], self.columns, self.signal)
 
-    def compensated_lag(
-        self, slopes: FloatArray, output_noise: float, input_noise: FloatArray
-    ) -> float:
-        """Return τ by the regression on all terms, the noise of both channels taken off.
-
-        Of ψ' = -τ dψ'/dt + Σ β_i s_i the normal equations of noisy signals expect
-        n σ_ψ² Σ (dw/dt)² too much for dψ'/dt and Σ w² σ_φ² s_i' s_j' for the terms; between
-        dψ'/dt and ψ' nothing, w being even and dw/dt odd.
-
-        Parameters
-        ----------
-        slopes : ndarray of shape (n_inputs, n_rows, n_terms)
-            Derivatives of the terms with respect to each input.
-        output_noise : float
-            Standard deviation of the white noise of ψ'.
-        input_noise : ndarray of shape (n_inputs,)
-            Those of the inputs.
-
-        Returns
-        -------
-        float
-            τ in seconds; nan if the noise leaves nothing to regress on.
-        """
-        from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-        m = self.half_width
-        weight, slope = _test_function(m, self.sample_period_s)
-        if self.signal.size < self.columns.shape[1] + 3:
-            return float("nan")
-        design = np.column_stack((self.derivative, self.columns))
-        gram = design.T @ design
-        gram[0, 0] -= self.signal.size * output_noise**2 * float(slope @ slope)
-        # How often, and how heavily, a row of the record enters the weak equations.
-        entered = np.zeros(slopes.shape[1])
-        for centre in self.centres:
-            entered[centre - m : centre + m + 1] += weight**2
-        for level, one in zip(input_noise, slopes, strict=True):
-            gram[1:, 1:] -= level**2 * (one * entered[:, None]).T @ one
-        norms = np.sqrt(np.maximum(np.diag(design.T @ design), 1e-300))
-        try:
-            factor = cho_factor(gram / np.outer(norms, norms))
-        except LinAlgError:
-            return float("nan")
-        tau = -float(cho_solve(factor, design.T @ self.signal / norms)[0] / norms[0])
-        return tau if tau > 0 else float("nan")
-
 
 def weak_lag(
     y: FloatArray,
@@ -281,12 +220,8 @@ def weak_lag(
         ψ'.
     terms : ndarray of shape (n_rows, n_terms)
         The candidate terms.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    surge_period_s : float or None
-        Period of the surge cycles in seconds, if any are seen.
+    segments, sample_period_s, surge_period_s
+        See `half_width_samples`.
 
     Returns
     -------

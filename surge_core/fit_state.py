@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Self
 
-__all__ = ["FitState"]
+__all__ = ["AdvisedState", "FitState"]
 
 
-class FitState(StrEnum):
-    """How a fit ended; a member is its code as written to JSON.
+class AdvisedState(StrEnum):
+    """How something ended; a member is its code as written to JSON.
 
     Attributes
     ----------
@@ -18,12 +19,21 @@ class FitState(StrEnum):
 
     advice: str
 
-    def __new__(cls, code: str, advice: str) -> FitState:
+    def __new__(cls, code: str, advice: str) -> Self:
         """Make a string member that carries its advice."""
         member = str.__new__(cls, code)
         member._value_ = code
         member.advice = advice
         return member
+
+    @property
+    def code(self) -> str:
+        """The code, as written to JSON."""
+        return str(self.value)
+
+
+class FitState(AdvisedState):
+    """How a fit ended."""
 
     CONVERGED = ("converged", "The fit converged.")
     NOT_CONVERGED = (
@@ -101,8 +111,3 @@ class FitState(StrEnum):
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "
         "with surge cycles",
     )
-
-    @property
-    def code(self) -> str:
-        """The code, as written to JSON."""
-        return str(self.value)

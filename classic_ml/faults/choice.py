@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from classic_ml.faults.findings import (
 )
 from classic_ml.faults.probes import Agreement, compare_probes, disagreements, slow_pressures
 from classic_ml.intervals import bridged
-from classic_ml.records import Channel, Dropped, LedgerEntry, Record
+from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name
 from surge_core.errors import InputError
 
 __all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_bridged"]
@@ -41,42 +42,34 @@ GAIN_REFUSED, APART_REFUSED = 2.0, 0.6
 ALL_KINDS = sum(MARK_WORDS)
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    """Why a channel is left out, for how many rows, and whether its limits are to blame."""
+class _Verdict(NamedTuple):
+    """Why a channel is left out, and for how many rows."""
 
     channel: str
     rows: int
     why: str
-    beyond_limits: bool = False
 
 
 def choose_channels(record: Record, test: TestDescription, window: slice) -> Record:
     """Leave out the channels that cannot be used in the window, a pressure with its mate.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated and matched, with the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Places of the channels.
-    window : slice
-        Rows of the quasi-steady cycles.
-
-    Returns
-    -------
-    Record
-        Without the channels that were left out. Of those that stay, thermocouples are bridged by
-        straight lines where their readings do not count, pressures where they have spikes.
+    The record is calibrated and matched, with the marks of :func:`inspect_readings`. Of the
+    channels that stay, thermocouples are bridged by straight lines where their readings do not
+    count, pressures where they have spikes.
 
     Raises
     ------
     InputError
         When an immersion of a plane, or the thermocouples of plane 25, would be left out whole.
     """
-    verdicts = {name: _judge(record, test, name, window) for name in test.channel_names}
+    looked_at = {"in the window": window}
+    if not test.near_stall_shifts:
+        rows = near_stall_rows(record, test)
+        looked_at["at near stall, so that it cannot be matched"] = rows
+    verdicts = {n: _judge(record, test, n, window, looked_at) for n in test.channel_names}
     bad = {name: verdict for name, verdict in verdicts.items() if verdict is not None}
-    slow = slow_pressures(record, test, window).without(bad)
+    slow = slow_pressures(record, test, window)
+    slow = {name: means for name, means in slow.items() if name not in bad}
     agreements = compare_probes(slow, test)
     bad |= _come_off(agreements, window)
     dropped, gone = _drop_pairs(record, test, bad)
@@ -89,11 +82,12 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         gone += out
         if couples and len(out) == len(couples):
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
-    kept = record.without(gone)
+    kept = record.without([*gone, *map(fault_name, gone)])
     lines = [_bridged(kept, c.name, ALL_KINDS) for c in test.temperatures if c.name in kept]
     lines += [_bridged(kept, p.name, SPIKED) for p in test.pressures if p.name in kept]
     findings = _kept_faults(kept, test, window)
-    findings += disagreements(slow.without(gone), test, agreements)
+    used = {name: means for name, means in slow.items() if name not in gone}
+    findings += disagreements(used, test, agreements)
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
@@ -108,20 +102,19 @@ def with_faults_bridged(record: Record, test: TestDescription) -> Record:
     """Return a record with straight lines across all readings that do not count.
 
     Only what a window is looked for with: a dropout must not end it.
-
-    Parameters
-    ----------
-    record : Record
-        With the marks of :func:`inspect_readings`.
-    test : TestDescription
-        Its channels.
     """
     lines = [_bridged(record, name, ALL_KINDS) for name in test.channel_names]
     channels = {line.name: line for line in lines if line is not None}
     return replace(record, channels={**record.channels, **channels})
 
 
-def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _Verdict | None:
+def _judge(
+    record: Record,
+    test: TestDescription,
+    name: str,
+    window: slice,
+    looked_at: Mapping[str, slice],
+) -> _Verdict | None:
     n_rows = window.stop - window.start
     readings = record[name][window]
     if n_rows and np.all(readings == readings[0]):
@@ -133,17 +126,12 @@ def _judge(record: Record, test: TestDescription, name: str, window: slice) -> _
     marks = marked_rows(record, name)
     if marks is None:
         return None
-    looked_at = [(window, "in the window")]
-    if not test.near_stall_shifts:
-        rows = near_stall_rows(record, test)
-        looked_at.append((rows, "at near stall, so that it cannot be matched"))
-    for rows, where in looked_at:
+    for where, rows in looked_at.items():
         n = rows.stop - rows.start
         for kind, word in MARK_WORDS.items():
             count = int(np.count_nonzero(marks[rows] & kind))
             if count > ALLOWED_SHARE[kind] * n:
-                why = f"{word} in {count} of {n} rows {where}"
-                return _Verdict(name, count, why, kind == BEYOND_LIMITS)
+                return _Verdict(name, count, f"{word} in {count} of {n} rows {where}")
     return None
 
 
@@ -168,21 +156,19 @@ def _drop_pairs(
     dropped: list[Dropped] = []
     gone: list[str] = []
     for plane in test.areas_m2:
-        left: dict[str, int] = {}
-        last: dict[str, _Verdict] = {}
-        for pair in test.pairs(plane):
-            verdict = bad.get(pair.forward.name) or bad.get(pair.aft.name)
-            left[pair.immersion] = left.get(pair.immersion, 0) + (verdict is None)
-            if verdict is not None:
-                last.setdefault(pair.immersion, verdict)
-                gone += [pair.forward.name, pair.aft.name]
-                why = f"{verdict.channel} is {verdict.why}"
-                dropped.append(Dropped(f"pair {pair.name}", verdict.rows, why))
-        for immersion, count in left.items():
-            if count == 0:
-                raise _refusal(
-                    record, last[immersion], f"the last {immersion} pair of plane {plane}"
-                )
+        pairs = test.pairs(plane)
+        verdicts = {p.name: bad.get(p.forward.name) or bad.get(p.aft.name) for p in pairs}
+        for pair in pairs:
+            verdict = verdicts[pair.name]
+            if verdict is None:
+                continue
+            beside = (p for p in pairs if p.immersion == pair.immersion)
+            if all(verdicts[p.name] is not None for p in beside):
+                last = f"the last {pair.immersion} pair of plane {plane}"
+                raise _refusal(record, verdict, last)
+            gone += [pair.forward.name, pair.aft.name]
+            why = f"{verdict.channel} is {verdict.why}"
+            dropped.append(Dropped(f"pair {pair.name}", verdict.rows, why))
     return dropped, gone
 
 
@@ -191,10 +177,8 @@ def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
         f"{record.source}: channel {verdict.channel}",
         expected=f"readings that count, since {last} goes with it",
         found=f"it {verdict.why}",
-        remedy="are its unit (psia or psig?) and reference_Pa right? else correct its [limits], or "
-        "choose another window"
-        if verdict.beyond_limits
-        else "choose a window without the fault, or widen the range of the transducer",
+        remedy="are its unit (psia or psig?), reference_Pa and [limits] right? else choose a "
+        "window without the fault, or widen the range of the transducer",
     )
 
 
@@ -212,7 +196,11 @@ def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Fin
     findings = []
     for name in test.channel_names:
         marks = marked_rows(kept, name) if name in kept else None
-        if marks is not None:
-            inside = int(np.count_nonzero(marks[window]))
-            findings.append(Finding("kept" if inside else "faulty outside", name, inside))
+        if marks is None:
+            continue
+        inside = int(np.count_nonzero(marks[window]))
+        words = f"{name}: faulty rows outside the window only"
+        if inside:
+            words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
+        findings.append(Finding("kept", words, name))
     return findings

@@ -49,14 +49,14 @@ def held_rows(values: FloatArray) -> float:
         1 for one that is not held or that moves too little to say; an average where the rates of
         the two recorders have no whole ratio.
     """
-    steps = np.diff(values)
-    changes = np.flatnonzero(steps) + 1
+    changes = np.flatnonzero(values[1:] != values[:-1]) + 1
     # Less than that share of rows without a change is in no channel that is held.
-    if changes.size < FEWEST_VALUES or changes.size > (1.0 - 0.5 * HELD_SHARE) * steps.size:
+    if changes.size < FEWEST_VALUES or changes.size > (1.0 - 0.5 * HELD_SHARE) * values.size:
         return 1.0
-    sizes, lengths = np.abs(steps[changes - 1]), np.diff(changes)
-    if np.gcd.reduce(lengths) > 1:
-        return float(np.gcd.reduce(lengths))
+    sizes, lengths = np.abs(values[changes] - values[changes - 1]), np.diff(changes)
+    common = int(np.gcd.reduce(lengths))
+    if common > 1:
+        return float(common)
     large = sizes > LARGE_STEPS * sizes.min()
     lengths = lengths[large[:-1] & large[1:]]
     if lengths.size < FEWEST_VALUES or np.mean(lengths > 1) < HELD_SHARE:
@@ -68,19 +68,7 @@ def held_rows(values: FloatArray) -> float:
 
 
 def check_held(record: Record, test: TestDescription) -> list[Finding]:
-    """Refuse pressures that were held for different times.
-
-    Parameters
-    ----------
-    record : Record
-        As read.
-    test : TestDescription
-        Its channels.
-
-    Returns
-    -------
-    list of Finding
-        Pressures that are held alike, and thermocouples.
+    """Return the pressures that are held alike, and the thermocouples that are held.
 
     Raises
     ------
@@ -89,54 +77,41 @@ def check_held(record: Record, test: TestDescription) -> list[Finding]:
     """
     pressures = {p.name: held_rows(record[p.name]) for p in test.pressures}
     couples = {c.name: held_rows(record[c.name]) for c in test.temperatures}
+    late, early = (
+        max(pressures, key=pressures.__getitem__),
+        min(pressures, key=pressures.__getitem__),
+    )
+    later = pressures[late] - pressures[early]
+    # A value that is followed by the same one counts as one that stands longer, on average.
+    averages = not any(rows.is_integer() for rows in pressures.values())
+    one_logger = averages and pressures[late] < 1.3 * pressures[early]
+    if later > max(LATE_ROWS, 2.0 * LATE_S * record.sample_rate_hz) and not one_logger:
+        raise InputError(
+            f"{record.source}: channel {late}",
+            expected="pressures that were recorded at one rate",
+            found=f"each value {times_held(pressures[late])} there, "
+            f"{times_held(pressures[early])} in {early}: recorded at a lower rate and held",
+            remedy="what is held is late, which makes τ wrong: keep the rows alone in which it "
+            "has a new value, or leave its pair out of test.toml",
+        )
     found = []
-    late = max(pressures, key=pressures.__getitem__)
-    early = min(pressures, key=pressures.__getitem__)
-    if pressures[late] > 1.0:
-        later = pressures[late] - pressures[early]
-        later_s = 0.5 * later / record.sample_rate_hz
-        if later_s > LATE_S and later > LATE_ROWS and not _of_one_logger(pressures):
-            raise InputError(
-                f"{record.source}: channel {late}{_more(pressures, pressures[late])}",
-                expected="pressures that were recorded at one rate",
-                found=f"each value {times_held(pressures[late])} there, "
-                f"{times_held(pressures[early])} in {early}: recorded at a lower rate and held",
-                remedy="what is held is late, which makes τ wrong: keep the rows alone in which it "
-                "has a new value, or leave its pair out of test.toml",
+    for held, effect in (
+        (pressures, "every row counts as a reading of its own"),
+        (couples, "the temperatures are late by half of that"),
+    ):
+        name = max(held, key=held.__getitem__, default="")
+        if name and held[name] > 1.0:
+            words = (
+                f"channel {name}: each value is there {times_held(held[name])}: recorded at "
+                f"{record.sample_rate_hz / held[name]:.3g} samples a second and held? {effect}: "
+                "keep the rows alone in which there is a new value"
             )
-        found.append(_held(record, pressures, "every row counts as a reading of its own"))
-    if couples and max(couples.values()) > 1.0:
-        found.append(_held(record, couples, "the temperatures are late by half of that"))
+            found.append(Finding("held", words, name))
     return found
 
 
 def times_held(rows: float) -> str:
     """Return in words how often each value is there, of :func:`held_rows`."""
-    if rows == round(rows):
+    if rows.is_integer():
         return "once" if rows == 1.0 else f"{rows:.0f} times"
     return f"{rows:.3g} times on average"
-
-
-def _of_one_logger(held: dict[str, float]) -> bool:
-    """Return whether all values stand for the same number of rows."""
-    rows = list(held.values())
-    # A value that is followed by the same one counts as one that stands longer, on average.
-    whole = any(r == round(r) for r in rows)
-    return min(rows) == max(rows) or (not whole and max(rows) < 1.3 * min(rows))
-
-
-def _held(record: Record, held: dict[str, float], effect: str) -> Finding:
-    name = max(held, key=held.__getitem__)
-    details: dict[str, str | float] = {
-        "more": _more(held, np.nextafter(1.0, 2.0)),
-        "times": times_held(held[name]),
-        "rate_hz": record.sample_rate_hz / held[name],
-        "held_rows": held[name],
-        "effect": effect,
-    }
-    return Finding("held", name, details=details)
-
-
-def _more(held: dict[str, float], least: float) -> str:
-    others = sum(rows >= least for rows in held.values()) - 1
-    return f" and {others} more" if others > 0 else ""

@@ -14,6 +14,9 @@ there two rows or more, and
   five steps below it another (L - 1)/2 rows away;
 - has hardly any readings a few steps short of the extreme, where a slow signal has most;
 - and stands still like that nowhere else, as one does that is held, interpolated or coarse.
+
+A channel without any noise, as a simulation writes it, may rest at its extreme to the last bit:
+nothing tells such a rest from a range that ends, and none is found there.
 """
 
 from __future__ import annotations
@@ -50,6 +53,11 @@ LEAP = 2.0
 STRAIGHT = 1e-6
 # So many plateaus elsewhere for each at the extreme, and they say nothing.
 ELSEWHERE = 0.5
+# Differences of this order leave next to nothing of surge and stall cells. One order more doubles
+# white noise nearly, and makes less of all that is below a sixth of the sample rate.
+NOISE_ORDER = 8
+# Pieces of a record in which noise is looked for.
+MOST_PIECES = 4000
 
 
 @dataclass(frozen=True)
@@ -97,120 +105,97 @@ def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
         rows = int(np.count_nonzero(at))
         if rows < LEAST_ROWS:
             continue
-        step = _resolution(values)
-        runs = intervals_where(at)
-        noisy = float(np.median(np.abs(np.diff(values, n=2)))) > NOISY_STEPS * step
-        is_cut_off = _piled_up if noisy else _plateaus
-        if is_cut_off(values, runs, np.abs(values - level) / step):
+        steps = np.abs(np.diff(values))
+        step = float(np.min(steps[steps > 0.0]))
+        off = np.abs(values - level)
+        beside = off[(off > 0.0) & (off <= NEAR_STEPS * step)] / step
+        pieces = _pieces(values)
+        coarse = float(np.median(np.abs(np.diff(pieces, n=2)))) <= NOISY_STEPS * step
+        is_cut_off = _plateaus if coarse else _piled_up
+        elsewhere = pieces[np.all(pieces != level, axis=1)]
+        if is_cut_off(values, intervals_where(at), beside, step) and _is_noisy(elsewhere):
             found.append(RangeEnd(level, upper, rows))
     return tuple(found)
 
 
-def _piled_up(values: FloatArray, runs: IntArray, off: FloatArray) -> bool:
+def _pieces(values: FloatArray) -> FloatArray:
+    """Return some short pieces of a signal, one a row, spread evenly."""
+    reach = NOISE_ORDER + 2
+    starts = np.arange(0, values.size - reach + 1, 1 + values.size // MOST_PIECES)
+    return np.asarray(values[starts[:, None] + np.arange(reach)])
+
+
+def _is_noisy(pieces: FloatArray) -> bool:
+    """Return whether a signal has noise, be it of rounding; so has one of which nothing is left."""
+    less = np.diff(pieces, n=NOISE_ORDER, axis=1)
+    more = np.diff(less, axis=1)
+    return not less.size or float(np.median(np.abs(more))) > float(np.median(np.abs(less)))
+
+
+def _piled_up(values: FloatArray, runs: IntArray, beside: FloatArray, step: float) -> bool:
     """Return whether so many readings stand at the extreme of a noisy signal by no chance.
 
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The channel.
-    runs : ndarray of int, shape (m, 2)
-        The runs of rows at the extreme.
-    off : ndarray of shape (n,)
-        How far each reading is from it, in steps of the resolution.
+    ``runs`` are the runs of rows at the extreme, ``beside`` is how far those are from it that are
+    near, in steps of the resolution.
     """
-    led_to, cut_off = _led_to(values, runs), _cut_off(values, runs, _resolution(values))
-    if np.any(cut_off & (runs[:, 1] - runs[:, 0] >= LONG_PLATEAU_ROWS)):
+    long = runs[:, 1] - runs[:, 0] >= LONG_PLATEAU_ROWS
+    if np.any(_goes_on(values, runs, step) & long):
         return True
-    runs = runs[led_to]
+    runs = runs[_led_to(values, runs)]
     lengths = runs[:, 1] - runs[:, 0]
-    rows = int(lengths.sum())
-    next_to_it = np.count_nonzero((off > 0.0) & (off <= NEXT_STEPS))
-    near = np.count_nonzero((off > 0.0) & (off <= NEAR_STEPS))
-    if rows < max(PILE * near / NEAR_STEPS, PILE * next_to_it / NEXT_STEPS):
+    next_to_it = np.count_nonzero(beside <= NEXT_STEPS)
+    if lengths.sum() < PILE * max(beside.size / NEAR_STEPS, next_to_it / NEXT_STEPS):
         return False
     ways = np.unique(values[runs[:, 0] - 1] + 1j * values[runs[:, 1]]).size
     return ways >= (WAYS if np.any(lengths > 1) else WAYS_OF_SINGLE_ROWS)
 
 
-def _plateaus(values: FloatArray, runs: IntArray, off: FloatArray) -> bool:
-    """Return whether a signal of little noise is cut off where it stands at its extreme.
-
-    Parameters
-    ----------
-    values, runs, off
-        As :func:`_piled_up` takes them.
-    """
-    if np.count_nonzero(off <= NEAR_STEPS) >= 2 * np.sum(runs[:, 1] - runs[:, 0]):
+def _plateaus(values: FloatArray, runs: IntArray, beside: FloatArray, step: float) -> bool:
+    """Return whether a signal of little noise is cut off where it stands at its extreme."""
+    if beside.size >= np.sum(runs[:, 1] - runs[:, 0]):
         return False
-    step = _resolution(values)
     runs = runs[runs[:, 1] - runs[:, 0] >= 2]
-    runs = runs[_cut_off(values, runs, step)]
+    runs = runs[_goes_on(values, runs, step)]
     lengths = runs[:, 1] - runs[:, 0]
     several = len(runs) >= LEAST_PLATEAUS and np.any(lengths >= LONG_ROWS)
     if lengths.sum() < LEAST_ROWS or not (several or np.any(lengths >= LONG_PLATEAU_ROWS)):
         return False
-    return _plateaus_elsewhere(values, step) <= ELSEWHERE * len(runs)
-
-
-def _resolution(values: FloatArray) -> float:
-    """Return the least change from row to row that is one."""
-    steps = np.abs(np.diff(values))
-    return float(np.min(steps[steps > 0.0]))
-
-
-def _plateaus_elsewhere(values: FloatArray, step: float) -> int:
-    """Count the runs of equal readings between the extremes that look cut off."""
-    runs = equal_runs(values, LONG_ROWS)
-    level = values[runs[:, 0]]
-    inner = (level > values.min()) & (level < values.max())
-    return int(np.count_nonzero(_cut_off(values, runs[inner], step)))
+    still = equal_runs(values, LONG_ROWS)
+    level = values[still[:, 0]]
+    still = still[(level > values.min()) & (level < values.max())]
+    return int(np.count_nonzero(_goes_on(values, still, step))) <= ELSEWHERE * len(runs)
 
 
 def _led_to(values: FloatArray, runs: IntArray) -> BoolArray:
     """Return which runs no leap leads to or from, as it does where a channel drops out."""
-    inside, beside = _beside(values, runs)
-    led = np.ones(np.count_nonzero(inside), dtype=np.bool_)
-    for rows in beside:
-        jump = np.abs(values[rows[:, 0]] - values[runs[inside, 0]])
-        led &= jump <= LEAP * np.ptp(values[rows], axis=1)
-    out = np.zeros(len(runs), dtype=np.bool_)
-    out[inside] = led
-    return out
+    inside, both_sides = _beside(values, runs)
+    led = inside.copy()
+    for beside in both_sides:
+        jump = np.abs(beside[:, 0] - values[runs[inside, 0]])
+        led[inside] &= jump <= LEAP * np.ptp(beside, axis=1)
+    return led
 
 
-def _cut_off(values: FloatArray, runs: IntArray, step: float) -> BoolArray:
-    """Return at which runs of equal readings the signal would go on, on either side.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The channel.
-    runs : ndarray of int, shape (m, 2)
-        First row of each run, and the row behind its last.
-    step : float
-        The resolution.
-    """
-    inside, both = _beside(values, runs)
-    start, stop = runs[inside].T
-    away = np.clip((stop - start - 1) // 2, 1, REACH) - 1
-    good = np.ones(start.size, dtype=np.bool_)
-    straight = np.ones(start.size, dtype=np.bool_)
-    for rows in both:
-        beside = values[rows]
-        off = beside - values[start][:, None]
-        jump = off[:, 0]
-        good &= np.abs(off[np.arange(start.size), away]) > RISE_STEPS * step
-        slopes = np.diff(beside, axis=1)
-        limit = STRAIGHT * np.abs(jump)[:, None]
-        straight &= np.all(np.abs(slopes - jump[:, None]) <= limit, axis=1)
-    cut = _led_to(values, runs)
-    cut[inside] &= good & ~straight
-    return cut
+def _goes_on(values: FloatArray, runs: IntArray, step: float) -> BoolArray:
+    """Return at which runs of equal readings the signal would go on, on either side."""
+    inside, both_sides = _beside(values, runs)
+    level, lengths = values[runs[inside, 0]], runs[inside, 1] - runs[inside, 0]
+    away = np.clip((lengths - 1) // 2, 1, REACH) - 1
+    good = np.ones(level.size, dtype=np.bool_)
+    straight = np.ones(level.size, dtype=np.bool_)
+    for beside in both_sides:
+        off = beside - level[:, None]
+        good &= np.abs(off[np.arange(level.size), away]) > RISE_STEPS * step
+        limit = STRAIGHT * np.abs(off[:, :1])
+        straight &= np.all(np.abs(np.diff(beside, axis=1) - off[:, :1]) <= limit, axis=1)
+    goes_on = _led_to(values, runs)
+    goes_on[inside] &= good & ~straight
+    return goes_on
 
 
-def _beside(values: FloatArray, runs: IntArray) -> tuple[BoolArray, tuple[IntArray, IntArray]]:
-    """Return which runs have rows enough on either side, and these, the nearest first."""
+def _beside(values: FloatArray, runs: IntArray) -> tuple[BoolArray, tuple[FloatArray, FloatArray]]:
+    """Return which runs have rows enough on either side, and their readings, the nearest first."""
     inside = (runs[:, 0] >= REACH) & (runs[:, 1] + REACH <= values.size)
     start, stop = runs[inside].T
     reach = np.arange(REACH)
-    return inside, (start[:, None] - 1 - reach, stop[:, None] + reach)
+    return inside, (values[start[:, None] - 1 - reach], values[stop[:, None] + reach])

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.faults.findings import Finding
-from classic_ml.records import Record, fault_name
-from surge_core.types import BoolArray, FloatArray
+from classic_ml.faults.findings import Finding, alike, marked_rows
+from classic_ml.records import Record
+from surge_core.types import FloatArray
 
-__all__ = ["Agreement", "SlowPressures", "compare_probes", "disagreements", "slow_pressures"]
+__all__ = ["Agreement", "compare_probes", "disagreements", "slow_pressures"]
 
 # Averages over a 40th of a second, and of two such, leave the surge cycle and little of the stall
 # cells, which pass the rakes one after the other.
@@ -33,110 +34,49 @@ LEVELS_APART = 0.01
 # differ from them by 9 % of it; beyond these the sensitivity is in doubt.
 GAIN_DOUBTED, APART_DOUBTED = 0.08, 0.2
 
-
-@dataclass(frozen=True)
-class SlowPressures:
-    """The pressures of a window, averaged over a 40th of a second each.
-
-    Parameters
-    ----------
-    means : mapping of str to ndarray of shape (n,)
-        By channel.
-    sound : mapping of str to ndarray of bool, shape (n,)
-        True where all readings of an average count.
-    """
-
-    means: Mapping[str, FloatArray]
-    sound: Mapping[str, BoolArray]
-
-    def smooth(self, names: Sequence[str]) -> FloatArray:
-        """Return the means of each two averages in a row where all of them count.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Channels.
-
-        Returns
-        -------
-        ndarray of shape (n_channels, m)
-            One row a channel.
-        """
-        values = np.array([self.means[name] for name in names])
-        sound = np.all([self.sound[name] for name in names], axis=0)
-        return np.asarray(0.5 * (values[:, 1:] + values[:, :-1])[:, sound[1:] & sound[:-1]])
-
-    def without(self, names: Iterable[str]) -> SlowPressures:
-        """Return them without some channels."""
-        gone = set(names)
-        return SlowPressures({n: v for n, v in self.means.items() if n not in gone}, self.sound)
+SlowPressures = Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True)
-class Agreement:
+class Agreement(NamedTuple):
     """How a probe goes with those beside it.
 
-    Parameters
-    ----------
-    gain : float
-        Its movement over theirs.
-    apart : float
-        The rms of its difference from them, its mean apart, over that of their movement.
+    ``gain`` is its movement over theirs, ``apart`` the rms of its difference from them, its mean
+    apart, over that of their movement.
     """
 
     gain: float
     apart: float
 
 
-def slow_pressures(record: Record, test: TestDescription, window: slice) -> SlowPressures:
-    """Average the pressures over a 40th of a second each.
+def slow_pressures(record: Record, test: TestDescription, window: slice) -> dict[str, FloatArray]:
+    """Average each pressure over a 40th of a second, from the beginning of the window on.
 
-    Parameters
-    ----------
-    record : Record
-        Calibrated pressures.
-    test : TestDescription
-        Their names.
-    window : slice
-        Rows of the surge cycles, from whose beginning the averages are taken.
+    By channel of shape (n,); NaN where a reading of an average does not count.
     """
     width = max(1, round(record.sample_rate_hz / AVERAGE_HZ))
     n = (window.stop - window.start) // width
     rows = slice(window.start, window.start + n * width)
-    names = [probe.name for probe in test.pressures if probe.name in record]
-    means = {name: record[name][rows].reshape(n, width).mean(axis=1) for name in names}
-    sound = {name: np.ones(n, dtype=np.bool_) for name in names}
-    for name in names:
-        if fault_name(name) in record:
-            sound[name] = ~np.any(record[fault_name(name)][rows].reshape(n, width), axis=1)
-    return SlowPressures(means, sound)
+    means = {}
+    for name in (probe.name for probe in test.pressures if probe.name in record):
+        means[name] = record[name][rows].reshape(n, width).mean(axis=1)
+        marks = marked_rows(record, name)
+        if marks is not None:
+            means[name][np.any(marks[rows].reshape(n, width), axis=1)] = np.nan
+    return means
 
 
 def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agreement]:
     """Compare each pressure with the median of those of its plane that face its way.
 
-    Parameters
-    ----------
-    slow : SlowPressures
-        Those that count.
-    test : TestDescription
-        Places of the probes.
-
-    Returns
-    -------
-    dict of str to Agreement
-        By channel; none where fewer than three probes, too few rows or no movement are there to
-        judge by.
+    None is compared where fewer than three probes, too few rows or no movement are there to judge
+    by.
     """
-    groups: dict[tuple[int, str], list[str]] = {}
-    for probe in test.pressures:
-        if probe.name in slow.means:
-            groups.setdefault((probe.plane, probe.facing), []).append(probe.name)
     out: dict[str, Agreement] = {}
-    for names in groups.values():
+    for group in alike(test.pressures, "plane", "facing"):
+        names = [name for name in group if name in slow]
         if len(names) < FEWEST_PROBES:
             continue
-        values = slow.smooth(names)
+        values = _smooth(slow, names)
         if values.shape[1] < FEWEST_AVERAGES:
             continue
         for i, name in enumerate(names):
@@ -152,24 +92,25 @@ def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agre
 def disagreements(
     slow: SlowPressures, test: TestDescription, agreements: Mapping[str, Agreement]
 ) -> list[Finding]:
-    """Return the probes in use that do not go with those beside them.
-
-    Parameters
-    ----------
-    slow : SlowPressures
-        Of the channels in use, matched near stall.
-    test : TestDescription
-        Places of the probes.
-    agreements : mapping of str to Agreement
-        Of these channels, from :func:`compare_probes`.
-    """
+    """Return the probes in use, matched near stall, that do not go with those beside them."""
     gains = [
-        Finding("gain", name, details={"gain": found.gain, "apart": found.apart})
+        Finding(
+            "gain",
+            f"{name} moves {found.gain:.2f} times as much as the probes beside it, "
+            f"{found.apart:.0%} apart from them: check its zero and calibrate readings",
+            name,
+        )
         for name, found in agreements.items()
-        if name in slow.means
-        and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
+        if name in slow and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
     ]
     return [*gains, *_exchanged_immersions(slow, test), *_drifted_apart(slow, test)]
+
+
+def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
+    """Return the means of each two averages in a row where all of them count, a channel a row."""
+    values = np.array([slow[name] for name in names])
+    means = 0.5 * (values[:, 1:] + values[:, :-1])
+    return np.asarray(means[:, np.isfinite(means).all(axis=0)])
 
 
 def _exchanged_immersions(slow: SlowPressures, test: TestDescription) -> list[Finding]:
@@ -179,43 +120,36 @@ def _exchanged_immersions(slow: SlowPressures, test: TestDescription) -> list[Fi
         rakes: dict[str, dict[str, list[str]]] = {}
         for pair in test.pairs(plane):
             names = [pair.forward.name, pair.aft.name]
-            if all(name in slow.means for name in names):
+            if all(name in slow for name in names):
                 rakes.setdefault(pair.forward.rake, {})[pair.immersion] = names
-        whole = [rake for rake, pairs in rakes.items() if len(pairs) == 2]
-        for i, first in enumerate(whole):
-            for second in whole[i + 1 :]:
-                if _crosswise(slow, rakes[first], rakes[second]):
-                    details: dict[str, str | float] = {
-                        "plane": plane,
-                        "first": first,
-                        "second": second,
-                    }
-                    found.append(Finding("exchanged immersions", details=details))
+        whole = {rake: [*p["hub"], *p["tip"]] for rake, p in rakes.items() if len(p) == 2}
+        for first, second in combinations(whole, 2):
+            values = _smooth(slow, [*whole[first], *whole[second]])
+            hub_1, tip_1, hub_2, tip_2 = values[0::2] - values[1::2]
+            straight = np.sum(np.abs(hub_1 - hub_2) + np.abs(tip_1 - tip_2))
+            if straight > CROSSWISE * np.sum(np.abs(hub_1 - tip_2) + np.abs(tip_1 - hub_2)):
+                words = (
+                    f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, "
+                    "and the reverse: are hub and tip exchanged on one of them?"
+                )
+                found.append(Finding("exchanged immersions", words))
     return found
-
-
-def _crosswise(
-    slow: SlowPressures, first: Mapping[str, list[str]], second: Mapping[str, list[str]]
-) -> bool:
-    """Return whether hub and tip of two rakes are nearer to each other crosswise than straight."""
-    values = slow.smooth([*first["hub"], *first["tip"], *second["hub"], *second["tip"]])
-    hub_1, tip_1, hub_2, tip_2 = values[0::2] - values[1::2]
-    straight = np.sum(np.abs(hub_1 - hub_2) + np.abs(tip_1 - tip_2))
-    across = np.sum(np.abs(hub_1 - tip_2) + np.abs(tip_1 - hub_2))
-    return bool(straight > CROSSWISE * across)
 
 
 def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:
     """Return probes at one immersion that agree near stall and no longer in the surge cycles."""
-    groups: dict[tuple[int, str, str], dict[str, float]] = {}
-    for probe in test.pressures:
-        if probe.name in slow.means and slow.means[probe.name].size:
-            place = (probe.plane, probe.immersion, probe.facing)
-            groups.setdefault(place, {})[probe.name] = float(np.mean(slow.means[probe.name]))
     found = []
-    for means in groups.values():
+    for names in alike(test.pressures, "plane", "immersion", "facing"):
+        sound = {n: slow[n][np.isfinite(slow[n])] for n in names if n in slow}
+        means = {name: float(np.mean(values)) for name, values in sound.items() if values.size}
+        if not means:
+            continue
         low, high = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         apart = means[high] / means[low] - 1.0
         if apart > LEVELS_APART:
-            found.append(Finding("drifted apart", high, details={"other": low, "apart": apart}))
+            words = (
+                f"{high} is {apart:.1%} above {low} in the window, though both were matched near "
+                "stall: has the zero of one drifted, or is its sensitivity wrong?"
+            )
+            found.append(Finding("drifted apart", words, high))
     return found

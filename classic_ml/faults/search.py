@@ -20,6 +20,7 @@ from classic_ml.faults.findings import (
     SPIKED,
     STUCK,
     Finding,
+    alike,
 )
 from classic_ml.faults.held import check_held
 from classic_ml.faults.plateaus import range_ends
@@ -28,58 +29,61 @@ from classic_ml.intervals import equal_runs
 from classic_ml.records import Channel, LedgerEntry, Record, fault_name
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["find_faults", "inspect_readings"]
+__all__ = ["inspect_readings"]
 
 # A surging machine moves every probe by many counts in 50 ms (a third of a 7 Hz cycle).
 STUCK_S = 0.05
 # A short dropout differs from a plateau by its edges: both are jumps far beyond the usual step.
 DROPOUT_ROWS = 5
 DROPOUT_JUMP = 10.0
+# At so many places of a record its usual step is seen.
+USUAL_ROWS = 10_000
 # Other channels must have moved by this many of their own steps while one stood still.
 MOVED_STEPS = 8.0
 # On 24 simulated records and an independent one readings of four thermocouples stand out as spikes
 # do, by 1.0 to 1.7 % of their range, where 1 % is enough for a pressure: their range counts thrice.
 COUPLE_RANGES = 3.0
 # Next to a reading that does not count for another reason, none is called a spike.
-EDGE_ROWS = 3
+BESIDE = np.arange(-3, 4)
 
-Marks = dict[str, NDArray[np.uint8]]
+Marks = NDArray[np.uint8]
 
 
-def inspect_readings(record: Record, test: TestDescription, *, whole: bool = False) -> Record:
+def inspect_readings(record: Record, test: TestDescription) -> Record:
     """Mark the readings that do not count, before anything is computed from them.
 
-    Parameters
-    ----------
-    record : Record
-        Counts and kelvin, as read.
-    test : TestDescription
-        Converter and limits.
-    whole : bool
-        It is all of a record, no piece as it comes in: look at how it was recorded, too.
-
-    Returns
-    -------
-    Record
-        With a channel ``fault_NAME`` for every channel that has a fault: the sum of 1 (clipped
-        at an end of the converter, or of the range that the channel itself shows), 4 (beyond its
-        limits), 2 (stuck, or dropped out) and 8 (a reading or two far off those before and
-        behind).
+    Returned is the record with a channel ``fault_NAME`` for every channel that has a fault: the sum
+    of 1 (clipped at an end of the converter, or of the range that the channel itself shows), 4
+    (beyond its limits), 2 (stuck, or dropped out) and 8 (a reading or two far off those before and
+    behind).
 
     Raises
     ------
     InputError
-        When some pressures of a whole record were recorded at a lower rate than others.
+        When some pressures were recorded at a lower rate than others.
     """
-    marks, findings = find_faults(record, test)
-    if whole:
-        findings += check_held(record, test)
-    clipped = "clipped readings, "
-    if test.converter is not None:
-        clipped = f"clipped codes (0 and {test.adc.top_code}), "
+    marks: dict[str, Marks] = {}
+    doubts: list[Finding] = []
+    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
+    for channel in channels:
+        marks[channel.name], doubtful = _cut_off(record[channel.name], channel, test)
+        doubts += doubtful
+    for names in [*alike(test.pressures, "plane", "facing"), *alike(test.temperatures, "plane")]:
+        for name in names:
+            for start, stop in _still_runs(record, name, names).tolist():
+                # A reading that is cut off stands still because of that.
+                mark = marks[name][start:stop]
+                mark[mark == 0] = STUCK
+        for name, rows in _spikes(record, test, names).items():
+            around = np.clip(rows[:, None] + BESIDE, 0, record.n_samples - 1)
+            marks[name][rows[~np.any(marks[name][around], axis=1)]] = SPIKED
+    marks = {name: mark for name, mark in marks.items() if mark.any()}
+    findings = [found for name, mark in marks.items() for found in _marked(record, name, mark)]
+    findings += doubts + check_held(record, test)
+    ends = "readings" if test.converter is None else f"codes (0 and {test.adc.top_code})"
     entry = LedgerEntry(
         "inspect readings",
-        f"looked for {clipped}stuck channels, spikes and readings beyond their limits: "
+        f"looked for clipped {ends}, stuck channels, spikes and readings beyond their limits: "
         f"{len(findings) or 'no'} findings",
         {"stuck_s": STUCK_S},
         flags=tuple(finding.sentence for finding in findings),
@@ -89,98 +93,57 @@ def inspect_readings(record: Record, test: TestDescription, *, whole: bool = Fal
     )
 
 
-def find_faults(record: Record, test: TestDescription) -> tuple[Marks, list[Finding]]:
-    """Return the marks of the readings that do not count, by channel, and what was found.
-
-    Parameters
-    ----------
-    record, test
-        As :func:`inspect_readings` takes them.
-    """
-    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
-    marks = {c.name: np.zeros(record.n_samples, dtype=np.uint8) for c in channels}
-    findings: list[Finding] = []
-    for channel in channels:
-        findings += _mark_cut_off(record[channel.name], channel, test, marks[channel.name])
-    for names in _alike(test):
-        for name in names:
-            for start, stop in _still_runs(record, name, names).tolist():
-                # A reading that is cut off stands still because of that.
-                mark = marks[name][start:stop]
-                mark[mark == 0] = STUCK
-        for name, rows in _spikes(record, test, names).items():
-            around = np.clip(rows[:, None] + np.arange(-EDGE_ROWS, EDGE_ROWS + 1), 0, None)
-            around = np.minimum(around, record.n_samples - 1)
-            alone = ~np.any(marks[name][around], axis=1)
-            marks[name][rows[alone]] = SPIKED
-    marks = {name: mark for name, mark in marks.items() if mark.any()}
-    listed = [
-        _marked(record, name, mark, kind)
-        for name, mark in marks.items()
-        for kind in MARK_WORDS
-        if np.any(mark & kind)
-    ]
-    return marks, listed + findings
+def _marked(record: Record, name: str, mark: Marks) -> list[Finding]:
+    found = []
+    for kind, word in MARK_WORDS.items():
+        rows = np.flatnonzero(mark & kind)
+        if rows.size:
+            first_s, last_s = record.time_at_s(int(rows[0])), record.time_at_s(int(rows[-1]))
+            words = f"{name}: {rows.size} rows {word}, {first_s:.3f} to {last_s:.3f} s"
+            found.append(Finding("marked", words, name))
+    return found
 
 
-def _marked(record: Record, name: str, mark: NDArray[np.uint8], kind: int) -> Finding:
-    rows = np.flatnonzero(mark & kind)
-    first_s, last_s = record.time_at_s(int(rows[0])), record.time_at_s(int(rows[-1]))
-    return Finding("marked", name, rows.size, first_s, last_s, {"word": MARK_WORDS[kind]})
-
-
-def _mark_cut_off(
-    values: FloatArray,
-    channel: PressureChannel | TemperatureChannel,
-    test: TestDescription,
-    mark: NDArray[np.uint8],
-) -> list[Finding]:
+def _cut_off(
+    values: FloatArray, channel: PressureChannel | TemperatureChannel, test: TestDescription
+) -> tuple[Marks, list[Finding]]:
     """Mark readings at the ends of a range and beyond the limits; return what is in doubt."""
     name, findings = channel.name, []
-    cut_off = np.zeros(values.size, dtype=np.bool_)
-    if channel.record_unit == "count":
-        cut_off |= (values <= 0) | (values >= test.adc.top_code)
+    in_counts, limited = channel.record_unit == "count", name in test.limits
     low, high = test.limits.get(name, (-np.inf, np.inf))
+    cut_off = np.zeros(values.size, dtype=np.bool_)
+    if in_counts:
+        cut_off |= (values <= 0) | (values >= test.adc.top_code)
     for end in range_ends(values):
-        if name not in test.limits:
+        if not limited:
             cut_off |= end.beyond(values)
-        elif channel.record_unit != "count" and low < end.reading < high:
+        elif not in_counts and low < end.reading < high:
             # What [limits] says of a channel is believed.
-            details: dict[str, str | float] = {
-                "end": "largest" if end.upper else "least",
-                "reading": end.reading,
-                "unit": channel.record_unit,
-                "source": test.source,
-            }
-            findings.append(Finding("range end within limits", name, end.rows, details=details))
-    mark[cut_off] = CLIPPED
-    if name in test.limits:
+            words = (
+                f"{name}: {end.rows} rows at its {'largest' if end.upper else 'least'} reading of "
+                f"{end.reading:.6g} {channel.record_unit}, where it stands still again and again: "
+                f"does its range end there? [limits] of {test.source} lets them count"
+            )
+            findings.append(Finding("range end within limits", words, name))
+    mark = np.where(cut_off, CLIPPED, 0).astype(np.uint8)
+    if limited:
         physical = values
         if isinstance(channel, PressureChannel):
             physical = probe_pressure_Pa(channel, test, values)
         # A reading at the limit is one that the acquisition has cut off there.
         mark[(physical <= low) | (physical >= high)] += BEYOND_LIMITS
-    return findings
+    return mark, findings
 
 
 def _still_runs(record: Record, name: str, alike: Sequence[str]) -> IntArray:
-    """Return the runs of rows in which a channel is stuck, or has dropped out.
-
-    Parameters
-    ----------
-    record : Record
-        As read.
-    name : str
-        The channel.
-    alike : sequence of str
-        Channels that see the same, it among them.
-    """
+    """Return the runs of rows in which one of some channels alike is stuck, or has dropped out."""
     values = record[name]
     runs = equal_runs(values, DROPOUT_ROWS)
     if not runs.size:
         return runs
     steps = np.abs(np.diff(values))
-    moving = steps[steps > 0.0]
+    some = steps[:: 1 + steps.size // USUAL_ROWS]
+    moving = some[some > 0.0]
     jumps = np.concatenate([[np.inf], steps, [np.inf]])
     lesser = np.minimum(jumps[runs[:, 0]], jumps[runs[:, 1]])
     usual = float(np.median(moving)) if moving.size else np.inf
@@ -204,24 +167,13 @@ def _least_step(values: FloatArray) -> float:
 
 
 def _spikes(record: Record, test: TestDescription, names: Sequence[str]) -> dict[str, IntArray]:
-    couples = {couple.name for couple in test.temperatures}
-    in_counts = {probe.name for probe in test.pressures if probe.record_unit == "count"}
     ranges = {name: float(np.ptp(record[name])) for name in names}
-    for name in names:
-        if name in couples:
-            ranges[name] *= COUPLE_RANGES
-        elif name in in_counts:
-            ranges[name] = float(test.adc.top_code)
+    for probe in test.pressures:
+        if probe.name in ranges and probe.record_unit == "count":
+            ranges[probe.name] = float(test.adc.top_code)
+    for couple in test.temperatures:
+        if couple.name in ranges:
+            ranges[couple.name] *= COUPLE_RANGES
     moving = {name: record[name] for name in names if ranges[name] > 0.0}
     # Without another beside it a channel may show a shock that is real.
     return spike_rows(moving, ranges) if len(moving) > 1 else {}
-
-
-def _alike(test: TestDescription) -> list[list[str]]:
-    """Channels that see the same: probes of one plane that face one way, its thermocouples."""
-    groups: dict[tuple[object, ...], list[str]] = {}
-    for probe in test.pressures:
-        groups.setdefault((probe.plane, probe.facing), []).append(probe.name)
-    for couple in test.temperatures:
-        groups.setdefault((couple.plane,), []).append(couple.name)
-    return list(groups.values())

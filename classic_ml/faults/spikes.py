@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from surge_core.types import BoolArray, FloatArray, IntArray
 
@@ -20,66 +22,57 @@ RATIO, SHARE, QUIET_RATIO, SEEN_SHARE = 4.0, 0.01, 1.5, 0.1
 LEAST = 0.1 * SHARE
 # Rows at either end of a record that are not looked at.
 MARGIN = REACH + GAP + 3
+# From a row to the middle of the rows that it is compared with.
+MIDDLE = GAP + REACH // 2
+NEAR = np.arange(-2, 3)
+# Rows that are looked at at once: what is computed of them stays in the cache.
+BLOCK_ROWS = 1 << 13
 
 
 def spike_rows(
     channels: Mapping[str, FloatArray], ranges: Mapping[str, float]
 ) -> dict[str, IntArray]:
-    """Return where one of some channels alike is far off its neighbours in time.
+    """Return the rows, by channel, where one of some channels alike is far off its neighbours.
 
-    Parameters
-    ----------
-    channels : mapping of str to ndarray of shape (n,)
-        Channels that see the same, two or more: what another shows at once is no fault of one.
-    ranges : mapping of str to float
-        Width of the range of each.
-
-    Returns
-    -------
-    dict of str to ndarray of int
-        Rows, of those channels that have some.
+    The two or more channels see the same: what another shows at once is no fault of one. ``ranges``
+    is the width of the range of each.
     """
     off = {name: _off_neighbours(values) / ranges[name] for name, values in channels.items()}
+
+    @cache
+    def largest(name: str) -> FloatArray:
+        return np.asarray(maximum_filter1d(off[name], REACH))
+
+    def standing_out(name: str, rows: IntArray, ratio: float) -> BoolArray:
+        beside = np.maximum(largest(name)[rows - MIDDLE], largest(name)[rows + MIDDLE])
+        return np.asarray(off[name][rows] > ratio * np.maximum(LEAST, beside))
+
     found = {}
     for name, own in off.items():
         rows = np.flatnonzero(own[MARGIN : own.size - MARGIN] > SHARE) + MARGIN
-        for shift in range(-2, 3):
-            # On a steep slope the rows beside a spike stand out a little too.
-            rows = rows[own[rows] > 0.5 * own[rows + shift]]
-        rows = _standing_out(own, rows, RATIO)
-        others = [other for n, other in off.items() if n != name]
-        rows = rows[~_seen(rows, own, others)]
-        if rows.size:
-            found[name] = rows
+        if not rows.size:
+            continue
+        rows = rows[standing_out(name, rows, RATIO)]
+        near = rows[:, None] + NEAR
+        # On a steep slope the rows beside a spike stand out a little too.
+        alone = np.all(own[rows, None] > 0.5 * own[near], axis=1)
+        for other in off.keys() - {name}:
+            shown = off[other][near] > SEEN_SHARE * own[rows, None]
+            alone &= ~np.any(shown & standing_out(other, near, QUIET_RATIO), axis=1)
+        if alone.any():
+            found[name] = rows[alone]
     return found
 
 
 def _off_neighbours(values: FloatArray) -> FloatArray:
     """Return how far each reading is off the median of itself and two on either side."""
     off = np.zeros(values.size)
-    first, second, own, fourth, fifth = (values[k : values.size - 4 + k] for k in range(5))
-    # The least and the largest of the four are on either side of the median of all five.
-    one = np.maximum(np.minimum(first, second), np.minimum(fourth, fifth))
-    other = np.minimum(np.maximum(first, second), np.maximum(fourth, fifth))
-    median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
-    off[2:-2] = np.abs(own - median)
+    for start in range(2, values.size - 2, BLOCK_ROWS):
+        stop = min(start + BLOCK_ROWS, values.size - 2)
+        first, second, own, fourth, fifth = (values[start + k : stop + k] for k in range(-2, 3))
+        # The least and the largest of the four are on either side of the median of all five.
+        one = np.maximum(np.minimum(first, second), np.minimum(fourth, fifth))
+        other = np.minimum(np.maximum(first, second), np.maximum(fourth, fifth))
+        median = np.clip(own, np.minimum(one, other), np.maximum(one, other))
+        off[start:stop] = np.abs(own - median)
     return off
-
-
-def _standing_out(off: FloatArray, rows: IntArray, ratio: float) -> IntArray:
-    """Return the rows that are off by so many times what those before and behind are at most."""
-    for shift in range(GAP, GAP + REACH):
-        for beside in (shift, -shift):
-            rows = rows[off[rows] > ratio * np.maximum(LEAST, off[rows + beside])]
-    return rows
-
-
-def _seen(rows: IntArray, own: FloatArray, others: Sequence[FloatArray]) -> BoolArray:
-    """Return at which rows another channel stands out at once, if less."""
-    seen = np.zeros(rows.size, dtype=np.bool_)
-    for other in others:
-        for shift in range(-2, 3):
-            at = rows + shift
-            shown = at[other[at] > SEEN_SHARE * own[rows]]
-            seen |= np.isin(at, _standing_out(other, shown, QUIET_RATIO))
-    return seen

@@ -7,11 +7,8 @@ from classic_ml.inspect.draft import draft_test_toml
 from classic_ml.inspect.facts import ChannelFacts, Inspection, inspect_file, is_still
 from classic_ml.inspect.match import (
     ChannelMatch,
-    PairOrder,
-    ReductionPreview,
     TestMatch,
     match_test,
-    preview,
 )
 
 __all__ = [
@@ -19,12 +16,9 @@ __all__ = [
     "ChannelMatch",
     "ClockFacts",
     "Inspection",
-    "PairOrder",
-    "ReductionPreview",
     "TestMatch",
     "draft_test_toml",
     "inspect_file",
     "is_still",
     "match_test",
-    "preview",
 ]

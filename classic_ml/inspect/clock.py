@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from classic_ml.description import FileLayout
 from classic_ml.io.raw import CLOCK_NAMES
-from classic_ml.io.table import Columns, RawFile
-from classic_ml.units import Conversion, time_conversion
-from surge_core.errors import InputError
+from classic_ml.io.table import StoredTable
+from classic_ml.units import Conversion, conversion_to_si, kind_of_unit
 from surge_core.types import FloatArray
 
 __all__ = ["ClockFacts", "ClockTally", "clock_column"]
@@ -30,17 +30,16 @@ class ClockFacts:
     unit : str
         Its unit; ``"s"`` where the file states none.
     about : str
-        What it is where it is no column of times.
+        What its seconds count from where it is a column of dates.
     first_s, last_s : float
         Its ends.
     rate_hz : float
         Rows a second, over the steps that are neither gaps nor back; NaN without any.
     jitter : float
         The largest deviation of these from the usual step, in steps.
-    gaps, repeats, steps_back : int
-        How often it jumps, stands still and runs back.
-    first_gap, first_repeat, first_step_back : int or None
-        The row after the first of them, counted from 1.
+    troubles : mapping of str to (int, int)
+        How often there is a ``"gap"``, a ``"repeat"`` or a ``"step back"``, and the row after the
+        first of them, counted from 1.
     """
 
     name: str
@@ -50,46 +49,40 @@ class ClockFacts:
     last_s: float
     rate_hz: float
     jitter: float
-    gaps: int
-    repeats: int
-    steps_back: int
-    first_gap: int | None
-    first_repeat: int | None
-    first_step_back: int | None
+    troubles: Mapping[str, tuple[int, int]]
 
 
-def clock_column(stored: RawFile, block: Columns, layout: FileLayout, *, named: bool) -> int | None:
+def clock_column(
+    stored: StoredTable, values: Mapping[str, FloatArray], layout: FileLayout, *, named: bool
+) -> str | None:
     """Return which column is the clock; None where none looks like one.
 
     Parameters
     ----------
-    stored : RawFile
+    stored : StoredTable
         The file as it is.
-    block : tuple of ndarray of shape (n_rows,)
+    values : mapping of str to ndarray of shape (n_rows,)
         Its first rows, in which a clock without a known name is looked for.
     layout : FileLayout
         Which column is the clock.
     named : bool
         Whether the layout is test.toml's: then no other column is looked for.
     """
-    if layout.time in stored.names:
-        return stored.names.index(layout.time)
-    if named:
-        return None
-    folded = [name.strip().lower() for name in stored.names]
-    for name in CLOCK_NAMES:
-        if name in folded:
-            return folded.index(name)
-    if stored.stamps:
-        return stored.names.index(next(iter(stored.stamps)))
-    for number, values in enumerate(block):
-        steps = np.diff(values.astype(np.float64))
-        # A clock rises, and by the same step nearly always.
-        if steps.size > 1 and np.all(steps > 0.0):
-            usual = float(np.median(steps))
-            if np.mean(np.abs(steps - usual) < 0.5 * usual) > 0.99:
-                return number
-    return None
+    if layout.time in stored.names or named:
+        return layout.time if layout.time in stored.names else None
+    folded = {name.strip().lower(): name for name in stored.names}
+    known = [folded[name] for name in CLOCK_NAMES if name in folded]
+    rising = (name for name, column in values.items() if _rises_evenly(column))
+    return next(iter((*known, *stored.dates, *rising)), None)
+
+
+def _rises_evenly(values: FloatArray) -> bool:
+    """Return whether a column rises, and by the same step nearly always."""
+    steps = np.diff(values)
+    if steps.size < 2 or not np.all(steps > 0.0):
+        return False
+    usual = float(np.median(steps))
+    return bool(np.mean(np.abs(steps - usual) < 0.5 * usual) > 0.99)
 
 
 class ClockTally:
@@ -97,26 +90,23 @@ class ClockTally:
 
     Parameters
     ----------
-    stored : RawFile
+    stored : StoredTable
         The file.
-    column : int
+    name : str
         Which of its columns is the clock.
     layout : FileLayout
         Its unit, where test.toml says it.
     """
 
-    def __init__(self, stored: RawFile, column: int, layout: FileLayout) -> None:
-        name = stored.names[column]
-        stated = (layout.time_unit if name == layout.time else None) or stored.units.get(name, "")
-        self.name, self.unit, self._conversion = name, stated or "s", Conversion()
-        self._about = stored.stamps.get(name, stored.clock if name == layout.time else "")
-        try:
-            self._conversion = time_conversion(self.unit, name)
-        except InputError:
-            self.unit = "s"
+    def __init__(self, stored: StoredTable, name: str, layout: FileLayout) -> None:
+        unit = (layout.time_unit if name == layout.time else None) or stored.unit(name)
+        self.name, self.unit, self._conversion = name, "s", Conversion()
+        if kind_of_unit(unit) == "time":
+            self.unit, self._conversion = unit, conversion_to_si(unit, "time", name)
+        self._about = stored.counts_from(name)
         self.usual_s = self._first_s = self._last_s = np.nan
-        self._good_steps, self._good_time_s, self._jitter = 0, 0.0, 0.0
-        self._counts, self._firsts = dict[str, int](), dict[str, int]()
+        self._n_good, self._good_s, self._jitter = 0, 0.0, 0.0
+        self._troubles: dict[str, tuple[int, int]] = {}
 
     def add(self, values: FloatArray, first_row: int) -> FloatArray:
         """Take the next rows into account, and return their times in s.
@@ -128,52 +118,29 @@ class ClockTally:
         first_row : int
             Rows before them.
         """
-        read_s = self._conversion.to_si(values)
-        rows = first_row + 1 + np.flatnonzero(np.isfinite(read_s))
-        time_s = read_s[np.isfinite(read_s)]
-        if time_s.size == 0:
-            return read_s
-        if np.isnan(self._first_s):
-            self._first_s = float(time_s[0])
-            forward = np.diff(time_s)
-            forward = forward[forward > 0.0]
-            self.usual_s = float(np.median(forward)) if forward.size else np.nan
-        else:
-            time_s = np.concatenate(([self._last_s], time_s))
-            rows = np.concatenate(([first_row], rows))
+        time_s = self._conversion.to_si(values)
+        # What is no number makes no step.
+        steps = np.diff(time_s, prepend=self._last_s)
         self._last_s = float(time_s[-1])
-        steps = np.diff(time_s)
-        kinds = {
-            "gap": steps > GAP_STEPS * self.usual_s,
-            "repeat": steps == 0.0,
-            "step_back": steps < 0.0,
-        }
-        good = steps[~(kinds["gap"] | kinds["repeat"] | kinds["step_back"])]
-        self._good_steps += good.size
-        self._good_time_s += float(np.sum(good))
-        if good.size:
-            off = float(np.max(np.abs(good - self.usual_s))) / self.usual_s
-            self._jitter = max(self._jitter, off)
-        for kind, where in kinds.items():
-            self._counts[kind] = self._counts.get(kind, 0) + int(np.count_nonzero(where))
+        if first_row == 0:
+            self._first_s = float(time_s[0])
+            self.usual_s = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
+        is_gap = steps > GAP_STEPS * self.usual_s
+        for kind, where in (("gap", is_gap), ("repeat", steps == 0.0), ("step back", steps < 0.0)):
             if where.any():
-                self._firsts.setdefault(kind, int(rows[1:][np.argmax(where)]))
-        return read_s
+                n, first = self._troubles.get(kind, (0, first_row + int(np.argmax(where)) + 1))
+                self._troubles[kind] = n + int(np.count_nonzero(where)), first
+        good = steps[(steps > 0.0) & ~is_gap]
+        self._n_good += good.size
+        self._good_s += float(np.sum(good))
+        off = np.abs(good - self.usual_s) / self.usual_s
+        self._jitter = max(self._jitter, float(np.max(off, initial=0.0)))
+        return time_s
 
     def facts(self) -> ClockFacts:
         """Return what was found."""
+        rate_hz = self._n_good / self._good_s if self._good_s > 0.0 else np.nan
+        ends_s = self._first_s, self._last_s
         return ClockFacts(
-            self.name,
-            self.unit,
-            self._about,
-            self._first_s,
-            self._last_s,
-            self._good_steps / self._good_time_s if self._good_time_s > 0.0 else np.nan,
-            self._jitter,
-            self._counts.get("gap", 0),
-            self._counts.get("repeat", 0),
-            self._counts.get("step_back", 0),
-            self._firsts.get("gap"),
-            self._firsts.get("repeat"),
-            self._firsts.get("step_back"),
+            self.name, self.unit, self._about, *ends_s, rate_hz, self._jitter, self._troubles
         )

@@ -1,10 +1,10 @@
-"""What is in a file of channels: clock, ranges, gaps, saturation, and where the machine surges."""
+"""What is in a file of channels: clock, ranges, saturation, and where the machine surges."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,26 +12,26 @@ from classic_ml.description import FileLayout
 from classic_ml.faults.held import held_rows
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.inspect.clock import ClockFacts, ClockTally, clock_column
-from classic_ml.inspect.surge import SurgeSearch
 from classic_ml.io.formats import open_stored
-from classic_ml.io.mapping import sampled_apart
-from classic_ml.io.table import Columns, RawFile
+from classic_ml.io.table import Columns
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file", "is_still"]
+__all__ = ["ChannelFacts", "Inspection", "inspect_file", "is_still"]
 
 # Rows that are looked at together: what is shorter than this is found whole.
 SEARCHED_ROWS = 1 << 20
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.
-STILL_S = 0.05
-STILL_ROWS = 50
-STILL_LEAST_ROWS = 5
-# Highest codes of converters, unsigned and signed; a channel that reaches one twice may be clipped.
-_TOP_CODES = frozenset(2**bits - 1 for bits in (8, 10, 12, 14, 16, 18, 20, 24)) | frozenset(
-    2 ** (bits - 1) - 1 for bits in (12, 14, 16, 18, 20, 24)
-)
+STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
+# A surge cycle lasts from a tenth of a second to some seconds: sections in which it shows, and
+# quiet ones between two cycles that do not end it.
+SECTION_S, BRIDGED_S = 0.25, 3.0
+# Before stall the noise of a probe is a few tenths of a per cent, a surge swings it by tens of per
+# cent: sections that move so many times as much as the quiet ones are a surge's.
+LEAST_RATIO = 10.0
+# The share of sections that are as quiet as the machine is before it surges.
+QUIET_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,6 @@ class ChannelFacts:
         Of the finite values; NaN without any.
     at_minimum, at_maximum : int
         Rows at the extreme values themselves.
-    run_at_minimum, run_at_maximum : int
-        The longest run of rows there.
     longest_run, longest_run_row : int
         The longest run of one value, and its first row, counted from 1.
     whole_numbers : bool
@@ -77,8 +75,6 @@ class ChannelFacts:
     maximum: float
     at_minimum: int
     at_maximum: int
-    run_at_minimum: int
-    run_at_maximum: int
     longest_run: int
     longest_run_row: int
     whole_numbers: bool
@@ -109,10 +105,6 @@ class Inspection:
         What is in the file and no column of the record, and why.
     fault : str
         The sentence that the reading ended with; empty where it went through.
-    other_groups : mapping of str to str
-        Groups of the file of which there is nothing in the record, and what they hold.
-    sampled_apart : str
-        Which channels the file says were not sampled together; empty where it says nothing so.
     surges_s : tuple of float or None
         From when to when the machine surges, by the clock of the file; None where no part of the
         record stands out.
@@ -124,8 +116,6 @@ class Inspection:
     clock: ClockFacts | None
     left_aside: dict[str, str]
     fault: str
-    other_groups: dict[str, str] = field(default_factory=dict)
-    sampled_apart: str = ""
     surges_s: tuple[float, float] | None = None
 
     def channel(self, name: str) -> ChannelFacts | None:
@@ -158,70 +148,62 @@ def inspect_file(
         When nothing can be read.
     """
     chosen = layout if layout is not None else FileLayout(group=group)
-    stored = open_stored(path, chosen, lenient=True)
-    channels: list[_Part] = []
+    channels: list[ChannelFacts] = []
+    sections: list[FloatArray] = []
     clock: ClockTally | None = None
-    clock_at: int | None = None
-    surge = SurgeSearch()
     rows, fault = 0, ""
-    try:
-        for block in _searched_blocks(stored):
+    with open_stored(path, chosen, lenient=True) as stored:
+        try:
+            for block in _searched(stored.blocks(stored.names)):
+                values = {
+                    name: column.astype(np.float64)
+                    for name, column in zip(stored.names, block, strict=True)
+                }
+                if rows == 0:
+                    name = clock_column(stored, values, chosen, named=layout is not None)
+                    clock = None if name is None else ClockTally(stored, name, chosen)
+                if clock is not None:
+                    time_s = clock.add(values[clock.name], rows)
+                    others = [v for name, v in values.items() if name != clock.name]
+                    sections += _sections(time_s, clock.usual_s, others)
+                facts = [_facts(n, stored.unit(n), v, rows) for n, v in values.items()]
+                channels = [_joined(*pair) for pair in zip(channels, facts, strict=False)] or facts
+                rows += block[0].size
+        except InputError as error:
             if rows == 0:
-                clock_at = clock_column(stored, block, chosen, named=layout is not None)
-                clock = None if clock_at is None else ClockTally(stored, clock_at, chosen)
-            values = [column.astype(np.float64) for column in block]
-            if clock is not None and clock_at is not None:
-                time_s = clock.add(values[clock_at], rows)
-                others = [v for number, v in enumerate(values) if number != clock_at]
-                surge.add(time_s, clock.usual_s, others)
-            parts = [_part_of(column, rows) for column in values]
-            joined = [a.joined(b) for a, b in zip(channels, parts, strict=bool(channels))]
-            channels = joined or parts
-            rows += values[0].size
-    except InputError as error:
-        if rows == 0:
-            raise
-        fault = str(error)
+                raise
+            fault = str(error)
     return Inspection(
         stored.source,
         rows,
-        tuple(
-            part.facts(name, stored.units.get(name, ""))
-            for name, part in zip(stored.names, channels, strict=True)
-        ),
+        tuple(channels),
         None if clock is None else clock.facts(),
-        dict(stored.unusable),
+        dict(stored.left_aside),
         fault,
-        dict(stored.other_groups),
-        str(sampled_apart(stored, stored.names) or ""),
-        surge.window_s(),
+        _surging(np.concatenate(sections)) if sections else None,
     )
 
 
-def _searched_blocks(stored: RawFile) -> Iterator[Columns]:
+def _searched(blocks: Iterator[Columns]) -> Iterator[Columns]:
     """Yield the rows in blocks large enough to be searched; those before a fault come first."""
     kept: list[Columns] = []
     fault: InputError | None = None
-    blocks = stored.blocks()
-    while fault is None:
-        try:
-            block = next(blocks, None)
-        except InputError as error:
-            block, fault = None, error
-        if block is not None and block[0].size:
+    try:
+        for block in blocks:
             kept.append(block)
-        n_rows = sum(columns[0].size for columns in kept)
-        if n_rows and (block is None or n_rows >= SEARCHED_ROWS):
-            yield tuple(np.concatenate(parts) for parts in zip(*kept, strict=True))
-            kept = []
-        if block is None:
-            break
+            if sum(columns[0].size for columns in kept) >= SEARCHED_ROWS:
+                yield tuple(map(np.concatenate, zip(*kept, strict=True)))
+                kept = []
+    except InputError as error:
+        fault = error
+    if sum(columns[0].size for columns in kept):
+        yield tuple(map(np.concatenate, zip(*kept, strict=True)))
     if fault is not None:
         raise fault
 
 
 def is_still(channel: ChannelFacts, rate_hz: float) -> bool:
-    """Tell whether a channel repeats one value for longer than a surging machine lets any.
+    """Return whether a channel repeats one value for longer than a surging machine lets any.
 
     Parameters
     ----------
@@ -234,116 +216,110 @@ def is_still(channel: ChannelFacts, rate_hz: float) -> bool:
     return channel.longest_run >= max(STILL_LEAST_ROWS, rows)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """What some rows of a column hold; `ChannelFacts` says what the fields are."""
-
-    rows: int
-    not_finite: int
-    first_not_finite: int | None
-    minimum: float
-    total: float
-    maximum: float
-    at_minimum: int
-    at_maximum: int
-    run_at_minimum: int
-    run_at_maximum: int
-    longest_run: int
-    longest_run_row: int
-    whole_numbers: bool
-    # Ends of the range at which these rows are cut off.
-    cut_off: frozenset[float]
-    held_rows: float
-
-    def joined(self, later: _Part) -> _Part:
-        """Return what these rows and those behind them hold together."""
-        low, high = min(self.minimum, later.minimum), max(self.maximum, later.maximum)
-        lowest = [part for part in (self, later) if part.minimum == low]
-        highest = [part for part in (self, later) if part.maximum == high]
-        longest = max((self, later), key=lambda part: part.longest_run)
-        return replace(
-            self,
-            rows=self.rows + later.rows,
-            not_finite=self.not_finite + later.not_finite,
-            first_not_finite=self.first_not_finite or later.first_not_finite,
-            minimum=low,
-            total=self.total + later.total,
-            maximum=high,
-            at_minimum=sum(part.at_minimum for part in lowest),
-            at_maximum=sum(part.at_maximum for part in highest),
-            run_at_minimum=max((part.run_at_minimum for part in lowest), default=0),
-            run_at_maximum=max((part.run_at_maximum for part in highest), default=0),
-            longest_run=longest.longest_run,
-            longest_run_row=longest.longest_run_row,
-            whole_numbers=self.whole_numbers and later.whole_numbers,
-            cut_off=self.cut_off | later.cut_off,
-            # A channel that is held is so throughout.
-            held_rows=min(self.held_rows, later.held_rows),
-        )
-
-    def facts(self, name: str, unit: str) -> ChannelFacts:
-        """Return what was found."""
-        finite = self.rows - self.not_finite
-        ends = {"minimum": self.minimum, "maximum": self.maximum}
-        plateaus = [end for end, reading in ends.items() if reading in self.cut_off]
-        at_top_code = self.whole_numbers and self.maximum in _TOP_CODES and self.at_maximum > 1
-        if at_top_code and self.minimum < self.maximum and "maximum" not in plateaus:
-            plateaus.append("maximum")
-        return ChannelFacts(
-            name,
-            unit,
-            self.rows,
-            self.not_finite,
-            self.first_not_finite,
-            self.minimum if finite else np.nan,
-            self.total / finite if finite else np.nan,
-            self.maximum if finite else np.nan,
-            self.at_minimum,
-            self.at_maximum,
-            self.run_at_minimum,
-            self.run_at_maximum,
-            self.longest_run,
-            self.longest_run_row,
-            finite > 0 and self.whole_numbers,
-            tuple(plateaus),
-            self.held_rows,
-        )
-
-
-def _part_of(values: FloatArray, first_row: int) -> _Part:
+def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelFacts:
     """Return what some rows of a column hold."""
     good = np.isfinite(values)
     finite = values[good]
-    low, high = (finite.min(), finite.max()) if finite.size else (np.inf, -np.inf)
+    low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
     starts = np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1))
     lengths = np.diff(np.concatenate((starts, [values.size])))
-    heads = values[starts]
-    still = np.where(np.isfinite(heads), lengths, 0)
+    still = np.where(np.isfinite(values[starts]), lengths, 0)
     longest = int(np.argmax(still))
-    with np.errstate(over="ignore"):
-        total = float(np.sum(finite))
-    cut_off: frozenset[float] = frozenset()
+    at_maximum, whole = int(np.count_nonzero(finite == high)), bool(np.all(finite % 1.0 == 0.0))
+    plateaus: set[str] = set()
     held = 1.0
     if low < high:
-        # The rules are those of a reduction.
-        cut_off = frozenset(end.reading for end in range_ends(finite))
+        # The rules are those of a reduction; beside them the top code of a converter is known.
+        plateaus = {"maximum" if end.upper else "minimum" for end in range_ends(finite)}
+        if whole and at_maximum > 1 and high >= 255.0 and np.log2(high + 1.0) % 1.0 == 0.0:
+            plateaus.add("maximum")
         # At least half of the values of a channel that is held stand for several rows.
         if 2 * np.count_nonzero(lengths > 1) >= lengths.size:
             held = held_rows(finite)
-    return _Part(
+    with np.errstate(over="ignore"):
+        mean = float(np.mean(finite)) if finite.size else np.nan
+    return ChannelFacts(
+        name,
+        unit,
         values.size,
         values.size - finite.size,
         None if good.all() else first_row + int(np.argmin(good)) + 1,
         float(low),
-        total,
+        mean,
         float(high),
         int(np.count_nonzero(finite == low)),
-        int(np.count_nonzero(finite == high)),
-        int(np.max(lengths[heads == low], initial=0)),
-        int(np.max(lengths[heads == high], initial=0)),
+        at_maximum,
         int(still[longest]),
         first_row + int(starts[longest]) + 1,
-        bool(np.all(finite == np.rint(finite))),
-        cut_off,
+        finite.size > 0 and whole,
+        tuple(sorted(plateaus, reverse=True)),
         held,
     )
+
+
+def _joined(one: ChannelFacts, later: ChannelFacts) -> ChannelFacts:
+    """Return what some rows of a column and those behind them hold together."""
+    low, high = np.fmin(one.minimum, later.minimum), np.fmax(one.maximum, later.maximum)
+    lowest = [part for part in (one, later) if part.minimum == low]
+    highest = [part for part in (one, later) if part.maximum == high]
+    longest = max((one, later), key=lambda part: part.longest_run)
+    parts = [part for part in (one, later) if part.rows > part.not_finite]
+    weights = [part.rows - part.not_finite for part in parts]
+    return replace(
+        one,
+        rows=one.rows + later.rows,
+        not_finite=one.not_finite + later.not_finite,
+        first_not_finite=one.first_not_finite or later.first_not_finite,
+        minimum=float(low),
+        mean=float(np.average([p.mean for p in parts], weights=weights)) if parts else np.nan,
+        maximum=float(high),
+        at_minimum=sum(part.at_minimum for part in lowest),
+        at_maximum=sum(part.at_maximum for part in highest),
+        longest_run=longest.longest_run,
+        longest_run_row=longest.longest_run_row,
+        whole_numbers=all(part.whole_numbers for part in parts) and bool(parts),
+        plateaus=tuple(
+            end
+            for end, ends in (("minimum", lowest), ("maximum", highest))
+            if any(end in part.plateaus for part in ends)
+        ),
+        # A channel that is held is so throughout.
+        held_rows=min(one.held_rows, later.held_rows),
+    )
+
+
+def _sections(time_s: FloatArray, step_s: float, columns: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return for each section of some rows its start, its end and the spread of each channel."""
+    rows = max(2, round(SECTION_S / step_s)) if step_s > 0.0 else 0
+    n_sections = time_s.size // rows if rows else 0
+    if not n_sections or not columns:
+        return []
+    whole = n_sections * rows
+    # A reading that is no number makes the spread of its section none.
+    with np.errstate(invalid="ignore", over="ignore"):
+        spreads = [np.std(c[:whole].reshape(-1, rows), axis=1) for c in columns]
+    return [np.column_stack((time_s[:whole:rows], time_s[rows - 1 : whole : rows], *spreads))]
+
+
+def _surging(sections: FloatArray) -> tuple[float, float] | None:
+    """Return from when to when the longest surge lasts; None where no part stands out.
+
+    The swing of a section is the median over the channels of their standard deviation in it, each
+    beside that of the same channel in the quiet sections.
+    """
+    starts_s, ends_s, spreads = sections[:, 0], sections[:, 1], sections[:, 2:]
+    spreads = spreads[:, np.isfinite(spreads).all(axis=0)]
+    if not spreads.size or not np.isfinite(sections[:, :2]).all():
+        return None
+    quiet = np.quantile(spreads, QUIET_SHARE, axis=0, method="lower")
+    # A channel that stands still in its quiet sections is no measure of the others.
+    if not (quiet > 0.0).any():
+        return None
+    swing = np.median(spreads[:, quiet > 0.0] / quiet[quiet > 0.0], axis=1)
+    lively = np.flatnonzero(swing > LEAST_RATIO)
+    if not lively.size:
+        return None
+    apart = np.flatnonzero(np.diff(starts_s[lively]) > BRIDGED_S) + 1
+    longest = max(np.split(lively, apart), key=len)
+    first, last = max(0, longest[0] - 1), min(longest[-1] + 1, len(sections) - 1)
+    return float(starts_s[first]), float(ends_s[last])

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from classic_ml.description import TestDescription
 from classic_ml.io.description_file import read_test_description
-from classic_ml.io.raw import possible_ranges, read_raw
+from classic_ml.io.raw import read_raw
 
-__all__ = ["TestDescription", "possible_ranges", "read_raw", "read_test_description"]
+__all__ = ["TestDescription", "read_raw", "read_test_description"]

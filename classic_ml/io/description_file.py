@@ -3,36 +3,134 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from classic_ml.description import (
-    PLAUSIBLE_BIAS,
-    PLAUSIBLE_BIAS_K,
+    COUNT_KEYS,
     Compressor,
     Converter,
+    CountChannel,
     FileLayout,
     NearStall,
     PressureChannel,
-    ProbePair,
     TemperatureChannel,
     TestDescription,
+    Text,
+    Window,
+    key,
 )
-from classic_ml.io.description_schema import (
-    MODELS,
-    Document,
-    InCounts,
-    Probe,
-    Temperature,
-    tag_of,
-)
-from classic_ml.units import COUNT
+from classic_ml.units import COUNT, kind_of_unit
 from surge_core.errors import InputError
-from surge_core.models import read_toml, validated
+from surge_core.models import Table, read_toml, validated
 
-__all__ = ["read_test_description"]
+__all__ = ["Document", "read_test_description"]
+
+_SPEED = "a speed of 100 to 200 000 revolutions a minute"
+# Corrected speeds near stall, as shares of the design speed, and the temperature they refer to.
+SPEED_SHARES, STANDARD_K = (0.1, 1.5), 288.15
+# What a table of [defaults] may be for, beside a pattern of names.
+_GROUPS = ("pressure", "temperature", "25", "31")
+_MODELS: dict[str, type[Table]] = {
+    model.__name__: model for model in (CountChannel, PressureChannel, TemperatureChannel)
+}
+
+
+class TestTable(Table):
+    name: Text
+    sample_rate_hz: float = key("a number above 0", gt=0.0)
+    # A fan of 10 m turns above 100, a micro turbine below 2e5.
+    rotor_speed_rpm: float = key(_SPEED, "is it in Hz or rad/s?", ge=100.0, le=2e5)
+    design_corrected_speed_rpm: float = key(_SPEED, "is it in Hz or rad/s?", ge=100.0, le=2e5)
+
+
+class Plane(Table):
+    area_m2: float = key(
+        "an area of 0.0001 to 10 m²", "is it in cm² or square inches?", ge=1e-4, le=10.0
+    )
+
+
+class Planes(Table):
+    inlet: Plane = Field(alias="25", description="a table")
+    exit: Plane = Field(alias="31", description="a table")
+
+
+def _threshold(value: Any) -> Any:
+    # Here, since pydantic would say of each of the types by itself what is wrong.
+    if value != "none" and (isinstance(value, bool) or not isinstance(value, float | int)):
+        raise InputError("", expected='a number above 0 or "none"', found=repr(value))
+    return value
+
+
+class Segmentation(Table):
+    threshold_lbm_s: Annotated[float | Literal["none"] | None, BeforeValidator(_threshold)] = None
+    hysteresis_lbm_s: float = key("a number from 0 on", default=0.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _above_the_band(self) -> Segmentation:
+        threshold = self.threshold_lbm_s
+        if isinstance(threshold, float | int) and threshold <= self.hysteresis_lbm_s:
+            raise InputError(
+                "threshold_lbm_s",
+                expected=f"more than the hysteresis ({self.hysteresis_lbm_s:g})",
+                found=f"{threshold:g}",
+            )
+        return self
+
+
+def _model_of(table: Any) -> str:
+    """Return which model a channel's table is of, by its kind and its unit."""
+    values: Mapping[str, Any] = table if isinstance(table, Mapping) else {}
+    if values.get("kind") == "temperature":
+        return TemperatureChannel.__name__
+    in_counts = kind_of_unit(str(values.get("unit", ""))) == COUNT
+    return CountChannel.__name__ if in_counts else PressureChannel.__name__
+
+
+def _low_to_high(ends: list[float]) -> list[float]:
+    if ends[0] >= ends[1]:
+        raise InputError("", expected="a range [low, high]", found=f"{ends}")
+    return ends
+
+
+_Range = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_low_to_high)]
+_AnyChannel = Annotated[
+    Annotated[CountChannel, Tag("CountChannel")]
+    | Annotated[PressureChannel, Tag("PressureChannel")]
+    | Annotated[TemperatureChannel, Tag("TemperatureChannel")],
+    Discriminator(_model_of),
+]
+
+
+class Document(Table):
+    """The whole file, with ``[defaults]`` written into the channels."""
+
+    test: TestTable = key("a table")
+    compressor: Compressor = key("a table")
+    planes: Planes = key("a table")
+    near_stall: NearStall = key("a table")
+    channels: dict[Text, _AnyChannel] = key("a table of tables")
+    adc: Converter | None = None
+    near_stall_shifts: dict[str, float] = Field(default_factory=dict)
+    limits: dict[str, _Range] = Field(default_factory=dict)
+    segmentation: Segmentation = Field(default_factory=Segmentation)
+    window: Window | None = None
+    file: FileLayout = Field(default_factory=FileLayout)
+    defaults: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _agrees(self) -> Document:
+        """Refuse what no table shows for itself."""
+        _check_speeds(self)
+        _check_codes(self)
+        _check_names(self)
+        _check_probes(self)
+        return self
 
 
 def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
@@ -56,46 +154,22 @@ def read_test_description(path: str | os.PathLike[str]) -> TestDescription:
     source = str(path)
     values = read_toml(Path(path), "the description of the test (test.toml)")
     document = validated(Document, _with_defaults(values, source), source)
-    near_stall = NearStall(**document.near_stall.model_dump())
-    channels = document.channels.items()
-    pressures = tuple(
-        PressureChannel(**_fields(name, channel))
-        for name, channel in channels
-        if isinstance(channel, Probe)
-    )
-    temperatures = tuple(
-        TemperatureChannel(**_fields(name, channel))
-        for name, channel in channels
-        if isinstance(channel, Temperature)
-    )
-    window = document.window
-    description = TestDescription(
+    window, channels = document.window, tuple(document.channels.values())
+    return TestDescription(
         **document.test.model_dump(),
-        compressor=Compressor(**document.compressor.model_dump()),
+        compressor=document.compressor,
         areas_m2={25: document.planes.inlet.area_m2, 31: document.planes.exit.area_m2},
-        converter=None if document.adc is None else Converter(**document.adc.model_dump()),
-        near_stall=near_stall,
-        pressures=pressures,
-        temperatures=temperatures,
+        converter=document.adc,
+        near_stall=document.near_stall,
+        pressures=tuple(c for c in channels if isinstance(c, PressureChannel)),
+        temperatures=tuple(c for c in channels if isinstance(c, TemperatureChannel)),
         **document.segmentation.model_dump(),
         window_s=None if window is None else (window.from_s, window.to_s),
         limits={name: (low, high) for name, (low, high) in document.limits.items()},
-        near_stall_shifts=document.near_stall_shifts or {},
-        file=FileLayout(**document.file.model_dump()),
+        near_stall_shifts=document.near_stall_shifts,
+        file=document.file,
         source=source,
     )
-    if document.near_stall_shifts is not None:
-        _check_shifts(description)
-    _check_columns_apart(description)
-    _check_probes(description)
-    return description
-
-
-def _fields(name: str, channel: Probe | Temperature) -> dict[str, Any]:
-    values = channel.model_dump(exclude={"kind"})
-    if isinstance(channel, InCounts):
-        values["unit"] = COUNT
-    return {"name": name, **values}
 
 
 def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -106,10 +180,9 @@ def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     over them all. What a channel has no use for is left out of it, as a calibration of counts
     where it is recorded as a pressure.
     """
-    rest = {key: table for key, table in values.items() if key != "defaults"}
-    defaults, channels = values.get("defaults", {}), values.get("channels", {})
-    if not defaults or not isinstance(channels, Mapping):
-        return rest
+    defaults, channels = values.get("defaults", {}), values.get("channels")
+    if not isinstance(channels, Mapping):
+        return dict(values)
     _check_defaults(defaults, channels, source)
     filled: dict[str, Any] = {}
     for name, own in channels.items():
@@ -123,17 +196,16 @@ def _with_defaults(values: Mapping[str, Any], source: str) -> dict[str, Any]:
         known = {**stated, **own}
         for group in ("plane", "kind"):
             stated = {**defaults.get(str(known.get(group)), {}), **stated}
-        keys = MODELS[tag_of({**stated, **own})].model_fields
-        filled[name] = {**{k: v for k, v in stated.items() if k in keys}, **own}
-    return {**rest, "channels": filled}
-
-
-_GROUPS = ("pressure", "temperature", "25", "31")
+        model = _MODELS[_model_of({**stated, **own})]
+        useless = () if model is CountChannel else COUNT_KEYS
+        used = {k: v for k, v in stated.items() if k in model.model_fields and k not in useless}
+        filled[name] = {**used, **own, "name": name}
+    return {**values, "channels": filled}
 
 
 def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> None:
     """Refuse defaults for no channel, and keys that none has: a misspelt one would be ignored."""
-    known = {key for model in MODELS.values() for key in model.model_fields}
+    known = {name for model in _MODELS.values() for name in model.model_fields} - {"name"}
     for name, table in defaults.items() if isinstance(defaults, Mapping) else [("", defaults)]:
         strange = [key for key in table if key not in known] if isinstance(table, Mapping) else []
         unused = name not in _GROUPS and not any(fnmatchcase(c, name) for c in channels)
@@ -145,84 +217,97 @@ def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> 
             )
 
 
-def _check_shifts(test: TestDescription) -> None:
-    """Refuse a shift near stall for what is not matched, or beyond what a match would take out."""
-    most = {p.name: PLAUSIBLE_BIAS * test.near_stall.pressure_Pa(p.plane) for p in test.pressures}
-    most |= {
-        c.name: PLAUSIBLE_BIAS_K * test.near_stall.temperature_K(c.plane) for c in test.temperatures
-    }
-    aft = {probe.name for probe in test.pressures if probe.facing == "aft"}
-    where = f"{test.source}: near_stall_shifts"
-    if not test.near_stall_shifts:
-        raise InputError(where, expected="a shift for each channel", found="none")
-    for name, shift in test.near_stall_shifts.items():
-        if name not in most or name in aft:
-            raise InputError(
-                f"{where}.{name}",
-                expected="the name of a forward probe or a thermocouple",
-                found="an aft probe" if name in aft else "no such channel in [channels]",
-                remedy="it moves with its forward mate" if name in aft else "",
-            )
-        if abs(shift) > most[name]:
-            raise InputError(
-                f"{where}.{name}",
-                expected=f"{-most[name]:g} to {most[name]:g}",
-                found=f"{shift:g}",
-                remedy="it is added to the calibrated reading, in Pa or K",
-            )
-
-
-def _check_columns_apart(test: TestDescription) -> None:
-    """Refuse a column that would feed two channels: one of them would be a copy."""
-    taken = {} if test.file.clock == "from rate" else {test.file.time: "the clock"}
-    channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
-    for channel in channels:
-        if channel.file_column in taken:
-            raise InputError(
-                f"{test.source}: channels.{channel.name}.column",
-                expected="a column of its own",
-                found=f"'{channel.file_column}', which feeds {taken[channel.file_column]} too",
-            )
-        taken[channel.file_column] = channel.name
-
-
-def _check_probes(test: TestDescription) -> None:
-    """Refuse a plane without probes, probes without a mate, and pairs of two calibrations."""
-    lacking = [
-        f"{what} at plane {plane}"
-        for plane, what, there in (
-            *((p, "pressure probes", any(c.plane == p for c in test.pressures)) for p in (25, 31)),
-            (25, "a thermocouple", bool(test.thermocouples(25))),
+def _check_speeds(document: Document) -> None:
+    """Refuse speeds of which one is in another unit: which one, they do not show."""
+    speed_rpm, design_rpm = (
+        document.test.rotor_speed_rpm,
+        document.test.design_corrected_speed_rpm,
+    )
+    corrected_rpm = speed_rpm * (STANDARD_K / document.near_stall.T25_K) ** 0.5
+    if not SPEED_SHARES[0] <= corrected_rpm / design_rpm <= SPEED_SHARES[1]:
+        raise InputError(
+            "test.rotor_speed_rpm and design_corrected_speed_rpm",
+            expected="speeds in revolutions a minute of which the corrected one, "
+            f"rotor_speed_rpm √({STANDARD_K:g} K / T25_K), is {SPEED_SHARES[0]:g} to "
+            f"{SPEED_SHARES[1]:g} times the other",
+            found=f"{corrected_rpm:.4g} (from {speed_rpm:g}) and {design_rpm:g}",
+            remedy="is one of them in Hz or rad/s?",
         )
-        if not there
-    ]
+
+
+def _check_codes(document: Document) -> None:
+    """Refuse counts without a converter, and codes that it does not have."""
+    for name, channel in document.channels.items():
+        if not isinstance(channel, CountChannel):
+            continue
+        if document.adc is None:
+            raise InputError("adc", expected=f"a table, since {name} is in counts", found="none")
+        code = max(channel.zero_count, channel.calibrate_count)
+        if code > document.adc.top_code:
+            raise InputError(
+                f"channels.{name}",
+                expected=f"codes of a converter of {document.adc.bits} bits in zero_count and "
+                "calibrate_count",
+                found=f"{code:g}",
+            )
+
+
+def _check_names(document: Document) -> None:
+    """Refuse tables by channel that name none, and a column that would feed two channels."""
+    channels = document.channels
+    moved = [name for name, c in channels.items() if getattr(c, "facing", "") != "aft"]
+    tables = (
+        ("limits", document.limits, list(channels), "channel"),
+        ("near_stall_shifts", document.near_stall_shifts, moved, "forward probe or thermocouple"),
+    )
+    for table, stated, names, what in tables:
+        for name in stated:
+            if name not in names:
+                raise InputError(
+                    f"{table}.{name}", expected=f"the name of a {what}", found="another name"
+                )
+    clock = [] if document.file.clock == "from rate" else [document.file.time]
+    columns = Counter([*clock, *(channel.file_column for channel in channels.values())])
+    for name, channel in channels.items():
+        if columns[channel.file_column] > 1:
+            raise InputError(
+                f"channels.{name}.column",
+                expected="a column of its own",
+                found=f"'{channel.file_column}', which feeds another channel or the clock too",
+            )
+
+
+def _check_probes(document: Document) -> None:
+    """Refuse a plane without probes, probes without a mate, and pairs of two calibrations."""
+    channels = document.channels.values()
+    probes = [channel for channel in channels if isinstance(channel, PressureChannel)]
+    lacking = [f"pressure probes at plane {p}" for p in {25, 31} - {c.plane for c in probes}]
+    if not any(isinstance(c, TemperatureChannel) and c.plane == 25 for c in channels):
+        lacking.append("a thermocouple at plane 25")
     if lacking:
-        where = f"{test.source}: channels"
-        raise InputError(where, expected=" and ".join(lacking), found="none")
-    alone = []
-    for plane, rake, immersion in sorted({(c.plane, c.rake, c.immersion) for c in test.pressures}):
-        here = [
-            c for c in test.pressures if (c.plane, c.rake, c.immersion) == (plane, rake, immersion)
-        ]
-        if sorted(c.facing for c in here) != ["aft", "forward"]:
-            alone += [f"{c.name} ({c.facing})" for c in here]
+        raise InputError("channels", expected=" and ".join(sorted(lacking)), found="none")
+    pairs: dict[tuple[object, ...], list[PressureChannel]] = {}
+    for probe in probes:
+        pairs.setdefault((probe.plane, probe.rake, probe.immersion), []).append(probe)
+    alone = [
+        f"{probe.name} ({probe.facing})"
+        for pair in pairs.values()
+        if sorted(probe.facing for probe in pair) != ["aft", "forward"]
+        for probe in pair
+    ]
     if alone:
         raise InputError(
-            f"{test.source}: channels",
+            "channels",
             expected="one forward and one aft probe at each rake and immersion",
             found=", ".join(alone),
             remedy="leave out both probes of a pair, in the table too, when one is dead",
         )
-    for pair in (*test.pairs(25), *test.pairs(31)):
-        _check_pair(test, pair)
-
-
-def _check_pair(test: TestDescription, pair: ProbePair) -> None:
-    for key in ("probe_slope", "probe_offset"):
-        slopes = getattr(pair.forward, key), getattr(pair.aft, key)
-        if slopes[0] != slopes[1]:
-            raise InputError(
-                f"{test.source}: channels.{pair.forward.name}.{key}",
-                expected=f"that of its mate {pair.aft.name} (Eq 2 holds for the pair)",
-                found=f"{slopes[0]:g} and {slopes[1]:g}",
-            )
+    for one, other in pairs.values():
+        for name in ("probe_slope", "probe_offset"):
+            values = getattr(one, name), getattr(other, name)
+            if values[0] != values[1]:
+                raise InputError(
+                    f"channels.{one.name}.{name}",
+                    expected=f"that of its mate {other.name} (Eq 2 holds for the pair)",
+                    found=f"{values[0]:g} and {values[1]:g}",
+                )

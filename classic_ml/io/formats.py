@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from classic_ml.description import FileLayout
@@ -11,7 +13,7 @@ from classic_ml.io.hdf5 import open_hdf5
 from classic_ml.io.mat import open_mat
 from classic_ml.io.netcdf import open_netcdf
 from classic_ml.io.parquet import open_parquet
-from classic_ml.io.table import RawFile, fault_of
+from classic_ml.io.table import StoredTable, fault_of
 from classic_ml.io.tdms import open_tdms
 from surge_core.errors import InputError
 
@@ -27,9 +29,10 @@ _FORMATS = {
 }
 
 
+@contextmanager
 def open_stored(
     raw_path: str | os.PathLike[str], layout: FileLayout | None = None, *, lenient: bool = False
-) -> RawFile:
+) -> Iterator[StoredTable]:
     """Open a raw record as it is: columns, names and units of the file.
 
     Parameters
@@ -44,8 +47,8 @@ def open_stored(
 
     Returns
     -------
-    RawFile
-        Every column of numbers of the record's length.
+    StoredTable
+        Every column of numbers of the record's length; open within the ``with`` alone.
 
     Raises
     ------
@@ -60,10 +63,13 @@ def open_stored(
     suffix = file.suffix.lower()
     for what, (reader, suffixes) in _FORMATS.items():
         if suffix in suffixes:
-            try:
-                return reader(file, layout or FileLayout(), lenient)
-            except Exception as error:
-                raise fault_of(error, str(file), what) from None
+            with ExitStack() as stack:
+                try:
+                    table = stack.enter_context(reader(file, layout or FileLayout(), lenient))
+                except Exception as error:
+                    raise fault_of(error, str(file), what) from None
+                yield table
+            return
     known = " or ".join(suffix for _, suffixes in _FORMATS.values() for suffix in suffixes)
     raise InputError(
         str(file), expected=f"a raw record ending in {known}", found=f"the suffix '{file.suffix}'"

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.clock import CLOCK_TOLERANCE, uniform_period_s
-from classic_ml.description import PressureChannel, TestDescription
+from classic_ml.description import AnyChannel, CountChannel, PressureChannel, TestDescription
 from classic_ml.io.description_file import read_test_description
 from classic_ml.io.formats import open_stored
-from classic_ml.io.mapping import (
-    FeedColumn,
-    check_columns,
-    check_units,
-    feeds,
-    sampled_apart,
-)
-from classic_ml.io.table import MINIMUM_ROWS, TIME_COLUMN, RawFile
+from classic_ml.io.table import StoredTable
 from classic_ml.records import Channel, LedgerEntry, Record
-from classic_ml.units import COUNT, Conversion, kind_of_unit, states_a_unit, time_conversion
+from classic_ml.series import MINIMUM_ROWS
+from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CLOCK_NAMES", "MOST_VALUES", "near_stall_means", "possible_ranges", "read_raw"]
+__all__ = ["CLOCK_NAMES", "MOST_VALUES", "clock_unit", "nearest_name", "read_raw"]
 
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
@@ -35,11 +30,11 @@ MOST_VALUES = 200_000_000
 RATE_TOLERANCE = 1e-3
 # Beyond these no gas of a compressor is, nor a thermocouple that measures it.
 POSSIBLE_K = (50.0, 3000.0)
+
 # What a clock is called, in small letters.
-CLOCK_NAMES = (
-    *(TIME_COLUMN, "time", "t", "time (s)", "time [s]", "timestamp", "times"),
-    "elapsed time",
-)
+CLOCK_NAMES = ("time_s", "time", "t", "time (s)", "time [s]", "timestamp", "elapsed time")
+# Of a step: channels that start further apart were not sampled together.
+SAME_START = 0.01
 
 Window = tuple[float, float]
 
@@ -51,10 +46,6 @@ class _Readings:
     by_column: dict[str, NDArray[np.generic]]
     time_s: FloatArray
     rows_before: int
-
-
-class _TooLongError(Exception):
-    """The record has more readings than are held at once."""
 
 
 def read_raw(
@@ -99,121 +90,176 @@ def read_raw(
         raise InputError(
             "window", expected="its start before its end", found=f"{window[0]:g} to {window[1]:g} s"
         )
-    stored, columns = _opened(raw_path, test)
-    try:
-        read = _read(stored, test, columns, window, progress)
-    except _TooLongError:
-        if window is not None or test.window_s is None:
-            raise _too_long(stored, test) from None
-        try:
+    with open_stored(raw_path, test.file) as stored:
+        _check_columns(stored, test)
+        read = _read(stored, test, window, progress)
+        if read is None and window is None and test.window_s is not None:
             window = test.window_s
-            read = _read(stored, test, columns, window, progress)
-        except _TooLongError:
-            raise _too_long(stored, test) from None
-    if read.time_s.size < MINIMUM_ROWS:
+            read = _read(stored, test, window, progress)
+    if read is None:
+        raise _too_long(stored, test)
+    return _record(stored, test, read, window), test
+
+
+def clock_unit(stored: StoredTable, test: TestDescription) -> str:
+    """Return the unit of the clock: that of test.toml, else that of the file, else seconds.
+
+    Parameters
+    ----------
+    stored : StoredTable
+        The file as it is.
+    test : TestDescription
+        The description.
+    """
+    stated = stored.unit(test.file.time) if test.file.units == "check" else ""
+    return test.file.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
+
+
+def nearest_name(name: str, names: Iterable[str]) -> str:
+    """Return the name most like another, whatever stands between its letters; empty without one.
+
+    Parameters
+    ----------
+    name : str
+        The name that is not there.
+    names : iterable of str
+        Those that are.
+    """
+    folded = {"".join(filter(str.isalnum, other.lower())): other for other in names}
+    near = get_close_matches("".join(filter(str.isalnum, name.lower())), folded, 1)
+    return folded[near[0]] if near else ""
+
+
+def _title(channel: AnyChannel) -> str:
+    renamed = f" (column '{channel.file_column}')" if channel.file_column != channel.name else ""
+    return f"channel {channel.name}{renamed}"
+
+
+def _check_columns(stored: StoredTable, test: TestDescription) -> None:
+    """Refuse a table whose columns, units or sampling are not those that a test describes."""
+    layout = test.file
+    titles = {channel.file_column: _title(channel) for channel in test.channels}
+    if layout.clock == "column":
+        titles = {layout.time: f"column {layout.time}", **titles}
+    missing = [column for column in titles if column not in stored.names]
+    extra = [name for name in stored.names if name not in titles]
+    if missing:
+        raise _missing(stored, test, titles[missing[0]], missing, extra)
+    if extra and layout.other_columns == "refuse":
+        raise InputError(
+            f"{stored.source}: column {extra[0]}",
+            expected=f'a table [channels."{extra[0]}"] in {test.source}',
+            found="none" + (f" (nor for {', '.join(extra[1:])[:200]})" if extra[1:] else ""),
+            remedy="describe the channel, leave the column out, or write "
+            'other_columns = "ignore" in [file]',
+        )
+    if layout.units == "check":
+        _check_units(stored, test, titles)
+    sampled = [(name, stored.sampled[name]) for name in stored.sampled if name in titles]
+    for name, (start_s, step_s) in sampled[1:]:
+        other, (first_s, usual_s) = sampled[0]
+        if abs(step_s / usual_s - 1.0) > 1e-9 or abs(start_s - first_s) > SAME_START * usual_s:
+            raise InputError(
+                f"{stored.source}: channels {other} and {name}",
+                expected="one start and one wf_increment for all channels that are read",
+                found=f"steps of {usual_s:g} and {step_s:g} s, starts at {first_s:g} and "
+                f"{start_s:g} s",
+                remedy="resample them to one clock, or correct the properties that are wrong",
+            )
+
+
+def _missing(
+    stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
+) -> InputError:
+    """Return the refusal of a table that lacks columns, with what the file has instead."""
+    first, key = missing[0], "time" if title.startswith("column") else "column"
+    others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
+    found = f"no such column{others} among {', '.join(stored.names)[:120]}"
+    for name, why in stored.left_aside.items():
+        if name.split("/")[-1] == first:
+            found = f"'{name}': {why}"
+    remedy = "a dead probe is left out with its mate, in both files"
+    if key == "time":
+        remedy = 'name it in [file], time = "...", or write clock = "from rate"'
+    near = nearest_name(first, spare)
+    return InputError(
+        f"{stored.source}: {title}",
+        expected=f"it in the header of the table, as {test.source} describes it",
+        found=found,
+        remedy=f"is '{near}' meant? then write {key} = \"{near}\"" if near else remedy,
+    )
+
+
+def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, str]) -> None:
+    """Refuse a unit of test.toml that is not the one the file states."""
+    units: dict[str, tuple[str, float | None]] = {
+        channel.file_column: (channel.unit, getattr(channel, "reference_Pa", None))
+        for channel in test.channels
+    }
+    units.setdefault(test.file.time, (clock_unit(stored, test), None))
+    for column, title in titles.items():
+        unit, reference_Pa = units[column]
+        stated = stored.unit(column)
+        if not same_unit(stated, unit, reference_Pa):
+            raise InputError(
+                f"{stored.source}: {title}",
+                expected=f'the unit "{unit}", as {test.source} says',
+                found=f'"{stated}", as the file says',
+                remedy="correct the one that is wrong; where the file is, write "
+                'units = "from test.toml" in [file]',
+            )
+
+
+def _read(
+    stored: StoredTable,
+    test: TestDescription,
+    window: Window | None,
+    progress: Callable[[int], object] | None,
+) -> _Readings | None:
+    """Read the rows of a window, or all; None where they are more than are held at once."""
+    layout = test.file
+    has_clock = layout.clock == "column"
+    where = f"{test.source}: file.time_unit"
+    clock = conversion_to_si(clock_unit(stored, test), "time", where)
+    fed = [channel.file_column for channel in test.channels]
+    names = (layout.time, *fed) if has_clock else tuple(fed)
+    low_s, high_s = _span(test, window)
+    kept: list[tuple[NDArray[np.generic], ...]] = []
+    times: list[FloatArray] = []
+    rows, rows_before, shift_s = 0, 0, None
+    for block in stored.blocks(names):
+        n_rows = block[0].size
+        time_s = np.arange(rows, rows + n_rows) / test.sample_rate_hz
+        if has_clock:
+            time_s = clock.to_si(np.asarray(block[0], dtype=np.float64))
+        if shift_s is None and n_rows:
+            shift_s = 0.0 if layout.start_s is None else layout.start_s - time_s[0]
+        time_s = time_s + (shift_s or 0.0)
+        if progress is not None:
+            progress(n_rows)
+        # What is no number is kept, and refused with the number of its row.
+        inside = np.flatnonzero(~((time_s < low_s) | (time_s > high_s)))
+        if inside.size:
+            part = slice(inside[0], inside[-1] + 1)
+            rows_before = rows_before if kept else rows + int(inside[0])
+            kept.append(tuple(column[part] for column in block))
+            times.append(time_s[part])
+        elif kept:
+            break
+        rows += n_rows
+        if sum(map(len, times)) * len(names) > MOST_VALUES:
+            return None
+    if sum(map(len, times)) < MINIMUM_ROWS:
         raise InputError(
             stored.source,
             expected=f"at least {MINIMUM_ROWS} rows"
             + (f" from {window[0]:g} to {window[1]:g} s" if window else ""),
-            found=f"{read.time_s.size}",
+            found=f"{sum(map(len, times))}",
         )
-    return _record(stored, test, columns, read, window), test
-
-
-def near_stall_means(raw_path: str | os.PathLike[str], test: TestDescription) -> dict[str, float]:
-    """Return the mean of each channel over the near-stall interval.
-
-    Parameters
-    ----------
-    raw_path : str or path
-        The record.
-    test : TestDescription
-        Its description.
-
-    Returns
-    -------
-    dict of str to float
-        Counts, Pa or K by channel; empty where the record has no such rows.
-
-    Raises
-    ------
-    InputError
-        When file and description do not go together.
-    """
-    stored, columns = _opened(raw_path, test)
-    state = test.near_stall
-    read = _read(stored, test, columns, (state.from_s, state.to_s), None)
-    return {
-        column.name: float(
-            np.mean(column.conversion.to_si(read.by_column[column.column].astype(np.float64)))
-        )
-        for column in columns[1:]
-        if read.time_s.size
+    joined = {
+        name: np.concatenate([block[number] for block in kept]) for number, name in enumerate(names)
     }
-
-
-def _opened(
-    raw_path: str | os.PathLike[str], test: TestDescription
-) -> tuple[RawFile, tuple[FeedColumn, ...]]:
-    """Open a file, and check that its columns are those that the test describes."""
-    stored = open_stored(raw_path, test.file)
-    columns = feeds(stored, test)
-    check_columns(stored, test, columns)
-    check_units(stored, test, columns)
-    apart = sampled_apart(stored, [column.column for column in columns])
-    if apart is not None:
-        raise apart
-    return stored, columns
-
-
-def _read(
-    stored: RawFile,
-    test: TestDescription,
-    columns: tuple[FeedColumn, ...],
-    window: Window | None,
-    progress: Callable[[int], object] | None,
-) -> _Readings:
-    """Read the rows of a window, or all."""
-    watched = _passed_over(stored, {column.column for column in columns}, test)
-    names = tuple(dict.fromkeys((*(c.column for c in columns if c.column), *watched)))
-    low_s, high_s = _span(test, window)
-    kept: list[tuple[NDArray[np.generic], ...]] = []
-    clocks: list[FloatArray] = []
-    first_s: float | None = None
-    rows, rows_before, n_kept = 0, 0, 0
-    for block in stored.blocks(names):
-        n_rows = block[0].size
-        if columns[0].column:
-            clock = columns[0].conversion.to_si(np.asarray(block[0], dtype=np.float64))
-            first_s = float(clock[0]) if first_s is None and n_rows else first_s
-            if test.file.start_s is not None and first_s is not None:
-                clock = clock + (test.file.start_s - first_s)
-        else:
-            made_s = np.arange(rows, rows + n_rows) / test.sample_rate_hz
-            clock = (test.file.start_s or 0.0) + made_s
-        rows += n_rows
-        if progress is not None:
-            progress(n_rows)
-        inside = np.flatnonzero((clock >= low_s) & (clock <= high_s)) if window else np.arange(1)
-        if window and not inside.size:
-            rows_before = rows_before if kept else rows
-            if kept or (n_rows and clock[-1] > high_s):
-                break
-            continue
-        part = slice(inside[0], inside[-1] + 1) if window else slice(None)
-        rows_before += int(inside[0]) if not kept else 0
-        kept.append(tuple(column[part] for column in block))
-        clocks.append(clock[part])
-        n_kept += clocks[-1].size
-        if n_kept * len(names) > MOST_VALUES:
-            raise _TooLongError
-    joined: dict[str, NDArray[np.generic]] = {}
-    for number, name in enumerate(names):
-        joined[name] = np.concatenate([block[number] for block in kept]) if kept else np.empty(0)
-    time_s = np.concatenate(clocks) if clocks else np.empty(0)
-    for name in watched:
-        _check_passed_over(stored, test, name, np.asarray(joined[name], dtype=np.float64))
-    return _Readings(joined, time_s, rows_before)
+    return _Readings(joined, np.concatenate(times), rows_before)
 
 
 def _span(test: TestDescription, window: Window | None) -> Window:
@@ -225,7 +271,7 @@ def _span(test: TestDescription, window: Window | None) -> Window:
     return min((window[0], *near[:1])) - half_s, max((window[1], *near[1:])) + half_s
 
 
-def _too_long(stored: RawFile, test: TestDescription) -> InputError:
+def _too_long(stored: StoredTable, test: TestDescription) -> InputError:
     channels = len(test.channel_names) + 1
     return InputError(
         stored.source,
@@ -238,15 +284,10 @@ def _too_long(stored: RawFile, test: TestDescription) -> InputError:
 
 
 def _record(
-    stored: RawFile,
-    test: TestDescription,
-    columns: tuple[FeedColumn, ...],
-    read: _Readings,
-    window: Window | None,
+    stored: StoredTable, test: TestDescription, read: _Readings, window: Window | None
 ) -> Record:
-    clock, *fed = columns
-    time_s = _finite(stored, clock, read.time_s, read.rows_before)
-    part = ""
+    time_s, part = read.time_s, ""
+    _check_readings(stored, test, None, time_s, read.rows_before)
     if window is not None:
         if window[1] < time_s[0] or window[0] > time_s[-1]:
             raise InputError(
@@ -257,170 +298,72 @@ def _record(
         part = ", a part of the file"
         if time_s[0] < window[0] - 1.0 / test.sample_rate_hz:
             part += f" (from {window[0]:g} s on was asked; the near-stall reading is before it)"
-    rate_hz = _check_clock(time_s, stored.source, test)
-    lowest, highest = possible_ranges(test, tuple(column.name for column in fed))
+    _check_rate(time_s, stored.source, test)
     channels: dict[str, Channel] = {}
-    for column, low, high in zip(fed, lowest, highest, strict=True):
-        values = column.conversion.to_si(
-            np.asarray(read.by_column.pop(column.column), dtype=np.float64)
-        )
-        # What is no number is in no range.
-        if not (low <= values.min() and values.max() <= high and np.isfinite(values.max())):
-            _finite(stored, column, values, read.rows_before)
-            _check_possible(stored, test, column, values, (low, high), read.rows_before)
-        channels[column.name] = Channel.adopt(column.name, values, column.record_unit)
-    made = f"from the sample rate, {rate_hz:g} Hz" if not clock.column else stored.clock
+    for channel in test.channels:
+        values = np.asarray(read.by_column.pop(channel.file_column), dtype=np.float64)
+        values = channel.conversion.to_si(values)
+        _check_readings(stored, test, channel, values, read.rows_before)
+        channels[channel.name] = Channel.adopt(channel.name, values, channel.record_unit)
+    rate_hz = test.sample_rate_hz
+    is_made = test.file.clock == "from rate"
+    made = "from the sample rate" if is_made else stored.counts_from(test.file.time)
     entry = LedgerEntry(
         "read",
-        f"{time_s.size} rows of {len(test.channel_names)} channels, "
-        f"{time_s[0]:.3f} to {time_s[-1]:.3f} s at {rate_hz:g} Hz"
-        + part
-        + (f"; the clock is {made}" if made else ""),
+        f"{time_s.size} rows of {len(channels)} channels, {time_s[0]:.3f} to {time_s[-1]:.3f} s "
+        f"at {rate_hz:g} Hz{part}" + (f"; the clock is {made}" if made else ""),
         {"raw": stored.source, "test": test.source, "rows": int(time_s.size)},
     )
     return Record(channels, rate_hz, float(time_s[0]), stored.source, (entry,))
 
 
-def _finite(
-    stored: RawFile, column: FeedColumn, values: FloatArray, rows_before: int
-) -> FloatArray:
-    finite = np.isfinite(values)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise InputError(
-            f"{stored.source}: {column.title}",
-            expected="a finite number in every row",
-            found=f"'{values[row]}' in row {rows_before + row + 1}",
-            remedy="cut the record there or repair the channel",
-        )
-    return values
-
-
-def _check_clock(time_s: FloatArray, source: str, test: TestDescription) -> float:
-    period_s = uniform_period_s(time_s, f"{source}: column {TIME_COLUMN}")
-    rate_hz = test.sample_rate_hz
+def _check_rate(time_s: FloatArray, source: str, test: TestDescription) -> None:
+    """Refuse a clock that is not uniform, or has another rate than test.toml says."""
+    ratio = uniform_period_s(time_s, f"{source}: column time_s") * test.sample_rate_hz
     # The ends of a printed clock are each rounded by up to half a digit, worth half of what
     # a step may be off at the coarsest clock that is let through.
-    slack = RATE_TOLERANCE + CLOCK_TOLERANCE / (time_s.size - 1)
-    if abs(period_s * rate_hz - 1.0) > slack:
-        periods = period_s * rate_hz
-        remedy = f"if the clock is right, write sample_rate_hz = {rate_hz / periods:g}"
-        for factor, unit in ((1e3, "ms"), (1e6, "us"), (1e9, "ns")):
-            if abs(periods / factor - 1.0) < RATE_TOLERANCE:
-                remedy = f'is it in {unit}? then write time_unit = "{unit}" in [file]'
-        raise InputError(
-            f"{source}: column {TIME_COLUMN}",
-            expected=f"{rate_hz:g} samples a second, as {test.source} [test] sample_rate_hz says",
-            found=f"{1.0 / period_s:g}",
-            remedy=remedy,
-        )
-    return rate_hz
-
-
-def _passed_over(stored: RawFile, fed: set[str], test: TestDescription) -> tuple[str, ...]:
-    """Return the clock that the file has where the time is made from the rate instead."""
-    if test.file.clock != "from rate":
-        return ()
-    spare = {name.strip().lower(): name for name in stored.names if name not in fed}
-    known = [*(n for n in stored.stamps if n not in fed), *(spare.get(n) for n in CLOCK_NAMES)]
-    return tuple(name for name in known if name is not None)[:1]
-
-
-def _check_passed_over(
-    stored: RawFile, test: TestDescription, name: str, values: FloatArray
-) -> None:
-    """Refuse a file whose own clock is even and contradicts the one that is made."""
-    stated = stored.units.get(name, "")
-    timed = states_a_unit(stated) and kind_of_unit(stated) == "time"
-    steps = np.diff((time_conversion(stated, name) if timed else Conversion()).to_si(values))
-    usual = float(np.median(steps)) if steps.size else np.nan
-    even = np.abs(steps - usual) <= 0.1 * usual
-    # A column that only is called like a clock has no even steps; one that steps by 1 counts rows.
-    if not usual > 0.0 or np.mean(even) < 0.99 or usual == 1.0:
+    if abs(ratio - 1.0) <= RATE_TOLERANCE + CLOCK_TOLERANCE / (time_s.size - 1):
         return
-    gap = float(steps.max())
-    ratio = float(np.mean(steps[even])) * test.sample_rate_hz
-    # A clock without a unit may be in ms, us or ns.
-    units = (1.0,) if timed else (1.0, 1e3, 1e6, 1e9)
-    agreed = any(abs(ratio / unit - 1.0) <= RATE_TOLERANCE for unit in units)
-    if agreed and gap <= 1.5 * usual:
-        return
+    in_ms = abs(ratio / 1e3 - 1.0) < RATE_TOLERANCE
     raise InputError(
-        f"{stored.source}: column {name}",
-        expected=f"uniform steps at {test.sample_rate_hz:g} samples a second, as {test.source} "
-        "[test] sample_rate_hz says",
-        found=f"a step of {gap:.4g} where others have {usual:.4g}"
-        if agreed
-        else f"{test.sample_rate_hz / ratio:g} samples a second",
-        remedy="correct the one that is wrong; if it is this clock, take its column out of the "
-        "file",
+        f"{source}: column time_s",
+        expected=f"{test.sample_rate_hz:g} samples a second, as {test.source} [test] "
+        "sample_rate_hz says",
+        found=f"{test.sample_rate_hz / ratio:g}",
+        remedy='is it in ms? then write time_unit = "ms" in [file]'
+        if in_ms
+        else f"if the clock is right, write sample_rate_hz = {test.sample_rate_hz / ratio:g}",
     )
 
 
-def possible_ranges(test: TestDescription, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the greatest reading that each column of a record can have.
-
-    Parameters
-    ----------
-    test : TestDescription
-        The test.
-    names : tuple of str
-        Columns: channels of the test, or others, of which anything finite is possible.
-
-    Returns
-    -------
-    ndarray of shape (n_columns,)
-        The least: 0 for counts, the first number above 0 for Pa, K for temperatures, minus
-        infinity for others.
-    ndarray of shape (n_columns,)
-        The greatest: the top code of the converter, K, infinity.
-    """
-    ranges = {
-        # Absolute ones: what a gauge or a differential reading is taken against is in them.
-        probe.name: (0.0, test.adc.top_code)
-        if probe.record_unit == COUNT
-        else (np.nextafter(0.0, 1.0), np.inf)
-        for probe in test.pressures
-    } | {couple.name: POSSIBLE_K for couple in test.temperatures}
-    lowest, highest = np.array([ranges.get(name, (-np.inf, np.inf)) for name in names]).T
-    return lowest, highest
-
-
-def _check_possible(
-    stored: RawFile,
+def _check_readings(
+    stored: StoredTable,
     test: TestDescription,
-    column: FeedColumn,
+    channel: AnyChannel | None,
     values: FloatArray,
-    possible: tuple[float, float],
     rows_before: int,
 ) -> None:
-    """Refuse codes that the converter does not have, and what no gas or thermocouple has."""
-    off = (values < possible[0]) | (values > possible[1])
-    if not off.any():
+    """Refuse what is no number, codes that the converter does not have, and what no gas has."""
+    low, high, possible, remedy = -np.inf, np.inf, "", "check the unit of the column"
+    if isinstance(channel, CountChannel):
+        low, high = 0.0, float(test.adc.top_code)
+        possible = f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})"
+    elif isinstance(channel, PressureChannel):
+        low, possible = np.nextafter(0.0, 1.0), "absolute pressures above 0 Pa"
+        remedy += f" and reference_Pa in [channels.{channel.name}] of {test.source}"
+    elif channel is not None:
+        low, high = POSSIBLE_K
+        possible = f"absolute temperatures in K, {low:g} to {high:g}"
+    # What is no number is in no range.
+    if low <= values.min() and values.max() <= high and np.isfinite(values.max()):
         return
-    row = int(np.argmax(off))
-    probe = next((p for p in test.pressures if p.name == column.name), None)
-    expected, remedy = _what_is_possible(probe, test)
+    finite = np.isfinite(values)
+    row = int(np.argmin(finite if not finite.all() else (low <= values) & (values <= high)))
+    title = f"column {test.file.time}" if channel is None else _title(channel)
+    unit = " Pa" if channel is not None and channel.record_unit == "Pa" else ""
     raise InputError(
-        f"{stored.source}: channel {column.name}",
-        expected=expected,
-        found=f"{values[row]:g}{' Pa' if column.record_unit == 'Pa' else ''} in row "
-        f"{rows_before + row + 1}",
-        remedy=remedy,
-    )
-
-
-def _what_is_possible(probe: PressureChannel | None, test: TestDescription) -> tuple[str, str]:
-    """Return what is expected of a channel, and what to look at."""
-    remedy = "check the unit of the column"
-    if probe is None:
-        low_K, high_K = POSSIBLE_K
-        return f"absolute temperatures in K, {low_K:g} to {high_K:g}", remedy
-    if probe.record_unit == COUNT:
-        return f"counts of a {test.adc.bits}-bit converter (0 to {test.adc.top_code})", remedy
-    against = "which is added to it" if probe.reference_Pa else "which a gauge reading needs"
-    remedy += f" and reference_Pa in [channels.{probe.name}] of {test.source}, {against}; "
-    return (
-        "absolute pressures above 0 Pa",
-        remedy + "leave out a probe that drops out, with its mate",
+        f"{stored.source}: {title}",
+        expected=possible if finite.all() else "a finite number in every row",
+        found=f"{values[row]:g}{unit} in row {rows_before + row + 1}",
+        remedy=remedy if finite.all() else "cut the record there or repair the channel",
     )

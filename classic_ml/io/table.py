@@ -1,55 +1,31 @@
-"""What every reader of raw records returns: named columns of numbers, block by block."""
+"""What every reader of raw records gives: named columns of numbers, block by block."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from classic_ml.description import FileLayout
 from surge_core.errors import InputError
 
-__all__ = [
-    "BLOCK_ROWS",
-    "MINIMUM_ROWS",
-    "TIME_COLUMN",
-    "Columns",
-    "RawFile",
-    "Sampling",
-    "check_unique",
-    "fault_of",
-]
+__all__ = ["BLOCK_ROWS", "Columns", "StoredTable", "Vector", "along", "fault_of", "grouped"]
 
-TIME_COLUMN = "time_s"
-# The same floor as a series file: less is not a record of anything.
-MINIMUM_ROWS = 100
 # Rows that a reader takes at once: 40 MB of 20 channels.
 BLOCK_ROWS = 1 << 18
-LONGEST_CAUSE = 160
+# How many groups a sentence names.
+NAMED = 6
 
 # Some rows of a table, one array of numbers a column.
 Columns = tuple[NDArray[Any], ...]
 
 
 @dataclass(frozen=True)
-class Sampling:
-    """When a channel was sampled, where the file states that beside it (TDMS).
-
-    Parameters
-    ----------
-    start_s : float
-        Time of its first row, from the date of the file's first channel.
-    step_s : float
-        From row to row.
-    """
-
-    start_s: float
-    step_s: float
-
-
-@dataclass(frozen=True)
-class RawFile:
+class StoredTable:
     """A raw record on disk.
 
     Parameters
@@ -59,47 +35,52 @@ class RawFile:
     names : tuple of str
         Column names as the file has them, that of the clock among them.
     read : callable
-        ``read(names, rows)`` yields some of the columns in file order, at most about so many rows
-        at once, each time from the first row on: a tuple of one array a column.
+        ``read(names)`` yields some of the columns in file order, from the first row on: a tuple of
+        one array a column, of numbers or dates.
     units : mapping of str to str
         Units that the file itself states, by column.
-    n_rows : int, optional
-        Rows, where the file says so without being read through.
-    clock : str
-        What the clock is, where it is no column of times: "seconds from the first sample at
-        2024-05-01T12:00:00"; empty otherwise.
-    unusable : mapping of str to str
-        Columns that are none of this table, and why: text, another length, no vector.
-    stamps : mapping of str to str
-        Columns that are dates in the file and seconds here, and what they count from.
-    sampled : mapping of str to Sampling
-        By column, when it was sampled, where the file states that for each.
-    other_groups : mapping of str to str
-        Groups of the file that are none of this table, and what is in them.
+    left_aside : mapping of str to str
+        What else is in the file, and why it is no column: text, another length, no vector.
+    dates : mapping of str to date
+        Columns of dates, and the first of each: their seconds count from it.
+    sampled : mapping of str to (float, float)
+        By column, the start and the step in s, where the file states them for each (TDMS).
     """
 
     source: str
     names: tuple[str, ...]
-    read: Callable[[tuple[str, ...], int], Iterator[Columns]]
+    read: Callable[[tuple[str, ...]], Iterator[Columns]]
     units: Mapping[str, str] = field(default_factory=dict)
-    n_rows: int | None = None
-    clock: str = ""
-    unusable: Mapping[str, str] = field(default_factory=dict)
-    stamps: Mapping[str, str] = field(default_factory=dict)
-    sampled: Mapping[str, Sampling] = field(default_factory=dict)
-    other_groups: Mapping[str, str] = field(default_factory=dict)
+    left_aside: Mapping[str, str] = field(default_factory=dict)
+    dates: Mapping[str, Any] = field(default_factory=dict)
+    sampled: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def blocks(
-        self, names: tuple[str, ...] | None = None, rows: int = BLOCK_ROWS
-    ) -> Iterator[Columns]:
-        """Yield columns of the file block by block.
+    def __post_init__(self) -> None:
+        for name, count in Counter(self.names).items():
+            if not name or count > 1:
+                raise InputError(
+                    f"{self.source}: column {name}",
+                    expected="each column once, under a name",
+                    found=f"it {count} times" if name else "one without a name",
+                    remedy="" if name else "does every row end with a comma?",
+                )
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column; a date is in seconds here."""
+        return "s" if name in self.dates else self.units.get(name, "")
+
+    def counts_from(self, name: str) -> str:
+        """Return what the seconds of a column of dates count from; empty for another column."""
+        first = self.dates.get(name)
+        return "" if first is None else f"seconds from the first sample at {first}"
+
+    def blocks(self, names: tuple[str, ...]) -> Iterator[Columns]:
+        """Yield columns of the file block by block, dates in seconds from the first row.
 
         Parameters
         ----------
-        names : tuple of str, optional
-            Which; all of them without.
-        rows : int
-            About how many rows at once.
+        names : tuple of str
+            Which.
 
         Raises
         ------
@@ -107,9 +88,20 @@ class RawFile:
             Where the file cannot be read further.
         """
         try:
-            yield from self.read(self.names if names is None else names, rows)
+            for block in self.read(names):
+                yield tuple(
+                    _numbers(v, self.dates.get(n)) for n, v in zip(names, block, strict=True)
+                )
         except Exception as error:
             raise fault_of(error, self.source, "rows that can be read") from None
+
+
+def _numbers(values: NDArray[Any], first: Any) -> NDArray[Any]:
+    if first is not None:
+        # The difference first: a date in nanoseconds is no double.
+        return (values - np.datetime64(first)) / np.timedelta64(1, "s")
+    whole = values.dtype.kind in "iu" and values.dtype.isnative
+    return values if whole else values.astype(np.float64, copy=False)
 
 
 def fault_of(error: Exception, source: str, what: str) -> Exception:
@@ -130,26 +122,127 @@ def fault_of(error: Exception, source: str, what: str) -> Exception:
     return InputError(
         source,
         expected=what,
-        found=f"what cannot be read ({cause[:LONGEST_CAUSE]})",
+        found=f"what cannot be read ({cause[:160]})",
         remedy="was it cut short? copy it again from where it was recorded",
     )
 
 
-def check_unique(source: str, names: tuple[str, ...]) -> None:
-    """Refuse doubled or empty column names."""
-    seen: set[str] = set()
-    for number, name in enumerate(names, start=1):
-        if not name:
+@dataclass(frozen=True)
+class Vector:
+    """A vector of numbers or dates in a file with groups.
+
+    Parameters
+    ----------
+    path : tuple of str
+        Its groups and its name.
+    values : array-like
+        What gives some of them when it is sliced, and has a length.
+    unit : str
+        Unit that the file states; empty without.
+    sampled : (float, float), optional
+        Start and step in s, where the file states them beside it.
+    """
+
+    path: tuple[str, ...]
+    values: Any
+    unit: str = ""
+    sampled: tuple[float, float] | None = None
+
+
+class _Along:
+    """An array of which one axis is longer than 1, sliced along that axis."""
+
+    def __init__(self, array: Any, axis: int) -> None:
+        self._array, self._axis = array, axis
+
+    def __len__(self) -> int:
+        return int(self._array.shape[self._axis])
+
+    def __getitem__(self, rows: slice) -> NDArray[Any]:
+        axes = range(len(self._array.shape))
+        return np.asarray(self._array[tuple(rows if k == self._axis else 0 for k in axes)])
+
+
+def along(array: Any) -> Any:
+    """Return an array of any shape as a vector, or None where it is none."""
+    long = [axis for axis, size in enumerate(array.shape) if size > 1]
+    return _Along(array, long[0]) if len(long) == 1 else None
+
+
+def grouped(
+    source: str,
+    vectors: Sequence[Vector],
+    layout: FileLayout,
+    left_aside: Mapping[str, str],
+) -> StoredTable:
+    """Return the vectors of one length in one group as the columns of a record.
+
+    Parameters
+    ----------
+    source : str
+        The file.
+    vectors : sequence of Vector
+        All that it holds.
+    layout : FileLayout
+        The group to take, and the name of the clock: its length is that of the record; without it
+        the length that most vectors share.
+    left_aside : mapping of str to str
+        What else it holds, and why that is no vector.
+
+    Raises
+    ------
+    InputError
+        When the group is not there, holds nothing, or several hold channels and none is named.
+    """
+    wanted = (layout.group or "").strip("/")
+    named = (v.path[:k] for v in vectors for k in range(len(v.path)))
+    base = next((path for path in named if "/".join(path) == wanted), None)
+    if base is None:
+        # The names of all, of a file with many groups the first.
+        groups = f"the groups {_listed(vectors)}" if vectors else "no vector of numbers"
+        also = "".join(f"; {name} is {why}" for name, why in list(left_aside.items())[:1])
+        expected = f"the group {wanted}, as [file] group says" if wanted else "channels"
+        raise InputError(source, expected=expected, found=groups + ("" if vectors else also))
+    inside = [vector for vector in vectors if vector.path[: len(base)] == base]
+    shares = Counter(len(vector.values) for vector in inside)
+    clocks = {len(v.values) for v in inside if v.path[-1] == layout.time}
+    size = clocks.pop() if len(clocks) == 1 else max(shares, key=lambda n: (shares[n], n))
+    taken = [vector for vector in inside if len(vector.values) == size]
+    if layout.group is None:
+        base = taken[0].path[:-1]
+        if any(vector.path[:-1] != base for vector in taken):
             raise InputError(
                 source,
-                expected="a name for every column",
-                found=f"an empty one, that of column {number} of {len(names)}",
-                remedy="does every row end with a comma?",
+                expected="the channels in one group",
+                found=f"channels in {_listed(taken)}",
+                remedy=f'write group = "{"/".join(base)}" in [file] of test.toml for one of them, '
+                'or group = "/" for all, their columns named as "group/name"',
             )
-        if name in seen:
-            raise InputError(
-                f"{source}: channel {name}",
-                expected="each column once",
-                found=f"it {names.count(name)} times",
-            )
-        seen.add(name)
+    columns = {"/".join(vector.path[len(base) :]): vector for vector in taken}
+
+    def read(names: tuple[str, ...]) -> Iterator[Columns]:
+        for start in range(0, size, BLOCK_ROWS):
+            rows = slice(start, min(start + BLOCK_ROWS, size))
+            yield tuple(np.asarray(columns[name].values[rows]) for name in names)
+
+    others = {
+        "/".join(v.path): f"{len(v.values)} values where the record has {size}"
+        for v in vectors
+        if len(v.values) != size
+    }
+    firsts = {name: np.asarray(vector.values[0:1]) for name, vector in columns.items()}
+    return StoredTable(
+        source,
+        tuple(columns),
+        read,
+        {name: " ".join(v.unit.split()) for name, v in columns.items() if v.unit.strip()},
+        {**left_aside, **others},
+        {name: first[0] for name, first in firsts.items() if first.dtype.kind == "M"},
+        {name: v.sampled for name, v in columns.items() if v.sampled is not None},
+    )
+
+
+def _listed(vectors: Sequence[Vector]) -> str:
+    groups = list(dict.fromkeys("/".join(vector.path[:-1]) for vector in vectors))
+    more = f" and {len(groups) - NAMED} more" if len(groups) > NAMED else ""
+    return ", ".join(f"'{name or '/'}'" for name in groups[:NAMED]) + more

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.description import FileLayout
-from classic_ml.io.table import RawFile, Sampling
-from classic_ml.io.vectors import Found, Vector, as_table
+from classic_ml.io.table import StoredTable, Vector, grouped
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -23,24 +21,13 @@ __all__ = ["open_tdms"]
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "Unit", "unit", "Units", "units")
 
 
-def open_tdms(file: Path, layout: FileLayout, lenient: bool = False) -> RawFile:
+@contextmanager
+def open_tdms(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[StoredTable]:
     """Open a TDMS file; its rows are read slice by slice, scaled as the file says.
 
-    Parameters
-    ----------
-    file : path
-        An existing file. Without a channel of the clock's name, ``wf_start_offset`` and
-        ``wf_increment`` of the channels are the clock; with ``wf_start_time`` they say which
-        channels were sampled together; ``unit_string`` states a unit.
-    layout : FileLayout
-        The group to take.
-    lenient : bool
-        Take a file that was cut short as far as it goes.
-
-    Raises
-    ------
-    InputError
-        When npTDMS is missing, the file was cut short, or it is open which group is meant.
+    Without a channel of the clock's name, ``wf_start_offset`` and ``wf_increment`` of the channels
+    are the clock; with ``wf_start_time`` they say which channels were sampled together;
+    ``unit_string`` states a unit. Arguments as :func:`classic_ml.io.formats.open_stored` has them.
     """
     if find_spec("nptdms") is None:
         raise InputError(
@@ -54,80 +41,59 @@ def open_tdms(file: Path, layout: FileLayout, lenient: bool = False) -> RawFile:
 
     # It warns of a damaged file on stderr, beside the error.
     log_manager.set_level(logging.ERROR)
-    opened = partial(TdmsFile.open, file)
-    found = Found()
-    with opened() as handle:
+    with TdmsFile.open(file) as handle:
         if handle.file_status.incomplete_final_segment and not lenient:
             raise InputError(
                 str(file),
                 expected="a whole TDMS file",
                 found="its last segment cut short",
-                remedy="copy it again from the logger, or export the part that is whole; "
-                "`sindy-surge inspect` shows it",
+                remedy="copy it again from the logger, or export the part that is whole",
             )
-        dates = [
-            start
-            for group in handle.groups()
-            for channel in group.channels()
-            if isinstance(start := channel.properties.get("wf_start_time"), np.datetime64)
-        ]
+        vectors, left_aside = list[Vector](), dict[str, str]()
         for group in handle.groups():
-            channels = group.channels()
-            for channel in channels:
-                _add(found, (group.name, channel.name), channel, dates)
-            if layout.clock == "column" and layout.time not in {c.name for c in channels}:
-                found.vectors += _clocks(group.name, found.vectors, layout)
-    return as_table(str(file), found, layout, opened)
+            here = list(_vectors(group, left_aside))
+            # Where the channels differ, that of the first stands for all, and those that differ
+            # are refused when they are read.
+            stated = next((v for v in here if v.sampled is not None), None)
+            named = any(v.path[1] == layout.time for v in here)
+            if stated is not None and not named and layout.clock == "column":
+                clock = _Clock(*(stated.sampled or (0.0, 1.0)), len(stated.values))
+                here.append(Vector((group.name, layout.time), clock, "s"))
+            vectors += here
+        yield grouped(str(file), vectors, layout, left_aside)
 
 
-def _add(found: Found, path: tuple[str, str], channel: Any, dates: list[Any]) -> None:
-    """Add one channel, or what it is instead of one."""
-    kind, size = np.dtype(channel.dtype).kind, len(channel)
-    if not size or kind not in "iufbM":
-        found.aside[path] = "no real numbers" if size else "no values in it"
-        return
-    first = channel[0] if kind == "M" else None
-
-    def read(handle: Any, start: int, stop: int) -> NDArray[Any]:
-        values = handle[path[0]][path[1]].read_data(start, stop - start)
-        return np.asarray(values if first is None else (values - first) / np.timedelta64(1, "s"))
-
-    stated = channel.properties
-    unit = next((str(stated[key]) for key in _UNIT_PROPERTIES if key in stated), "")
-    stamp = "" if first is None else f"seconds from the first sample at {first}"
-    step_s = float(stated.get("wf_increment") or 0.0)
-    sampling = None
-    if step_s > 0.0:
-        start = stated.get("wf_start_time")
-        # The difference first: a date in nanoseconds is no double.
-        later = (start - dates[0]) / np.timedelta64(1, "s") if start in dates else 0.0
-        offset_s = float(stated.get("wf_start_offset") or 0.0)
-        sampling = Sampling(float(later) + offset_s, step_s)
-    found.vectors.append(Vector(path, size, read, "s" if stamp else unit, stamp, sampling))
+def _vectors(group: Any, left_aside: dict[str, str]) -> Iterator[Vector]:
+    origin = None
+    for channel in group.channels():
+        if not len(channel) or np.dtype(channel.dtype).kind not in "iufbM":
+            left_aside[f"{group.name}/{channel.name}"] = "no vector of numbers"
+            continue
+        stated = channel.properties
+        unit = next((str(stated[name]) for name in _UNIT_PROPERTIES if name in stated), "")
+        step_s, start = float(stated.get("wf_increment") or 0.0), stated.get("wf_start_time")
+        origin = start if origin is None else origin
+        later_s = float(stated.get("wf_start_offset") or 0.0)
+        if isinstance(start, np.datetime64) and isinstance(origin, np.datetime64):
+            # The difference first: a date in nanoseconds is no double.
+            later_s += float((start - origin) / np.timedelta64(1, "s"))
+        sampled = (later_s, step_s) if step_s > 0.0 else None
+        yield Vector((group.name, channel.name), channel, unit, sampled)
 
 
-def _clocks(group: str, vectors: list[Vector], layout: FileLayout) -> list[Vector]:
-    """Return the clocks that the properties of the channels of a group state, if they do.
+class _Clock:
+    """The times of the rows of a channel, from its start and its step in s."""
 
-    Where channels of one length state several, it is that of most; those that differ are refused
-    where they are read.
-    """
-    stated: dict[int, Counter[Sampling]] = {}
-    for vector in vectors:
-        if vector.path[0] == group and vector.sampling is not None:
-            stated.setdefault(vector.size, Counter())[vector.sampling] += 1
-    clocks = []
-    for size, counted in stated.items():
-        ((sampling, _),) = counted.most_common(1)
-        times = partial(_times, sampling)
-        clocks.append(Vector((group, layout.time), size, times, "s", "", sampling, made=True))
-    return clocks
+    def __init__(self, start_s: float, step_s: float, n_rows: int) -> None:
+        self._start_s, self._n_rows = start_s, n_rows
+        rate_hz = 1.0 / step_s
+        # A step of 1e-3 is no double; its rate is, and gives the times of a printed clock.
+        whole = abs(rate_hz - round(rate_hz)) < 1e-9 * rate_hz
+        self._rate_hz = round(rate_hz) if whole and round(rate_hz) else rate_hz
 
+    def __len__(self) -> int:
+        return self._n_rows
 
-def _times(sampling: Sampling, _: Any, start: int, stop: int) -> FloatArray:
-    rows = np.arange(start, stop, dtype=np.float64)
-    rate_hz = 1.0 / sampling.step_s
-    # A step of 1e-3 is no double; its rate is, and gives the times of a printed clock.
-    even = abs(rate_hz - round(rate_hz)) < 1e-9 * rate_hz
-    since_first = rows / round(rate_hz) if even and round(rate_hz) else rows * sampling.step_s
-    return np.asarray(sampling.start_s + since_first)
+    def __getitem__(self, rows: slice) -> FloatArray:
+        numbers = np.arange(*rows.indices(self._n_rows), dtype=np.float64)
+        return np.asarray(self._start_s + numbers / self._rate_hz)

@@ -58,27 +58,26 @@ def run(arguments: argparse.Namespace) -> None:
     Raises
     ------
     InputError
-        When the file cannot be opened, or an option contradicts another.
+        When the file or its test.toml cannot be used, or an option contradicts another.
     """
-    from classic_ml.inspect import draft_test_toml, inspect_file, match_test, preview
+    from classic_ml.inspect import draft_test_toml, inspect_file, match_test
+    from classic_ml.io import read_test_description
     from comparisons.show.inspection import inspect_document, inspect_text
 
     _check_draft(arguments)
     check_files([arguments.file, arguments.test], json=arguments.json, draft=arguments.draft)
-    test, remarks = _test(arguments)
-    match = reduction = None
-    with shown_steps(1 if test is None else 3) as begin:
+    test = None if arguments.test is None else read_test_description(arguments.test)
+    match, remarks = None, tuple[str, ...]()
+    with shown_steps(1 if test is None else 2) as begin:
         begin("looking through the file")
         layout = None if test is None else test.file
         inspection = inspect_file(arguments.file, layout, group=arguments.group)
         if test is not None:
-            begin("setting it beside the test")
+            begin("setting it beside the test and reducing it")
             match = match_test(arguments.file, test, inspection)
-            begin("reducing it")
-            reduction = preview(arguments.file, test, inspection)
     if test is None and {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
-        remarks = (*remarks, _series_remark(arguments.file))
-    found: dict[str, Any] = {"match": match, "reduction": reduction, "remarks": remarks}
+        remarks = (_series_remark(arguments.file),)
+    found: dict[str, Any] = {"match": match, "remarks": remarks}
     # The files first: a reader of the text may go away after its first lines.
     written = write_all(
         [
@@ -113,18 +112,6 @@ def _check_draft(arguments: argparse.Namespace) -> None:
             found="both",
             remedy=f'write group = "{arguments.group}" in [file] of {arguments.test}',
         )
-
-
-def _test(arguments: argparse.Namespace) -> tuple[Any, tuple[str, ...]]:
-    """Return the description of the test, or why there is none: the file is shown anyway."""
-    from classic_ml.io.description_file import read_test_description
-
-    if arguments.test is None:
-        return None, ()
-    try:
-        return read_test_description(arguments.test), ()
-    except InputError as error:
-        return None, (f"the description of the test cannot be used: {error}",)
 
 
 def _series_remark(file: Path) -> str:

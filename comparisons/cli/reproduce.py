@@ -5,21 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.cli.shared import Commands, add_targets, command_line, whole
-from surge_core.files import check_apart, check_target, write_whole
+from comparisons.cli.shared import Commands, add_targets, check_files, command_line, whole
+from surge_core.files import write_whole
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
+    from comparisons.page.blocks import Picture
     from comparisons.paper.claim import Claim
-    from comparisons.paper.figures import PaperFigure
     from comparisons.show.report import ReportSection
 
-__all__ = ["add_parser", "claims_sections", "reproduce", "run"]
+__all__ = ["add_parser", "claims_sections", "run"]
 
-HTML = (".html", ".htm")
 ABOUT = (
     "Four surge tests and one of steady rotating stall were simulated on a rig whose truth is "
     "known, read from their raw counts and reduced and fitted the paper's way: Butterworth "
@@ -28,92 +26,6 @@ ABOUT = (
     "reads back how the rig was made, “conformance” says that the code does as the paper says it "
     "did, and “tested” could have come out otherwise. What does not hold is printed as such."
 )
-
-
-def reproduce(
-    *,
-    seed: int = 0,
-    json_path: Path | None = None,
-    report: Path | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-    command: str = "sindy-surge reproduce",
-) -> str:
-    """Check the paper claim by claim on four simulated instabilities.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the rig's sensors.
-    json_path : path, optional
-        Where the rows go as JSON.
-    report : path, optional
-        Where the HTML report with its pictures goes.
-    progress : callable
-        Wraps iterations, to show how far they are.
-    command : str
-        Printed in the report.
-
-    Returns
-    -------
-    str
-        The table of the claims, and what was written.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be written; it is refused before any work is done.
-    """
-    wanted = [(path, kind) for path, kind in ((json_path, ()), (report, HTML)) if path is not None]
-    for path, suffixes in wanted:
-        check_target(path, suffixes)
-    check_apart([], [path for path, _ in wanted])
-
-    from comparisons.paper.claim import claims_json, claims_table
-    from comparisons.paper.claims import check_claims
-    from comparisons.paper.instabilities import run_instabilities
-
-    runs = run_instabilities(seed, progress)
-    claims = check_claims(runs, progress)
-    lines = [claims_table(claims)]
-    if json_path is not None:
-        rows = json.dumps(claims_json(claims), indent=1, allow_nan=False, ensure_ascii=False)
-        write_whole(json_path, rows + "\n")
-        lines.append(f"numbers: {json_path}")
-    if report is not None:
-        from comparisons.paper.figures import draw_figures
-        from comparisons.show.report import write_report
-
-        sections = claims_sections(claims, draw_figures(runs), progress)
-        write_report(report, sections, title="The paper, claim by claim", command=command)
-        lines.append(f"report: {report}")
-    return "\n".join(lines)
-
-
-def claims_sections(
-    claims: Sequence[Claim],
-    figures: Sequence[PaperFigure],
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> tuple[ReportSection, ...]:
-    """Return the sections of the page: the claims and the pictures.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        Checked claims.
-    figures : sequence of PaperFigure
-        Counterparts of the paper's figures.
-    progress : callable
-        Wraps the iteration over the figures, to show how far it is.
-    """
-    from comparisons.paper.claim import claims_block
-    from comparisons.show.report import Part, Picture, ReportSection, Words
-
-    table = Part("Table", (Words(ABOUT, "quiet"), claims_block(claims)))
-    pictures = tuple(
-        Part(f.title, (Picture.of(f.title, f.figure, f.caption, f.counterpart),))
-        for f in progress(figures)
-    )
-    return ReportSection("Claims", extra=(table,)), ReportSection("Figures", extra=pictures)
 
 
 def add_parser(commands: Commands) -> None:
@@ -145,13 +57,54 @@ def run(arguments: argparse.Namespace) -> None:
     ----------
     arguments : argparse.Namespace
         Of the command.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be written; it is refused before any work is done.
     """
-    print(
-        reproduce(
-            seed=arguments.seed,
-            json_path=arguments.json,
-            report=arguments.report,
-            progress=shown_over,
-            command=command_line(),
-        )
-    )
+    check_files([], json=arguments.json, report=arguments.report)
+
+    from comparisons.paper.claim import claims_json, claims_table
+    from comparisons.paper.claims import check_claims
+    from comparisons.paper.instabilities import run_instabilities
+
+    runs = run_instabilities(arguments.seed, shown_over)
+    claims = check_claims(runs, shown_over)
+    print(claims_table(claims))
+    if arguments.json is not None:
+        rows = json.dumps(claims_json(claims), indent=1, allow_nan=False, ensure_ascii=False)
+        write_whole(arguments.json, rows + "\n")
+        print(f"numbers: {arguments.json}")
+    if arguments.report is not None:
+        from comparisons.paper.figures import draw_figures
+        from comparisons.show.report import write_report
+
+        sections = claims_sections(claims, draw_figures(runs), shown_over)
+        title = "The paper, claim by claim"
+        write_report(arguments.report, sections, title=title, command=command_line())
+        print(f"report: {arguments.report}")
+
+
+def claims_sections(
+    claims: Sequence[Claim],
+    pictures: Sequence[Picture],
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> tuple[ReportSection, ...]:
+    """Return the sections of the page: the claims and the pictures.
+
+    Parameters
+    ----------
+    claims : sequence of Claim
+        Checked claims.
+    pictures : sequence of Picture
+        Counterparts of the paper's figures.
+    progress : callable
+        Wraps the iteration over the pictures, to show how far it is.
+    """
+    from comparisons.paper.claim import claims_block
+    from comparisons.show.report import Part, ReportSection, Words
+
+    table = Part("Table", (Words(ABOUT, "quiet"), claims_block(claims)))
+    shown = tuple(Part(picture.title, (picture,)) for picture in progress(pictures))
+    return ReportSection("Claims", extra=(table,)), ReportSection("Figures", extra=shown)

@@ -119,14 +119,11 @@ def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
     Raises
     ------
     InputError
-        When one cannot be used, or is given twice.
+        When one cannot be used.
     """
     from classic_ml.io.series import read_series
-    from comparisons.harness.rows import check_once
 
-    records = [read_series(path) for path in paths]
-    check_once(records)
-    return records
+    return [read_series(path) for path in paths]
 
 
 def write_all(contents: Iterable[tuple[str, Path | None, Callable[[], str]]]) -> list[str]:

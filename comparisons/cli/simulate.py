@@ -64,16 +64,8 @@ def run(arguments: argparse.Namespace) -> None:
         Of the command.
     """
     from comparisons.rig import simulate, write_run
-    from surge_core.errors import InputError
     from surge_core.progress import shown_steps
 
-    if arguments.hide is None and arguments.hide_size is not None:
-        raise InputError(
-            "--hide-size",
-            expected="a size only with --hide EFFECT",
-            found=f"{arguments.hide_size:g} alone",
-            remedy="name the effect",
-        )
     with shown_steps(2) as begin:
         begin("running the rig")
         rig = simulate(

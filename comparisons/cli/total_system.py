@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from comparisons.cli.shared import Commands, add_raw, add_targets, check_files, write_all
-
-if TYPE_CHECKING:
-    from classic_ml.io import TestDescription
-    from comparisons.total_system import Facility
 
 __all__ = ["TOTAL_SYSTEM_SCHEMA", "add_parser", "run_total_system"]
 
@@ -47,13 +42,6 @@ def add_parser(subparsers: Commands) -> None:
         help="write the facility's numbers that were used, as a pattern for one's own",
     )
     parser.add_argument(
-        "--start",
-        choices=("multiple-shooting", "aligned"),
-        default="multiple-shooting",
-        help="restart the model in every segment (the default), or run it once from a surge start "
-        "that makes its first reversal of the flow coincide with the measured one",
-    )
-    parser.add_argument(
         "--table",
         action="store_true",
         help="table of what wrong starts (2, 10, 40 ms) and a wrong volume (10 %%) do to this "
@@ -77,30 +65,37 @@ def run_total_system(arguments: argparse.Namespace) -> None:
         When an input cannot be used; the sentence names it.
     """
     from classic_ml.io import read_raw
-    from comparisons.total_system import (
-        TotalSystemSettings,
-        facility_toml,
-        fit_total_system,
-        measured_signals,
-        sensitivity_rows,
-        sensitivity_table,
-    )
+    from comparisons import total_system as method
+    from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
     from comparisons.total_system.sensitivity import N_ROWS
+    from surge_core.errors import InputError
     from surge_core.files import to_strict_json
     from surge_core.progress import shown_count, shown_steps
 
     inputs = [arguments.raw, arguments.test, arguments.facility]
     check_files(inputs, json=arguments.json, facility=arguments.save_facility)
     record, test = read_raw(arguments.raw, arguments.test)
-    facility, origin = _facility(arguments.facility, test)
-    settings = TotalSystemSettings(facility, start=arguments.start)
-    measured = measured_signals(record, test)
+    case = rig_case_of_test(test.name)
+    if arguments.facility is not None:
+        facility, origin = method.read_facility(arguments.facility), str(arguments.facility)
+    elif case is not None:
+        facility, origin = facility_of_case(case), f"simulated rig, case {case}"
+    else:
+        raise InputError(
+            "--facility",
+            expected="a file with the facility's volumes, throttle, supply and heat exchange",
+            found="none",
+            remedy="only a record of `sindy-surge simulate` brings them along; --save-facility "
+            "writes a pattern from such a record",
+        )
+    settings = method.TotalSystemSettings(facility)
     with shown_count("fitting", unit=" step") as counted:
-        fit = fit_total_system(measured, settings, progress=counted)
+        signals = method.measured_signals(record, test)
+        fit = method.fit_total_system(signals, settings, progress=counted)
     rows = []
     if arguments.table:
         with shown_steps(N_ROWS) as shown:
-            rows = sensitivity_rows(record, test, settings, progress=shown)
+            rows = method.sensitivity_rows(record, test, settings, progress=shown)
     document = {
         "schema": TOTAL_SYSTEM_SCHEMA,
         "record": record.source,
@@ -111,31 +106,11 @@ def run_total_system(arguments: argparse.Namespace) -> None:
     written = write_all(
         [
             ("numbers", arguments.json, lambda: to_strict_json(document)),
-            ("facility", arguments.save_facility, lambda: facility_toml(facility)),
+            ("facility", arguments.save_facility, lambda: method.facility_toml(facility)),
         ]
     )
     print(f"record:   {record.source}\nfacility: {origin}\n\n{fit}")
     if rows:
-        print(f"\n{sensitivity_table(rows)}")
+        print(f"\n{method.sensitivity_table(rows)}")
     for line in written:
         print(line)
-
-
-def _facility(path: Path | None, test: TestDescription) -> tuple[Facility, str]:
-    """Return the facility and where its numbers come from."""
-    from comparisons.total_system import read_facility
-    from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
-    from surge_core.errors import InputError
-
-    if path is not None:
-        return read_facility(path), str(path)
-    case = rig_case_of_test(test.name)
-    if case is None:
-        raise InputError(
-            "--facility",
-            expected="a file with the facility's volumes, throttle, supply and heat exchange",
-            found="none",
-            remedy="only a record of `sindy-surge simulate` brings them along; --save-facility "
-            "writes a pattern from such a record",
-        )
-    return facility_of_case(case), f"simulated rig, case {case}"

@@ -340,7 +340,7 @@ def _of_rows(
 def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
     """Name what is odd about the records themselves."""
     cautions = []
-    for i, record in enumerate(records):
+    for record in records:
         if not record.history:
             cautions.append(Caution("no_ledger", record.source))
         if record.n_segments == 1 and bool(record.scored.all()):
@@ -348,11 +348,6 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
         rate_hz = record.sample_rate_hz
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             cautions.append(Caution.of("odd_rate", record.source, rate_hz=rate_hz))
-        cautions += [
-            Caution.of("same_rows", record.source, other=other.source)
-            for other in records[:i]
-            if np.array_equal(other.phi, record.phi) and np.array_equal(other.psi_p, record.psi_p)
-        ]
     speeds = spread_speeds(records)
     if speeds:
         low, high = 100.0 * min(speeds), 100.0 * max(speeds)

@@ -1,4 +1,4 @@
-"""Numbers behind the pictures: spectra over segments, correlations with bands, densities."""
+"""Numbers behind the pictures: spectra over segments, correlations with bands."""
 
 from __future__ import annotations
 
@@ -13,12 +13,9 @@ from surge_core.types import FloatArray
 
 __all__ = [
     "Correlation",
-    "Density",
     "Spectrum",
-    "autocorrelation",
-    "cross_correlation",
     "dwelt_on",
-    "phi_density",
+    "error_correlation",
     "segment_spectrum",
     "stall_inception",
 ]
@@ -75,22 +72,6 @@ class Correlation:
     limit99: float
 
 
-@dataclass(frozen=True)
-class Density:
-    """A histogram as an amplitude density (paper, Fig 24 and 26).
-
-    Parameters
-    ----------
-    edges : ndarray of shape (n_bins + 1,)
-        Edges of the bins.
-    density : ndarray of shape (n_bins,)
-        Share of the rows per unit of φ; its integral is 1.
-    """
-
-    edges: FloatArray
-    density: FloatArray
-
-
 def segment_spectrum(
     values: FloatArray,
     runs: list[slice],
@@ -134,10 +115,15 @@ def segment_spectrum(
     return Spectrum(frequency[1:], np.mean(density, axis=0)[1:], freedom, band)
 
 
-def autocorrelation(
-    errors: FloatArray, runs: list[slice], sample_period_s: float, n_lags: int = 40
+def error_correlation(
+    errors: FloatArray,
+    runs: list[slice],
+    sample_period_s: float,
+    n_lags: int = 40,
+    *,
+    phi: FloatArray | None = None,
 ) -> Correlation:
-    """Return the autocorrelation of errors within their segments, from lag 1 on.
+    """Return the correlation of one-step errors with themselves or with φ, within segments.
 
     Parameters
     ----------
@@ -149,65 +135,22 @@ def autocorrelation(
         Sample period, in seconds.
     n_lags : int
         Largest lag, in samples.
+    phi : ndarray of shape (n,), optional
+        Flow coefficient, for lags of both signs; else the errors themselves, from lag 1 on.
 
     Returns
     -------
     Correlation
-        With the band of white errors, ± 2.58/√n.
+        With the band of white errors, ± 2.58/√n; with φ it is wider by Bartlett's
+        √(1 + 2 Σ ρ_e ρ_φ), which allows for the memory of both.
     """
-    whole = lagged_correlation(errors, errors, runs, n_lags)
+    other = errors if phi is None else phi - np.mean(phi)
+    value = lagged_correlation(errors, other, runs, n_lags)
     limit = _normal_limit() / math.sqrt(max(errors.size, 1))
-    lags = sample_period_s * np.arange(1, n_lags + 1, dtype=np.float64)
-    return Correlation(lags, whole[n_lags + 1 :], limit)
-
-
-def cross_correlation(
-    errors: FloatArray,
-    phi: FloatArray,
-    runs: list[slice],
-    sample_period_s: float,
-    n_lags: int = 40,
-) -> Correlation:
-    """Return the correlation of errors with φ within their segments, over lags of both signs.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        One-step errors.
-    phi : ndarray of shape (n,)
-        Flow coefficient.
-    runs : list of slice
-        Segments; no product straddles two.
-    sample_period_s : float
-        Sample period, in seconds.
-    n_lags : int
-        Largest lag to either side, in samples.
-
-    Returns
-    -------
-    Correlation
-        With Bartlett's band ± 2.58 √((1 + 2 Σ ρ_e ρ_φ)/n), which allows for the memory of both.
-    """
-    level = phi - np.mean(phi)
-    value = lagged_correlation(errors, level, runs, n_lags)
-    widening = bartlett_widening(errors, level, runs, n_lags)
-    limit = _normal_limit() * widening / math.sqrt(max(errors.size, 1))
     lags = sample_period_s * np.arange(-n_lags, n_lags + 1, dtype=np.float64)
-    return Correlation(lags, value, limit)
-
-
-def phi_density(phi: FloatArray, n_bins: int = 60) -> Density:
-    """Return the amplitude density of φ.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n,)
-        Flow coefficient of the fitted rows.
-    n_bins : int
-        Bins between the least and the largest value.
-    """
-    density, edges = np.histogram(phi, bins=n_bins, density=True)
-    return Density(edges, density)
+    if phi is None:
+        return Correlation(lags[n_lags + 1 :], value[n_lags + 1 :], limit)
+    return Correlation(lags, value, limit * bartlett_widening(errors, other, runs, n_lags))
 
 
 def dwelt_on(grid: FloatArray, phi: FloatArray) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,38 +15,12 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, IntArray
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "check_once", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
 # start of its own.
 MINIMUM_SEGMENT_ROWS = 15
-
-
-def check_once(records: Sequence[CoefficientSeries]) -> None:
-    """Refuse a record that is given twice: it would count as two, and errors come out too small.
-
-    Parameters
-    ----------
-    records : sequence of CoefficientSeries
-        All that are fitted together.
-
-    Raises
-    ------
-    InputError
-        Naming the double and what it repeats.
-    """
-    for i, record in enumerate(records):
-        for other in records[:i]:
-            if other.n_samples == record.n_samples and (
-                (other.time_s == record.time_s).all() and (other.psi_p == record.psi_p).all()
-            ):
-                raise InputError(
-                    record.source,
-                    expected="each record once",
-                    found=f"it twice, as {other.source}",
-                    remedy="leave one of them out",
-                )
 
 
 def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> FitRows:
@@ -62,7 +37,8 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
     Raises
     ------
     InputError
-        When the sample rates differ, a record lacks the target, or nothing is left to fit.
+        When the sample rates differ, a record is given twice or lacks the target, or nothing is
+        left to fit.
     """
     periods = [record.sample_period_s for record in records]
     if max(periods) - min(periods) > 1e-6 * periods[0]:
@@ -72,6 +48,7 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
             found=" and ".join(f"{1.0 / period:g} Hz" for period in periods),
             remedy="compare them one at a time",
         )
+    _check_once(records)
     columns: list[tuple[NDArray[np.generic], ...]] = []
     n_labels = 0
     for index, record in enumerate(records):
@@ -106,6 +83,18 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
         target,
         train,
     )
+
+
+def _check_once(records: Sequence[CoefficientSeries]) -> None:
+    """Refuse rows that are given twice: they would count as two, and errors come out too small."""
+    for one, other in combinations(records, 2):
+        if np.array_equal(one.phi, other.phi) and np.array_equal(one.psi_p, other.psi_p):
+            raise InputError(
+                other.source,
+                expected="each record once",
+                found=f"the rows of {one.source} again",
+                remedy="leave one of them out",
+            )
 
 
 def _check_rows(

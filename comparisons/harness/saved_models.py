@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
+from typing import Annotated, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, WrapValidator, model_validator
 
 from comparisons.results import FittedLag, is_known_term
 from surge_core.errors import InputError
@@ -19,11 +18,12 @@ from surge_core.models import Table, validated
 
 __all__ = [
     "MODEL_SCHEMA",
+    "NULLABLE",
     "ModelFormat",
     "Saved",
     "SavedModel",
     "Span",
-    "known",
+    "StandardError",
     "load_models",
     "read_models",
     "save_models",
@@ -35,36 +35,44 @@ MODEL_SCHEMA = "sindy-surge/model/1"
 MOST_BLOCKS = 10**9
 
 
-@dataclass(frozen=True)
-class ModelFormat:
-    """A kind of file of saved models.
-
-    Parameters
-    ----------
-    schema : str
-        What it states of itself.
-    what : str
-        What it is, in words.
-    writer : str
-        The command that writes one.
-    """
+class ModelFormat(NamedTuple):
+    """A kind of file of saved models: its schema, what it is, and the command that writes one."""
 
     schema: str
     what: str
     writer: str
 
-    @property
-    def expected(self) -> str:
-        """What is expected of a file that is none."""
-        return f"{self.what} written by `{self.writer}`"
-
-    @property
-    def remedy(self) -> str:
-        """What to do about a key that cannot be used."""
-        return f"save the model again with `{self.writer}`"
-
 
 MODEL_FORMAT = ModelFormat(MODEL_SCHEMA, "a model file", "sindy-surge compare --save")
+
+
+def _nan_for_null(value: Any, checked: Callable[[Any], float]) -> float:
+    return math.nan if value is None else checked(value)
+
+
+def _span(values: list[float]) -> tuple[float, float]:
+    low, high = values
+    if not low < high:
+        raise ValueError("values that do not rise")
+    return low, high
+
+
+def _point(row: list[float | None]) -> tuple[float, float, float]:
+    if len(row) != 3 or row[0] is None:
+        raise ValueError("φ, value and standard error")
+    phi, value, stderr = (math.nan if number is None else number for number in row)
+    return phi, value, stderr
+
+
+# NaN in the model where the file has null.
+NULLABLE = WrapValidator(_nan_for_null)
+StandardError = Annotated[float, Field(ge=0.0), NULLABLE]
+Span = Annotated[
+    list[float],
+    Field(min_length=2, max_length=2, description="two numbers, the smaller first"),
+    AfterValidator(_span),
+]
+Point = Annotated[list[float | None], AfterValidator(_point)]
 
 
 class Saved(Table):
@@ -73,71 +81,36 @@ class Saved(Table):
     model_config = ConfigDict(extra="ignore")
 
 
-def _rising(values: list[float]) -> list[float]:
-    if not all(before < after for before, after in pairwise(values)):
-        raise ValueError("values that do not rise")
-    return values
-
-
-def _three(row: list[float | None]) -> list[float | None]:
-    if len(row) != 3 or row[0] is None:
-        raise ValueError("φ, value and standard error")
-    return row
-
-
-Span = Annotated[
-    list[float],
-    Field(min_length=2, max_length=2, description="two numbers, the smaller first"),
-    AfterValidator(_rising),
-]
-Row = Annotated[list[float | None], AfterValidator(_three)]
-
-
 class SavedTerm(Saved):
     """A term of a characteristic."""
 
     name: str = Field(description="the name of a term")
     coefficient: float = Field(description="a coefficient, a finite number")
-    stderr: float | None = Field(ge=0.0, description="a standard error, or null")
+    stderr: StandardError = Field(description="a standard error, or null")
 
 
 class SavedModel(Saved):
     """What models with effects and without have in common."""
 
     estimator: str = Field(description="the name of an estimator")
-    time_constant_stderr_s: float | None = Field(
-        ge=0.0, description="a standard error in s, or null"
-    )
+    time_constant_stderr_s: StandardError = Field(description="a standard error in s, or null")
     terms: list[SavedTerm] = Field(description="a list of terms")
     valid_phi: Span
     n_blocks: int = Field(ge=0, le=MOST_BLOCKS, description="a whole number of blocks from 0 on")
-    characteristic: list[Row] = Field(description="rows of φ, value and standard error")
+    characteristic: list[Point] = Field(description="rows of φ, value and standard error")
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the terms."""
-        return tuple(term.name for term in self.terms)
-
-    @property
-    def coefficients(self) -> tuple[float, ...]:
-        """Their coefficients."""
-        return tuple(term.coefficient for term in self.terms)
-
-    @property
-    def stderr(self) -> tuple[float, ...]:
-        """Standard errors of these, NaN where they are not known."""
-        return tuple(known(term.stderr) for term in self.terms)
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Range of φ in which the curve can be trusted."""
-        low, high = self.valid_phi
-        return low, high
-
-    @property
-    def curve(self) -> tuple[tuple[float, float, float], ...]:
-        """The characteristic as (φ, value, standard error)."""
-        return tuple((known(a), known(b), known(c)) for a, b, c in self.characteristic)
+    def common(self) -> dict[str, Any]:
+        """Return the arguments that models with effects and without have in common."""
+        return {
+            "estimator": self.estimator,
+            "time_constant_stderr_s": self.time_constant_stderr_s,
+            "terms": tuple(term.name for term in self.terms),
+            "coefficients": tuple(term.coefficient for term in self.terms),
+            "stderr": tuple(term.stderr for term in self.terms),
+            "valid_phi": self.valid_phi,
+            "table": tuple(self.characteristic),
+            "n_blocks": self.n_blocks,
+        }
 
 
 class SavedLag(SavedModel):
@@ -145,38 +118,33 @@ class SavedLag(SavedModel):
 
     target: Literal["psi_p", "psi"] = Field(description='"psi_p" or "psi"')
     # Null is a time constant that was not identified; such a model runs without its lag.
-    time_constant_s: float | None = Field(gt=0.0, description="a time constant above 0 s, or null")
+    time_constant_s: Annotated[float, Field(gt=0.0), NULLABLE] = Field(
+        description="a time constant above 0 s, or null"
+    )
     hold: Literal["zero", "first"] = Field(description='the hold "zero" or "first"')
     dead_time_s: float = Field(default=0.0, description="a dead time in s")
 
     @model_validator(mode="after")
     def _runs(self) -> SavedLag:
-        if not all(map(is_known_term, self.names)):
-            values = [(phi, value) for phi, value, _ in self.curve]
-            rises = all(before[0] < after[0] for before, after in pairwise(values))
-            if not (values and rises and all(math.isfinite(a + b) for a, b in values)):
-                raise InputError(
-                    "characteristic",
-                    expected="rows of rising φ with values, from which terms of unknown names run",
-                    found=f"{len(values)} that make no curve",
-                )
+        points: list[Any] = self.characteristic
+        rises = all(before[0] < after[0] for before, after in pairwise(points))
+        drawn = points and rises and all(math.isfinite(point[1]) for point in points)
+        if not drawn and not all(is_known_term(term.name) for term in self.terms):
+            raise InputError(
+                "characteristic",
+                expected="rows of rising φ with values, from which terms of unknown names run",
+                found=f"{len(points)} that make no curve",
+            )
         return self
 
     def lag(self) -> FittedLag:
         """Return the model as a value."""
         return FittedLag(
-            self.estimator,
-            self.target,
-            known(self.time_constant_s),
-            known(self.time_constant_stderr_s),
-            self.names,
-            self.coefficients,
-            self.stderr,
-            self.hold,
-            self.span,
-            self.curve,
-            self.n_blocks,
-            self.dead_time_s,
+            target=self.target,
+            time_constant_s=self.time_constant_s,
+            hold=self.hold,
+            dead_time_s=self.dead_time_s,
+            **self.common(),
         )
 
 
@@ -184,19 +152,12 @@ M = TypeVar("M", bound=SavedModel)
 
 
 class _Document(Saved, Generic[M]):
-    models: dict[str, M] = Field(description="a table of models")
+    models: dict[str, M] = Field(min_length=1, description="a table of models")
 
 
 class _Writable(Protocol):
-    """A model that can be written."""
-
     def to_json(self) -> dict[str, Any]:
         """Return its table."""
-
-
-def known(value: float | None) -> float:
-    """Return a number of a file, NaN where it has null."""
-    return math.nan if value is None else value
 
 
 def write_models(models: Mapping[str, _Writable], path: str | Path, form: ModelFormat) -> None:
@@ -239,31 +200,23 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
         When it is missing, no JSON, of another kind, without a model, or one cannot be used.
     """
     file = Path(path)
-
-    def refused(found: str) -> InputError:
-        return InputError(str(file), expected=form.expected, found=found)
-
-    if not file.is_file():
-        raise refused("a folder, a device or a pipe" if file.exists() else "no such file")
+    expected = f"{form.what} written by `{form.writer}`"
     try:
         document = json.loads(file.read_text("utf-8"))
-    except OSError as error:
-        raise refused(f"a file that cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
-        # No UTF-8, no JSON, or numbers and nests that Python does not take.
-        raise refused(f"no JSON ({error})") from None
-    schema = document.get("schema") if isinstance(document, dict) else None
+        schema = document["schema"]
+    except FileNotFoundError:
+        raise InputError(str(file), expected=expected, found="no such file") from None
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+        found = f"no JSON of this kind ({error})"
+        raise InputError(str(file), expected=expected, found=found) from None
     if schema != form.schema:
-        raise refused(
-            f"the schema '{schema}'" if isinstance(schema, str) else "another kind of JSON"
-        )
-    if not isinstance(document.get("models"), dict) or not document["models"]:
-        raise refused("a file without a model")
+        raise InputError(str(file), expected=expected, found=f"the schema '{schema}'")
     try:
         return validated(_Document[kind], document, str(file)).models  # type: ignore[valid-type]
     except InputError as error:
+        remedy = f"save the model again with `{form.writer}`"
         raise InputError(
-            error.where, expected=error.expected, found=error.found, remedy=form.remedy
+            error.where, expected=error.expected, found=error.found, remedy=remedy
         ) from None
 
 
@@ -281,7 +234,7 @@ def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:
 
 
 def load_models(path: str | Path) -> dict[str, FittedLag]:
-    """Read models that :func:`save_models` wrote; the file is data, nothing in it is executed.
+    """Read models that :func:`save_models` wrote.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from classic_ml.calibration import calibrate, match_near_stall
+from classic_ml.calibration import calibrate, near_stall_match
 from classic_ml.coefficients import coefficients
 from classic_ml.filters import filter_channels, phase_delay_s
 from classic_ml.io import TestDescription
@@ -93,9 +93,8 @@ def points_of(record: Record, test: TestDescription, first: int) -> OperatingPoi
     InputError
         When a row has no operating point.
     """
-    matched = calibrate(record, test)
-    if test.near_stall_shifts:
-        matched = match_near_stall(matched, test)
+    shifts = near_stall_match(record, test)[0] if test.near_stall_shifts else None
+    matched = calibrate(record, test, shifts)
     if _is_filtered(test.sample_rate_hz):
         names = tuple(name for name in test.channel_names if name in matched)
         matched = filter_channels(matched, names, order=ORDER, cutoff_hz=CUTOFF_HZ, phase="causal")

@@ -6,17 +6,18 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from comparisons.harness.saved_models import (
+    NULLABLE,
     ModelFormat,
     Saved,
     SavedModel,
     Span,
-    known,
+    StandardError,
     read_models,
     write_models,
 )
@@ -117,8 +118,8 @@ def extended_from_json(data: Mapping[str, Any], where: str = "model") -> Extende
 
 class _SavedParameter(Saved):
     name: str
-    value: float | None = Field(description="a number, or null")
-    stderr: float | None = Field(ge=0.0, description="a standard error, or null")
+    value: Annotated[float, NULLABLE] = Field(description="a number, or null")
+    stderr: StandardError = Field(description="a standard error, or null")
     unit: str
 
 
@@ -147,8 +148,8 @@ class _SavedEffect(Saved):
         """The effect with its numbers."""
         return AddedEffect(
             self.effect,
-            tuple(known(row.value) for row in self.parameters),
-            tuple(known(row.stderr) for row in self.parameters),
+            tuple(row.value for row in self.parameters),
+            tuple(row.stderr for row in self.parameters),
             tuple(self.coefficients),
         )
 
@@ -177,7 +178,7 @@ class _SavedExtended(SavedModel):
 
     @model_validator(mode="after")
     def _whole(self) -> _SavedExtended:
-        names = self.names
+        names = tuple(term.name for term in self.terms)
         for number, name in enumerate(names, 1):
             if not is_known_term(name):
                 raise InputError(
@@ -198,29 +199,15 @@ class _SavedExtended(SavedModel):
 
     def model(self) -> ExtendedLag:
         """Return the model as a value."""
-        ref, noise = self.references, self.noise
         return ExtendedLag(
-            self.time_constant_s,
-            known(self.time_constant_stderr_s),
-            self.names,
-            self.coefficients,
-            self.stderr,
-            tuple(entry.added for entry in self.effects),
-            FrozenReferences(
-                ref.mean_amplitude,
-                ref.mean_amplitude_as_is,
-                ref.mean_speed,
-                (ref.phi_range[0], ref.phi_range[1]),
-                ref.clock_zero_s,
-            ),
-            noise.sigma,
-            noise.innovation,
-            tuple(noise.ar),
-            self.span,
-            self.curve,
-            self.n_blocks,
-            self.estimator,
-            self.hold,
+            time_constant_s=self.time_constant_s,
+            effects=tuple(entry.added for entry in self.effects),
+            references=FrozenReferences(**dict(self.references)),
+            noise_sigma=self.noise.sigma,
+            noise_innovation=self.noise.innovation,
+            noise_ar=tuple(self.noise.ar),
+            hold=self.hold,
+            **self.common(),
         )
 
 
@@ -228,18 +215,18 @@ def _listed(parameters: list[tuple[str, str]]) -> str:
     return ", ".join(f"{name} [{unit}]" for name, unit in parameters)
 
 
-def _check_value(where: str, parameter: Parameter, value: float | None, acts: bool) -> None:
+def _check_value(where: str, parameter: Parameter, value: float, acts: bool) -> None:
     # What was added and not fitted yet has no shape.
-    if value is None and not acts:
+    if math.isnan(value) and not acts:
         return
     low, high = (
         (1.0, MOST_INTERVALS - 1.0)
         if parameter.name == "intervals"
         else (parameter.low, parameter.high)
     )
-    whole = parameter.name != "intervals" or known(value).is_integer()
-    if not (low <= known(value) <= high and whole):
-        found = "null" if value is None else f"{value:g}"
+    whole = parameter.name != "intervals" or value.is_integer()
+    if not (low <= value <= high and whole):
+        found = "null" if math.isnan(value) else f"{value:g}"
         raise InputError(where, expected=f"{parameter.name} from {low:g} to {high:g}", found=found)
 
 

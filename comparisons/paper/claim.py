@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 from comparisons.page.blocks import Cell, Head, Table
 from comparisons.paper.instabilities import Instabilities
+from surge_core.display import Field, Sheet
 
 __all__ = [
     "Check",
@@ -20,11 +20,6 @@ __all__ = [
     "claims_table",
     "reading",
 ]
-
-WIDTH = 118
-# Number, claim, kind, stated, found, holds; two spaces between.
-COLUMNS = (2, 44, 11, 17, 29, 5)
-HEADINGS = ("", "claim of the paper", "kind", "stated", "found", "holds")
 
 
 class Finding(NamedTuple):
@@ -90,6 +85,10 @@ class Claim:
     how: str
     unit: str = ""
 
+    def shown(self, value: float | str) -> str:
+        """Return a number of the claim with its unit, or the words."""
+        return value if isinstance(value, str) else f"{value:.6g} {self.unit}".rstrip()
+
 
 def claims_json(claims: Sequence[Claim]) -> list[dict[str, Any]]:
     """Return the rows of ``reproduce --json``: id, claim, kind, stated, found, holds.
@@ -99,74 +98,38 @@ def claims_json(claims: Sequence[Claim]) -> list[dict[str, Any]]:
     claims : sequence of Claim
         Checked claims.
     """
-    return [
-        {
-            "id": claim.id,
-            "claim": claim.claim,
-            "kind": claim.kind,
-            "stated": _plain(claim.stated),
-            "found": _plain(claim.found),
-            "holds": claim.holds,
-        }
-        for claim in claims
-    ]
-
-
-def _plain(value: float | str) -> float | str | None:
-    return value if isinstance(value, str) or math.isfinite(value) else None
+    rows = []
+    for claim in claims:
+        row = {n: getattr(claim, n) for n in ("id", "claim", "kind", "stated", "found", "holds")}
+        unknown = isinstance(claim.found, float) and not math.isfinite(claim.found)
+        rows.append(row | {"found": None} if unknown else row)
+    return rows
 
 
 def claims_table(claims: Sequence[Claim]) -> str:
-    """Return the claims as a table for a terminal, those that do not hold with their reasons.
+    """Return the claims as text for a terminal, those that do not hold with their reasons.
 
     Parameters
     ----------
     claims : sequence of Claim
         Checked claims.
     """
-    lines = [_row(HEADINGS), "─" * WIDTH]
-    section = ""
+    fields = []
     for claim in claims:
-        if claim.section != section:
-            section = claim.section
-            lines.append(section)
-        lines += _lines(claim)
-    failed = [claim for claim in claims if not claim.holds]
-    lines += ["", f"{len(claims) - len(failed)} of {len(claims)} claims hold."]
-    for claim in failed:
-        text = f"{claim.id} does not hold. Tested: {claim.how}."
-        lines += textwrap.wrap(text, WIDTH, subsequent_indent="   ", break_on_hyphens=False)
-    return "\n".join(lines)
+        lines = [
+            f"{claim.claim} ({claim.kind})",
+            f"stated: {claim.shown(claim.stated)}; found: {claim.shown(claim.found)}",
+        ]
+        if not claim.holds:
+            lines.append(f"tested: {claim.how}")
+        word = "holds" if claim.holds else "does NOT hold"
+        fields.append(Field(f"{claim.id:2} {word}", tuple(lines)))
+    return Sheet(_title(claims), tuple(fields)).text()
 
 
-def _lines(claim: Claim) -> list[str]:
-    """Return the wrapped lines of one claim."""
-    cells = (
-        str(claim.id),
-        claim.claim,
-        claim.kind,
-        _shown(claim.stated, claim.unit),
-        _shown(claim.found, claim.unit),
-        "yes" if claim.holds else "NO",
-    )
-    wrapped = [
-        textwrap.wrap(text, width, break_on_hyphens=False) or [""]
-        for text, width in zip(cells, COLUMNS, strict=True)
-    ]
-    height = max(len(cell) for cell in wrapped)
-    padded = [cell + [""] * (height - len(cell)) for cell in wrapped]
-    return [_row(row) for row in zip(*padded, strict=True)]
-
-
-def _row(cells: Sequence[str]) -> str:
-    texts = [text.ljust(width) for text, width in zip(cells, COLUMNS, strict=True)]
-    texts[0] = cells[0].rjust(COLUMNS[0])
-    return "  ".join(texts).rstrip()
-
-
-def _shown(value: float | str, unit: str) -> str:
-    """Return a number with its unit, or the words."""
-    return value if isinstance(value, str) else f"{value:.6g} {unit}".rstrip()
+def _title(claims: Sequence[Claim]) -> str:
+    held = sum(claim.holds for claim in claims)
+    return f"The paper claim by claim: {held} of {len(claims)} hold"
 
 
 def claims_block(claims: Sequence[Claim]) -> Table:
@@ -191,14 +154,13 @@ def claims_block(claims: Sequence[Claim]) -> Table:
             str(claim.id),
             Cell(claim.claim, claim.section),
             claim.kind,
-            _shown(claim.stated, claim.unit),
-            _shown(claim.found, claim.unit),
+            claim.shown(claim.stated),
+            claim.shown(claim.found),
             "yes" if claim.holds else "no",
             claim.how,
         )
         for claim in claims
     )
-    held = sum(claim.holds for claim in claims)
-    marks = tuple("" if claim.holds else "failed" for claim in claims)
-    title = f"The paper claim by claim: {held} of {len(claims)} hold"
-    return Table(title, heads, rows, marks)
+    return Table(
+        _title(claims), heads, rows, tuple("" if claim.holds else "failed" for claim in claims)
+    )

@@ -1,9 +1,9 @@
-"""Eight counterparts of the paper's figures: those that show physics."""
+"""Six counterparts of the paper's figures: those that show physics."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -11,13 +11,12 @@ from classic_ml.calibration import calibrate
 from classic_ml.filters import low_pass
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.harness.reconstruction import reconstruct_record
+from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     ACCENT,
-    FAINT,
     INK,
     MARK,
     MEASURED,
-    QUIET,
     broken,
     dress,
     legend_above,
@@ -40,24 +39,25 @@ from comparisons.paper.truth import (
     in_stall_psi_p,
     phi_of_flow,
     pressure_ratio,
-    reverse_flow_psi_p,
     stall_point,
     temperature_K,
     unstalled_psi_p,
 )
 from comparisons.results import FittedLag, Reconstruction
 from surge_core.segments import runs_of
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PaperFigure", "draw_figures"]
+__all__ = ["draw_figures"]
 
-PHI, PSI_P = r"flow coefficient $\varphi$ [-]", r"pressure coefficient $\psi'$ [-]"
+Drawn: TypeAlias = "tuple[Figure, str]"
+
+PHI = r"flow coefficient $\varphi$ [-]"
+TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"
 HEIGHT_IN = 5.4
-GREEN = "#009E73"
 # How the rig's own signals and curves are drawn in every picture.
 TRUTH: dict[str, Any] = {"color": INK, "lw": 1.8, "linestyle": (0, (1, 1.2))}
 # The two orders that the paper tried, numbered so in its Fig 5, and the probe shown there.
@@ -69,33 +69,10 @@ PAPER_PHI_985 = (-0.025, 0.175)
 PAPER_PHI_90 = (0.0, 0.1)
 DRAWN_BEYOND = 0.03
 SHOWN_S = 1.2
-TRIED_S = np.geomspace(0.005, 0.4, 25)
 
 
-@dataclass(frozen=True)
-class PaperFigure:
-    """The counterpart of one figure of the paper.
-
-    Parameters
-    ----------
-    title : str
-        What is drawn, in a few words.
-    figure : Figure
-        The picture.
-    caption : str
-        What is shown and what to see in it, with numbers computed from the data.
-    counterpart : str
-        The figure of the paper that it stands beside.
-    """
-
-    title: str
-    figure: Figure
-    caption: str
-    counterpart: str
-
-
-def draw_figures(runs: Instabilities) -> tuple[PaperFigure, ...]:
-    """Draw the eight pictures.
+def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
+    """Draw the six pictures.
 
     Parameters
     ----------
@@ -104,38 +81,56 @@ def draw_figures(runs: Instabilities) -> tuple[PaperFigure, ...]:
 
     Returns
     -------
-    tuple of PaperFigure
-        In the order of the paper, the validation last.
+    tuple of Picture
+        In the order of the paper, the validation last; each names the figure that it stands beside.
     """
     high, low = runs["985"], runs["90"]
-    return (
-        _spectra(low),
-        _migration(high),
-        _loop(high),
-        _pressure_characteristic(high, runs[STEADY_STALL]),
-        _low_speed_characteristics(low),
-        _reconstruction(low),
-        _trial(low),
-        _validation(high, runs["985-second"]),
+    drawn = (
+        (
+            "Spectra of the inlet pressure before and after the filters, 90 % speed",
+            "In the paper: Figures 4 and 5.",
+            _spectra(low),
+        ),
+        (
+            "Operating point migration in the quasi-steady cycles, 98.5 % speed",
+            "In the paper: Figure 11.",
+            _migration(high),
+        ),
+        (
+            "In-stall pressure characteristic, 98.5 % speed",
+            "In the paper: Figure 23.",
+            _pressure_characteristic(high, runs[STEADY_STALL]),
+        ),
+        (
+            "Pressure and work characteristics, 90 % speed",
+            "In the paper: Figure 25.",
+            _low_speed_characteristics(low),
+        ),
+        (
+            "Reconstructed pressure coefficient, 90 % speed",
+            "In the paper: Figure 27.",
+            _reconstruction(low),
+        ),
+        (
+            "Validation on the second instability, 98.5 % speed",
+            "The paper validates at 90 % on the record that was fitted.",
+            _validation(high, runs["985-second"]),
+        ),
+    )
+    return tuple(
+        Picture(title, figure, caption, place) for title, place, (figure, caption) in drawn
     )
 
 
-def _one_panel() -> tuple[Figure, Axes]:
+def _panel(x: str, y: str) -> tuple[Figure, Axes]:
     figure = new_figure(height_in=HEIGHT_IN)
-    return figure, dress(figure.add_subplot())
-
-
-def _label(ax: Axes, x: str, y: str) -> None:
+    ax = dress(figure.add_subplot())
     ax.set_xlabel(x)
     ax.set_ylabel(y)
+    return figure, ax
 
 
-def _stalled(run: InstabilityRun) -> BoolArray:
-    """Return the in-stall rows as the paper finds them, by the threshold of the flow."""
-    return np.asarray(run.paper.record["Wc25_kg_s"] / LBM_KG < THRESHOLD_LBM_S)
-
-
-def _spectra(run: InstabilityRun) -> PaperFigure:
+def _spectra(run: InstabilityRun) -> Drawn:
     """Draw Fig 4 and 5: stall cells in the inlet pressure, and what the filters leave of them."""
     settings, rate_hz = run.paper.settings, run.rig.raw.sample_rate_hz
     plain = calibrate(run.rig.raw, run.paper.test)[PROBE] / PSI_PA
@@ -143,7 +138,7 @@ def _spectra(run: InstabilityRun) -> PaperFigure:
         order: low_pass(plain, rate_hz, order=order, cutoff_hz=settings.cutoff_hz, phase="causal")
         for order in ORDERS
     }
-    figure, ax = _one_panel()
+    figure, ax = _panel("frequency [Hz]", "power spectral density [psi²/Hz]")
     density: dict[int, FloatArray] = {}
     for order, signal in signals.items():
         frequency, density[order] = power_spectrum(signal[run.window], rate_hz)
@@ -155,7 +150,6 @@ def _spectra(run: InstabilityRun) -> PaperFigure:
     ax.axvline(settings.cutoff_hz, color=INK, lw=0.9, linestyle="--", label="cut-off")
     ax.set_xlim(0.0, 200.0)
     ax.set_ylim(1e-10 * density[0].max(), 6.0 * density[0].max())
-    _label(ax, "frequency [Hz]", "power spectral density [psi²/Hz]")
     legend_above(figure, ax, columns=4)
     cells = peak_frequency_hz(frequency, density[0], *CELL_BAND_HZ)
     at = int(np.argmin(np.abs(frequency - cells)))
@@ -166,19 +160,17 @@ def _spectra(run: InstabilityRun) -> PaperFigure:
         f"harmonic; the filters take {loss[3]:.1f} dB (order 3) and {loss[5]:.1f} dB (order 5) "
         f"from it, and leave what lies well below {settings.cutoff_hz:g} Hz."
     )
-    return PaperFigure(
-        "Spectra of the inlet pressure before and after the filters, 90 % speed",
-        figure,
-        caption,
-        "In the paper: Figures 4 and 5.",
-    )
+    return figure, caption
 
 
-def _migration(run: InstabilityRun) -> PaperFigure:
+def _migration(run: InstabilityRun) -> Drawn:
     """Draw Fig 11: the operating point in the quasi-steady cycles, over the rig's own curves."""
-    record, rows, stalled = run.paper.record, run.window, _stalled(run)
+    record, rows = run.paper.record, run.window
     flow, ratio = record["Wc25_kg_s"] / LBM_KG, record["pressure_ratio"]
-    figure, ax = _one_panel()
+    stalled = flow < THRESHOLD_LBM_S
+    figure, ax = _panel(
+        "inlet corrected flow $W_{c25}$ [lbm/s]", "pressure ratio $P_{31}/P_{25}$ [-]"
+    )
     for state, colour, word in (
         (stalled, ACCENT, "in stall"),
         (~stalled, MARK, f"unstalled, above {THRESHOLD_LBM_S:g} lbm/s"),
@@ -201,7 +193,6 @@ def _migration(run: InstabilityRun) -> PaperFigure:
     point = (float(np.interp(phi_s, phi, grid)), float(pressure_ratio(run, psi_s, inlet_K)))
     ax.plot(*point, "*", markersize=13, color=INK, label="its stall point")
     ax.axvline(0.0, color=INK, lw=0.6)
-    _label(ax, "inlet corrected flow $W_{c25}$ [lbm/s]", "pressure ratio $P_{31}/P_{25}$ [-]")
     legend_above(figure, ax)
     caption = (
         "Pressure ratio over corrected flow in the quasi-steady cycles, between "
@@ -211,59 +202,7 @@ def _migration(run: InstabilityRun) -> PaperFigure:
         f"({point[1]:.1f} at {point[0]:.0f} lbm/s); the lag keeps the loops off the quasi-steady "
         "curves."
     )
-    return PaperFigure(
-        "Operating point migration in the quasi-steady cycles, 98.5 % speed",
-        figure,
-        caption,
-        "In the paper: Figure 11.",
-    )
-
-
-def _loop(run: InstabilityRun) -> PaperFigure:
-    """Draw Fig 21: one surge cycle in the plane of φ and ψ' over the branches that it visits."""
-    truth = run.rig.truth
-    phi, psi_p = truth["phi"], truth["psi_p"]
-    cycle = _one_cycle(run)
-    speed = float(np.median(truth["Nc_frac"][run.window & ~run.stalled]))
-    figure, ax = _one_panel()
-    ax.plot(phi[run.window], psi_p[run.window], color=FAINT, lw=0.8, label="all cycles")
-    grid = np.linspace(0.0, 0.36, 400)
-    free, stalled = unstalled_psi_p(run, grid, speed), in_stall_psi_p(run, grid)
-    stable = grid >= stall_point(run, speed)[0]
-    word = f"unstalled, {100 * speed:.0f} % speed"
-    ax.plot(grid[stable], free[stable], color=INK, lw=1.8, label=word)
-    below = stalled <= free
-    ax.plot(grid[below], stalled[below], **TRUTH, label="in stall, forward flow")
-    back = np.linspace(min(-0.06, float(phi.min())), 0.0, 80)
-    loss = reverse_flow_psi_p(run, back)
-    ax.plot(back, loss, color=GREEN, lw=1.8, linestyle="--", label="in stall, reversed flow")
-    ax.plot(phi[cycle], psi_p[cycle], color=ACCENT, lw=2.0, label="one surge cycle")
-    ax.axvline(0.0, color=INK, lw=0.6)
-    ax.set_ylim(0.0, 1.3 * float(psi_p[run.window].max()))
-    _label(ax, PHI, PSI_P)
-    legend_above(figure, ax)
-    caption = (
-        "The rig in surge over its quasi-steady branches, in truth: one cycle of "
-        f"{1e3 * np.count_nonzero(cycle) / truth.sample_rate_hz:.0f} ms visits the unstalled "
-        f"branch of {100 * speed:.0f} % speed, the in-stall one and, down to φ = "
-        f"{phi[cycle].min():.2f}, that of reversed flow. With τ = {1e3 * run.true_tau_s:.0f} ms "
-        "it never rests on any."
-    )
-    return PaperFigure(
-        "The surge cycle over its branches, 98.5 % speed",
-        figure,
-        caption,
-        "In the paper: Figure 21.",
-    )
-
-
-def _one_cycle(run: InstabilityRun) -> BoolArray:
-    """Return the rows from one stall to the next in the middle of the quasi-steady cycles."""
-    time_s = run.rig.truth.time_s
-    from_s, to_s = time_s[run.window][[0, -1]]
-    stalls = [t for t in run.rig.truth_parameters["stall_times_s"] if from_s <= t <= to_s]
-    middle = len(stalls) // 2
-    return np.asarray((time_s >= stalls[middle - 1]) & (time_s <= stalls[middle]))
+    return figure, caption
 
 
 def _curve(
@@ -283,12 +222,12 @@ def _curve(
     ax.fill_between(grid, value - band, value + band, color=colour, alpha=0.18, lw=0.0)
 
 
-def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> PaperFigure:
+def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Drawn:
     """Draw Fig 23: the identified ψ'_QS beside the truth and beside steady rotating stall."""
     low, high = PAPER_PHI_985
     grid = np.linspace(low - DRAWN_BEYOND, high + DRAWN_BEYOND, 121)
     model = run.fits["psi_p"]
-    figure, ax = _one_panel()
+    figure, ax = _panel(PHI, r"quasi-steady $\psi'_{\mathrm{QS}}$ [-]")
     _curve(ax, model, PAPER_PHI_985, ACCENT, "estimate, 98.5 % speed, ± 2 s.e.", grid)
     ax.plot(grid, in_stall_psi_p(run, grid), **TRUTH, label="truth of the rig")
     phi, psi_p, spread = steady_points(steady.paper.series)
@@ -296,7 +235,6 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pap
     ax.errorbar(phi, psi_p, yerr=spread, fmt="s", color=MARK, ms=6, capsize=2.5, lw=1.0, label=word)
     ax.set_xlim(grid[0], grid[-1])
     ax.set_ylim(0.0)
-    _label(ax, PHI, r"quasi-steady $\psi'_{\mathrm{QS}}$ [-]")
     legend_above(figure, ax)
     inside = np.linspace(low, high, 81)
     true = in_stall_psi_p(run, inside)
@@ -309,19 +247,14 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pap
         f"{1e3 * model.time_constant_s:.0f} ms for the rig's {1e3 * run.true_tau_s:.0f}. Steady "
         f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}."
     )
-    return PaperFigure(
-        "In-stall pressure characteristic, 98.5 % speed",
-        figure,
-        caption,
-        "In the paper: Figure 23.",
-    )
+    return figure, caption
 
 
-def _low_speed_characteristics(run: InstabilityRun) -> PaperFigure:
+def _low_speed_characteristics(run: InstabilityRun) -> Drawn:
     """Draw Fig 25: ψ'_QS and ψ_QS at 90 % beside the truth."""
     grid = np.linspace(PAPER_PHI_90[0] - DRAWN_BEYOND, 0.2, 121)
     inside = np.linspace(0.05, PAPER_PHI_90[1], 41)
-    figure, ax = _one_panel()
+    figure, ax = _panel(PHI, "quasi-steady coefficient [-]")
     off = []
     for target, truth, colour, symbol in (
         ("psi_p", in_stall_psi_p, ACCENT, r"$\psi'_{\mathrm{QS}}$"),
@@ -333,7 +266,6 @@ def _low_speed_characteristics(run: InstabilityRun) -> PaperFigure:
         off.append(np.abs(model.quasi_steady(inside) - truth(run, inside)).max())
     ax.set_xlim(grid[0], grid[-1])
     ax.set_ylim(0.0, 1.3 * float(in_stall_psi(run, grid).max()))
-    _label(ax, PHI, "quasi-steady coefficient [-]")
     legend_above(figure, ax)
     caption = (
         "Pressure coefficient (a parabola) and work coefficient (three straight pieces) of the "
@@ -341,9 +273,7 @@ def _low_speed_characteristics(run: InstabilityRun) -> PaperFigure:
         f"rig's own by at most {off[0]:.2f} and ψ by {off[1]:.2f}: ψ is taken from the temperature "
         "rise alone, which leaves out what is stored between the planes."
     )
-    return PaperFigure(
-        "Pressure and work characteristics, 90 % speed", figure, caption, "In the paper: Figure 25."
-    )
+    return figure, caption
 
 
 def _held(run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None) -> Reconstruction:
@@ -368,13 +298,12 @@ def _over_time(ax: Axes, *shown: tuple[Reconstruction, str, Any]) -> None:
     ax.set_ylim(
         *robust_limits(rows.measured[near], *(one.reconstructed[near] for one, *_ in shown))
     )
-    _label(ax, "time [s]", r"instantaneous $\psi'$ [-]")
 
 
-def _reconstruction(run: InstabilityRun) -> PaperFigure:
+def _reconstruction(run: InstabilityRun) -> Drawn:
     """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
     good, bad = (_held(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
-    figure, ax = _one_panel()
+    figure, ax = _panel(TIME, ACTUAL)
     _over_time(ax, (good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
     legend_above(figure, ax)
     caption = (
@@ -383,45 +312,13 @@ def _reconstruction(run: InstabilityRun) -> PaperFigure:
         f"({good.score.fit_percent:.0f} % fit) with 18 ms and {bad.score.rms:.2f} with the 243 ms "
         "that the paper found at 98.5 %."
     )
-    return PaperFigure(
-        "Reconstructed pressure coefficient, 90 % speed",
-        figure,
-        caption,
-        "In the paper: Figure 27.",
-    )
+    return figure, caption
 
 
-def _trial(run: InstabilityRun) -> PaperFigure:
-    """Draw the paper's trial and error: the error of the reconstruction over the τ held."""
-    rms = [_held(run, tau).score.rms for tau in TRIED_S]
-    figure, ax = _one_panel()
-    ax.plot(1e3 * TRIED_S, rms, color=ACCENT, lw=1.6, label="curve kept, time constant changed")
-    for tau, colour in ((TRIAL_TIME_CONSTANT_S, ACCENT), (WRONG_TIME_CONSTANT_S, MARK)):
-        word = f"{1e3 * tau:.0f} ms, stated in the paper"
-        ax.plot(1e3 * tau, _held(run, tau).score.rms, "o", color=colour, ms=8, label=word)
-    ax.axvline(1e3 * run.true_tau_s, **TRUTH, label="truth of the rig")
-    own = run.fits["psi_p"].time_constant_s
-    word = "estimated with the curve"
-    ax.axvline(1e3 * own, color=QUIET, lw=1.0, linestyle="--", label=word)
-    ax.set_xscale("log")
-    ax.set_ylim(0.0, 1.1 * max(rms))
-    _label(ax, "time constant tried [ms]", r"rms error of $\psi'$ [-]")
-    legend_above(figure, ax)
-    best_ms = 1e3 * float(TRIED_S[int(np.argmin(rms))])
-    caption = (
-        f"The error of the reconstruction is least near {best_ms:.0f} ms (true: "
-        f"{1e3 * run.true_tau_s:.0f} ms), while maximum likelihood on the filtered record gives "
-        f"{1e3 * own:.0f} ms."
-    )
-    return PaperFigure(
-        "Trial of the time constant, 90 % speed", figure, caption, "In the paper: text to Figure 27"
-    )
-
-
-def _validation(run: InstabilityRun, other: InstabilityRun) -> PaperFigure:
+def _validation(run: InstabilityRun, other: InstabilityRun) -> Drawn:
     """Draw the curve of one 98.5 % instability run over the measured flow of the other."""
     own, new = (_held(run, TRIAL_TIME_CONSTANT_S, over) for over in (run, other))
-    figure, ax = _one_panel()
+    figure, ax = _panel(TIME, ACTUAL)
     _over_time(ax, (new, ACCENT, "-"))
     legend_above(figure, ax)
     caption = (
@@ -430,9 +327,4 @@ def _validation(run: InstabilityRun, other: InstabilityRun) -> PaperFigure:
         f"error {new.score.rms:.2f}; on its own record {own.score.fit_percent:.0f} % and "
         f"{own.score.rms:.2f}. In-stall intervals only, each from its own first ψ'."
     )
-    return PaperFigure(
-        "Validation on the second instability, 98.5 % speed",
-        figure,
-        caption,
-        "The paper validates at 90 % on the record that was fitted.",
-    )
+    return figure, caption

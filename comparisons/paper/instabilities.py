@@ -33,7 +33,6 @@ __all__ = [
     "reduce_run",
     "run_case",
     "run_instabilities",
-    "simulate_and_reduce",
 ]
 
 # "Four instabilities at three speeds"; and the low-speed rotating stall of Fig 20 and 23.
@@ -53,10 +52,7 @@ PAPER_SETTINGS = ReductionSettings(
     cutoff_hz=48.0,
     phase="causal",
     probes="all",
-    stall_rule="threshold",
-    inertia_factor=1.0,
     thermocouple_inversion=False,
-    near_stall_match="pair",
     # The paper's Eq 13 takes W31 as measured; on the rig the two planes' flows disagree by too much
     # for that (claim 40 says what comes of it).
     work_form="temperature-rise",
@@ -107,13 +103,7 @@ class InstabilityRun:
         return SensorSettings(**self.rig.truth_parameters["sensor_settings"])
 
     def near_stall(self, channel: str) -> float:
-        """Return the mean of a reduced channel over the rows of the facility's near-stall reading.
-
-        Parameters
-        ----------
-        channel : str
-            Its name in the reduced record.
-        """
+        """Return the mean of a reduced channel over the facility's near-stall reading."""
         reading, time_s = self.paper.test.near_stall, self.paper.record.time_s
         rows = (time_s >= reading.from_s) & (time_s <= reading.to_s)
         return float(np.mean(self.paper.record[channel][rows]))
@@ -150,19 +140,12 @@ def run_instabilities(
         Seed of the rig's sensors.
     progress : callable
         Wraps the iteration over the cases, to show how far it is.
-
-    Returns
-    -------
-    Instabilities
-        The runs.
     """
     cases = (*INSTABILITIES, STEADY_STALL)
     return Instabilities({case: run_case(case, seed) for case in progress(cases)}, seed)
 
 
-def run_case(
-    case: str | RigCase, seed: int = 0, sensors: SensorSettings | None = None
-) -> InstabilityRun:
+def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
     """Simulate, reduce and fit one test.
 
     Parameters
@@ -171,87 +154,37 @@ def run_case(
         The rig's case.
     seed : int
         Seed of the rig's sensors.
-    sensors : SensorSettings, optional
-        Other sensors than the paper's.
-
-    Returns
-    -------
-    InstabilityRun
-        The run.
     """
     name = case if isinstance(case, str) else case.name
-    settings = replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name))
-    rig, paper = simulate_and_reduce(case, seed, settings, sensors)
-    if name == STEADY_STALL:
-        return InstabilityRun(name, rig, paper, {})
-    fits = {
-        "psi_p": fit_paper(paper.series),
-        "psi_p_linked": fit_paper(paper.series, link_segments=True),
-    }
-    if paper.series.psi is not None:
-        fits["psi"] = fit_paper(paper.series, target="psi")
+    rig = simulate(case, seed=seed)
+    paper = reduce_run(rig, replace(PAPER_SETTINGS, window_s=PAPER_WINDOWS_S.get(name)))
+    fits = {}
+    if name != STEADY_STALL:
+        fits["psi_p"] = fit_paper(paper.series)
+        fits["psi_p_linked"] = fit_paper(paper.series, link_segments=True)
+        if paper.series.psi is not None:
+            fits["psi"] = fit_paper(paper.series, target="psi")
     return InstabilityRun(name, rig, paper, fits)
 
 
-def simulate_and_reduce(
-    case: str | RigCase,
-    seed: int,
-    settings: ReductionSettings = PAPER_SETTINGS,
-    sensors: SensorSettings | None = None,
-) -> tuple[RigRun, Reduction]:
-    """Return one more run of the rig and its reduction.
-
-    Parameters
-    ----------
-    case : str or RigCase
-        The rig's case.
-    seed : int
-        Seed of the rig's sensors.
-    settings : ReductionSettings
-        The switches of the reduction.
-    sensors : SensorSettings, optional
-        Other sensors than the paper's.
-
-    Returns
-    -------
-    tuple of RigRun and Reduction
-        The run and its reduction.
-    """
-    rig = simulate(case, seed=seed, sensors=sensors)
-    return rig, reduce_run(rig, settings)[0]
-
-
-def reduce_run(rig: RigRun, *settings: ReductionSettings) -> tuple[Reduction, ...]:
+def reduce_run(rig: RigRun, settings: ReductionSettings = PAPER_SETTINGS) -> Reduction:
     """Reduce a run of the rig from its files, as a real record is.
 
     Parameters
     ----------
     rig : RigRun
         The run.
-    *settings : ReductionSettings
-        One reduction each.
-
-    Returns
-    -------
-    tuple of Reduction
-        In the order of the settings.
+    settings : ReductionSettings
+        The switches of the reduction.
     """
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "run"
         write_run(rig, raw)
-        record, test = read_raw(raw / "raw.csv", raw / "test.toml")
-    # The ledger names the rig's run, not a folder that is gone.
-    record = replace(record, source=rig.raw.source, history=rig.raw.history)
-    test = replace(test, source="test.toml")
-    return tuple(reduce_record(record, test, chosen) for chosen in settings)
+        return reduce_record(*read_raw(raw / "raw.csv", raw / "test.toml"), settings)
 
 
 def fit_paper(
-    series: CoefficientSeries,
-    *,
-    target: str = "psi_p",
-    degree: int = 2,
-    link_segments: bool = False,
+    series: CoefficientSeries, *, target: str = "psi_p", link_segments: bool = False
 ) -> FittedLag:
     """Fit Eq 9 by maximum likelihood with zero-order hold: a parabola (Eq 12), for ψ Fig 22.
 
@@ -261,8 +194,6 @@ def fit_paper(
         A reduced record.
     target : {"psi_p", "psi"}
         Which coefficient.
-    degree : int
-        Degree of the polynomial of ψ'.
     link_segments : bool
         Link the in-stall intervals into one series, as the paper did.
 
@@ -276,7 +207,7 @@ def fit_paper(
     model = LagRegressor(
         rows.sample_period_s,
         noise="armax",
-        degree=degree,
+        degree=2,
         hold="zero",
         basis=basis,
         link_segments=link_segments,

@@ -21,7 +21,6 @@ __all__ = [
     "in_stall_psi_p",
     "phi_of_flow",
     "pressure_ratio",
-    "reverse_flow_psi_p",
     "stall_point",
     "temperature_K",
     "unstalled_psi_p",
@@ -38,13 +37,6 @@ def in_stall_psi_p(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
     return np.asarray(
         np.polynomial.polynomial.polyval(np.asarray(phi), run.rig.truth_parameters["beta"])
     )
-
-
-def reverse_flow_psi_p(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
-    """Return the rig's ψ' in reversed flow: the in-stall curve and the loss that is not lagged."""
-    flow = np.asarray(phi, dtype=np.float64)
-    loss = float(run.rig.truth_parameters["reverse_loss"])
-    return in_stall_psi_p(run, flow) + loss * np.minimum(flow, 0.0) ** 2
 
 
 def in_stall_psi(run: InstabilityRun, phi: ArrayLike) -> FloatArray:

@@ -31,7 +31,6 @@ SENTENCES: Mapping[str, str] = {
     "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
     "in-stall",
     "odd_rate": "{rate_hz:g} rows a second: is time_s in seconds?",
-    "same_rows": "holds the same rows as {other}: errors are stated too small",
     "speeds_apart": "the records lie between {low_percent:.0f} and {high_percent:.0f} % corrected "
     "speed: one curve is fitted to all of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "

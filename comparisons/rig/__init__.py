@@ -1,13 +1,13 @@
 """The simulated compressor test rig, whose truth is known.
 
 It makes raw records as a surge test would leave them, and it shares no equation with the code that
-reduces them: of `classic_ml` it imports the record container and the errors alone.
+reduces them: of `classic_ml` it imports the record container alone.
 """
 
 from __future__ import annotations
 
 from comparisons.rig.cases import CASES, RigCase
-from comparisons.rig.hidden import HIDEABLE, HiddenEffect
+from comparisons.rig.hidden import HIDEABLE, Hideable
 from comparisons.rig.raw_format import write_run
 from comparisons.rig.sensors import SensorSettings
 from comparisons.rig.simulation import RigRun, simulate
@@ -15,7 +15,7 @@ from comparisons.rig.simulation import RigRun, simulate
 __all__ = [
     "CASES",
     "HIDEABLE",
-    "HiddenEffect",
+    "Hideable",
     "RigCase",
     "RigRun",
     "SensorSettings",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import isfinite, pi, sqrt
-from types import MappingProxyType
 
 from comparisons.rig.gas import LBM_KG, T_REF_K
 from surge_core.errors import InputError
@@ -190,15 +189,10 @@ class RigCase:
                 raise InputError(
                     f"RigCase.{field.name}", expected="a finite number", found=f"{value}"
                 )
-        for name in _POSITIVE:
-            if not getattr(self, name) > 0.0:
+            if field.name in _POSITIVE and not value > 0.0:
                 raise InputError(
-                    f"RigCase.{name}", expected="a positive number", found=f"{getattr(self, name)}"
+                    f"RigCase.{field.name}", expected="a positive number", found=f"{value}"
                 )
-        if not 0.0 <= self.throttle_sweep < 1.0:
-            raise InputError(
-                "RigCase.throttle_sweep", expected="0 to below 1", found=f"{self.throttle_sweep}"
-            )
 
     @property
     def rotor_speed_rpm(self) -> float:
@@ -296,20 +290,18 @@ _STEADY_STALL = replace(
     window_s=(1.0, 3.9),
 )
 
-CASES: Mapping[str, RigCase] = MappingProxyType(
-    {
-        case.name: case
-        for case in (
-            _BASE,
-            _NINETY,
-            # T31 645 K before stall.
-            replace(_BASE, name="95", corrected_speed_frac=0.95, near_stall_phi_ratio=1.029),
-            replace(_BASE, name="985-second", open_lag_s=1.6),
-            _BLOWDOWN,
-            _STEADY_STALL,
-        )
-    }
-)
+CASES: Mapping[str, RigCase] = {
+    case.name: case
+    for case in (
+        _BASE,
+        _NINETY,
+        # T31 645 K before stall.
+        replace(_BASE, name="95", corrected_speed_frac=0.95, near_stall_phi_ratio=1.029),
+        replace(_BASE, name="985-second", open_lag_s=1.6),
+        _BLOWDOWN,
+        _STEADY_STALL,
+    )
+}
 
 
 def find_case(case: str | RigCase) -> RigCase:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import pi, radians
 
 import numpy as np
 
 from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import P_REF_PA, T_REF_K
-from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC, UNTOUCHED, Alteration
+from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC, Alteration
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
 from comparisons.rig.sensors import SensorSettings
 from surge_core.types import FloatArray
 
-__all__ = ["IMMERSIONS", "RAKES", "LocalFlow", "corrected_plane_flow_kg_s", "local_flow"]
+__all__ = ["IMMERSIONS", "RAKES", "corrected_plane_flow_kg_s", "local_flow"]
 
 
 RAKES = ("A", "B")
@@ -28,22 +27,6 @@ _PRESSURE_LEAD = radians(30.0)
 _SIDE = {"tip": -1.0, "hub": 1.0}
 
 
-@dataclass(frozen=True)
-class LocalFlow:
-    """Corrected flow and total pressure at one probe pair, at `PLANT_RATE_HZ`.
-
-    Parameters
-    ----------
-    corrected_kg_s : ndarray of shape (n,)
-        Corrected flow that the whole plane would pass if all of it were like this spot.
-    total_pressure_pa : ndarray of shape (n,)
-        Total pressure at the spot.
-    """
-
-    corrected_kg_s: FloatArray
-    total_pressure_pa: FloatArray
-
-
 def corrected_plane_flow_kg_s(run: PlantRun, plane: int) -> FloatArray:
     """Return the mean corrected flow W √(T/T_o) / (P/P_o) of a plane (Eq N1), in kg/s."""
     theta = run[f"T{plane}"] / T_REF_K
@@ -54,13 +37,13 @@ def local_flow(
     case: RigCase,
     run: PlantRun,
     settings: SensorSettings,
+    altered: Alteration,
     *,
     plane: int,
     rake: str,
     immersion: str,
-    altered: Alteration = UNTOUCHED,
-) -> LocalFlow:
-    """Return flow and total pressure at one probe pair.
+) -> tuple[FloatArray, FloatArray]:
+    """Return corrected flow in kg/s and total pressure in Pa at one probe pair.
 
     Equation: W_c + J A w (sin θ + h₂ sin 2θ) ± q ΔW_c, θ = 2π f t + angle of the rake; the total
     pressure moves in proportion. Over the plane hub and tip shift cancel; the cells do not, because
@@ -70,17 +53,17 @@ def local_flow(
     ----------
     case, run, settings : RigCase, PlantRun, SensorSettings
         The plant, what it did, and the factors on cells and shift.
+    altered : Alteration
+        What is hidden; a second cell pattern, slower than the first, shows here.
     plane : int
         25 or 31.
     rake, immersion : str
         ``"A"`` or ``"B"``; ``"tip"`` or ``"hub"``.
-    altered : Alteration
-        What is hidden; a second cell pattern, slower than the first, shows here.
 
     Returns
     -------
-    LocalFlow
-        The local flow.
+    tuple of ndarray of shape (n,)
+        At `PLANT_RATE_HZ`; the flow that the whole plane would pass if all were like this spot.
     """
     share = 1.0 if plane == 25 else case.exit_cell_frac
     mean = corrected_plane_flow_kg_s(run, plane)
@@ -90,13 +73,13 @@ def local_flow(
     shift = share * settings.hub_tip * case.hub_tip_flow_kg_s * run["blend"] * _SIDE[immersion]
     flow = mean + reach * case.cell_flow_kg_s * _wave(case, angle) + shift
     ripple = reach * case.cell_pressure_frac * _wave(case, angle + _PRESSURE_LEAD)
-    if altered.second_cells:
+    if altered.rotating_stall_ripple:
         turn = SECOND_CELL_ROTOR_FRAC * 2.0 * pi * case.rotor_speed_rpm / 60.0
         angle = turn * time_s + _RAKE_ANGLE[rake]
-        reach = share * altered.second_cells * run["cells"] * _REACH[immersion]
+        reach = share * altered.rotating_stall_ripple * run["cells"] * _REACH[immersion]
         flow = flow + reach * case.cell_flow_kg_s * np.sin(angle)
         ripple = ripple + reach * case.cell_pressure_frac * np.sin(angle + _PRESSURE_LEAD)
-    return LocalFlow(flow, run[f"P{plane}"] * (1.0 + ripple))
+    return flow, run[f"P{plane}"] * (1.0 + ripple)
 
 
 def _wave(case: RigCase, angle: FloatArray) -> FloatArray:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from comparisons.rig.coefficient_signals import (
@@ -17,7 +16,7 @@ from comparisons.rig.coefficient_signals import (
     draw_flows,
     slow_amplitude,
 )
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Plant", "Points", "draw_plant", "lay_grid", "sample_points"]
 
@@ -66,10 +65,13 @@ class Plant:
         return np.asarray(np.polynomial.polynomial.polyval(phi, np.array(self.beta)))
 
     @cached_property
+    def _clock_s(self) -> FloatArray:
+        return np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
+
+    @cached_property
     def all_phi(self) -> FloatArray:
         """φ of all records, sorted: its quantiles place thresholds."""
-        share = np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
-        return np.sort(np.concatenate([f.values(f.origin_s + share) for f in self.flows]))
+        return np.sort(np.concatenate([f.values(f.origin_s + self._clock_s) for f in self.flows]))
 
     def phi_at(self, share: float) -> float:
         """Return the φ below which this share of the time is spent."""
@@ -83,8 +85,7 @@ class Plant:
     @cached_property
     def mean_speed(self) -> float:
         """Mean Nc over all records: the reference of the droop."""
-        share = np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
-        return float(np.mean([s.values(s.flow.origin_s + share) for s in self.speeds]))
+        return float(np.mean([s.values(s.flow.origin_s + self._clock_s) for s in self.speeds]))
 
     @cached_property
     def amplitudes(self) -> tuple[CubicSpline, ...]:
@@ -97,9 +98,8 @@ class Plant:
     @cached_property
     def mean_amplitude(self) -> float:
         """Ā, the mean of A over the records."""
-        share = np.linspace(0.0, self.duration_s, _QUANTILE_POINTS)
         pairs = zip(self.amplitudes, self.flows, strict=True)
-        return float(np.mean([a(f.origin_s + share) for a, f in pairs]))
+        return float(np.mean([a(f.origin_s + self._clock_s) for a, f in pairs]))
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Points:
     phi: FloatArray
     phi_rate: FloatArray
     step_s: FloatArray
-    samples: NDArray[np.int64]
+    samples: IntArray
 
     @property
     def branch_phi(self) -> FloatArray:
@@ -160,11 +160,6 @@ def draw_plant(
         Length of each, and time between two samples, in seconds.
     degree : int
         3: the cubic of Moore and Greitzer; 2: a parabola over the same flows.
-
-    Returns
-    -------
-    Plant
-        The truth.
 
     Notes
     -----
@@ -198,32 +193,10 @@ def draw_plant(
 
 
 def sample_points(plant: Plant, record: int, time_s: FloatArray) -> Points:
-    """Return the instants of the samples of a record.
-
-    Parameters
-    ----------
-    plant : Plant
-        The test.
-    record : int
-        Number of the record, from 0.
-    time_s : ndarray of shape (n,)
-        The samples on the facility clock, in seconds.
-
-    Returns
-    -------
-    Points
-        The instants; φ is that of the record, before any delay.
-    """
-    flow = plant.flows[record]
-    return Points(
-        plant,
-        record,
-        time_s,
-        flow.values(time_s),
-        flow.rates(time_s),
-        np.empty(0),
-        np.arange(time_s.size),
-    )
+    """Return the samples of a record, at times on the facility clock; φ is before any delay."""
+    flow, rows = plant.flows[record], np.arange(time_s.size)
+    phi, rate = flow.values(time_s), flow.rates(time_s)
+    return Points(plant, record, time_s, phi, rate, np.empty(0), rows)
 
 
 def lay_grid(
@@ -270,10 +243,10 @@ def lay_grid(
     steps = np.arange(-n_lead, (time_s.size - 1) * substeps + 1)
     nodes = time_s[0] + step_s * steps
     phi = flow.values(nodes - delay_s)
-    events = [_crossings(flow, nodes - delay_s, phi - level, level) for level in levels]
+    acting = nodes - delay_s
+    events = [_crossings(flow.values, acting, level) for level in levels]
     if turns:
-        rate = flow.rates(nodes - delay_s)
-        events.append(_crossings(flow, nodes - delay_s, rate, None))
+        events.append(_crossings(flow.rates, acting, 0.0))
     samples = np.arange(n_lead, nodes.size, substeps)
     if events:
         extra = np.sort(np.concatenate(events)) + delay_s
@@ -294,20 +267,19 @@ def lay_grid(
 
 
 def _crossings(
-    flow: FlowSignal, time_s: FloatArray, offset: FloatArray, level: float | None
+    function: Callable[[FloatArray], FloatArray], time_s: FloatArray, level: float
 ) -> FloatArray:
-    """Return where φ − level (or dφ/dt, for None) changes sign, by secants from the brackets."""
-    at = np.flatnonzero(offset[:-1] * offset[1:] < 0.0)
+    """Return where a function of time crosses a level, by secants from the brackets."""
+    values = function(time_s) - level
+    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
     low, high = time_s[at].copy(), time_s[at + 1].copy()
-    f_low, f_high = offset[at].copy(), offset[at + 1].copy()
+    f_low, f_high = values[at].copy(), values[at + 1].copy()
     root = low
     for _ in range(_ROOT_STEPS):
         root = low - f_low * (high - low) / (f_high - f_low)
-        f_root = flow.rates(root) if level is None else flow.values(root) - level
-        exact = f_root == 0.0
-        if np.any(exact):
-            # Nothing is left to bracket; a hair beside it will do.
-            f_root = np.where(exact, np.finfo(np.float64).tiny, f_root)
+        # Where it is met exactly nothing is left to bracket; a hair beside it will do.
+        f_root = function(root) - level
+        f_root = np.where(f_root == 0.0, np.finfo(np.float64).tiny, f_root)
         left = f_root * f_low > 0.0
         low, f_low = np.where(left, root, low), np.where(left, f_root, f_low)
         high, f_high = np.where(left, high, root), np.where(left, f_high, f_root)

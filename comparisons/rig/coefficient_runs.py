@@ -1,11 +1,16 @@
-"""One record of a test at the level of coefficients, without noise, for effects of given size."""
+"""One record of a test at the level of coefficients, without noise, for effects of given size.
+
+The compiled loops run over steps of any length and take their input at the start, the middle and
+the end of each (rows 0, 1, 2), so that a step may end exactly where a branch of the model begins.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import cast
+from typing import Any
 
 import numpy as np
+from numba import njit
 
 from comparisons.rig.coefficient_effects import (
     CHARACTERISTIC,
@@ -14,14 +19,16 @@ from comparisons.rig.coefficient_effects import (
     Parameters,
     crossed_levels,
 )
-from comparisons.rig.coefficient_kernels import backlash, constant_lag, varying_lag
 from comparisons.rig.coefficient_plant import Plant, Points, lay_grid, sample_points
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["check_together", "lagged", "run_record"]
+__all__ = ["backlash", "constant_lag", "run_record", "varying_lag"]
 
 Planted = Mapping[str, Parameters]
+
+# Below this h/τ the recurrence of the weights cancels; the series has converged to 1e-17 there.
+_SERIES_BELOW = 0.5
+_SERIES_TERMS = 14
 
 
 def run_record(
@@ -56,14 +63,13 @@ def run_record(
     ndarray of shape (n,)
         ψ' at the samples, without noise.
     """
-    levels = [level for name, p in planted.items() for level in crossed_levels(name, p)]
     grid = lay_grid(
         plant,
         record,
         time_s,
         substeps=substeps,
         delay_s=planted.get("transport_delay", {}).get("delay_s", 0.0),
-        levels=levels,
+        levels=[level for name, p in planted.items() for level in crossed_levels(name, p)],
         turns="asymmetric_lag" in planted,
         slow_tau_s=planted.get("second_slow_mode", {}).get("slow_tau_s", 0.0),
     )
@@ -74,9 +80,9 @@ def run_record(
     if curve_offset is not None:
         place = np.clip(np.searchsorted(time_s, grid.time_s[1]) - 1, 0, time_s.size - 1)
         curve = curve + curve_offset[place]
-    psi = lagged(grid, curve, planted)
+    psi = _lagged(grid, np.ascontiguousarray(curve), planted)
     if "sensor_backlash" in planted:
-        psi = cast(FloatArray, backlash(psi, planted["sensor_backlash"]["half_width"]))
+        psi = backlash(psi, planted["sensor_backlash"]["half_width"])
     shown = psi[grid.samples]
     at = sample_points(plant, record, time_s)
     for name, parameters in planted.items():
@@ -85,36 +91,21 @@ def run_record(
     return shown
 
 
-def lagged(grid: Points, curve: FloatArray, planted: Planted) -> FloatArray:
-    """Pass ψ'_QS through the lag.
-
-    Parameters
-    ----------
-    grid : Points
-        Steps of integration.
-    curve : ndarray of shape (3, m)
-        ψ'_QS at the start, the middle and the end of each step.
-    planted : mapping of str to mapping
-        The effects.
-
-    Returns
-    -------
-    ndarray of shape (m + 1,)
-        ψ' at the ends of the steps, begun from the quasi-steady value.
-    """
-    curve = np.ascontiguousarray(curve)
+def _lagged(grid: Points, curve: FloatArray, planted: Planted) -> FloatArray:
+    """Pass ψ'_QS through the lag, begun from the quasi-steady value."""
     tau, start = grid.plant.tau_s, float(curve[0, 0])
-    factors = [LAG[name](p, grid) for name, p in planted.items() if name in LAG]
-    kappa = planted.get("nonlinear_relaxation", {}).get("kappa", 0.0)
     if "second_order_lag" in planted:
         return _second_order(grid, curve, planted["second_order_lag"]["a2_s2"])
+    factors = [LAG[name](p, grid) for name, p in planted.items() if name in LAG]
+    kappa = planted.get("nonlinear_relaxation", {}).get("kappa", 0.0)
+    psi: FloatArray
     if factors or kappa:
         rate_hz = np.ones_like(grid.phi) / tau
         for factor in factors:
             rate_hz = rate_hz / factor
-        psi = cast(FloatArray, varying_lag(grid.step_s, curve, rate_hz, kappa, start))
+        psi = varying_lag(grid.step_s, curve, rate_hz, kappa, start)
     else:
-        psi = cast(FloatArray, constant_lag(grid.step_s, curve, tau, start))
+        psi = constant_lag(grid.step_s, curve, tau, start)
     if "second_slow_mode" in planted:
         share, slow_s = (planted["second_slow_mode"][k] for k in ("share", "slow_tau_s"))
         psi = (1.0 - share) * psi + share * constant_lag(grid.step_s, curve, slow_s, start)
@@ -128,31 +119,113 @@ def _second_order(grid: Points, curve: FloatArray, a2_s2: float) -> FloatArray:
     spread = np.sqrt(complex(tau**2 - 4.0 * a2_s2))
     slow, fast = 0.5 * (tau + spread), 0.5 * (tau - spread)
     if abs(fast) < np.finfo(np.float64).eps * tau:
-        return cast(FloatArray, constant_lag(grid.step_s, curve, tau, start.real))
+        return np.asarray(constant_lag(grid.step_s, curve, tau, start.real))
     first = constant_lag(grid.step_s, curve, slow, start)
     second = constant_lag(grid.step_s, curve, fast, start)
     return np.asarray(((slow * first - fast * second) / spread).real)
 
 
-def check_together(names: tuple[str, ...]) -> None:
-    """Refuse effects that cannot act at once.
+@njit(cache=True)
+def _moment(z: Any, power: int) -> Any:
+    """Return z ∫₀¹ exp(−z (1 − s)) s^power ds by its series."""
+    term = z / (power + 1.0)
+    total = term
+    for j in range(1, _SERIES_TERMS):
+        term = -term * z / (power + 1.0 + j)
+        total = total + term
+    return total
+
+
+@njit(cache=True)
+def constant_lag(step_s: Any, inputs: Any, tau_s: Any, start: Any) -> Any:
+    """Integrate τ dy/dt + y = u exactly for an input that is a parabola over each step.
 
     Parameters
     ----------
-    names : tuple of str
-        Effects of one test.
+    step_s : ndarray of shape (m,)
+        Length of each step, in seconds.
+    inputs : ndarray of shape (3, m)
+        u at the start, the middle and the end of each step.
+    tau_s : float or complex
+        Time constant; complex for one of the two modes of a lag that rings.
+    start : float or complex
+        y at the start of the first step, of the type of `tau_s`.
 
-    Raises
-    ------
-    InputError
-        For an effect named twice, or a second-order lag beside a lag whose τ varies.
+    Returns
+    -------
+    ndarray of shape (m + 1,)
+        y at the ends of the steps, the start first.
     """
-    if len(set(names)) < len(names):
-        raise InputError("effect", expected="different effects", found=" and ".join(names))
-    others = [n for n in names if n in LAG or n in ("nonlinear_relaxation", "second_slow_mode")]
-    if "second_order_lag" in names and others:
-        raise InputError(
-            "effect",
-            expected="second_order_lag beside an effect at another port",
-            found=f"{others[0]} with it",
-        )
+    y = np.full(step_s.size + 1, start)
+    last = -1.0
+    # Moments of s⁰, s¹ and s² over the step; they change only with its length.
+    decay = start
+    m0 = start
+    m1 = start
+    m2 = start
+    for i in range(step_s.size):
+        h = step_s[i]
+        if h != last:
+            z = h / tau_s
+            decay = np.exp(-z)
+            if abs(z) < _SERIES_BELOW:
+                m0 = _moment(z, 0)
+                m1 = _moment(z, 1)
+                m2 = _moment(z, 2)
+            else:
+                m0 = 1.0 - decay
+                m1 = 1.0 - m0 / z
+                m2 = 1.0 - 2.0 * m1 / z
+            last = h
+        u0, um, u1 = inputs[0, i], inputs[1, i], inputs[2, i]
+        slope = -3.0 * u0 + 4.0 * um - u1
+        bend = 2.0 * (u0 - 2.0 * um + u1)
+        y[i + 1] = decay * y[i] + m0 * u0 + m1 * slope + m2 * bend
+    return y
+
+
+@njit(cache=True)
+def varying_lag(step_s: Any, inputs: Any, rate_hz: Any, kappa: float, start: float) -> Any:
+    """Integrate dy/dt = (e + κ e|e|) r(t), e = u − y, by Runge-Kutta steps of fourth order.
+
+    Parameters
+    ----------
+    step_s, inputs, start
+        As in `constant_lag`.
+    rate_hz : ndarray of shape (3, m)
+        r = 1/τ in 1/s at the start, the middle and the end of each step.
+    kappa : float
+        Share of the relaxation that grows with the distance itself; 0: a lag.
+    """
+    y = np.empty(step_s.size + 1)
+    y[0] = start
+    for i in range(step_s.size):
+        h, now = step_s[i], y[i]
+        e = inputs[0, i] - now
+        k1 = (e + kappa * e * abs(e)) * rate_hz[0, i]
+        e = inputs[1, i] - now - 0.5 * h * k1
+        k2 = (e + kappa * e * abs(e)) * rate_hz[1, i]
+        e = inputs[1, i] - now - 0.5 * h * k2
+        k3 = (e + kappa * e * abs(e)) * rate_hz[1, i]
+        e = inputs[2, i] - now - h * k3
+        k4 = (e + kappa * e * abs(e)) * rate_hz[2, i]
+        y[i + 1] = now + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return y
+
+
+@njit(cache=True)
+def backlash(values: Any, half_width: float) -> Any:
+    """Return what a sensor with play shows: it follows only when pushed by either edge.
+
+    Parameters
+    ----------
+    values : ndarray of shape (m,)
+        Signal, fine enough to be monotone between neighbours; the play starts in its middle.
+    half_width : float
+        Half the play.
+    """
+    shown = np.empty_like(values)
+    shown[0] = values[0]
+    for i in range(1, values.size):
+        shown[i] = min(max(shown[i - 1], values[i] - half_width), values[i] + half_width)
+    return shown

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
-from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
-from comparisons.rig.coefficient_plant import Plant, draw_plant
-from comparisons.rig.coefficient_runs import check_together, run_record
-from comparisons.rig.coefficient_strength import BaseRefit, Sized, size_effect
+from comparisons.rig.coefficient_effects import EFFECTS, FORMS, LAG, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_plant import Plant, draw_plant, lay_grid
+from comparisons.rig.coefficient_runs import constant_lag, run_record
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "EFFECTS",
@@ -37,8 +37,16 @@ NOISES: tuple[Noise, ...] = get_args(Noise)
 
 # Ten steps from sample to sample: at 10 ms the simulation is exact to 1e-7 of ψ'.
 _SUBSTEPS = 10
-# Enough for the size of the signal.
+# Enough for the size of the signal, and for what is left of an effect.
 _COARSE = 2
+# The part of the first records that a model is fitted to; the rest is held out.
+_TRAIN_SHARE = 0.6
+_TRAIN_RECORDS = 2
+# ln τ of the refit is looked for this far to either side.
+_LOG_TAU_REACH = 1.5
+_TAU_TOLERANCE = 1e-5
+_SIZE_TOLERANCE = 1e-3
+_MAX_TRIALS = 25
 _DEGREES = (2, 3)
 _AR1 = 0.7
 _T_DEGREES = 3.0
@@ -75,8 +83,8 @@ class CoefficientRecord:
     psi_p: FloatArray
     T25_K: FloatArray
     Nc_frac: FloatArray
-    in_stall: NDArray[np.bool_] | None = None
-    segment: NDArray[np.int64] | None = None
+    in_stall: BoolArray | None = None
+    segment: IntArray | None = None
 
 
 @dataclass(frozen=True)
@@ -174,12 +182,12 @@ def simulate_test(
     times = tuple(f.origin_s + clock for f in plant.flows)
     untouched = [run_record(plant, i, t, {}, substeps=_COARSE) for i, t in enumerate(times)]
     sigma = noise_frac * float(np.std(np.concatenate(untouched)))
-    refit = BaseRefit(plant, times, degree)
-    sized: dict[str, Sized] = {
-        name: size_effect(refit, name, _stream(seed, name), strength=strength, sigma=sigma)
-        for name in names
-    }
-    planted = {name: one.parameters for name, one in sized.items()}
+    refit = _Refit(plant, times, degree)
+    planted, strengths = {}, {}
+    for name in names:
+        planted[name], strengths[name] = _size_effect(
+            refit, name, _stream(seed, name), strength, sigma
+        )
     rng = _stream(seed, "noise")
     gap_rng = _stream(seed, "gaps") if gaps else None
     records, clean = [], []
@@ -194,7 +202,7 @@ def simulate_test(
         tau_s=plant.tau_s,
         beta=plant.beta,
         effects=planted,
-        strengths={name: one.strength for name, one in sized.items()},
+        strengths=strengths,
         sigma=sigma,
         clean=tuple(clean),
     )
@@ -213,7 +221,13 @@ def _check(
             raise InputError(
                 "effect", expected="one of " + ", ".join(EFFECTS + OUTSIDE), found=f"{name!r}"
             )
-    check_together(names)
+    others = [n for n in names if n in LAG or n in ("nonlinear_relaxation", "second_slow_mode")]
+    if len(set(names)) < len(names) or ("second_order_lag" in names and others):
+        raise InputError(
+            "effect",
+            expected="different effects, second_order_lag beside an effect at another port",
+            found=" and ".join(names),
+        )
     if not 0.0 <= strength < np.inf:
         raise InputError("strength", expected="a number from 0 on", found=f"{strength}")
     if noise not in NOISES:
@@ -233,6 +247,92 @@ def _stream(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng([seed, *purpose.encode()])
 
 
+class _Refit:
+    """Output-error fit of τ and of a polynomial characteristic to the noise-free start of a test.
+
+    Of the samples of every record the first 60 % of the first two are fitted.
+    """
+
+    def __init__(self, plant: Plant, times_s: tuple[FloatArray, ...], degree: int) -> None:
+        self.plant = plant
+        self._degree = degree
+        self._times_s = [t[: max(int(_TRAIN_SHARE * t.size), 2)] for t in times_s[:_TRAIN_RECORDS]]
+
+    def excess(self, planted: Mapping[str, Mapping[str, float]]) -> float:
+        """Return the rms of what effects, by name with their parameters, leave after the refit."""
+        runs = [
+            run_record(self.plant, i, t, planted, substeps=_COARSE)
+            for i, t in enumerate(self._times_s)
+        ]
+        psi = np.concatenate(runs)
+        found = minimize_scalar(
+            lambda x: float(np.sum(self._left(psi, np.exp(x)) ** 2)),
+            bounds=np.log(self.plant.tau_s) + np.array([-_LOG_TAU_REACH, _LOG_TAU_REACH]),
+            method="bounded",
+            options={"xatol": _TAU_TOLERANCE},
+        )
+        return float(np.sqrt(np.mean(self._left(psi, float(np.exp(found.x))) ** 2)))
+
+    @cached_property
+    def _inputs(self) -> list[tuple[FloatArray, list[FloatArray], IntArray]]:
+        """Steps, powers of φ from the first on, and samples of each record."""
+        grids = [lay_grid(self.plant, i, t, substeps=_COARSE) for i, t in enumerate(self._times_s)]
+        powers = range(1, self._degree + 1)
+        return [
+            (grid.step_s, [np.ascontiguousarray(grid.phi**k) for k in powers], grid.samples)
+            for grid in grids
+        ]
+
+    def _left(self, psi: FloatArray, tau_s: float) -> FloatArray:
+        """Return what the best polynomial leaves at a time constant; a constant needs no lag."""
+        columns = [np.ones_like(psi)]
+        for k in range(self._degree):
+            parts = [
+                constant_lag(step_s, powers[k], tau_s, float(powers[k][0, 0]))[samples]
+                for step_s, powers, samples in self._inputs
+            ]
+            columns.append(np.concatenate(parts))
+        orthogonal, _ = np.linalg.qr(np.column_stack(columns))
+        return np.asarray(psi - orthogonal @ (orthogonal.T @ psi))
+
+
+def _size_effect(
+    refit: _Refit, name: str, rng: np.random.Generator, strength: float, sigma: float
+) -> tuple[dict[str, float], float]:
+    """Draw an effect and give it a strength: the rms of what is left after the refit, in sigma.
+
+    The strength reached is less than asked only where the effect cannot be made so large.
+    """
+    form, plant = FORMS[name], refit.plant
+    others = form.draw(plant, rng)
+    sign = 1.0 if not form.signed or rng.random() < 0.5 else -1.0
+    limit = form.limit(plant)
+
+    def parameters(size: float) -> dict[str, float]:
+        return {form.size: sign * size, **others}
+
+    if strength == 0.0:
+        return parameters(0.0), 0.0
+    # What is left grows nearly in proportion to the size, and always with it.
+    size, low, high = min(form.guess(plant), limit), 0.0, limit
+    for _ in range(_MAX_TRIALS):
+        reached = refit.excess({name: parameters(size)}) / sigma
+        if abs(reached / strength - 1.0) < _SIZE_TOLERANCE:
+            break
+        if reached < strength:
+            low = size
+            if size >= limit:
+                break
+        else:
+            high = size
+        proposed = size * strength / max(reached, 1e-3 * strength)
+        if not low < proposed < high:
+            # A limit not yet known to be too large answers itself whether it can be reached.
+            proposed = limit if high >= limit else 0.5 * (low + high)
+        size = proposed
+    return parameters(size), reached
+
+
 def _measured(
     plant: Plant,
     record: int,
@@ -241,7 +341,7 @@ def _measured(
     sigma: float,
     noise: Noise,
     rng: np.random.Generator,
-    segment: NDArray[np.int64] | None,
+    segment: IntArray | None,
 ) -> CoefficientRecord:
     """Sample the channels of a record and put the noise on."""
     phi = plant.flows[record].values(time_s)
@@ -280,7 +380,7 @@ def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:
     return white
 
 
-def _segments(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> NDArray[np.int64]:
+def _segments(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> IntArray:
     """Return the number of the interval of each row, 0 in the gaps between the intervals."""
     period_s = float(time_s[1] - time_s[0])
     lengths = np.ceil(rng.uniform(*_GAP_S, _GAPS) / period_s).astype(int)

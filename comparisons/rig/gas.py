@@ -20,11 +20,8 @@ __all__ = [
     "PSI_PA",
     "P_REF_PA",
     "T_REF_K",
-    "axial_velocity_m_s",
     "corrected_flow_kg_s",
-    "flow_coefficient",
     "mach_from_corrected_flow",
-    "physical_flow_kg_s",
     "probe_pressures_pa",
 ]
 
@@ -98,73 +95,6 @@ def mach_from_corrected_flow(corrected_kg_s: ArrayLike, area_m2: float) -> Float
         if not np.any(np.abs(step) > 1e-14):
             break
     return np.asarray(np.sign(w) * m)
-
-
-def physical_flow_kg_s(
-    corrected_kg_s: ArrayLike, total_pressure_pa: ArrayLike, total_temperature_k: ArrayLike
-) -> FloatArray:
-    """Return the physical mass flow W = W_c (P/P_o) √(T_o/T) (paper Eq 4), in kg/s.
-
-    Parameters
-    ----------
-    corrected_kg_s, total_pressure_pa, total_temperature_k : array_like
-        Corrected flow in kg/s, total pressure in Pa, total temperature in K.
-
-    Returns
-    -------
-    ndarray
-        Mass flow in kg/s.
-    """
-    pressure = np.asarray(total_pressure_pa, dtype=np.float64)
-    temperature = np.asarray(total_temperature_k, dtype=np.float64)
-    return np.asarray(
-        np.asarray(corrected_kg_s) * pressure / P_REF_PA * np.sqrt(T_REF_K / temperature)
-    )
-
-
-def axial_velocity_m_s(mach: ArrayLike, total_temperature_k: ArrayLike) -> FloatArray:
-    """Return C_z = M √(γ R T_s) with T_s = T / (1 + 0.2 M²) (paper Eq 7), in m/s.
-
-    Parameters
-    ----------
-    mach, total_temperature_k : array_like
-        Signed Mach number and total temperature in K.
-
-    Returns
-    -------
-    ndarray
-        Axial velocity in m/s.
-    """
-    m = np.asarray(mach, dtype=np.float64)
-    static = np.asarray(total_temperature_k, dtype=np.float64) / (1.0 + 0.2 * m * m)
-    return np.asarray(m * np.sqrt(GAMMA * GAS_CONSTANT_J_KG_K * static))
-
-
-def flow_coefficient(
-    corrected_kg_s: ArrayLike,
-    total_temperature_k: ArrayLike,
-    *,
-    area_m2: float,
-    rotor_velocity_m_s: float,
-) -> FloatArray:
-    """Return φ = C_z / U of a corrected mass flow (paper Eq 7).
-
-    Parameters
-    ----------
-    corrected_kg_s, total_temperature_k : array_like
-        Corrected flow in kg/s and total temperature in K.
-    area_m2 : float
-        Annulus area in m².
-    rotor_velocity_m_s : float
-        Mean rotor velocity U in m/s.
-
-    Returns
-    -------
-    ndarray
-        Flow coefficient.
-    """
-    mach = mach_from_corrected_flow(corrected_kg_s, area_m2)
-    return np.asarray(axial_velocity_m_s(mach, total_temperature_k) / rotor_velocity_m_s)
 
 
 def probe_pressures_pa(

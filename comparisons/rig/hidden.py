@@ -12,11 +12,9 @@ amplitude stays within a few percent, so that such a lag is one of another lengt
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import isfinite
-from types import MappingProxyType
-
-import numpy as np
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any
 
 from surge_core.errors import InputError
 
@@ -32,9 +30,8 @@ __all__ = [
     "UNTOUCHED",
     "WAKE_TIME_S",
     "Alteration",
-    "HiddenEffect",
     "Hideable",
-    "as_hidden",
+    "hide_effect",
 ]
 
 # Thin casings and blade tips take up the heat of the gas within a few seconds. With 2 s a share of
@@ -56,64 +53,30 @@ LOW_FLOW_PHI = 0.05
 SECOND_CELL_ROTOR_FRAC = 0.28
 # Eddies of the size of a probe's support, 0.05 m, that pass at 50 m/s.
 WAKE_TIME_S = 0.001
-# Before the first stall, and at the deepest P31 of a cycle, plane 31 is at 3.5 V of 5: a drift that
-# goes further by the end of the record leaves the converter's range.
-_LARGEST_GAIN_CHANGE = 0.25
-_LARGEST_ZERO_CHANGE_V = 1.0
 
 
 @dataclass(frozen=True)
 class Alteration:
-    """What differs from the rig as it is described; the defaults differ in nothing.
+    """What differs from the rig as it is described: the size of each effect of `HIDEABLE`.
 
-    Parameters
-    ----------
-    stated_inertia : float
-        Factor on the ∫dx/A that ``test.toml`` states.
-    thermocouple_lag_s : float
-        Time constant that the T25 junctions have beyond the stated one.
-    exit_gain_per_s, exit_zero_v_s : float
-        Relative rate of the sensitivity, and rate of the zero in V/s, of the plane 31 transducers
-        from the start of the record.
-    exit_late_s, exit_cavity_s : float
-        How late the tape records plane 31, and the time constant with which cavities behind its
-        taps fill.
-    second_cells : float
-        A second cell pattern as a share of the first one's amplitude.
-    wake_noise : float
-        Pressure noise of the probe hole that lies downstream at plane 25, over the pair's pressure
-        difference.
-    heat_loss : float
-        Share a of ψ'_QS that is lost when the machine is hot, 1 − a(1 − e^(−t/T_h)).
-    speed_power : float
-        ψ'_QS in proportion to this power of N_c.
-    reverse_loss : float
-        Factor on the loss in reversed flow.
-    branch_step : float
-        ψ'_QS lost in deep stall, from φ below one threshold until φ above another.
-    bump : float
-        Height of a bell in the in-stall ψ'_QS(φ).
-    tau_rising : float
-        τ grows by this share while φ rises and shrinks by as much while it falls.
-    tau_low : float
-        τ grows by this share at low flow.
+    The defaults differ in nothing.
     """
 
-    stated_inertia: float = 1.0
-    thermocouple_lag_s: float = 0.0
-    exit_gain_per_s: float = 0.0
-    exit_zero_v_s: float = 0.0
-    exit_late_s: float = 0.0
-    exit_cavity_s: float = 0.0
-    second_cells: float = 0.0
-    wake_noise: float = 0.0
-    heat_loss: float = 0.0
-    speed_power: float = 0.0
-    reverse_loss: float = 1.0
-    branch_step: float = 0.0
-    bump: float = 0.0
-    tau_rising: float = 0.0
-    tau_low: float = 0.0
+    transport_delay: float = 0.0
+    facility_heating: float = 0.0
+    speed_droop: float = 0.0
+    hysteresis: float = 0.0
+    reverse_flow_branch: float = 1.0
+    characteristic_shape: float = 0.0
+    second_order_lag: float = 0.0
+    asymmetric_lag: float = 0.0
+    flow_dependent_lag: float = 0.0
+    flow_inertia: float = 1.0
+    thermocouple_lag: float = 0.0
+    sensitivity_drift: float = 0.0
+    bias_drift: float = 0.0
+    rotating_stall_ripple: float = 0.0
+    flow_noise: float = 0.0
 
 
 UNTOUCHED = Alteration()
@@ -127,251 +90,171 @@ class Hideable:
     ----------
     what : str
         What the size is, with its unit.
-    alters : str
-        The field of `Alteration` that it sets.
     bounds : tuple of float
         Least and largest size.
     default : float
         Size without one given.
     unit : str
         Unit of the size.
+    reach : float
+        How far a drift of that rate may go by the end of a record.
     """
 
     what: str
-    alters: str
     bounds: tuple[float, float]
     default: float
     unit: str = "1"
-
-    @property
-    def neutral(self) -> float:
-        """The size that hides nothing."""
-        return float(getattr(UNTOUCHED, self.alters))
+    reach: float = inf
 
 
-HIDEABLE: Mapping[str, Hideable] = MappingProxyType(
-    {
-        "transport_delay": Hideable(
-            "how late the tape records the plane 31 channels, in s",
-            "exit_late_s",
-            bounds=(0.0, 0.02),
-            default=0.005,
-            unit="s",
-        ),
-        "facility_heating": Hideable(
-            f"share of ψ'_QS lost to heat soak, with a time constant of {HEAT_SOAK_S:g} s",
-            "heat_loss",
-            bounds=(0.0, 0.2),
-            default=0.12,
-        ),
-        # In stall only: the table of the unstalled branch knows N_c already. With a power of 1 or
-        # more the 95 % case recovers for good.
-        "speed_droop": Hideable(
-            "power of N_c that ψ'_QS goes with in stall, over "
-            f"{SETTLED_SPEED_FRAC:g} of the initial N_c",
-            "speed_power",
-            bounds=(-3.0, 3.0),
-            default=-2.0,
-        ),
-        "hysteresis": Hideable(
-            f"ψ'_QS lost from φ below {BRANCH_PHIS[0]:g} until φ above {BRANCH_PHIS[1]:g}",
-            "branch_step",
-            bounds=(-0.3, 0.3),
-            default=0.15,
-        ),
-        "reverse_flow_branch": Hideable(
-            "factor on the loss in reversed flow, which acts without the lag",
-            "reverse_loss",
-            bounds=(0.2, 10.0),
-            default=2.5,
-        ),
-        "characteristic_shape": Hideable(
-            f"height of a bell of width {BUMP_WIDTH_PHI:g} at φ = {BUMP_PHI:g} in ψ'_QS",
-            "bump",
-            bounds=(-0.3, 0.3),
-            default=0.2,
-        ),
-        # A plenum in the gas path would not show: φ and ψ' are both measured before it. A cavity
-        # between taps and transducers puts a second pole behind the lag. Laminar flow through a
-        # tube of length l and bore d into a volume V at pressure p: T = 128 μ l V/(π d⁴ p), 5 ms
-        # for 1 m of 1 mm and 1.2 cm³ at 3 bar.
-        "second_order_lag": Hideable(
-            "time in which cavities behind the plane 31 taps fill, in s",
-            "exit_cavity_s",
-            bounds=(0.0, 0.02),
-            default=0.005,
-            unit="s",
-        ),
-        "asymmetric_lag": Hideable(
-            "share by which τ is longer while φ rises and shorter while it falls",
-            "tau_rising",
-            bounds=(-0.6, 0.6),
-            default=0.3,
-        ),
-        "flow_dependent_lag": Hideable(
-            f"share by which τ is longer at φ below {LOW_FLOW_PHI:g}",
-            "tau_low",
-            bounds=(-0.6, 1.0),
-            default=0.5,
-        ),
-        "flow_inertia": Hideable(
-            "stated over true ∫dx/A", "stated_inertia", bounds=(0.2, 3.0), default=1.5
-        ),
-        # A sheathed junction of a millimetre or so in place of the 10 ms of a fine wire.
-        "thermocouple_lag": Hideable(
-            "time constant of the T25 junctions beyond the stated one, in s",
-            "thermocouple_lag_s",
-            bounds=(0.0, 1.0),
-            default=0.2,
-            unit="s",
-        ),
-        "sensitivity_drift": Hideable(
-            "rate of the plane 31 sensitivity after its calibration, in 1/s",
-            "exit_gain_per_s",
-            bounds=(-0.1, 0.1),
-            default=0.03,
-            unit="1/s",
-        ),
-        "bias_drift": Hideable(
-            "rate of the plane 31 zero after its reading, in V/s",
-            "exit_zero_v_s",
-            bounds=(-0.25, 0.25),
-            default=0.02,
-            unit="V/s",
-        ),
-        "rotating_stall_ripple": Hideable(
-            "amplitude of a second cell pattern over that of the first",
-            "second_cells",
-            bounds=(0.0, 1.5),
-            default=0.8,
-        ),
-        "flow_noise": Hideable(
-            "noise of the downstream holes of plane 25 over the pressure difference of the pair",
-            "wake_noise",
-            bounds=(0.0, 0.6),
-            default=0.4,
-        ),
-    }
-)
-
-
-@dataclass(frozen=True)
-class HiddenEffect:
-    """One effect of a given size.
-
-    Parameters
-    ----------
-    name : str
-        One out of `HIDEABLE`.
-    size : float, optional
-        Its size, in the unit that `HIDEABLE` states; by default the one stated there.
-
-    Raises
-    ------
-    InputError
-        When the name is not known, or the size is out of range.
-    """
-
-    name: str
-    size: float | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or self.name not in HIDEABLE:
-            raise InputError(
-                "hide",
-                expected="one of " + ", ".join(HIDEABLE),
-                found=f"{self.name!r}",
-                remedy="name one",
-            )
-        kind, size = self._sized()
-        least, most = kind.bounds
-        number = isinstance(size, int | float | np.integer) and not isinstance(size, bool)
-        if not (number and isfinite(size) and least <= size <= most):
-            raise InputError(
-                f"hide_size of {self.name}",
-                expected=f"{least:g} to {most:g} ({kind.what})",
-                found=f"{size!r}",
-            )
-        object.__setattr__(self, "size", float(size))
-
-    def alteration(self, duration_s: float) -> Alteration:
-        """Return what the effect alters in a record of a given length.
-
-        Parameters
-        ----------
-        duration_s : float
-            Length of the record in seconds; a drift must leave it usable to its end.
-
-        Returns
-        -------
-        Alteration
-            The alteration; with the neutral size that of an untouched rig.
-
-        Raises
-        ------
-        InputError
-            When a drift goes too far before the record ends.
-        """
-        kind, size = self._sized()
-        largest = _LARGEST_CHANGE.get(self.name)
-        if largest is not None and abs(size) * duration_s > largest:
-            raise InputError(
-                f"hide_size of {self.name}",
-                expected=f"at most {largest / duration_s:.3g} {kind.unit} either way in a record "
-                f"of {duration_s:g} s",
-                found=f"{size:g}",
-                remedy="shorten the record or choose a slower drift",
-            )
-        return Alteration(**{kind.alters: size})
-
-    def truth(self) -> dict[str, str | float]:
-        """Return the entry of the truth: name, size, unit and what the size is."""
-        kind, size = self._sized()
-        return {"effect": self.name, "size": size, "unit": kind.unit, "what": kind.what}
-
-    def _sized(self) -> tuple[Hideable, float]:
-        kind = HIDEABLE[self.name]
-        return kind, kind.default if self.size is None else self.size
-
-
-_LARGEST_CHANGE = {
-    "sensitivity_drift": _LARGEST_GAIN_CHANGE,
-    "bias_drift": _LARGEST_ZERO_CHANGE_V,
+HIDEABLE: Mapping[str, Hideable] = {
+    "transport_delay": Hideable(
+        "how late the tape records the plane 31 channels, in s",
+        bounds=(0.0, 0.02),
+        default=0.005,
+        unit="s",
+    ),
+    "facility_heating": Hideable(
+        f"share of ψ'_QS lost to heat soak, with a time constant of {HEAT_SOAK_S:g} s",
+        bounds=(0.0, 0.2),
+        default=0.12,
+    ),
+    # In stall only: the table of the unstalled branch knows N_c already. With a power of 1 or
+    # more the 95 % case recovers for good.
+    "speed_droop": Hideable(
+        "power of N_c that ψ'_QS goes with in stall, over "
+        f"{SETTLED_SPEED_FRAC:g} of the initial N_c",
+        bounds=(-3.0, 3.0),
+        default=-2.0,
+    ),
+    "hysteresis": Hideable(
+        f"ψ'_QS lost from φ below {BRANCH_PHIS[0]:g} until φ above {BRANCH_PHIS[1]:g}",
+        bounds=(-0.3, 0.3),
+        default=0.15,
+    ),
+    "reverse_flow_branch": Hideable(
+        "factor on the loss in reversed flow, which acts without the lag",
+        bounds=(0.2, 10.0),
+        default=2.5,
+    ),
+    "characteristic_shape": Hideable(
+        f"height of a bell of width {BUMP_WIDTH_PHI:g} at φ = {BUMP_PHI:g} in ψ'_QS",
+        bounds=(-0.3, 0.3),
+        default=0.2,
+    ),
+    # A plenum in the gas path would not show: φ and ψ' are both measured before it. A cavity
+    # between taps and transducers puts a second pole behind the lag. Laminar flow through a
+    # tube of length l and bore d into a volume V at pressure p: T = 128 μ l V/(π d⁴ p), 5 ms
+    # for 1 m of 1 mm and 1.2 cm³ at 3 bar.
+    "second_order_lag": Hideable(
+        "time in which cavities behind the plane 31 taps fill, in s",
+        bounds=(0.0, 0.02),
+        default=0.005,
+        unit="s",
+    ),
+    "asymmetric_lag": Hideable(
+        "share by which τ is longer while φ rises and shorter while it falls",
+        bounds=(-0.6, 0.6),
+        default=0.3,
+    ),
+    "flow_dependent_lag": Hideable(
+        f"share by which τ is longer at φ below {LOW_FLOW_PHI:g}",
+        bounds=(-0.6, 1.0),
+        default=0.5,
+    ),
+    "flow_inertia": Hideable("stated over true ∫dx/A", bounds=(0.2, 3.0), default=1.5),
+    # A sheathed junction of a millimetre or so in place of the 10 ms of a fine wire.
+    "thermocouple_lag": Hideable(
+        "time constant of the T25 junctions beyond the stated one, in s",
+        bounds=(0.0, 1.0),
+        default=0.2,
+        unit="s",
+    ),
+    # Before the first stall, and at the deepest P31 of a cycle, plane 31 is at 3.5 V of 5: a drift
+    # that goes further than its reach leaves the converter's range.
+    "sensitivity_drift": Hideable(
+        "rate of the plane 31 sensitivity after its calibration, in 1/s",
+        bounds=(-0.1, 0.1),
+        default=0.03,
+        unit="1/s",
+        reach=0.25,
+    ),
+    "bias_drift": Hideable(
+        "rate of the plane 31 zero after its reading, in V/s",
+        bounds=(-0.25, 0.25),
+        default=0.02,
+        unit="V/s",
+        reach=1.0,
+    ),
+    "rotating_stall_ripple": Hideable(
+        "amplitude of a second cell pattern over that of the first",
+        bounds=(0.0, 1.5),
+        default=0.8,
+    ),
+    "flow_noise": Hideable(
+        "noise of the downstream holes of plane 25 over the pressure difference of the pair",
+        bounds=(0.0, 0.6),
+        default=0.4,
+    ),
 }
 
 
-def as_hidden(
-    hide: str | HiddenEffect | None, hide_size: float | None = None
-) -> HiddenEffect | None:
-    """Return the effect to hide, from a name and a size or from the effect itself.
+def hide_effect(
+    name: str | None, size: float | None, duration_s: float
+) -> tuple[Alteration, dict[str, Any]]:
+    """Return what an effect alters in a record, and its entry in the truth.
 
     Parameters
     ----------
-    hide : str, HiddenEffect or None
-        What to hide; None: nothing.
-    hide_size : float, optional
-        The size that goes with a name.
+    name : str or None
+        One out of `HIDEABLE`; None: nothing is hidden.
+    size : float, optional
+        Its size, in the unit that `HIDEABLE` states; by default the one stated there.
+    duration_s : float
+        Length of the record in seconds; a drift must leave it usable to its end.
 
     Returns
     -------
-    HiddenEffect or None
-        The effect.
+    Alteration
+        With the neutral size that of an untouched rig.
+    dict
+        Name, size, unit and what the size is; empty where nothing is hidden.
 
     Raises
     ------
     InputError
-        When the name is not known, the size is out of range, or a size is given with nothing that
-        it could be the size of.
+        When the name is not known, the size is out of range or has no name that it belongs to, or
+        a drift goes too far before the record ends.
     """
-    if isinstance(hide, HiddenEffect) and hide_size is None:
-        return hide
-    if hide is None and hide_size is None:
-        return None
-    if hide is None or isinstance(hide, HiddenEffect):
+    if name is None:
+        if size is not None:
+            raise InputError(
+                "hide_size",
+                expected="a size only with the name of the effect that it belongs to",
+                found=f"{size!r} with no effect",
+                remedy="name the effect with hide",
+            )
+        return UNTOUCHED, {}
+    if name not in HIDEABLE:
         raise InputError(
-            "hide_size",
-            expected="a size only with the name of the effect that it belongs to",
-            found=f"{hide_size!r} with {'no effect' if hide is None else f'{hide!r}'}",
-            remedy="name the effect with hide",
+            "hide", expected="one of " + ", ".join(HIDEABLE), found=f"{name!r}", remedy="name one"
         )
-    return HiddenEffect(hide, hide_size)
+    kind = HIDEABLE[name]
+    value = kind.default if size is None else float(size)
+    least, most = kind.bounds
+    if not least <= value <= most:
+        raise InputError(
+            f"hide_size of {name}",
+            expected=f"{least:g} to {most:g} ({kind.what})",
+            found=f"{value:g}",
+        )
+    if abs(value) * duration_s > kind.reach:
+        raise InputError(
+            f"hide_size of {name}",
+            expected=f"at most {kind.reach / duration_s:.3g} {kind.unit} either way in a record "
+            f"of {duration_s:g} s",
+            found=f"{value:g}",
+            remedy="shorten the record or choose a slower drift",
+        )
+    truth = {"effect": name, "size": value, "unit": kind.unit, "what": kind.what}
+    return replace(UNTOUCHED, **{name: value}), truth

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from comparisons.rig.cases import RigCase
 from comparisons.rig.cells import IMMERSIONS, RAKES, local_flow
-from comparisons.rig.gas import probe_pressures_pa
-from comparisons.rig.hidden import UNTOUCHED, WAKE_TIME_S, Alteration
+from comparisons.rig.gas import PSI_PA, probe_pressures_pa
+from comparisons.rig.hidden import WAKE_TIME_S, Alteration
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
-from comparisons.rig.readings import (
-    CALIBRATE_PA,
-    Transducer,
-    ZocReference,
-    draw_reference,
-    draw_transducer,
-    read_transducer,
-)
 from comparisons.rig.sensors import (
     ADC_HIGH_V,
     ADC_LOW_V,
@@ -28,27 +20,38 @@ from comparisons.rig.sensors import (
     anti_alias,
     counts_from_volts,
     lag,
-    late,
     rake_temperature_k,
     tube,
 )
 from surge_core.types import FloatArray
 
-__all__ = ["PLANES", "PROBES", "RAW_RATE_HZ", "Instrumented", "instrument"]
+__all__ = [
+    "NEAR_STALL_S",
+    "RAW_RATE_HZ",
+    "Instrumented",
+    "instrument",
+    "read_near_stall",
+]
 
 
 RAW_RATE_HZ = 1_000.0
-PLANES = (25, 31)
+# Facility readings average this long before the throttle closes, as in the independent record.
+NEAR_STALL_S = (0.0, 0.14)
+# Nominal ranges ±10 psi (plane 25) and ±110 psi (plane 31) over ±5 V; calibrate pressures 6 and
+# 66 psi: as in the independent record.
+_RANGE_PA = {25: 10.0 * PSI_PA, 31: 110.0 * PSI_PA}
+_CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
+_PLANES = (25, 31)
 # Constants (a, b) of Eq 2, a pair each: as in the independent record. The aft hole reads slightly
 # above static, so that M_calc < M_true and a > 1.
-PROBES: Mapping[tuple[int, str], tuple[float, float]] = {
+_PROBES = {
     (25, "tip"): (1.10, 0.012),
     (25, "hub"): (1.08, 0.010),
     (31, "tip"): (1.09, 0.011),
     (31, "hub"): (1.07, 0.010),
 }
-_FACINGS = ("forward", "aft")
 _STEP = round(PLANT_RATE_HZ / RAW_RATE_HZ)
+_HALF_SCALE_V = 0.5 * (ADC_HIGH_V - ADC_LOW_V)
 
 
 @dataclass(frozen=True)
@@ -57,18 +60,18 @@ class Instrumented:
 
     Parameters
     ----------
-    values : mapping of str to ndarray
+    values : dict of str to ndarray
         Counts or kelvin, one array a channel.
-    channels : mapping of str to mapping
+    channels : dict of str to dict
         The table of each channel in ``test.toml``.
-    truth : mapping of str to mapping
+    truth : dict of str to dict
         What no reduction may know: each transducer's sensitivity and bias, operate readings, and
         the reference as it is and as the tape reads it.
     """
 
-    values: Mapping[str, FloatArray]
-    channels: Mapping[str, Mapping[str, Any]]
-    truth: Mapping[str, Mapping[str, float]]
+    values: dict[str, FloatArray] = field(default_factory=dict)
+    channels: dict[str, dict[str, Any]] = field(default_factory=dict)
+    truth: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,12 +81,13 @@ class _Bench:
     case: RigCase
     run: PlantRun
     settings: SensorSettings
-    rng: np.random.Generator
-    references: Mapping[int, ZocReference]
-    rake_k: Mapping[int, FloatArray]
     altered: Alteration
+    rng: np.random.Generator
     # A stream of its own: what is drawn for the wakes leaves every other number as it was.
     wakes: np.random.Generator
+    rake_k: Mapping[int, FloatArray]
+    # The ZOC reference of each plane: as it is, as tape and facility read it, in Pa.
+    references: Mapping[int, tuple[float, float, float]]
 
 
 def instrument(
@@ -91,7 +95,7 @@ def instrument(
     run: PlantRun,
     settings: SensorSettings,
     rng: np.random.Generator,
-    altered: Alteration = UNTOUCHED,
+    altered: Alteration,
 ) -> Instrumented:
     """Pass a plant run through every sensor.
 
@@ -107,36 +111,30 @@ def instrument(
     rng : numpy.random.Generator
         Source of all randomness.
     altered : Alteration
-        What is hidden in the sensors; by default nothing.
+        What is hidden in the sensors.
 
     Returns
     -------
     Instrumented
         Channels, their descriptions and the sensors' truth.
     """
-    bench = _Bench(
-        case,
-        run,
-        settings,
-        rng,
-        {plane: draw_reference(case, plane, settings, rng) for plane in PLANES},
-        {
-            plane: rake_temperature_k(plane, run[f"T{plane}"], settings, rate_hz=PLANT_RATE_HZ)
-            for plane in PLANES
-        },
-        altered,
-        rng.spawn(1)[0],
-    )
-    values: dict[str, FloatArray] = {}
-    channels: dict[str, Mapping[str, Any]] = {}
-    truth: dict[str, Mapping[str, float]] = {}
-    for plane in PLANES:
+    references = {}
+    for plane, true in zip(_PLANES, (case.zoc_inlet_pa, case.zoc_exit_pa), strict=True):
+        tape, facility = true * (1.0 + settings.reference_error * rng.standard_normal(2))
+        references[plane] = (true, float(tape), float(facility))
+    rake_k = {
+        plane: rake_temperature_k(plane, run[f"T{plane}"], settings, rate_hz=PLANT_RATE_HZ)
+        for plane in _PLANES
+    }
+    bench = _Bench(case, run, settings, altered, rng, rng.spawn(1)[0], rake_k, references)
+    out = Instrumented()
+    for plane in _PLANES:
         for rake in RAKES:
             for immersion in IMMERSIONS:
-                _add_pair(bench, plane, rake, immersion, values, channels, truth)
+                _add_pair(bench, plane, rake, immersion, out)
             name = f"T{plane}_{rake}"
-            values[name] = _thermocouple(bench, plane)
-            channels[name] = {
+            out.values[name] = _thermocouple(bench, plane)
+            out.channels[name] = {
                 "kind": "temperature",
                 "unit": "K",
                 "plane": plane,
@@ -144,51 +142,37 @@ def instrument(
                 "recovery_factor": settings.recovery_factor,
                 "time_constant_s": settings.thermocouple_lag_s,
             }
-        reference = bench.references[plane]
-        truth[f"zoc_{plane}"] = {"true_Pa": reference.true_pa, "tape_Pa": reference.tape_pa}
-    return Instrumented(values, channels, truth)
+        true, tape, _ = references[plane]
+        out.truth[f"zoc_{plane}"] = {"true_Pa": true, "tape_Pa": tape}
+    return out
 
 
-def _add_pair(
-    bench: _Bench,
-    plane: int,
-    rake: str,
-    immersion: str,
-    values: dict[str, FloatArray],
-    channels: dict[str, Mapping[str, Any]],
-    truth: dict[str, Mapping[str, float]],
-) -> None:
+def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrumented) -> None:
     """Add the forward and the aft channel of one probe pair."""
-    case, settings = bench.case, bench.settings
-    slope, offset = PROBES[plane, immersion]
+    case, settings, rng = bench.case, bench.settings, bench.rng
+    slope, offset = _PROBES[plane, immersion]
     offset *= settings.probe_offset
-    spot = local_flow(
-        case,
-        bench.run,
-        settings,
-        plane=plane,
-        rake=rake,
-        immersion=immersion,
-        altered=bench.altered,
+    flow, total = local_flow(
+        case, bench.run, settings, bench.altered, plane=plane, rake=rake, immersion=immersion
     )
-    pressures = probe_pressures_pa(
-        spot.corrected_kg_s,
-        spot.total_pressure_pa,
-        area_m2=case.inlet_area_m2 if plane == 25 else case.exit_area_m2,
-        slope=slope,
-        offset=offset,
-    )
-    if plane == 25 and bench.altered.wake_noise:
+    area_m2 = case.inlet_area_m2 if plane == 25 else case.exit_area_m2
+    pressures = probe_pressures_pa(flow, total, area_m2=area_m2, slope=slope, offset=offset)
+    if plane == 25 and bench.altered.flow_noise:
         pressures = _with_wake_noise(bench, *pressures)
-    reference = bench.references[plane]
-    for facing, pressure in zip(_FACINGS, pressures, strict=True):
-        transducer = draw_transducer(plane, settings, bench.rng)
-        reading = read_transducer(
-            transducer, float(pressure[0]) - reference.true_pa, plane, settings, bench.rng
+    true, _, facility = bench.references[plane]
+    for facing, pressure in zip(("forward", "aft"), pressures, strict=True):
+        # Sensitivity, in V/Pa, at the rake temperature of the calibrate reading; bias in V.
+        scatter, offset_v = map(float, rng.standard_normal(2))
+        nominal = ADC_HIGH_V / _RANGE_PA[plane]
+        sensitivity = nominal * (1.0 + settings.sensitivity_scatter * scatter)
+        bias_v = settings.bias_scatter_v * offset_v
+        zero, calibrate, operate = (
+            _reading(bench, bias_v + sensitivity * difference)
+            for difference in (0.0, _CALIBRATE_PA[plane], float(pressure[0]) - true)
         )
         name = f"P{plane}_{rake}_{immersion}_{facing}"
-        values[name] = _pressure_counts(bench, plane, pressure, transducer)
-        channels[name] = {
+        out.values[name] = _pressure_counts(bench, plane, pressure, sensitivity, bias_v)
+        out.channels[name] = {
             "kind": "pressure",
             "unit": "count",
             "plane": plane,
@@ -197,15 +181,15 @@ def _add_pair(
             "facing": facing,
             "probe_slope": slope,
             "probe_offset": offset,
-            "zoc_reference_Pa": reference.facility_pa,
-            "zero_count": reading.zero_count,
-            "calibrate_count": reading.calibrate_count,
-            "calibrate_pressure_Pa": CALIBRATE_PA[plane],
+            "zoc_reference_Pa": facility,
+            "zero_count": zero,
+            "calibrate_count": calibrate,
+            "calibrate_pressure_Pa": _CALIBRATE_PA[plane],
         }
-        truth[name] = {
-            "sensitivity_V_Pa": transducer.sensitivity_v_pa,
-            "bias_V": transducer.bias_v,
-            "operate_count": reading.operate_count,
+        out.truth[name] = {
+            "sensitivity_V_Pa": sensitivity,
+            "bias_V": bias_v,
+            "operate_count": operate,
         }
 
 
@@ -215,7 +199,7 @@ def _with_wake_noise(
     """Shake the hole of a pair that lies downstream, in the wake of the probe's own support."""
     white = bench.wakes.standard_normal(forward_pa.size)
     eddies = lag(white, time_constant_s=WAKE_TIME_S, rate_hz=PLANT_RATE_HZ)
-    shake = bench.altered.wake_noise * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
+    shake = bench.altered.flow_noise * eddies / np.std(eddies) * np.abs(forward_pa - aft_pa)
     forward_flow = forward_pa >= aft_pa
     return (
         np.where(forward_flow, forward_pa, forward_pa + shake),
@@ -223,14 +207,32 @@ def _with_wake_noise(
     )
 
 
+def _reading(bench: _Bench, volts: float) -> float:
+    """Return the mean counts of a zero, calibrate or operate reading, taken before the surge."""
+    settings = bench.settings
+    noise = settings.reading_noise_percent / 100.0 * _HALF_SCALE_V
+    samples = volts + noise * bench.rng.standard_normal(settings.reading_samples)
+    return float(np.mean(counts_from_volts(samples, settings.bits)))
+
+
 def _pressure_counts(
-    bench: _Bench, plane: int, pressure_pa: FloatArray, transducer: Transducer
+    bench: _Bench,
+    plane: int,
+    pressure_pa: FloatArray,
+    sensitivity_v_pa: float,
+    bias_v: float,
 ) -> FloatArray:
     """Return the converter's counts: tube, transducer, tape, anti-alias filter, converter."""
     settings, altered = bench.settings, bench.altered
     if plane == 31:
-        pressure_pa = lag(pressure_pa, time_constant_s=altered.exit_cavity_s, rate_hz=PLANT_RATE_HZ)
-        pressure_pa = late(pressure_pa, delay_s=altered.exit_late_s, rate_hz=PLANT_RATE_HZ)
+        pressure_pa = lag(
+            pressure_pa, time_constant_s=altered.second_order_lag, rate_hz=PLANT_RATE_HZ
+        )
+        if altered.transport_delay:
+            rows = np.arange(pressure_pa.size, dtype=np.float64)
+            pressure_pa = np.interp(
+                rows - altered.transport_delay * PLANT_RATE_HZ, rows, pressure_pa
+            )
     felt = tube(
         pressure_pa,
         frequency_hz=settings.tube_frequency_hz,
@@ -238,16 +240,16 @@ def _pressure_counts(
         rate_hz=PLANT_RATE_HZ,
     )
     warmth = bench.rake_k[plane] - bench.rake_k[plane][0]
-    sensitivity = transducer.sensitivity_v_pa * (1.0 + settings.sensitivity_per_k * warmth)
-    bias_v: float | FloatArray = transducer.bias_v
+    sensitivity = sensitivity_v_pa * (1.0 + settings.sensitivity_per_k * warmth)
+    zero_v = np.full(felt.size, bias_v)
     if plane == 31:
         time_s = np.arange(felt.size) / PLANT_RATE_HZ
-        sensitivity = sensitivity * (1.0 + altered.exit_gain_per_s * time_s)
-        bias_v = bias_v + altered.exit_zero_v_s * time_s
-    noise = settings.noise_percent / 100.0 * 0.5 * (ADC_HIGH_V - ADC_LOW_V)
+        sensitivity = sensitivity * (1.0 + altered.sensitivity_drift * time_s)
+        zero_v = zero_v + altered.bias_drift * time_s
+    noise = settings.noise_percent / 100.0 * _HALF_SCALE_V
     tape = (
-        bias_v
-        + sensitivity * (felt - bench.references[plane].true_pa)
+        zero_v
+        + sensitivity * (felt - bench.references[plane][0])
         + noise * bench.rng.standard_normal(felt.size)
     )
     volts = anti_alias(tape, corner_hz=settings.anti_alias_hz, rate_hz=PLANT_RATE_HZ)[::_STEP]
@@ -257,7 +259,7 @@ def _pressure_counts(
 def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
     """Return one thermocouple's reading in K: recovery, lag, noise, and the range's limit."""
     settings = bench.settings
-    unstated_s = bench.altered.thermocouple_lag_s if plane == 25 else 0.0
+    unstated_s = bench.altered.thermocouple_lag if plane == 25 else 0.0
     junction = lag(
         settings.recovery_factor * bench.run[f"T{plane}"],
         time_constant_s=settings.thermocouple_lag_s + unstated_s,
@@ -268,3 +270,39 @@ def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
     if plane == 31 and settings.acquisition_limits and limit is not None:
         reading = np.clip(reading, *limit)
     return np.asarray(reading, dtype=np.float64)
+
+
+def read_near_stall(
+    run: PlantRun, settings: SensorSettings, rng: np.random.Generator
+) -> dict[str, float]:
+    """Take the facility's near-stall reading: means over `NEAR_STALL_S`.
+
+    Pressures come from remote transducers on the leak path of the rakes' tubes, so slow that the
+    steady pressure passes and surge does not; temperatures from the facility's own thermocouples.
+
+    Parameters
+    ----------
+    run : PlantRun
+        What the plant did.
+    settings : SensorSettings
+        Lag of the remote transducers and errors of the readings.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    dict of str to float
+        As in ``test.toml``: P25_Pa, T25_K, P31_Pa, T31_K.
+    """
+    last = round(NEAR_STALL_S[1] * PLANT_RATE_HZ) + 1
+    errors = map(float, rng.standard_normal(4))
+    reading = {}
+    for name, error in zip(("P25_Pa", "T25_K", "P31_Pa", "T31_K"), errors, strict=True):
+        signal = run[name.partition("_")[0]][:last]
+        if name.endswith("_Pa"):
+            remote = lag(signal, time_constant_s=settings.leak_lag_s, rate_hz=PLANT_RATE_HZ)
+            reading[name] = float(np.mean(remote)) * (1.0 + settings.facility_error * error)
+        else:
+            off = settings.facility_temperature_error_k * error
+            reading[name] = float(np.mean(signal)) + off
+    return reading

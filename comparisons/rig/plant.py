@@ -16,9 +16,8 @@ refrigeration plant, and a face volume that reversed gas and in-stall recirculat
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import pi
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -28,8 +27,8 @@ from comparisons.rig.gas import (
     GAMMA,
     GAS_CONSTANT_J_KG_K,
     P_REF_PA,
+    T_REF_K,
     corrected_flow_kg_s,
-    physical_flow_kg_s,
 )
 from comparisons.rig.hidden import UNTOUCHED, Alteration
 from surge_core.errors import InputError
@@ -45,21 +44,9 @@ _MIXING_KG_S = 3.0
 _LARGEST_CORRECTION_K = 60.0
 
 
-@dataclass(frozen=True)
-class PlantRun:
-    """What the plant did, at `PLANT_RATE_HZ`, before any sensor.
-
-    Parameters
-    ----------
-    signals : mapping of str to ndarray
-        One array a signal; all SI, named as in `comparisons.rig.plant_kernel.OUTPUTS`.
-    """
-
-    signals: Mapping[str, FloatArray]
-
-    def __getitem__(self, name: str) -> FloatArray:
-        """Return one signal."""
-        return self.signals[name]
+# What the plant did, at `PLANT_RATE_HZ`, before any sensor: one array a signal, all SI, named as in
+# `comparisons.rig.plant_kernel.OUTPUTS`.
+PlantRun: TypeAlias = Mapping[str, FloatArray]
 
 
 def run_plant(
@@ -103,7 +90,7 @@ def run_plant(
     signals = {
         name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(plant_kernel.OUTPUTS)
     }
-    return PlantRun(signals | {"T31": _exit_temperature_k(case, signals)})
+    return signals | {"T31": _exit_temperature_k(case, signals)}
 
 
 def _exit_temperature_k(case: RigCase, signals: Mapping[str, FloatArray]) -> FloatArray:
@@ -151,16 +138,12 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
             found=f"φ = {phi:.3f} at U = {u:.0f} m/s",
         )
     mach = np.sqrt(speed2 / (1.0 - 0.2 * speed2))
-    flow = float(
-        physical_flow_kg_s(
-            corrected_flow_kg_s(mach, case.inlet_area_m2),
-            case.face_pressure_pa,
-            case.supply_temperature_k,
-        )
-    )
+    corrected = corrected_flow_kg_s(mach, case.inlet_area_m2)
+    theta = T_REF_K / case.supply_temperature_k
+    flow = float(corrected * case.face_pressure_pa / P_REF_PA * np.sqrt(theta))
     loss = case.inlet_loss_frac * case.face_pressure_pa / flow**2
     t25 = case.supply_temperature_k
-    c = _constants(case, altered, flow=flow, loss=loss, throttle=1.0, exhaust=1.0)
+    c = _constants(case, altered, flow, loss)
     psi_p = float(kernel.unstalled_psi_p(c, phi, t25))
     if psi_p <= 0.0:
         raise InputError(
@@ -192,35 +175,31 @@ def _equilibrium(case: RigCase, altered: Alteration) -> tuple[Any, FloatArray]:
         "throttle": 1.0,
     }
     state = np.array([start[name] for name in kernel.STATES])
-    c = _constants(case, altered, flow=flow, loss=loss, throttle=throttle, exhaust=exhaust)
-    return c, state
+    return c._replace(throttle=throttle, exhaust=exhaust), state
 
 
-def _constants(
-    case: RigCase,
-    altered: Alteration,
-    *,
-    flow: float,
-    loss: float,
-    throttle: float,
-    exhaust: float,
-) -> Any:
-    """Gather the numbers of the compiled loop, all of them floats or tuples of floats."""
+def _constants(case: RigCase, altered: Alteration, flow: float, loss: float) -> Any:
+    """Gather the numbers of the compiled loop, floats or tuples of floats; orifices unsized."""
     from comparisons.rig import plant_kernel as kernel
 
     u = case.rotor_velocity_m_s
-    known = [getattr(case, name) for name in kernel.CASE_FIELDS]
-    known += [getattr(altered, name) for name in kernel.ALTERED_FIELDS]
+    numbers = {name: getattr(case, name) for name in kernel.CASE_FIELDS}
+    numbers |= {name: getattr(altered, name) for name in kernel.ALTERED_FIELDS}
+    numbers |= {
+        "reverse_loss": case.reverse_loss * altered.reverse_flow_branch,
+        "loss": loss,
+        "supply_flow": flow,
+        "supply_pressure": case.face_pressure_pa + loss * flow**2,
+        "recirculation_heat": case.recirculation_work * u**2 / (2.0 * CP_J_KG_K),
+        "throttle": 1.0,
+        "exhaust": 1.0,
+        "open_ratio": case.open_reference * case.open_ratio,
+        "sweep_rate": 2.0 * pi / case.throttle_sweep_s,
+        "rotor_velocity": u,
+    }
     return kernel.Constants(
-        *(tuple(map(float, v)) if isinstance(v, tuple) else float(v) for v in known),
-        reverse_loss=case.reverse_loss * altered.reverse_loss,
-        loss=loss,
-        supply_flow=flow,
-        supply_pressure=case.face_pressure_pa + loss * flow**2,
-        recirculation_heat=case.recirculation_work * u**2 / (2.0 * CP_J_KG_K),
-        throttle=throttle,
-        exhaust=exhaust,
-        open_ratio=case.open_reference * case.open_ratio,
-        sweep_rate=2.0 * pi / case.throttle_sweep_s,
-        rotor_velocity=u,
+        **{
+            name: tuple(map(float, value)) if isinstance(value, tuple) else float(value)
+            for name, value in numbers.items()
+        }
     )

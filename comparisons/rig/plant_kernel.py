@@ -7,13 +7,14 @@ the model and its equations.
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable
+from dataclasses import fields
 from math import exp, sin, sqrt
 from typing import Any
 
 import numpy as np
 from numba import njit
 
+from comparisons.rig.cases import RigCase
 from comparisons.rig.gas import (
     CP_J_KG_K,
     FLOW_CONSTANT_KG_S_M2,
@@ -29,6 +30,7 @@ from comparisons.rig.hidden import (
     HEAT_SOAK_S,
     LOW_FLOW_PHI,
     SETTLED_SPEED_FRAC,
+    Alteration,
 )
 from surge_core.types import FloatArray
 
@@ -44,35 +46,19 @@ __all__ = [
 ]
 
 
-def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile with an on-disk cache where some directory can be written, else without."""
-    try:
-        compiled: Callable[..., Any] = njit(cache=True)(function)
-    except RuntimeError:
-        compiled = njit(function)
-    return compiled
-
-
-# Numbers of the plant under the names that they have in `RigCase` and in `Alteration`, and those
-# that its equilibrium sizes.
-CASE_FIELDS = (
-    "corrected_speed_frac", "supply_temperature_k", "stall_speeds", "stall_phis",
-    "stall_psi_ps", "unstalled_droop", "pressure_terms", "work_intercept", "work_slopes",
-    "work_breaks", "unstalled_efficiency", "inlet_area_m2", "inertia_per_m",
-    "inlet_inertia_per_m", "recirculation_frac", "recirculation_exchange",
-    "supply_pump_kg_s_pa", "coil_effectiveness", "inlet_volume_m3", "reverse_heat_frac",
-    "face_volume_m3", "coil_lag_s", "internal_weight", "internal_volume_m3",
-    "discharge_volume_m3", "exhaust_volume_m3", "tau_s", "blend_s", "always_cells",
-    "cell_rise_s", "throttle_sweep", "open_lag_s", "close_start_s", "close_rate_per_s",
-    "recovery_phi", "rearm_phi",
-)  # fmt: skip
-ALTERED_FIELDS = (
-    "heat_loss", "speed_power", "branch_step", "bump", "tau_rising", "tau_low",
-)  # fmt: skip
+# What the equilibrium of a case sizes, and what is made of its numbers.
 SIZED_FIELDS = (
-    "reverse_loss", "loss", "supply_flow", "supply_pressure", "recirculation_heat",
-    "throttle", "exhaust", "open_ratio", "sweep_rate", "rotor_velocity",
+    "loss", "supply_flow", "supply_pressure", "recirculation_heat", "throttle", "exhaust",
+    "sweep_rate", "rotor_velocity",
 )  # fmt: skip
+# Of a case all its numbers under their own names, but for those that only the sensors and the test
+# description need; and the size of each hidden effect.
+CASE_FIELDS = tuple(
+    field.name
+    for field in fields(RigCase)
+    if field.name not in ("name", "t31_limit_k", "segmentation", "window_s")
+)
+ALTERED_FIELDS = tuple(field.name for field in fields(Alteration))
 # A named tuple, which the compiled loop can take apart.
 _named_tuple: Any = namedtuple
 Constants = _named_tuple("Constants", CASE_FIELDS + ALTERED_FIELDS + SIZED_FIELDS)
@@ -99,7 +85,7 @@ _CRITICAL = (2.0 / (_G + 1.0)) ** (_G / (_G - 1.0))
 _CHOKED_FLOW = sqrt(_G / _R) * (2.0 / (_G + 1.0)) ** ((_G + 1.0) / (2.0 * (_G - 1.0)))
 
 
-@_compile
+@njit(cache=True)
 def _phi_of(
     flow: float, pressure: float, temperature: float, area: float, velocity: float
 ) -> float:
@@ -118,7 +104,7 @@ def _phi_of(
     return phi if flow >= 0.0 else -phi
 
 
-@_compile
+@njit(cache=True)
 def orifice_flow(
     area: float, p_up: float, t_up: float, p_down: float, t_down: float
 ) -> tuple[float, float]:
@@ -135,7 +121,7 @@ def orifice_flow(
     return sign * base * sqrt(2.0 * _G / ((_G - 1.0) * _R) * max(head, 0.0)), temperature
 
 
-@_compile
+@njit(cache=True)
 def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the present corrected speed (a table of two points)."""
     speed = c.corrected_speed_frac * sqrt(c.supply_temperature_k / face_temperature)
@@ -145,7 +131,7 @@ def _stall_point(c: Any, face_temperature: float) -> tuple[float, float]:
     )
 
 
-@_compile
+@njit(cache=True)
 def unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
     """Return ψ'_QS of the unstalled branch: flat up to the stall point, a parabola beyond."""
     phi_s, psi_s = _stall_point(c, face_temperature)
@@ -153,7 +139,7 @@ def unstalled_psi_p(c: Any, phi: float, face_temperature: float) -> float:
     return value
 
 
-@_compile
+@njit(cache=True)
 def _targets(
     c: Any, time: float, phi: float, face_temperature: float, q: float, deep: float
 ) -> tuple[float, float]:
@@ -162,8 +148,11 @@ def _targets(
     What may be hidden in ψ'_QS leaves every bit of it as it is where its size is zero.
     """
     free = unstalled_psi_p(c, phi, face_temperature)
-    scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_power
-    extra = c.bump * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2)) - c.branch_step * deep
+    scale = (sqrt(c.supply_temperature_k / face_temperature) / SETTLED_SPEED_FRAC) ** c.speed_droop
+    extra = (
+        c.characteristic_shape * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
+        - c.hysteresis * deep
+    )
     p = min(
         (c.pressure_terms[0] + c.pressure_terms[1] * phi + c.pressure_terms[2] * phi * phi + extra)
         * scale,
@@ -176,11 +165,11 @@ def _targets(
         * min(max(phi - c.work_breaks[0], 0.0), c.work_breaks[1] - c.work_breaks[0])
         + c.work_slopes[2] * max(phi - c.work_breaks[1], 0.0)
     )
-    kept = 1.0 - c.heat_loss * (1.0 - exp(-time / HEAT_SOAK_S))
+    kept = 1.0 - c.facility_heating * (1.0 - exp(-time / HEAT_SOAK_S))
     return (q * p + (1.0 - q) * free) * kept, q * w + (1.0 - q) * free / c.unstalled_efficiency
 
 
-@_compile
+@njit(cache=True)
 def _duct(c: Any, s: FloatArray) -> tuple[float, float, float]:
     """Return dW/dt, P25 and the total ψ'.
 
@@ -203,7 +192,7 @@ def _duct(c: Any, s: FloatArray) -> tuple[float, float, float]:
     return (p25 * ratio - s[P31]) / c.inertia_per_m, p25, psi_p
 
 
-@_compile
+@njit(cache=True)
 def _face(c: Any, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> None:
     """Fill in the rates of inlet volume, face volume and coil.
 
@@ -243,7 +232,7 @@ def _face(c: Any, s: FloatArray, p25: float, t_back: float, d: FloatArray) -> No
     d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.coil_lag_s
 
 
-@_compile
+@njit(cache=True)
 def _discharge(c: Any, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, float]:
     """Fill in the rates behind the compressor; return W31 and the throttle flow.
 
@@ -269,7 +258,7 @@ def _discharge(c: Any, s: FloatArray, t2: float, d: FloatArray) -> tuple[float, 
     return w31, wt
 
 
-@_compile
+@njit(cache=True)
 def _rates(
     c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
@@ -278,9 +267,9 @@ def _rates(
     phi = _phi_of(s[W], p25, s[T_FACE], c.inlet_area_m2, c.rotor_velocity)
     stalled, ever = latch[STALLED], latch[EVER]
     qs_p, qs_w = _targets(c, time, phi, s[T_FACE], s[BLEND], latch[DEEP])
-    slower = 1.0 + c.tau_rising * latch[WAY]
+    slower = 1.0 + c.asymmetric_lag * latch[WAY]
     if phi < LOW_FLOW_PHI:
-        slower *= 1.0 + c.tau_low
+        slower *= 1.0 + c.flow_dependent_lag
     d[W] = rate
     d[PSI_P] = (qs_p - s[PSI_P]) / (c.tau_s * slower)
     d[PSI] = (qs_w - s[PSI]) / (c.tau_s * slower)
@@ -304,7 +293,7 @@ def _rates(
         out[i] = row[i]
 
 
-@_compile
+@njit(cache=True)
 def _switch(c: Any, phi: float, t_face: float, latch: FloatArray) -> None:
     """Move the latch: stalled, armed, ever stalled; deep stall; the way of φ since the last step.
 
@@ -330,7 +319,7 @@ def _switch(c: Any, phi: float, t_face: float, latch: FloatArray) -> None:
     latch[LAST_PHI] = phi
 
 
-@_compile
+@njit(cache=True)
 def integrate(c: Any, start: FloatArray, n_rows: int, row_s: float, substeps: int) -> FloatArray:
     """Integrate by classical Runge-Kutta with a fixed step; one output row each `row_s`."""
     rows = np.empty((n_rows, 21))

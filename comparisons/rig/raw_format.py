@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,14 +13,14 @@ from classic_ml.records import Record
 from comparisons.rig.simulation import RigRun
 from surge_core.errors import InputError
 
-__all__ = ["toml_text", "write_run"]
+__all__ = ["write_run"]
 
 
 def write_run(run: RigRun, folder: str | Path) -> None:
     """Write a run: the raw record as a test would leave it, and the truth in a folder of its own.
 
     ``folder/raw.csv`` and ``folder/test.toml`` are all that a reduction needs; ``folder/truth``
-    holds ``truth.csv`` and ``truth.toml``. The folder appears whole or not at all.
+    holds ``truth.csv`` and ``truth.toml``.
 
     Parameters
     ----------
@@ -45,43 +43,26 @@ def write_run(run: RigRun, folder: str | Path) -> None:
             remedy="choose another folder or remove it first",
         )
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        (target / "truth").mkdir(parents=True)
+        for place, record, name, table in (
+            (target, run.raw, "raw.csv", {"test.toml": run.test}),
+            (target / "truth", run.truth, "truth.csv", {"truth.toml": run.truth_parameters}),
+        ):
+            _write_table(record, place / name)
+            for file, values in table.items():
+                (place / file).write_text(_toml(values), encoding="utf-8")
     except OSError as error:
-        raise _cannot_write(target, error) from error
-    try:
-        _fill(run, partial)
-        # mkdtemp makes a private folder; a record is as public as any other file of its owner.
-        partial.chmod(0o755)
-        partial.replace(target)
-    except OSError as error:
-        raise _cannot_write(target, error) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-def _cannot_write(target: Path, error: OSError) -> InputError:
-    return InputError(
-        str(target), expected="a folder that can be written", found=error.strerror or str(error)
-    )
-
-
-def _fill(run: RigRun, folder: Path) -> None:
-    (folder / "test.toml").write_text(toml_text(run.test), encoding="utf-8")
-    _write_table(run.raw, folder / "raw.csv")
-    (folder / "truth").mkdir()
-    (folder / "truth" / "truth.toml").write_text(toml_text(run.truth_parameters), encoding="utf-8")
-    _write_table(run.truth, folder / "truth" / "truth.csv")
+        raise InputError(
+            str(target), expected="a folder that can be written", found=error.strerror or str(error)
+        ) from error
 
 
 def _write_table(record: Record, path: Path) -> None:
     """Write a record as CSV: whole counts as integers, kelvin to 1 mK, the rest to 9 digits."""
-    columns = [record.time_s]
-    formats = ["%.3f"]
+    columns, formats = [record.time_s], ["%.3f"]
     for channel in record.channels.values():
-        whole = bool(np.all(channel.values == np.round(channel.values)))
         columns.append(channel.values)
-        if whole:
+        if np.all(channel.values == np.round(channel.values)):
             formats.append("%d")
         else:
             formats.append("%.3f" if channel.unit == "K" else "%.9g")
@@ -91,43 +72,20 @@ def _write_table(record: Record, path: Path) -> None:
     )
 
 
-def toml_text(table: Mapping[str, Any]) -> str:
-    """Return nested mappings of numbers, strings, truth values and lists as TOML.
+def _toml(table: Mapping[str, Any]) -> str:
+    return "\n".join(_toml_lines(table)).lstrip("\n") + "\n"
 
-    Parameters
-    ----------
-    table : mapping
-        Tables by name; scalar entries of the top level come first.
 
-    Returns
-    -------
-    str
-        The text, which `tomllib` reads back to equal values.
-    """
-    lines = [f"{name} = {_value(v)}" for name, v in table.items() if not isinstance(v, Mapping)]
+def _toml_lines(table: Mapping[str, Any], path: str = "") -> list[str]:
+    """Return the lines of a table and of the tables within it; scalar entries come first."""
+    # Numbers, texts, truth values and lists look in TOML as in JSON.
+    plain = [
+        f"{name} = {json.dumps(value, ensure_ascii=False)}"
+        for name, value in table.items()
+        if not isinstance(value, Mapping)
+    ]
+    lines = ["", f"[{path}]", *plain] if plain and path else plain
     for name, entry in table.items():
         if isinstance(entry, Mapping):
-            lines += _section(name, entry)
-    return "\n".join(lines).lstrip("\n") + "\n"
-
-
-def _section(path: str, table: Mapping[str, Any]) -> list[str]:
-    """Return the lines of one table and of the tables within it."""
-    plain = [f"{name} = {_value(v)}" for name, v in table.items() if not isinstance(v, Mapping)]
-    lines = ["", f"[{path}]", *plain] if plain else []
-    for name, entry in table.items():
-        if isinstance(entry, Mapping):
-            lines += _section(f"{path}.{name}", entry)
+            lines += _toml_lines(entry, f"{path}.{name}" if path else name)
     return lines
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return repr(float(value))
-    return "[" + ", ".join(_value(v) for v in value) + "]"

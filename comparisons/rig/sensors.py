@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from math import inf, isfinite, pi, tan
 
 import numpy as np
+from scipy.signal import bilinear, butter, lfilter, lfilter_zi, sosfilt, sosfilt_zi
 
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -18,7 +19,6 @@ __all__ = [
     "anti_alias",
     "counts_from_volts",
     "lag",
-    "late",
     "rake_temperature_k",
     "tube",
 ]
@@ -74,6 +74,11 @@ class SensorSettings:
         steady pressures.
     acquisition_limits : bool
         Whether T31 readings clip at the range of the case.
+
+    Raises
+    ------
+    InputError
+        Naming a number that is out of range.
     """
 
     noise_percent: float = 0.2
@@ -106,14 +111,15 @@ class SensorSettings:
     def __post_init__(self) -> None:
         for field in fields(self):
             value, (low, high) = getattr(self, field.name), _RANGES.get(field.name, (0.0, inf))
-            if value is None and field.name in _OPTIONAL:
+            # Annotations are text here: "int | None" and the like.
+            whole, optional = "int" in str(field.type), "None" in str(field.type)
+            if value is None and optional:
                 continue
-            number = isinstance(value, int if field.name in _WHOLE else float | int)
+            number = isinstance(value, int if whole else float | int)
             if not (number and isfinite(value) and low <= value <= high):
-                kind = "a whole number" if field.name in _WHOLE else "a finite number"
                 raise InputError(
                     f"SensorSettings.{field.name}",
-                    expected=f"{kind} from {low:g} to {high:g}",
+                    expected=f"a {'whole' if whole else 'finite'} number from {low:g} to {high:g}",
                     found=f"{value!r}",
                 )
 
@@ -142,8 +148,6 @@ class SensorSettings:
         )
 
 
-_OPTIONAL = ("bits", "tube_frequency_hz", "anti_alias_hz")
-_WHOLE = ("bits", "reading_samples")
 # Frequencies below half the plant's rate.
 _RANGES = {
     "bits": (2, 24),
@@ -171,16 +175,9 @@ def tube(
         Damping ratio ζ.
     rate_hz : float
         Sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Pressure at the transducer.
     """
     if frequency_hz is None:
         return signal
-    from scipy.signal import bilinear, lfilter, lfilter_zi
-
     omega = 2.0 * rate_hz * tan(pi * frequency_hz / rate_hz)
     b, a = bilinear([omega**2], [1.0, 2.0 * damping * omega, omega**2], rate_hz)
     out, _ = lfilter(b, a, signal, zi=lfilter_zi(b, a) * signal[0])
@@ -198,16 +195,9 @@ def lag(signal: FloatArray, *, time_constant_s: float, rate_hz: float) -> FloatA
         Time constant; 0 returns the signal.
     rate_hz : float
         Sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The lagged signal.
     """
     if time_constant_s == 0.0:
         return signal
-    from scipy.signal import lfilter
-
     x = 1.0 / (rate_hz * time_constant_s)
     a = np.exp(-x)
     # First-order hold: exact for a signal made of straight lines.
@@ -216,29 +206,6 @@ def lag(signal: FloatArray, *, time_constant_s: float, rate_hz: float) -> FloatA
     start = np.array([late * signal[0] + a * signal[0]])
     out, _ = lfilter([soon, late], [1.0, -a], signal, zi=start)
     return np.asarray(out, dtype=np.float64)
-
-
-def late(signal: FloatArray, *, delay_s: float, rate_hz: float) -> FloatArray:
-    """Return a signal that arrives late, at rest until it does.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n,)
-        The signal, taken as straight lines between samples.
-    delay_s : float
-        How late; 0 returns the signal.
-    rate_hz : float
-        Sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The signal of that much earlier.
-    """
-    if delay_s == 0.0:
-        return signal
-    rows = np.arange(signal.size, dtype=np.float64)
-    return np.asarray(np.interp(rows - delay_s * rate_hz, rows, signal), dtype=np.float64)
 
 
 def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -> FloatArray:
@@ -252,16 +219,9 @@ def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -
         Corner frequency; None returns the signal.
     rate_hz : float
         Sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The filtered signal.
     """
     if corner_hz is None:
         return signal
-    from scipy.signal import butter, sosfilt, sosfilt_zi
-
     sos = butter(4, corner_hz, fs=rate_hz, output="sos")
     out, _ = sosfilt(sos, signal, zi=sosfilt_zi(sos) * signal[0])
     return np.asarray(out, dtype=np.float64)
@@ -270,7 +230,7 @@ def anti_alias(signal: FloatArray, *, corner_hz: float | None, rate_hz: float) -
 def rake_temperature_k(
     plane: int, gas_temperature_k: FloatArray, settings: SensorSettings, *, rate_hz: float
 ) -> FloatArray:
-    """Return the temperature of the transducers in a cooled rake.
+    """Return the temperature of the transducers in a cooled rake, in K.
 
     Parameters
     ----------
@@ -282,11 +242,6 @@ def rake_temperature_k(
         Coupling and lag.
     rate_hz : float
         Sample rate.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Transducer temperature in K.
     """
     change = settings.rake_coupling * (gas_temperature_k - gas_temperature_k[0])
     change = lag(change, time_constant_s=settings.rake_lag_s, rate_hz=rate_hz)
@@ -296,7 +251,7 @@ def rake_temperature_k(
 
 
 def counts_from_volts(volts: FloatArray, bits: int | None) -> FloatArray:
-    """Return converter codes of voltages.
+    """Return converter codes of voltages, 0 … 2^bits − 1 as floats.
 
     Parameters
     ----------
@@ -304,11 +259,6 @@ def counts_from_volts(volts: FloatArray, bits: int | None) -> FloatArray:
         Voltages.
     bits : int or None
         Resolution; None returns exact, unclipped fractions of a 12-bit code.
-
-    Returns
-    -------
-    ndarray
-        Codes 0 … 2^bits − 1 as floats.
     """
     scale = 2.0 ** (ADC_BITS if bits is None else bits) / (ADC_HIGH_V - ADC_LOW_V)
     codes = (volts - ADC_LOW_V) * scale

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from math import isfinite
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,10 +12,15 @@ from classic_ml.records import LedgerEntry, Record
 from comparisons.rig.cases import RigCase, find_case
 from comparisons.rig.cells import corrected_plane_flow_kg_s
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
-from comparisons.rig.hidden import UNTOUCHED, Alteration, HiddenEffect, as_hidden
-from comparisons.rig.instrument import RAW_RATE_HZ, Instrumented, instrument
+from comparisons.rig.hidden import Alteration, hide_effect
+from comparisons.rig.instrument import (
+    NEAR_STALL_S,
+    RAW_RATE_HZ,
+    Instrumented,
+    instrument,
+    read_near_stall,
+)
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
-from comparisons.rig.readings import NEAR_STALL_S, read_near_stall
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
 from surge_core.errors import InputError
 
@@ -51,10 +54,6 @@ class RigRun:
     truth: Record
     truth_parameters: Mapping[str, Any]
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Survive pickling, which a mapping proxy does not."""
-        return (RigRun, (self.raw, dict(self.test), self.truth, dict(self.truth_parameters)))
-
 
 def simulate(
     case: str | RigCase = "985",
@@ -62,7 +61,7 @@ def simulate(
     seed: int = 0,
     duration_s: float = 4.0,
     sensors: SensorSettings | None = None,
-    hide: str | HiddenEffect | None = None,
+    hide: str | None = None,
     hide_size: float | None = None,
 ) -> RigRun:
     """Simulate one surge test; the same arguments always give the same run.
@@ -77,11 +76,11 @@ def simulate(
         Length of the record in seconds, 0.2 to 120.
     sensors : SensorSettings, optional
         The imperfections; by default those of the paper's instrumentation.
-    hide : str or HiddenEffect, optional
+    hide : str, optional
         An effect out of `comparisons.rig.HIDEABLE` to hide where it happens. Record and test
         description do not name it; the truth parameters do.
     hide_size : float, optional
-        Its size, where `hide` is a name; by default the one that `HIDEABLE` states.
+        Its size; by default the one that `HIDEABLE` states.
 
     Returns
     -------
@@ -96,20 +95,15 @@ def simulate(
     """
     plant = find_case(case)
     settings = SensorSettings() if sensors is None else sensors
-    if not (
-        isinstance(duration_s, float | int)
-        and isfinite(duration_s)
-        and _SHORTEST_S <= duration_s <= _LONGEST_S
-    ):
+    if not _SHORTEST_S <= duration_s <= _LONGEST_S:
         raise InputError(
             "duration_s",
             expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
             found=f"{duration_s!r}",
         )
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+    if not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError("seed", expected="a whole number that is not negative", found=f"{seed!r}")
-    hidden = as_hidden(hide, hide_size)
-    altered = UNTOUCHED if hidden is None else hidden.alteration(float(duration_s))
+    altered, hidden = hide_effect(hide, hide_size, float(duration_s))
     n_samples = round(duration_s * RAW_RATE_HZ) + 1
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
     run = run_plant(plant, n_rows=n_rows, altered=altered)
@@ -129,14 +123,9 @@ def simulate(
     ).after(did)
     truth = _truth(plant, run, source + ", truth").after(did)
     parameters = _truth_table(plant, settings, int(seed), chain, truth)
-    if hidden is not None:
-        parameters["hidden"] = hidden.truth()
-    return RigRun(
-        raw=raw,
-        test=MappingProxyType(_test_table(plant, settings, near_stall, chain, altered)),
-        truth=truth,
-        truth_parameters=MappingProxyType(parameters),
-    )
+    if hidden:
+        parameters["hidden"] = hidden
+    return RigRun(raw, _test_table(plant, settings, near_stall, chain, altered), truth, parameters)
 
 
 def _truth(case: RigCase, run: PlantRun, source: str) -> Record:
@@ -183,6 +172,10 @@ def _test_table(
     altered: Alteration,
 ) -> dict[str, Any]:
     """Return what ``test.toml`` holds, in the order of the file."""
+    inertia = case.inertia_per_m
+    if altered.flow_inertia != 1.0:
+        # All digits of the product would give the factor away.
+        inertia = float(f"{inertia * altered.flow_inertia:.5g}")
     table: dict[str, Any] = {
         "test": {
             "name": f"simulated rig, case {case.name}",
@@ -192,7 +185,7 @@ def _test_table(
         },
         "compressor": {
             "mean_radius_m": case.mean_radius_m,
-            "inertia_per_m": _stated_inertia_per_m(case, altered),
+            "inertia_per_m": inertia,
             "internal_volume_m3": case.internal_volume_m3,
             "gamma": GAMMA,
             "gas_constant_J_kg_K": GAS_CONSTANT_J_KG_K,
@@ -221,14 +214,6 @@ def _test_table(
         table["limits"] = {f"T31_{rake}": list(case.t31_limit_k) for rake in ("A", "B")}
     table["channels"] = {name: dict(entry) for name, entry in chain.channels.items()}
     return table
-
-
-def _stated_inertia_per_m(case: RigCase, altered: Alteration) -> float:
-    """Return ∫dx/A as ``test.toml`` states it: to five digits where it is not that of the case."""
-    if altered.stated_inertia == 1.0:
-        return case.inertia_per_m
-    # All digits of the product would give the factor away.
-    return float(f"{case.inertia_per_m * altered.stated_inertia:.5g}")
 
 
 def _truth_table(

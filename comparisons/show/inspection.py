@@ -13,7 +13,6 @@ if TYPE_CHECKING:
         ChannelMatch,
         ClockFacts,
         Inspection,
-        ReductionPreview,
         TestMatch,
     )
 
@@ -31,7 +30,6 @@ def inspect_text(
     inspection: Inspection,
     *,
     match: TestMatch | None = None,
-    reduction: ReductionPreview | None = None,
     remarks: tuple[str, ...] = (),
 ) -> str:
     """Return the findings as text.
@@ -41,9 +39,7 @@ def inspect_text(
     inspection : Inspection
         What is in the file.
     match : TestMatch, optional
-        The file beside its test.toml.
-    reduction : ReductionPreview, optional
-        What reduce would make of it.
+        The file beside its test.toml, and what reduce would make of it.
     remarks : tuple of str
         What else was found: a test.toml that cannot be read, what kind of series it is.
     """
@@ -52,9 +48,7 @@ def inspect_text(
         parts.append(f"reading ended: {inspection.fault}")
     parts += remarks
     if match is not None:
-        parts.append(_match_text(match))
-    if reduction is not None:
-        parts.append(_reduction_text(reduction))
+        parts += [_match_text(match), _reduction_text(match)]
     return "\n\n".join(parts)
 
 
@@ -62,7 +56,6 @@ def inspect_document(
     inspection: Inspection,
     *,
     match: TestMatch | None = None,
-    reduction: ReductionPreview | None = None,
     remarks: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Return the findings as plain JSON types; arguments as for :func:`inspect_text`."""
@@ -77,18 +70,10 @@ def inspect_document(
             for c in inspection.channels
         ],
         "left_aside": dict(inspection.left_aside),
-        "other_groups": dict(inspection.other_groups),
-        "sampled_apart": inspection.sampled_apart,
         "surges_s": None if inspection.surges_s is None else list(inspection.surges_s),
         "remarks": list(remarks),
-        "test": None if match is None else _match_document(match),
-        "reduction": None if reduction is None else asdict(reduction),
+        "test": None if match is None else asdict(match),
     }
-
-
-def _match_document(match: TestMatch) -> dict[str, Any]:
-    pairs = [{**asdict(pair), "exchanged": pair.exchanged} for pair in match.pairs]
-    return {**asdict(match), "pairs": pairs}
 
 
 def _file_text(inspection: Inspection) -> str:
@@ -114,18 +99,8 @@ def _file_text(inspection: Inspection) -> str:
 
 def _beside(inspection: Inspection) -> Iterator[str]:
     """Yield lines on what is in the file beside the columns of the record."""
-    if inspection.sampled_apart:
-        yield from ("", inspection.sampled_apart)
-    if inspection.other_groups:
-        yield ""
-        yield "other groups, which are no part of this record, since their length is another:"
-        yield 'resample what is needed of them, or take one alone (--group NAME, or group = "NAME"'
-        yield "in [file] of test.toml)"
-        yield from _listed(inspection.other_groups)
-    groups = tuple(f"{name}/" for name in inspection.other_groups)
-    aside = {n: why for n, why in inspection.left_aside.items() if not n.startswith(groups)}
-    if aside:
-        yield from ("", "left aside:", *_listed(aside))
+    if inspection.left_aside:
+        yield from ("", "left aside:", *_listed(inspection.left_aside))
 
 
 def _listed(items: Mapping[str, str]) -> Iterator[str]:
@@ -141,13 +116,8 @@ def _clock_text(clock: ClockFacts) -> str:
         f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
     )
     troubles = [
-        f"{_counted(count, one, more)} (the first before row {first})"
-        for count, first, one, more in (
-            (clock.gaps, clock.first_gap, "gap", "gaps"),
-            (clock.repeats, clock.first_repeat, "repeat", "repeats"),
-            (clock.steps_back, clock.first_step_back, "step back", "steps back"),
-        )
-        if count
+        f"{kind} {_counted(count, 'time', 'times')} (the first before row {first})"
+        for kind, (count, first) in clock.troubles.items()
     ]
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
 
@@ -178,9 +148,8 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
         return (*notes, "constant")
     for end in channel.plateaus:
         rows = channel.at_minimum if end == "minimum" else channel.at_maximum
-        run = channel.run_at_minimum if end == "minimum" else channel.run_at_maximum
         share = rows / max(1, channel.rows - channel.not_finite)
-        notes.append(f"{rows} rows ({share:.2%}) at its {end}, up to {run} together: saturated?")
+        notes.append(f"{rows} rows ({share:.2%}) at its {end}: saturated?")
     if channel.held_rows > 1.0:
         notes.append(f"each value {times_held(channel.held_rows)}: held from a lower rate?")
     if is_still(channel, rate_hz):
@@ -197,10 +166,10 @@ def _match_text(match: TestMatch) -> str:
     rows = [
         (
             c.channel,
-            c.column or "(made)",
+            c.column,
             c.unit,
             f"{_in_shown_unit(c.minimum, c.si_unit)} to {_in_shown_unit(c.maximum, c.si_unit)}"
-            if c.present and c.column
+            if c.present
             else "",
             _near_stall_text(c),
             _match_notes(c),
@@ -214,16 +183,14 @@ def _match_text(match: TestMatch) -> str:
         lines.append("  ".join(cells).rstrip())
     if match.left_over:
         lines.append("columns that feed nothing: " + ", ".join(match.left_over))
-    exchanged = [pair for pair in match.pairs if pair.exchanged]
+    exchanged = {pair: above_Pa for pair, above_Pa in match.above_Pa.items() if not above_Pa > 0.0}
     lines += [
-        f"{pair.pair}: the aft probe is {-pair.above_Pa / 1e3:.3g} kPa above the forward one near "
-        "stall: exchanged?"
-        for pair in exchanged
+        f"{pair}: the aft probe is {-above_Pa / 1e3:.3g} kPa above the forward one near stall: "
+        "exchanged?"
+        for pair, above_Pa in exchanged.items()
     ]
-    if match.pairs and not exchanged:
+    if match.above_Pa and not exchanged:
         lines.append("near stall every forward probe is above its aft one, as it should be")
-    if match.refusal:
-        lines.append(f"they do not go together: {match.refusal}")
     return "\n".join(lines)
 
 
@@ -231,8 +198,6 @@ def _match_notes(match: ChannelMatch) -> str:
     if not match.present:
         return "no such column" + (f": {match.why_not}" if match.why_not else "")
     notes = []
-    if match.stated_unit and match.stated_unit != match.unit:
-        notes.append(f"the file says {match.stated_unit}")
     if abs(match.near_stall - match.facility) > FAR_OFF * match.facility:
         notes.append("far off the facility's reading: its unit?")
     return "; ".join(notes)
@@ -249,11 +214,12 @@ def _in_shown_unit(value: float, si_unit: str) -> str:
     return f"{value / 1e3:.4g} kPa" if si_unit == "Pa" else f"{value:.5g} {si_unit}"
 
 
-def _reduction_text(reduction: ReductionPreview) -> str:
-    if reduction.refusal:
-        return f"reduce would refuse it: {reduction.refusal}"
+def _reduction_text(match: TestMatch) -> str:
+    if match.refusal:
+        return f"reduce would refuse it: {match.refusal}"
     lines = ["reduce would do this:"]
-    lines += [f"  {step}" for step in reduction.steps]
-    lines += [f"  left out {dropped}" for dropped in reduction.dropped]
-    lines += [f"  note: {flag}" for flag in reduction.flags]
+    lines += [f"  {entry.step}: {entry.did}" for entry in match.history]
+    dropped = [dropped for entry in match.history for dropped in entry.dropped]
+    lines += [f"  left out {d.what} ({d.count}): {d.why}" for d in dropped]
+    lines += [f"  note: {flag}" for entry in match.history for flag in entry.flags]
     return "\n".join(lines)

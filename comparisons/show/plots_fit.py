@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.harness.residual_analysis import dwelt_on, phi_density
+from comparisons.harness.residual_analysis import dwelt_on
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     MEASURED,
@@ -39,6 +39,7 @@ NAMES = {"psi_p": "pressure coefficient ψ'", "psi": "work coefficient ψ"}
 # Standard errors that a band takes.
 BAND = 2.0
 # Share of the picture's height that the histogram under the curves takes.
+HISTOGRAM_BINS = 60
 HISTOGRAM_SHARE = 0.32
 ZOOM_S = 0.8
 COLUMN = "#bcc5d0"
@@ -255,7 +256,7 @@ def _curve_with_band(
 
 
 def _histogram_behind(ax: Axes, phi: FloatArray, valid_phi: tuple[float, float]) -> None:
-    histogram = phi_density(phi)
+    density, edges = np.histogram(phi, bins=HISTOGRAM_BINS, density=True)
     behind = ax.twinx()
     behind.set_zorder(0)
     ax.set_zorder(1)
@@ -269,8 +270,8 @@ def _histogram_behind(ax: Axes, phi: FloatArray, valid_phi: tuple[float, float])
     # Entries of the legend for what lies on the axes behind.
     ax.fill([], [], color=SHADE, label=r"where $\varphi$ dwells (5th to 95th percentile)")
     ax.fill([], [], color=COLUMN, label=r"histogram of $\varphi$")
-    behind.stairs(histogram.density, histogram.edges, fill=True, color=COLUMN, lw=0)
-    top = float(histogram.density.max())
+    behind.stairs(density, edges, fill=True, color=COLUMN, lw=0)
+    top = float(density.max())
     behind.set_ylim(0.0, top / HISTOGRAM_SHARE)
     words = r"histogram: share of rows per unit $\varphi$"
     behind.set_ylabel(words, fontsize=8.5, color="#777777", loc="bottom")

@@ -9,8 +9,7 @@ import numpy as np
 
 from comparisons.harness.residual_analysis import (
     Correlation,
-    autocorrelation,
-    cross_correlation,
+    error_correlation,
     segment_spectrum,
 )
 from comparisons.page.blocks import Picture
@@ -192,8 +191,8 @@ def _correlations_of(
     typical = int(np.median([run.stop - run.start for run in rows.runs]))
     n_lags = max(FEWEST_LAGS, min(MOST_LAGS, typical // 2))
     return (
-        autocorrelation(errors, rows.runs, rows.sample_period_s, n_lags),
-        cross_correlation(errors, rows.phi, rows.runs, rows.sample_period_s, n_lags),
+        error_correlation(errors, rows.runs, rows.sample_period_s, n_lags),
+        error_correlation(errors, rows.runs, rows.sample_period_s, n_lags, phi=rows.phi),
     )
 
 

@@ -194,5 +194,5 @@ def _path_row(row: PathRow) -> dict[str, Any]:
 
 
 def _weak_form(weak: Any) -> dict[str, float] | None:
-    names = ("forward_s", "reverse_s", "compensated_s", "gap", "half_width_s")
+    names = ("forward_s", "reverse_s", "gap", "half_width_s")
     return None if weak is None else {name: float(getattr(weak, name)) for name in names}

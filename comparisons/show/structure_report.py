@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.harness.residual_analysis import phi_density
 from comparisons.harness.structure_fit import FoundStructure
 from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
 from comparisons.page.html import render_page
@@ -128,8 +127,8 @@ def _curve_picture(found: FoundStructure) -> Picture:
     upper.plot(phi, value, color=colour, lw=2.0, label=symbol + r"$(\varphi)$")
     upper.set_ylim(*robust_limits(value, found.measured, margin=0.12))
     upper.set_ylabel(f"{coefficient_symbol(found.target)}, {symbol} [-]")
-    density = phi_density(found.phi)
-    dress(lower).stairs(density.density, density.edges, fill=True, color="#bcc5d0", lw=0)
+    density, edges = np.histogram(found.phi, bins=60, density=True)
+    dress(lower).stairs(density, edges, fill=True, color="#bcc5d0", lw=0)
     lower.set_ylabel("share of rows\n" + r"per unit $\varphi$", fontsize=8.5)
     lower.set_xlabel(r"flow coefficient $\varphi$ [-]")
     lower.set_xlim(*robust_limits(phi, margin=0.02))

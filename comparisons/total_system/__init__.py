@@ -10,17 +10,13 @@ from __future__ import annotations
 
 from comparisons.total_system.facility import Facility, facility_toml, read_facility
 from comparisons.total_system.fit import fit_total_system
+from comparisons.total_system.fitted import TotalSystemFit, TotalSystemSettings, TotalSystemState
 from comparisons.total_system.measured import Measured, measured_signals
 from comparisons.total_system.model import TotalSystemModel
 from comparisons.total_system.sensitivity import (
     SensitivityRow,
     sensitivity_rows,
     sensitivity_table,
-)
-from comparisons.total_system.settings import (
-    TotalSystemFit,
-    TotalSystemSettings,
-    TotalSystemState,
 )
 
 __all__ = [

@@ -1,13 +1,11 @@
-"""Compiled loops of the lumped model: rates, stall latch, integration, and the facility's states.
+"""Compiled loops of the lumped model: its rates, its stall latch, its integration.
 
-Imported only when a simulation runs, because it pulls in numba. `comparisons.total_system.model`
-explains the model and its equations.
+`comparisons.total_system.model` explains the model and its equations.
 """
 
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable
 from math import exp, sqrt
 from typing import Any
 
@@ -22,24 +20,16 @@ __all__ = ["Constants", "integrate", "latches", "observe", "orifice"]
 
 # Positions in the state vector and, behind it, in an output row; `model` names them.
 W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(11)
-P25, PHI, PSI_P_TOTAL, BLEND, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(11, 19)
-N_STATES, N_COLUMNS = 11, 19
+P25, PHI, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(11, 17)
+N_STATES, N_COLUMNS = 11, 17
+# States that are read off a record; the others follow from the balances.
+MEASURED = (W, PSI_P, P31, P_IN, T_FACE)
 # Positions in the latch: branch, armed for the other one, and when and from where the blend runs.
 STALLED, ARMED, SINCE, FROM = range(4)
 
 # Newton on Eq 3 from below doubles its digits each time; flows here are subsonic.
 _NEWTON_STEPS = 12
 _LARGEST_SHARE_OF_CHOKE = 0.999
-
-
-def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile with an on-disk cache where some directory can be written, else without."""
-    try:
-        compiled: Callable[..., Any] = njit(cache=True)(function)
-    except RuntimeError:
-        compiled = njit(function)
-    return compiled
-
 
 # The facility's numbers as table and key of its file, and what the model adds to them.
 FACILITY_FIELDS = tuple(
@@ -57,7 +47,7 @@ _named_tuple: Any = namedtuple
 Constants = _named_tuple("Constants", FACILITY_FIELDS + MODEL_FIELDS)
 
 
-@_compile
+@njit(cache=True)
 def _phi(c: Any, flow: float, pressure: float, temperature: float) -> float:
     """Return φ = C_z/U of a mass flow (Eq 4, inverse of Eq 3, Eq 7)."""
     share = abs(flow) * sqrt(temperature) / (pressure * c.flow_constant)
@@ -77,7 +67,7 @@ def _phi(c: Any, flow: float, pressure: float, temperature: float) -> float:
     return float(size if flow >= 0.0 else -size)
 
 
-@_compile
+@njit(cache=True)
 def orifice(
     c: Any, area: float, p_up: float, t_up: float, p_down: float, t_down: float
 ) -> tuple[float, float]:
@@ -92,316 +82,237 @@ def orifice(
     return sign * area * high * sqrt(max(head, 0.0) / (c.gas * temperature)), temperature
 
 
-@_compile
+@njit(cache=True)
 def _stall_point(c: Any, t25: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the corrected speed that T25 leaves of the constant rotor speed."""
     x = (c.speed / sqrt(t25) - c.compressor_stall_speed_low_frac) / (
         c.compressor_stall_speed_high_frac - c.compressor_stall_speed_low_frac
     )
-    return c.compressor_stall_phi_low + x * (
-        c.compressor_stall_phi_high - c.compressor_stall_phi_low
-    ), c.compressor_stall_psi_p_low + x * (
-        c.compressor_stall_psi_p_high - c.compressor_stall_psi_p_low
-    )
+    phi_low, psi_low = c.compressor_stall_phi_low, c.compressor_stall_psi_p_low
+    phi = phi_low + x * (c.compressor_stall_phi_high - phi_low)
+    return phi, psi_low + x * (c.compressor_stall_psi_p_high - psi_low)
 
 
-@_compile
+@njit(cache=True)
 def _characteristics(c: Any, phi: float, t25: float, q: float) -> tuple[float, float]:
     """Return ψ'_QS and ψ_QS, both branches blended by q; stall never raises the pressure."""
     phi_s, psi_s = _stall_point(c, t25)
-    over = max(phi - phi_s, 0.0)
-    free = psi_s - c.compressor_unstalled_droop * over * over
+    free = psi_s - c.compressor_unstalled_droop * max(phi - phi_s, 0.0) ** 2
+    free_work = free / c.compressor_unstalled_efficiency
     stalled = min(c.beta1 + phi * (c.beta2 + phi * c.beta3), free)
+    first, second = c.compressor_work_break_1, c.compressor_work_break_2
     work = (
         c.compressor_work_intercept
-        + c.compressor_work_slope_1 * min(phi, c.compressor_work_break_1)
-        + c.compressor_work_slope_2
-        * min(
-            max(phi - c.compressor_work_break_1, 0.0),
-            c.compressor_work_break_2 - c.compressor_work_break_1,
-        )
-        + c.compressor_work_slope_3 * max(phi - c.compressor_work_break_2, 0.0)
+        + c.compressor_work_slope_1 * min(phi, first)
+        + c.compressor_work_slope_2 * min(max(phi - first, 0.0), second - first)
+        + c.compressor_work_slope_3 * max(phi - second, 0.0)
     )
-    return free + q * (stalled - free), free / c.compressor_unstalled_efficiency + q * (
-        work - free / c.compressor_unstalled_efficiency
-    )
+    return free + q * (stalled - free), free_work + q * (work - free_work)
 
 
-@_compile
+@njit(cache=True)
 def _throttle(c: Any, time: float) -> float:
     """Return the throttle area over its initial one, which the surge start sets to opening."""
-    closed = 1.0 - c.throttle_close_rate_per_s * max(
-        min(time, c.start) - c.throttle_close_start_s, 0.0
-    )
+    shut_s = max(min(time, c.start) - c.throttle_close_start_s, 0.0)
+    closed = 1.0 - c.throttle_close_rate_per_s * shut_s
     if time <= c.start:
         return float(closed)
-    return float(
-        c.throttle_open_ratio
-        + (closed - c.throttle_open_ratio) * exp(-(time - c.start) / c.throttle_open_lag_s)
-    )
+    left = exp(-(time - c.start) / c.throttle_open_lag_s)
+    return float(c.throttle_open_ratio + (closed - c.throttle_open_ratio) * left)
 
 
-@_compile
+@njit(cache=True)
 def _blend(c: Any, latch: FloatArray, time: float) -> float:
     """Return the share of the stalled branch: an exponential since the last switch."""
     fade = exp(-max(time - latch[SINCE], 0.0) / c.compressor_blend_s)
     return float(latch[STALLED] + (latch[FROM] - latch[STALLED]) * fade)
 
 
-@_compile
+@njit(cache=True)
 def _rates(
     c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
 ) -> None:
     """Fill in the state's rates and the output row."""
-    t25 = s[T_FACE]
+    flow, t25, g = s[W], s[T_FACE], c.gamma
     q = _blend(c, latch, time)
     # Momentum of the inlet duct and of the compressor, one flow through both.
-    before = s[P_IN] - c.loss * s[W] * abs(s[W])
+    before = s[P_IN] - c.loss * flow * abs(flow)
     psi_p = s[PSI_P]
-    if s[W] < 0.0:
+    if flow < 0.0:
         # φ before the duct's inertia: with P25 itself the loss would feed back on its own spike.
-        psi_p += c.compressor_reverse_loss * _phi(c, s[W], before, t25) ** 2
+        psi_p += c.compressor_reverse_loss * _phi(c, flow, before, t25) ** 2
     head = c.velocity**2 / (2.0 * c.heat)
-    ratio = max(1.0 + psi_p * head / t25, 0.05) ** (c.gamma / (c.gamma - 1.0))
+    ratio = max(1.0 + psi_p * head / t25, 0.05) ** (g / (g - 1.0))
     d[W] = (before * ratio - s[P31]) / (c.inertia + c.inlet_inertia_per_m * ratio)
     p25 = before - c.inlet_inertia_per_m * d[W]
-    phi = _phi(c, s[W], p25, t25)
+    phi = _phi(c, flow, p25, t25)
     quasi_p, quasi_w = _characteristics(c, phi, t25, q)
     d[PSI_P] = (quasi_p - s[PSI_P]) / c.tau
     d[PSI] = (quasi_w - s[PSI]) / c.tau
-    _behind(c, time, s, d, out)
-    _before(c, s, p25, q, d, out)
-    out[:N_STATES] = s
-    out[P25], out[PHI], out[PSI_P_TOTAL], out[BLEND] = p25, phi, psi_p, q
 
-
-@_compile
-def _behind(c: Any, time: float, s: FloatArray, d: FloatArray, out: FloatArray) -> None:
-    """Fill in discharge and exhaust: mass and energy of two volumes behind two orifices."""
-    t25 = s[T_FACE]
-    area = c.throttle_area * _throttle(c, time)
-    wt, tt = orifice(c, area, s[P31], s[T31], s[P_EX], s[T_EX])
-    t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
+    # Mass and energy of discharge and exhaust behind two orifices.
+    wt, tt = orifice(c, c.throttle_area * _throttle(c, time), s[P31], s[T31], s[P_EX], s[T_EX])
+    t2 = t25 + s[PSI] * head
     stored = c.storage_volume / (c.gas * 0.5 * (t25 + t2))
-    gain = c.gamma * c.gas / c.discharge_volume
-    d[P31] = gain * (s[W] * t2 - wt * tt) / (1.0 + gain * stored * t2)
-    w31 = s[W] - stored * d[P31]
+    gain = g * c.gas / c.discharge_volume
+    d[P31] = gain * (flow * t2 - wt * tt) / (1.0 + gain * stored * t2)
+    w31 = flow - stored * d[P31]
     if w31 < 0.0:
         # Gas that comes back out of the discharge volume has that volume's temperature.
-        d[P31] = gain * (s[W] * s[T31] - wt * tt) / (1.0 + gain * stored * s[T31])
-        w31 = s[W] - stored * d[P31]
+        d[P31] = gain * (flow * s[T31] - wt * tt) / (1.0 + gain * stored * s[T31])
+        w31 = flow - stored * d[P31]
     mass = s[P31] * c.discharge_volume / (c.gas * s[T31])
     d[T31] = s[T31] * (d[P31] / s[P31] - (w31 - wt) / mass)
-    out[W31], out[W_THROTTLE], out[W_EXHAUST] = w31, wt, _exhaust(c, wt, tt, s, d)
-
-
-@_compile
-def _exhaust(c: Any, wt: float, tt: float, s: FloatArray, d: FloatArray) -> float:
-    """Fill in the exhaust volume, fed by the throttle, and return what flows out of it."""
     we, te = orifice(
         c, c.exhaust_area, s[P_EX], s[T_EX], c.throttle_ambient_pressure_Pa, c.supply_temperature_K
     )
-    d[P_EX] = c.gamma * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
+    d[P_EX] = g * c.gas / c.volumes_exhaust_m3 * (wt * tt - we * te)
     mass = s[P_EX] * c.volumes_exhaust_m3 / (c.gas * s[T_EX])
     d[T_EX] = s[T_EX] * (d[P_EX] / s[P_EX] - (wt - we) / mass)
-    return float(we)
 
-
-@_compile
-def _supply(c: Any, p_in: float, t_coil: float) -> tuple[float, float]:
-    """Return flow and temperature of what the refrigeration plant supplies."""
-    flow = max(c.supply_flow - c.supply_slope_kg_s_Pa * (p_in - c.supply_pressure), 0.0)
-    share, temperature = c.supply_coil_effectiveness, c.supply_temperature_K
-    return flow, temperature + share * (t_coil - temperature)
-
-
-@_compile
-def _stirred(c: Any, q: float, p25: float, t25: float) -> float:
-    """Return the flow that recirculates at the tips in stall."""
-    return float(q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area)
-
-
-@_compile
-def _before(c: Any, s: FloatArray, p25: float, q: float, d: FloatArray, out: FloatArray) -> None:
-    """Fill in inlet volume and face: supply, compressor, and what recirculation stirs and heats."""
-    t25 = s[T_FACE]
-    supply, t_supply = _supply(c, s[P_IN], s[T_COIL])
-    stirred = _stirred(c, q, p25, t25)
+    # Inlet volume and face: supply, compressor, and what recirculation stirs and heats.
+    supply = max(c.supply_flow - c.supply_slope_kg_s_Pa * (s[P_IN] - c.supply_pressure), 0.0)
+    cold = c.supply_temperature_K
+    t_supply = cold + c.supply_coil_effectiveness * (s[T_COIL] - cold)
+    stirred = q * c.heat_recirculation_frac * p25 / (c.gas * t25) * c.velocity * c.area
     mixed = c.heat_recirculation_exchange * stirred
-    out_flow, back = max(s[W], 0.0), max(-s[W], 0.0)
-    heat = supply * t_supply - out_flow * s[T_IN] + back * t25 + mixed * (t25 - s[T_IN])
-    d[P_IN] = c.gamma * c.gas / c.volumes_inlet_m3 * heat
+    ahead, back = max(flow, 0.0), max(-flow, 0.0)
+    heat = supply * t_supply - ahead * s[T_IN] + back * t25 + mixed * (t25 - s[T_IN])
+    d[P_IN] = g * c.gas / c.volumes_inlet_m3 * heat
     mass = s[P_IN] * c.volumes_inlet_m3 / (c.gas * s[T_IN])
-    d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - s[W]) / mass)
+    d[T_IN] = s[T_IN] * (d[P_IN] / s[P_IN] - (supply - flow) / mass)
     d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.supply_coil_lag_s
     warming = (
-        (out_flow + mixed) * (s[T_IN] - t25)
+        (ahead + mixed) * (s[T_IN] - t25)
         + back * c.heat_reverse_heat_frac * (s[T31] - t25)
         + stirred * c.recirculation_heat
         + c.volumes_face_m3 / c.heat * d[P_IN]
     )
     d[T_FACE] = warming * c.gas * t25 / (s[P_IN] * c.volumes_face_m3)
-    out[W_SUPPLY] = supply
+    out[:N_STATES] = s
+    out[P25], out[PHI], out[W31] = p25, phi, w31
+    out[W_THROTTLE], out[W_EXHAUST], out[W_SUPPLY] = wt, we, supply
 
 
-@_compile
+@njit(cache=True)
 def _switch(
     c: Any, latch: FloatArray, t25: float, old: float, new: float, time: float, h: float
-) -> bool:
-    """Move the latch after φ went from ``old`` to ``new`` in the step that ends at ``time``.
+) -> None:
+    """Move the latch where φ, from ``old`` to ``new`` within ``h``, crosses an edge.
 
-    Out of stall above φ_rec, armed only once φ has been below φ_rec − rearm; into stall below
-    φ_s, armed only once φ has been above it, and in any case below φ_rec − rearm.
+    Into stall below φ_s once φ has been above it, or below φ_rec − Δφ; out of stall above φ_rec
+    once φ has been below φ_rec − Δφ.
     """
-    low = c.compressor_recovery_phi - c.compressor_rearm_phi
     phi_s, _ = _stall_point(c, t25)
-    edge = 0.0
+    low = c.compressor_recovery_phi - c.compressor_rearm_phi
     if latch[STALLED] > 0.5:
         if new < low:
             latch[ARMED] = 1.0
         if latch[ARMED] < 0.5 or new <= c.compressor_recovery_phi:
-            return False
+            return
         edge = c.compressor_recovery_phi
     else:
         if new > phi_s:
             latch[ARMED] = 1.0
-            return False
+            return
         if latch[ARMED] < 0.5 and new >= low:
-            return False
+            return
         edge = phi_s if latch[ARMED] > 0.5 else low
     # Where the line between the two values meets the edge: the switch must not hang on the step.
     back = h * min(max((new - edge) / (new - old), 0.0), 1.0) if new != old else 0.0
     latch[FROM] = _blend(c, latch, time - back)
     latch[SINCE] = time - back
     latch[STALLED], latch[ARMED] = 1.0 - latch[STALLED], 0.0
-    return True
 
 
-@_compile
-def _step(
-    c: Any, time: float, h: float, s: FloatArray, latch: FloatArray, work: FloatArray,
-    row: FloatArray,
-) -> None:  # fmt: skip
-    """Advance the state by one classical Runge-Kutta step whose first rates are in ``work[0]``."""
-    k1, k2, k3, k4, trial = work[0], work[1], work[2], work[3], work[4]
-    trial[:] = s + 0.5 * h * k1
-    _rates(c, time + 0.5 * h, trial, latch, k2, row)
-    trial[:] = s + 0.5 * h * k2
-    _rates(c, time + 0.5 * h, trial, latch, k3, row)
-    trial[:] = s + h * k3
-    _rates(c, time + h, trial, latch, k4, row)
-    s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-
-
-@_compile
+@njit(cache=True)
 def integrate(
-    c: Any, state: FloatArray, begin_latch: FloatArray, begin: float, first: float,
+    c: Any, start: FloatArray, begin_latch: FloatArray, begin: float,
     n_rows: int, row_s: float, substeps: int, forced: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Integrate from ``begin`` and return one row at ``first`` and each ``row_s`` after it.
+    """Integrate by classical Runge-Kutta and return a row at ``begin`` and each ``row_s`` after it.
 
     ``forced`` holds a latch for each row, which the branches then follow in place of φ; with no
     rows in it the model switches by itself.
     """
     rows = np.empty((n_rows, N_COLUMNS))
-    s, latch = state.copy(), begin_latch.copy()
-    work, scratch = np.empty((5, N_STATES)), np.empty(N_COLUMNS)
-    phi, last_h = np.nan, 0.0
-    # Row -1 is the stretch up to the first row, which need not be a whole row long.
-    for i in range(-1, n_rows):
-        length = max(first - begin, 0.0) if i < 0 else row_s
-        n_steps = int(np.ceil(length / row_s * substeps - 1e-9)) if i < 0 else substeps
-        if i == n_rows - 1:
-            n_steps = 1
-        h = length / max(n_steps, 1)
-        origin = begin if i < 0 else first + i * row_s
-        for j in range(n_steps):
-            time = origin + j * h
-            row = rows[i] if i >= 0 and j == 0 else scratch
-            if 0 <= i < forced.shape[0] - 1:
+    s, latch, scratch = start.copy(), begin_latch.copy(), np.empty(N_COLUMNS)
+    k1, k2, k3, k4 = (
+        np.empty(N_STATES),
+        np.empty(N_STATES),
+        np.empty(N_STATES),
+        np.empty(N_STATES),
+    )
+    h, phi = row_s / substeps, np.nan
+    for i in range(n_rows):
+        for j in range(substeps):
+            time = begin + i * row_s + j * h
+            row = rows[i] if j == 0 else scratch
+            if i < forced.shape[0] - 1:
                 # A switch inside the row is written to the latch of the next one.
-                after = time >= forced[i + 1, SINCE] and forced[i + 1, SINCE] > first
+                after = time >= forced[i + 1, SINCE] > begin
                 latch[:] = forced[i + 1] if after else forced[i]
-            _rates(c, time, s, latch, work[0], row)
-            if not np.isnan(phi) and forced.shape[0] == 0:
-                new = row[PHI]
-                if _switch(c, latch, s[T_FACE], phi, new, time, last_h):
-                    _rates(c, time, s, latch, work[0], row)
-            phi, last_h = row[PHI], h
-            if i < n_rows - 1:
-                _step(c, time, h, s, latch, work, scratch)
+            _rates(c, time, s, latch, k1, row)
+            if forced.shape[0] == 0 and not np.isnan(phi):
+                _switch(c, latch, s[T_FACE], phi, row[PHI], time, h)
+            phi = row[PHI]
+            _rates(c, time + 0.5 * h, s + 0.5 * h * k1, latch, k2, scratch)
+            _rates(c, time + 0.5 * h, s + 0.5 * h * k2, latch, k3, scratch)
+            _rates(c, time + h, s + h * k3, latch, k4, scratch)
+            s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return rows
 
 
-@_compile
+@njit(cache=True)
 def latches(c: Any, phi: FloatArray, t25: FloatArray, first: float, row_s: float) -> FloatArray:
     """Return the latch of each row of a measured φ, in stall from the surge start on."""
     out = np.empty((phi.size, 4))
-    latch = np.zeros(4)
-    latch[SINCE] = first
+    latch = np.array([0.0, 0.0, first, 0.0])
     begun = False
     for i in range(phi.size):
         time = first + i * row_s
-        if not begun and time >= c.start:
-            begun = True
-            latch[STALLED], latch[ARMED], latch[SINCE], latch[FROM] = 1.0, 0.0, c.start, 0.0
-        elif begun:
+        if begun:
             _switch(c, latch, t25[i], phi[i - 1], phi[i], time, row_s)
+        elif time >= c.start:
+            begun = True
+            latch[STALLED], latch[SINCE] = 1.0, c.start
         out[i] = latch
     return out
 
 
-@_compile
-def observe(
-    c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float,
-    state: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """Return the model's states at each row with the measured ones put in for the compressor.
+@njit(cache=True)
+def _as_measured(c: Any, s: FloatArray, slopes: FloatArray, d: FloatArray) -> None:
+    """Warm the gas of both volumes by what the measured pressures rise beyond their balances."""
+    share = (c.gamma - 1.0) / c.gamma
+    d[T31] += share * s[T31] / s[P31] * (slopes[2] - d[P31])
+    d[T_IN] += share * s[T_IN] / s[P_IN] * (slopes[3] - d[P_IN])
 
-    ``measured`` has the columns W25, ψ', P31, P_in, P25, φ and T25. What no probe reads (gas
-    temperatures of the volumes, exhaust pressure, ψ) follows from the same balances, driven by
-    what was measured; nothing unstable is left in them, so that they forget their start.
+
+@njit(cache=True)
+def observe(
+    c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float, start: FloatArray
+) -> FloatArray:
+    """Return the model's states at each row with the columns of `MEASURED` put in.
+
+    What no probe reads (gas temperatures of the volumes, exhaust pressure, ψ) follows from the
+    same balances; nothing unstable is left in them, so that they forget their start.
     """
     n = measured.shape[0]
-    rows = np.empty((n, N_STATES))
-    s, ahead = state.copy(), np.empty(N_STATES)
-    here, there = np.zeros(N_STATES), np.zeros(N_STATES)
+    rows, row = np.empty((n, N_STATES)), np.empty(N_COLUMNS)
+    s, ahead = start.copy(), start.copy()
+    here, there = np.empty(N_STATES), np.empty(N_STATES)
     for i in range(n):
-        s[W], s[PSI_P], s[P31], s[P_IN] = measured[i, :4]
-        s[T_FACE] = measured[i, 6]
+        for j, at in enumerate(MEASURED):
+            s[at] = measured[i, j]
         rows[i] = s
-        if i == n - 1:
-            break
-        slopes = (measured[i + 1] - measured[i]) / row_s
-        _unmeasured(c, first + i * row_s, measured[i], slopes, latch[i], s, here)
-        ahead[:] = s + row_s * here
-        j = i + 1
-        _unmeasured(c, first + j * row_s, measured[j], slopes, latch[j], ahead, there)
-        s += 0.5 * row_s * (here + there)
+        if i < n - 1:
+            time = first + i * row_s
+            _rates(c, time, s, latch[i], here, row)
+            _as_measured(c, s, (measured[i + 1] - measured[i]) / row_s, here)
+            ahead[:] = s + row_s * here
+            for j, at in enumerate(MEASURED):
+                ahead[at] = measured[i + 1, j]
+            _rates(c, time + row_s, ahead, latch[i + 1], there, row)
+            _as_measured(c, ahead, (measured[i + 1] - measured[i]) / row_s, there)
+            s += 0.5 * row_s * (here + there)
     return rows
-
-
-@_compile
-def _unmeasured(
-    c: Any, time: float, at: FloatArray, slopes: FloatArray, latch: FloatArray,
-    s: FloatArray, d: FloatArray,
-) -> None:  # fmt: skip
-    """Fill in the rates of the states that no probe reads, with the measured ones put in."""
-    flow, p31, p_in, p25, phi, t25 = at[0], at[2], at[3], at[4], at[5], at[6]
-    q = _blend(c, latch, time)
-    k = (c.gamma - 1.0) / c.gamma
-    t2 = t25 + s[PSI] * c.velocity**2 / (2.0 * c.heat)
-    _, quasi_w = _characteristics(c, phi, t25, q)
-    d[PSI] = (quasi_w - s[PSI]) / c.tau
-    # With P measured, mass and energy give dT/T = k dP/P + W_in (T_in − T)/(m T).
-    w31 = flow - c.storage_volume / (c.gas * 0.5 * (t25 + t2)) * slopes[2]
-    mass = p31 * c.discharge_volume / (c.gas * s[T31])
-    d[T31] = k * s[T31] * slopes[2] / p31 + max(w31, 0.0) * (t2 - s[T31]) / mass
-    wt, tt = orifice(c, c.throttle_area * _throttle(c, time), p31, s[T31], s[P_EX], s[T_EX])
-    _exhaust(c, wt, tt, s, d)
-    supply, t_supply = _supply(c, p_in, s[T_COIL])
-    mixed = c.heat_recirculation_exchange * _stirred(c, q, p25, t25) + max(-flow, 0.0)
-    mass = p_in * c.volumes_inlet_m3 / (c.gas * s[T_IN])
-    gained = supply * (t_supply - s[T_IN]) + mixed * (t25 - s[T_IN])
-    d[T_IN] = k * s[T_IN] * slopes[3] / p_in + gained / mass
-    d[T_COIL] = (s[T_IN] - s[T_COIL]) / c.supply_coil_lag_s

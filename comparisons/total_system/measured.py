@@ -12,18 +12,17 @@ from classic_ml.filters import period_average
 from classic_ml.flow import corrected_from_physical, physical_flow
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
-from comparisons.total_system.model import STATES, TotalSystemModel
+from comparisons.total_system import kernel
+from comparisons.total_system.model import TotalSystemModel
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Measured", "measured_signals", "observed_states", "state_before_surge"]
+__all__ = ["Measured", "measured_signals", "observed_states"]
 
 # One period of the stall cells (82.5 Hz on this machine, claim 17) leaves no ripple.
 SMOOTHING_S = 1.0 / 82.5
 # The collapse takes 17 ms; a cell period would move its zero by 3 to 4 ms, 3 ms by less than one.
 _CROSSING_S = 0.003
-# The flow collapses some 17 ms before it reverses; the reading before it ends well ahead.
-_BEFORE_S = (0.045, 0.025)
 
 
 @dataclass(frozen=True)
@@ -109,11 +108,6 @@ def measured_signals(
         Width of the moving average behind states that are read off the record; 0 for signals
         without noise.
 
-    Returns
-    -------
-    Measured
-        The signals.
-
     Raises
     ------
     InputError
@@ -139,7 +133,14 @@ def measured_signals(
             found=f"{time_s[0]:g} to {time_s[-1]:g} s",
         )
     width = min(smoothing_s, _CROSSING_S)
-    reversal = _first_reversal(record, period_average(w25, width, record.sample_rate_hz))
+    reversal_s = first_reversal_s(time_s, period_average(w25, width, record.sample_rate_hz))
+    if reversal_s is None:
+        raise InputError(
+            f"{record.source}: plane 25",
+            expected="a record that begins before the first reversal of the flow and holds it",
+            found="reversed flow in the first row" if w25[0] < 0.0 else "no reversed flow",
+            remedy="the total-system method needs the start of the surge",
+        )
     return Measured(
         test,
         time_s,
@@ -148,26 +149,21 @@ def measured_signals(
         p31,
         t25,
         float(np.mean(w25[reading])),
-        reversal,
-        window or (reversal + SMOOTHING_S, float(time_s[-1])),
+        reversal_s,
+        window or (reversal_s + SMOOTHING_S, float(time_s[-1])),
         smoothing_s,
         record.source,
     )
 
 
-def _first_reversal(record: Record, flow: FloatArray) -> float:
-    """Return when the flow first crosses zero, between two rows."""
-    back = np.flatnonzero(flow < 0.0)
-    if back.size == 0 or back[0] == 0:
-        raise InputError(
-            f"{record.source}: plane 25",
-            expected="a record that begins before the first reversal of the flow and holds it",
-            found="reversed flow in the first row" if back.size else "no reversed flow",
-            remedy="the total-system method needs the start of the surge",
-        )
+def first_reversal_s(time_s: FloatArray, flow: FloatArray) -> float | None:
+    """Return when a flow first crosses zero, between two rows; None where it does not."""
+    back = np.flatnonzero(~(flow > 0.0))
+    if back.size == 0 or back[0] == 0 or not np.isfinite(flow[back[0]]):
+        return None
     i = int(back[0])
     share = flow[i - 1] / (flow[i - 1] - flow[i])
-    return float(record.time_s[i - 1] + share * record.sample_period_s)
+    return float(time_s[i - 1] + share * (time_s[i] - time_s[i - 1]))
 
 
 def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatArray, FloatArray]:
@@ -190,8 +186,6 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     latches : ndarray of shape (n, 4)
         Branch, armed, since when and from which blend.
     """
-    from comparisons.total_system import kernel
-
     test, machine, c = measured.test, measured.test.compressor, model.constants()
     flow, p25, p31, t25 = (
         measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31, measured.T25)
@@ -203,32 +197,8 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
     )
     lagged = psi_p - c.compressor_reverse_loss * np.minimum(phi, 0.0) ** 2
     p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia_per_m * slope
-    first = float(measured.time_s[0])
-    latch = kernel.latches(c, phi, t25, first, measured.period_s)
-    columns = np.column_stack([flow, lagged, p31, p_in, p25, phi, t25])
-    states = kernel.observe(c, columns, latch, first, measured.period_s, model.near_stall_state())
-    return states, latch
-
-
-def state_before_surge(measured: Measured, states: FloatArray) -> FloatArray:
-    """Return the mean state of the 20 ms before the flow collapses, of shape (11,).
-
-    Parameters
-    ----------
-    measured : Measured
-        The record.
-    states : ndarray of shape (n, 11)
-        Observed states.
-    """
-    early, late = _BEFORE_S
-    rows = measured.rows(measured.reversal_s - early, measured.reversal_s - late)
-    if rows.stop - rows.start < 2:
-        raise InputError(
-            measured.source,
-            expected=f"{1e3 * early:.0f} ms of record before the first reversal",
-            found=f"a first reversal at {measured.reversal_s:.3f} s",
-        )
-    mean = states[rows].mean(axis=0)
-    mean[STATES.index("W25")] = np.mean(measured.W25[rows])
-    mean[STATES.index("P31")] = np.mean(measured.P31[rows])
-    return np.asarray(mean)
+    first, period_s = float(measured.time_s[0]), measured.period_s
+    latches = kernel.latches(c, phi, t25, first, period_s)
+    columns = np.column_stack([flow, lagged, p31, p_in, t25])
+    states = kernel.observe(c, columns, latches, first, period_s, model.near_stall_state())
+    return states, latches

@@ -12,7 +12,6 @@ Reference 6.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +20,7 @@ import numpy as np
 from classic_ml.description import TestDescription
 from classic_ml.flow import T_STANDARD_K
 from comparisons.total_system.facility import Facility
+from comparisons.total_system.kernel import FACILITY_FIELDS, Constants, integrate, orifice
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
@@ -30,7 +30,7 @@ __all__ = ["COLUMNS", "STATES", "STEPS_PER_SECOND", "TotalSystemModel"]
 # In the order of the compiled loops.
 STATES = ("W25", "psi_p_lagged", "psi", "P31", "T31", "P_in", "T_in", "P_ex", "T_ex", "T_coil",
           "T25")  # fmt: skip
-COLUMNS = (*STATES, "P25", "phi", "psi_p", "blend", "W31", "W_throttle", "W_exhaust", "W_supply")
+COLUMNS = (*STATES, "P25", "phi", "W31", "W_throttle", "W_exhaust", "W_supply")
 # A linear rise of the pressure from plane 25 to plane 31 puts half of P31 on the stored gas.
 _STORAGE_SHARE = 0.5
 # The fastest of the model is the loss in reversed flow. Against steps a fifth as long, five a
@@ -82,36 +82,34 @@ class TotalSystemModel:
             "T31": near.T31_K,
             "P_in": near.P25_Pa * (1.0 + self.facility.inlet.loss_frac),
             "T_in": near.T25_K,
-            "P_ex": self._exhaust_pressure_Pa,
+            "P_ex": self.facility.throttle.exhaust_pressure_frac * near.P31_Pa,
             "T_ex": near.T31_K,
             "T_coil": near.T25_K,
             "T25": near.T25_K,
         }
         return np.array([state[name] for name in STATES])
 
-    @property
-    def _exhaust_pressure_Pa(self) -> float:
-        throttle = self.facility.throttle
-        pressure = throttle.exhaust_pressure_frac * self.test.near_stall.P31_Pa
-        if not pressure > throttle.ambient_pressure_Pa:
-            raise InputError(
-                "[throttle] exhaust_pressure_frac",
-                expected="an exhaust pressure above ambient near stall, "
-                f"{throttle.ambient_pressure_Pa:g} Pa",
-                found=f"{pressure:g} Pa",
-            )
-        return pressure
-
     def constants(self) -> Any:
-        """Return the numbers of the compiled loops, orifices sized by the near-stall reading."""
-        from comparisons.total_system.kernel import FACILITY_FIELDS, Constants, orifice
+        """Return the numbers of the compiled loops, orifices sized by the near-stall reading.
 
+        Raises
+        ------
+        InputError
+            When the exhaust would be below the ambient pressure.
+        """
         test, f, near = self.test, self.facility, self.test.near_stall
         machine, flow = test.compressor, self.near_stall_flow_kg_s
         g, velocity = machine.gamma, test.rotor_velocity_m_s
+        middle = f.throttle.exhaust_pressure_frac * near.P31_Pa
+        ambient = f.throttle.ambient_pressure_Pa
+        if not middle > ambient:
+            raise InputError(
+                "[throttle] exhaust_pressure_frac",
+                expected=f"an exhaust pressure above ambient near stall, {ambient:g} Pa",
+                found=f"{middle:g} Pa",
+            )
         loss = f.inlet.loss_frac * near.P25_Pa / flow**2
-        tables = f.model_dump().items()
-        known = [float(value) for _, table in tables for value in table.values()]
+        known = [float(value) for table in f.model_dump().values() for value in table.values()]
         c = Constants(
             **dict(zip(FACILITY_FIELDS, known, strict=True)),
             beta1=self.beta[0],
@@ -139,7 +137,6 @@ class TotalSystemModel:
             gas=machine.gas_constant_J_kg_K,
             heat=machine.specific_heat_J_kg_K,
         )
-        middle, ambient = self._exhaust_pressure_Pa, f.throttle.ambient_pressure_Pa
         through, _ = orifice(c, 1.0, near.P31_Pa, near.T31_K, middle, near.T31_K)
         out, _ = orifice(c, 1.0, middle, near.T31_K, ambient, near.T31_K)
         return c._replace(
@@ -147,48 +144,30 @@ class TotalSystemModel:
         )
 
     def simulate(
-        self,
-        *,
-        n_rows: int,
-        period_s: float,
-        first_s: float | None = None,
-        state: FloatArray | None = None,
-        steps_per_second: float = STEPS_PER_SECOND,
-    ) -> Mapping[str, FloatArray]:
+        self, *, n_rows: int, period_s: float, state: FloatArray | None = None
+    ) -> dict[str, FloatArray]:
         """Run the model from its surge start, or at rest without one.
 
         Parameters
         ----------
         n_rows : int
-            Rows wanted.
+            Rows wanted; the first is the surge start.
         period_s : float
             Distance of rows.
-        first_s : float, optional
-            Time of the first row, from ``start_s`` on; without it the surge start, or 0.
         state : ndarray of shape (11,), optional
             State to start from; the near-stall reading without it.
-        steps_per_second : float
-            Runge-Kutta steps.
 
         Returns
         -------
-        mapping of str to ndarray of shape (n_rows,)
+        dict of str to ndarray of shape (n_rows,)
             The columns of `COLUMNS`: pressures in Pa, temperatures in K, flows in kg/s.
         """
-        from comparisons.total_system import kernel
-
         surging = bool(np.isfinite(self.start_s))
         begin = self.start_s if surging else 0.0
-        rows = kernel.integrate(
-            self.constants(),
-            self.near_stall_state() if state is None else np.array(state, dtype=np.float64),
-            # Branch, armed, when it was switched to, and the blend it was switched from.
-            np.array([float(surging), 0.0, begin, 0.0]),
-            begin,
-            begin if first_s is None else first_s,
-            n_rows,
-            period_s,
-            max(1, round(period_s * steps_per_second)),
-            np.empty((0, 4)),
-        )
+        # Branch, armed, when it was switched to, and the blend it was switched from.
+        latch = np.array([float(surging), 0.0, begin, 0.0])
+        first = self.near_stall_state() if state is None else state
+        steps = max(1, round(period_s * STEPS_PER_SECOND))
+        forced = np.empty((0, 4))
+        rows = integrate(self.constants(), first, latch, begin, n_rows, period_s, steps, forced)
         return {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(COLUMNS)}

@@ -13,15 +13,9 @@ from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.rows import stack_rows
-from comparisons.total_system.fit import fit_total_system
+from comparisons.total_system.fit import fit_total_system, started_at
+from comparisons.total_system.fitted import ALIGNED, MULTIPLE, TotalSystemFit, TotalSystemSettings
 from comparisons.total_system.measured import measured_signals
-from comparisons.total_system.settings import (
-    ALIGNED,
-    MULTIPLE,
-    TotalSystemFit,
-    TotalSystemSettings,
-    TotalSystemState,
-)
 from surge_core.display import Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_to_error, significant
 
@@ -32,8 +26,10 @@ COMPONENT = "component"
 METHODS = (COMPONENT, MULTIPLE, ALIGNED)
 # The paper's own range of trust at 98.5 % ends at 0.175; below 0 nothing is measured well.
 PHI_OF_TABLE = np.array([0.0, 0.05, 0.1, 0.15])
-# Shifts of the start that the notes on the rig measured the output error of, and a wrong volume.
+# Start errors in seconds and factors on the volume: shifts that the notes on the rig measured the
+# output error of, and a wrong volume.
 ERRORS = ((0.002, 1.0), (0.010, 1.0), (0.040, 1.0), (0.0, 1.1))
+NO_ERROR = (0.0, 1.0)
 # Rows of the whole table: each method without an error and under each.
 N_ROWS = len(METHODS) * (1 + len(ERRORS))
 
@@ -140,73 +136,56 @@ def sensitivity_rows(
     rows: list[SensitivityRow] = []
     for method in METHODS:
         own: list[SensitivityRow] = []
-        for error_s, factor in ((0.0, 1.0), *errors):
+        for error_s, factor in (NO_ERROR, *errors):
             words = f"start {1e3 * error_s:+g} ms" if error_s else f"volume x {factor:g}"
-            words = "none" if (error_s, factor) == (0.0, 1.0) else words
+            words = "none" if (error_s, factor) == NO_ERROR else words
             progress(f"{method}: {words}")
             if method == COMPONENT:
-                row = _component_row(record, test, words, error_s, factor)
+                found = _component(record, test, error_s, factor)
             else:
+                # Multiple shooting, which has one basin, starts from what it finds without an
+                # error; a single run from what multiple shooting finds with the same volume.
                 chosen = replace(
                     settings, start=method, start_error_s=error_s, volume_factor=factor
                 )
-                # Multiple shooting, which has one basin, starts from what it finds without an
-                # error; a single run from what multiple shooting finds with the same volume.
                 first = shooting.get((0.0, factor if method == ALIGNED else 1.0))
                 if settings.initial_beta is None and first is not None:
-                    chosen = _started_at(first, chosen)
+                    chosen = started_at(first, chosen)
                 fit = fit_total_system(measured, chosen)
                 if method == MULTIPLE:
                     shooting[error_s, factor] = fit
-                row = _system_row(fit, words)
+                found = (
+                    fit.beta,
+                    fit.beta_stderr,
+                    fit.tau_s,
+                    fit.tau_stderr_s,
+                    fit.state.code,
+                    fit.relative_rms["P31"],
+                )
+            row = SensitivityRow(method, words, error_s, factor, *found)
             own.append(row.against(own[0] if own else row))
         rows += own
     return rows
 
 
-def _started_at(first: TotalSystemFit, settings: TotalSystemSettings) -> TotalSystemSettings:
-    if first.state is not TotalSystemState.CONVERGED:
-        return settings
-    return replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
-
-
-def _system_row(fit: TotalSystemFit, words: str) -> SensitivityRow:
-    return SensitivityRow(
-        fit.settings.start,
-        words,
-        fit.settings.start_error_s,
-        fit.settings.volume_factor,
-        fit.beta,
-        fit.beta_stderr,
-        fit.tau_s,
-        fit.tau_stderr_s,
-        fit.state.code,
-        fit.relative_rms["P31"],
-    )
-
-
-def _component_row(
-    record: Record, test: TestDescription, words: str, error_s: float, factor: float
-) -> SensitivityRow:
+def _component(
+    record: Record, test: TestDescription, error_s: float, factor: float
+) -> tuple[tuple[float, ...], tuple[float, ...], float, float, str, float]:
     """Reduce and fit the component method again with what it would take as known."""
-    machine = replace(
-        test.compressor, internal_volume_m3=factor * test.compressor.internal_volume_m3
-    )
+    volume_m3 = factor * test.compressor.internal_volume_m3
+    machine = test.compressor.model_copy(update={"internal_volume_m3": volume_m3})
     moved = replace(record, start_s=record.start_s - error_s)
     reduction = reduce_record(moved, replace(test, compressor=machine), ReductionSettings())
     rows = stack_rows([reduction.series])
     spec = next(s for s in default_estimators() if s.name == "classic_ml")
     model = spec.build(rows).fit(rows.X, rows.measured, rows.labels)
-    return SensitivityRow(
-        COMPONENT,
-        words,
-        error_s,
-        factor,
+    return (
         tuple(model.coef_.tolist()),
         tuple(np.sqrt(np.diag(model.covariance_)).tolist()),
         float(model.time_constant_s_),
         float(model.time_constant_stderr_s_),
         model.fit_state_.code,
+        float("nan"),
     )
 
 
@@ -225,9 +204,8 @@ def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
         "P31: residual over swing",
     )
     grid = Grid("β and τ", heads, tuple(map(_cells, rows)), frozenset((0, 1, len(heads) - 1)))
-    return Sheet(
-        "What wrong numbers do to both methods", (Field("columns", legend),), (grid,)
-    ).text()
+    title = "What wrong numbers do to both methods"
+    return Sheet(title, (Field("columns", legend),), (grid,)).text()
 
 
 def _cells(row: SensitivityRow) -> tuple[str, ...]:

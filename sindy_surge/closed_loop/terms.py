@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from surge_core.errors import InputError
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["STATES", "StateTerms", "surge_library"]
@@ -20,10 +19,6 @@ STATES = ("phi", "psi_p", "plenum")
 # through a throttle, in the direction of the pressure, and the flow while it is reversed.
 _FACTORS = (*STATES, "sqrt(plenum)", "phi[phi<0]")
 _ROOT, _REVERSED = 3, 4
-# The state that each factor is a function of.
-_STATE_OF = (0, 1, 2, 2, 0)
-# The slope of the root is bounded where the pressure passes through zero.
-_LEAST_ROOT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -43,88 +38,23 @@ class StateTerms:
         """Name of each term, e.g. ``1``, ``phi^2 psi_p``, ``phi^2[phi<0]``."""
         return tuple(_name(row) for row in self.exponents)
 
-    @cached_property
-    def _used(self) -> tuple[int, ...]:
-        """Factors that occur in any term."""
-        return tuple(np.flatnonzero(self.exponents.any(axis=0)).tolist())
-
-    @cached_property
-    def _degree(self) -> int:
-        """Highest power of any factor."""
-        return max(int(self.exponents.max(initial=1)), 1)
-
     def __len__(self) -> int:
         return len(self.exponents)
 
-    def subset(self, chosen: tuple[int, ...]) -> StateTerms:
+    def subset(self, chosen: Sequence[int]) -> StateTerms:
         """Return some of the terms, in the order given."""
         return StateTerms(self.exponents[list(chosen)])
 
     def values(self, states: FloatArray) -> FloatArray:
-        """Evaluate the terms.
-
-        Parameters
-        ----------
-        states : ndarray of shape (..., 3)
-            φ, ψ' and Ψ.
-
-        Returns
-        -------
-        ndarray of shape (..., n_terms)
-            The terms.
-        """
-        powers = _powers(states.reshape(-1, len(STATES)), self._degree)
-        return self._product(powers).T.reshape(*states.shape[:-1], len(self))
-
-    def values_and_slopes(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Evaluate the terms and their derivatives with respect to the states.
-
-        Parameters
-        ----------
-        states : ndarray of shape (n_points, 3)
-            φ, ψ' and Ψ.
-
-        Returns
-        -------
-        values : ndarray of shape (n_points, n_terms)
-            The terms.
-        slopes : ndarray of shape (n_points, n_terms, 3)
-            Their derivatives.
-        """
-        powers = _powers(states, self._degree)
-        derived = np.zeros_like(powers)
-        derived[1:] = np.arange(1, len(powers))[:, None, None] * powers[:-1]
-        slopes = np.zeros((len(STATES), len(self), len(states)))
-        for factor in self._used:
-            slope = self._product(powers, derived, factor)
-            if factor == _ROOT:
-                slope *= 0.5 / np.maximum(np.abs(powers[1, _ROOT]), _LEAST_ROOT)
-            elif factor == _REVERSED:
-                slope *= states[:, 0] < 0
-            slopes[_STATE_OF[factor]] += slope
-        return self._product(powers).T, slopes.T
-
-    def _product(
-        self, powers: FloatArray, derived: FloatArray | None = None, by: int = -1
-    ) -> FloatArray:
-        """Multiply the powers of each term; the factor `by` is taken from `derived`."""
-        result = np.ones((len(self), powers.shape[-1]))
-        for factor in self._used:
-            source = powers if derived is None or factor != by else derived
-            result *= source[self.exponents[:, factor], factor]
-        return result
-
-
-def _powers(states: FloatArray, highest: int) -> FloatArray:
-    """Return the powers 0 to `highest` of all factors: (power, factor, point)."""
-    powers = np.ones((highest + 1, len(_FACTORS), len(states)))
-    factors = powers[1]
-    factors[:3] = states.T
-    factors[_ROOT] = np.copysign(np.sqrt(np.abs(factors[2])), factors[2])
-    factors[_REVERSED] = np.minimum(factors[0], 0.0)
-    for degree in range(2, highest + 1):
-        powers[degree] = powers[degree - 1] * factors
-    return powers
+        """Evaluate the terms: states (..., 3) to values (..., n_terms)."""
+        phi, _, plenum = states.T
+        root = np.copysign(np.sqrt(np.abs(plenum)), plenum)
+        result = np.ones((len(self), *phi.shape))
+        factors = (*states.T, root, np.minimum(phi, 0.0))
+        for factor, powers in zip(factors, self.exponents.T, strict=True):
+            for degree in range(1, powers.max() + 1):
+                result[powers >= degree] *= factor
+        return result.T
 
 
 def _name(exponents: IndexArray) -> str:
@@ -153,23 +83,11 @@ def surge_library(degree: int = 2, flow_degree: int = 5) -> StateTerms:
     -------
     StateTerms
         The library.
-
-    Raises
-    ------
-    InputError
-        If `degree` is less than 1.
     """
     from pysindy.feature_library import PolynomialLibrary
 
-    if degree < 1:
-        raise InputError("degree", expected="at least 1", found=f"{degree}")
-
-    polynomials = PolynomialLibrary(degree=degree).fit(np.zeros((2, len(STATES))))
-    products = np.zeros((len(polynomials.powers_), len(_FACTORS)), dtype=np.intp)
-    products[:, :3] = polynomials.powers_
-    higher = np.zeros((max(flow_degree - degree, 0), len(_FACTORS)), dtype=np.intp)
-    higher[:, 0] = np.arange(degree + 1, degree + 1 + len(higher))
-    special = np.zeros((2, len(_FACTORS)), dtype=np.intp)
-    special[0, _REVERSED] = 2
-    special[1, _ROOT] = 1
-    return StateTerms(np.vstack((products, higher, special)))
+    products = PolynomialLibrary(degree=degree).fit(np.zeros((2, len(STATES)))).powers_
+    unit = np.eye(len(_FACTORS), dtype=np.intp)
+    higher = [power * unit[0] for power in range(degree + 1, flow_degree + 1)]
+    special = [2 * unit[_REVERSED], unit[_ROOT]]
+    return StateTerms(np.vstack((products @ unit[:3], *higher, *special)).astype(np.intp))

@@ -10,14 +10,12 @@ from raw_data import first_order, make_test
 
 from classic_ml.calibration import (
     calibrate,
-    check_facing,
     invert_thermocouples,
-    match_near_stall,
     near_stall_match,
     near_stall_rows,
-    pressure_from_counts,
-    volts,
+    probe_pressure_Pa,
 )
+from classic_ml.description import TestDescription
 from classic_ml.records import Channel, Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
@@ -32,35 +30,9 @@ def loaded():
 def test_zero_and_calibrate_codes_give_their_own_pressures(loaded) -> None:
     _, _, test = loaded
     for probe in test.pressures:
-        got = pressure_from_counts(
-            probe, test.adc, np.array([probe.zero_count, probe.calibrate_count])
-        )
+        got = probe_pressure_Pa(probe, test, np.array([probe.zero_count, probe.calibrate_count]))
         expected = probe.zoc_reference_Pa + np.array([0.0, probe.calibrate_pressure_Pa])
         np.testing.assert_allclose(got, expected, rtol=1e-12)
-
-
-def test_the_converter_spans_its_range(loaded) -> None:
-    _, _, test = loaded
-    np.testing.assert_allclose(volts(np.array([0, 2048, 4096]), test.adc), [-5.0, 0.0, 5.0])
-
-
-def test_sixteen_bit_codes_do_not_overflow(loaded) -> None:
-    _, _, test = loaded
-    probe = test.pressures[0]
-    codes = np.array([3500, 4095], dtype=np.int16)
-    np.testing.assert_array_equal(
-        pressure_from_counts(probe, test.adc, codes),
-        pressure_from_counts(probe, test.adc, codes.astype(float)),
-    )
-
-
-def test_the_pressure_does_not_depend_on_the_range_of_the_converter(loaded) -> None:
-    _, _, test = loaded
-    probe, codes = test.pressures[0], np.arange(0.0, 4096.0, 100.0)
-    other = dataclasses.replace(test.adc, low_V=0.0, high_V=2.5)
-    np.testing.assert_allclose(
-        pressure_from_counts(probe, test.adc, codes), pressure_from_counts(probe, other, codes)
-    )
 
 
 def test_calibration_returns_the_true_pressures_and_temperatures(loaded) -> None:
@@ -71,28 +43,6 @@ def test_calibration_returns_the_true_pressures_and_temperatures(loaded) -> None
     assert out.channel("P25_A_hub_forward").unit == "Pa"
     np.testing.assert_allclose(out["T25_A"], made.truth["T25"], atol=0.01)
     assert [e.step for e in out.history] == ["read", "calibrate"]
-
-
-def test_calibration_is_the_equation_of_each_channel_to_the_last_bit(loaded) -> None:
-    _, record, test = loaded
-    out = calibrate(record, test)
-    for probe in test.pressures:
-        expected = pressure_from_counts(probe, test.adc, record[probe.name])
-        np.testing.assert_array_equal(out[probe.name], expected)
-    for couple in test.temperatures:
-        expected = record[couple.name] / couple.recovery_factor
-        np.testing.assert_array_equal(out[couple.name], expected)
-
-
-@pytest.mark.parametrize("match", ["pair", "forward", "none"])
-def test_the_shifts_may_be_added_while_calibrating(loaded, match: str) -> None:
-    _, record, test = loaded
-    plain = calibrate(record, test)
-    shifts, entry = near_stall_match(plain, test, match)
-    at_once, after = calibrate(record, test, shifts), match_near_stall(plain, test, match)
-    assert after.history[-1] == entry
-    for name in test.channel_names:
-        np.testing.assert_allclose(at_once[name], after[name], rtol=1e-15)
 
 
 def test_a_reduction_refuses_what_the_steps_refuse() -> None:
@@ -106,19 +56,17 @@ def test_a_reduction_refuses_what_the_steps_refuse() -> None:
         reduce_record(record.after(record.history[-1], add=[hot]), test)
     with pytest.raises(InputError, match='expected the unit "count", found "Pa"'):
         reduce_record(calibrate(record, test), test)
-    elsewhere = dataclasses.replace(test.near_stall, from_s=5.0, to_s=6.0)
+    elsewhere = test.near_stall.model_copy(update={"from_s": 5.0, "to_s": 6.0})
     with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval"):
         reduce_record(record, dataclasses.replace(test, near_stall=elsewhere))
 
 
-def test_a_wrong_unit_is_refused(loaded) -> None:
-    _, record, test = loaded
-    once = calibrate(record, test)
-    with pytest.raises(InputError, match='expected the unit "count", found "Pa"'):
-        calibrate(once, test)
+def matched(record: Record, test: TestDescription) -> Record:
+    shifts, entry = near_stall_match(calibrate(record, test), test)
+    return calibrate(record, test, shifts).after(entry)
 
 
-def test_the_match_takes_out_a_bias_of_the_amplifier() -> None:
+def test_the_match_takes_out_a_bias_of_the_amplifier_and_keeps_the_difference_of_a_pair() -> None:
     made = make_test(seconds=0.6, quantise=False)
     biased = {
         name: values + (25.0 if name.startswith("P25_A_hub") else 0.0)
@@ -126,30 +74,16 @@ def test_the_match_takes_out_a_bias_of_the_amplifier() -> None:
     }
     record, test = made.load()
     shifted, _ = dataclasses.replace(made, columns=biased).load()
-    clean = match_near_stall(calibrate(record, test), test)
-    mended = match_near_stall(calibrate(shifted, test), test)
+    clean, found = matched(record, test), matched(shifted, test)
     for name in ("P25_A_hub_forward", "P25_B_tip_aft"):
-        np.testing.assert_allclose(mended[name], clean[name], rtol=2e-3)
-    rows = near_stall_rows(mended, test)
+        np.testing.assert_allclose(found[name], clean[name], rtol=2e-3)
+    rows = near_stall_rows(found, test)
     for name, target in (("P25_A_hub_forward", 55e3), ("P31_B_tip_forward", 1.285e6)):
-        assert np.mean(mended[name][rows]) == pytest.approx(target, rel=1e-12)
-    assert np.mean(mended["T25_B"][rows]) == pytest.approx(255.0, rel=1e-12)
-
-
-def test_the_match_keeps_the_difference_of_a_pair_unless_told_otherwise() -> None:
-    record, test = make_test(seconds=0.6, quantise=False, bias_Pa=300.0).load()
-    record = calibrate(record, test)
-
-    def gap(r: Record) -> np.ndarray:
-        return r["P25_A_tip_forward"] - r["P25_A_tip_aft"]
-
-    pair = match_near_stall(record, test)
-    np.testing.assert_allclose(gap(pair), gap(record), atol=1e-6)
-    forward = match_near_stall(record, test, "forward")
-    np.testing.assert_allclose(gap(forward), gap(record) - 300.0, atol=0.5)
-    none = match_near_stall(record, test, "none")
-    np.testing.assert_array_equal(none["P25_A_tip_forward"], record["P25_A_tip_forward"])
-    assert none.history[-1].did == "not applied"
+        assert np.mean(found[name][rows]) == pytest.approx(target, rel=1e-12)
+    assert np.mean(found["T25_B"][rows]) == pytest.approx(255.0, rel=1e-12)
+    plain = calibrate(shifted, test)
+    before, after = (r["P25_A_hub_forward"] - r["P25_A_hub_aft"] for r in (plain, found))
+    np.testing.assert_allclose(after, before, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -166,14 +100,7 @@ def test_a_reading_far_from_the_facility_s_is_refused(loaded, name: str, change)
     record = calibrate(record, test)
     wrong = Channel(name, change(record[name]), record.channel(name).unit)
     with pytest.raises(InputError, match=rf"channel {name}: expected about .* at near stall"):
-        match_near_stall(record.after(record.history[-1], add=[wrong]), test)
-
-
-def test_a_near_stall_interval_outside_the_record_is_refused(loaded) -> None:
-    _, record, test = loaded
-    elsewhere = dataclasses.replace(test.near_stall, from_s=5.0, to_s=6.0)
-    with pytest.raises(InputError, match=r"\[near_stall\]: expected an interval with at least 20"):
-        match_near_stall(calibrate(record, test), dataclasses.replace(test, near_stall=elsewhere))
+        near_stall_match(record.after(record.history[-1], add=[wrong]), test)
 
 
 def test_the_lag_of_a_thermocouple_is_undone() -> None:
@@ -189,26 +116,3 @@ def test_the_lag_of_a_thermocouple_is_undone() -> None:
     left = invert_thermocouples(record, test, invert=False)
     np.testing.assert_array_equal(left["T25_A"], seen)
     assert left.history[-1].parameters == {"invert": False}
-
-
-def test_forward_and_aft_exchanged_is_refused_with_the_pair() -> None:
-    record, test = make_test(seconds=0.6).load()
-    out = calibrate(record, test)
-    check_facing(out, test)
-    below_kPa = np.mean((out["P25_A_tip_forward"] - out["P25_A_tip_aft"])[:201]) / 1e3
-    assert below_kPa > 5.0
-    names = ("P25_A_tip_forward", "P25_A_tip_aft")
-    swapped = [Channel(a, out[b], "Pa") for a, b in (names, names[::-1])]
-    with pytest.raises(InputError, match=rf"pair P25_A_tip: .* found {below_kPa:.3g} kPa below"):
-        check_facing(out.after(out.history[-1], add=swapped), test)
-
-
-def test_a_pair_that_does_not_count_near_stall_is_not_judged() -> None:
-    record, test = make_test(seconds=0.6).load()
-    out = calibrate(record, test)
-    n = out.n_samples
-    dead = [
-        Channel("P25_A_tip_forward", np.zeros(n), "Pa"),
-        Channel("fault_P25_A_tip_forward", np.ones(n), "1"),
-    ]
-    check_facing(out.after(out.history[-1], add=dead), test)

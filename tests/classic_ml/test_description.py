@@ -45,49 +45,48 @@ def read(folder: Path, tables: dict[str, Any]) -> TestDescription:
     ("path", "value", "words"),
     [
         ("test", ..., "test: expected a table, found nothing"),
-        ("planes/31", ..., "planes.31: expected a table"),
         ("test/sample_rate_hz", "1000", "test.sample_rate_hz: expected a number above 0"),
-        ("test/sample_rate_hz", True, "test.sample_rate_hz: .* found True"),
-        ("test/name", 7, "test.name: expected a text, found 7"),
         ("compressor/gamma", 1.0, "compressor.gamma: .* between 1 and 2, found 1.0"),
         ("compressor/mean_radius_m", 280.0, "mean_radius_m: .* found 280.0; is it in mm"),
-        ("compressor/gas_constant_J_kg_K", 53.35, "gas_constant_J_kg_K: .* air has 287.05"),
         ("planes/25/area_m2", 2938.0, "planes.25.area_m2: .* is it in cm²"),
-        ("test/rotor_speed_rpm", 190.0, "is it in Hz"),
-        ("test/design_corrected_speed_rpm", 190000.0, "the corrected speed of the test"),
+        # Which of the two speeds is in Hz, they do not show.
+        ("test/rotor_speed_rpm", 190.0, "rotor_speed_rpm and design.*found 202 .* and 12303"),
         ("near_stall/P25_Pa", 55.0, "near_stall.P25_Pa: .* found 55.0; is it in kPa"),
-        ("near_stall/T25_K", -18.0, "near_stall.T25_K: .* is it in °C"),
+        ("near_stall/P25_Pa", "7.98 psi", "near_stall.P25_Pa: .*absolute pressure"),
         ("near_stall/P31_Pa", 1.2e4, "near_stall.P31_Pa: .* are the planes exchanged"),
-        ("near_stall/to_s", 0.0, "near_stall.to_s: expected a time after from_s"),
+        ("near_stall/to_s", 0.0, "near_stall.to_s: expected more than from_s"),
         ("adc/bits", 12.0, "adc.bits: expected a whole number from 4 to 32, found 12.0"),
-        ("adc/high_V", -5.0, "adc.high_V: expected more than low_V"),
         ("adc", ..., "adc: expected a table, since P25_A_tip_forward is in counts"),
-        (f"{CHANNEL}/zero_count", ..., f"channels.{PROBE}.zero_count: .* found nothing"),
-        (f"{CHANNEL}/calibrate_count", 5000.0, "calibrate_count: .* 12 bits, found 5000"),
+        (f"{CHANNEL}/calibrate_count", 5000.0, f"{PROBE}: .* 12 bits .*, found 5000"),
         (f"{CHANNEL}/calibrate_count", 2048.0, "at least 100 counts from zero_count"),
-        (f"{CHANNEL}/calibrate_pressure_Pa", 6.0, "calibrate_pressure_Pa: .* is it in kPa"),
-        (f"{CHANNEL}/unit", "psia", f"channels.{PROBE}: .*'zoc_reference_Pa'.*'zero_count'"),
-        (f"{CHANNEL}/reference_Pa", 1e5, f"channels.{PROBE}: .* 'reference_Pa'"),
+        (f"{CHANNEL}/calibrate_pressure_Pa", 6.0, "calibrate_pressure_Pa: .*is it in kPa"),
+        (f"{CHANNEL}/unit", "psia", f'{PROBE}.unit: expected "count" beside zoc.* found "psia"'),
+        (f"{CHANNEL}/unit", "volts", f'{PROBE}.unit: expected "count" beside .* found "volts"'),
+        (f"{CHANNEL}/reference_Pa", 1e5, f"{PROBE}.reference_Pa: expected none beside"),
         ("channels/T31_A/unit", "psi", "channels.T31_A.unit: expected a unit of temperature"),
         (f"{CHANNEL}/kind", "flow", f'{PROBE}.kind: expected "pressure" or "temperature"'),
-        (f"{CHANNEL}/plane", 26, "plane: expected 25 or 31, found 26"),
         (f"{CHANNEL}/facing", "forward", "one forward and one aft .*B_hub_forward.*B_hub_aft"),
         (f"{CHANNEL}/probe_slope", 1.5, "probe_slope: expected that of its mate"),
-        (f"{CHANNEL}/probe_offset", float("nan"), "probe_offset: .* found nan"),
+        (f"{CHANNEL}/column", "T25_A", "a column of its own, found 'T25_A'"),
         ("channels/T25_A/time_constant", 0.01, "'time_constant' .is 'time_constant_s' meant"),
+        ("channels", {}, "a thermocouple at plane 25 and .*probes at plane 25 and .*plane 31"),
         ("segmentation/threshold_lbm_s", "off", "threshold_lbm_s: .* found 'off'"),
         ("segmentation/threshold_lbm_s", 0.0, "threshold_lbm_s: "),
         ("segmentaton", {"threshold_lbm_s": 50.0}, "'segmentaton' .is 'segmentation' meant"),
-        ("window", {"from_s": 2.0, "to_s": 1.0}, "window.to_s: expected a time after from_s"),
+        ("defualts", {}, "file, defaults, found the key 'defualts'"),
+        ("window", {"from_s": 2.0, "to_s": 1.0}, "window.to_s: expected more than from_s"),
         ("limits", {"T99": [1.0, 2.0]}, "limits.T99: expected the name of a channel"),
         ("limits", {"T31_A": [600.0, 200.0]}, r"limits.T31_A: expected a range \[low, high\]"),
-        ("near_stall_shifts", {"T99": 0.1}, "near_stall_shifts.T99: "),
-        ("near_stall_shifts", {PROBE: 0.1}, "an aft probe; it moves with its forward mate"),
-        ("near_stall_shifts", {"T25_A": 200.0}, "near_stall_shifts.T25_A: expected -30"),
-        ("channels", {}, "probes at plane 25 and .* at plane 31 and a thermocouple at plane 25"),
+        (
+            "near_stall_shifts",
+            {PROBE: 0.1},
+            f"shifts.{PROBE}: expected the name of a forward probe",
+        ),
         ("defaults", {"pressur": {"unit": "count"}}, "defaults.pressur: .* a pattern of no name"),
         ("defaults", {"pressure": {"slope": 1.0}}, "defaults.pressure: .* found slope"),
-        ("defaults", {"pressure": 1.0}, "defaults.pressure: "),
+        ("file", {"time_unit": 3}, "file.time_unit: expected a text"),
+        ("file", {"clock": "from the rate"}, "'column' or 'from rate', found 'from the rate'"),
+        ("file", 3, "file: expected a table, found 3"),
     ],
 )
 def test_a_bad_description_is_refused(
@@ -106,8 +105,8 @@ def test_all_that_is_missing_or_wrong_is_said_at_once(made: RawTest, tmp_path: P
         ("near_stall", ...),
         ("compressor/gamma", 3.0),
         (f"{CHANNEL}/zero_count", ...),
+        (f"{CHANNEL}/plane", 26),
         ("channels/T25_A/recovery_factor", "high"),
-        ("planes/31/area", 0.1),
     ):
         tables = edited(tables, path, value)
     with pytest.raises(InputError) as caught:
@@ -117,13 +116,13 @@ def test_all_that_is_missing_or_wrong_is_said_at_once(made: RawTest, tmp_path: P
         "near_stall",
         "compressor.gamma",
         f"channels.{PROBE}.zero_count",
+        f"channels.{PROBE}.plane",
         "channels.T25_A.recovery_factor",
-        "planes.31",
     ):
         assert key in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"[test", b"\xff\xfe\x00", b"a = 1"])
+@pytest.mark.parametrize("content", [b"", b"[test", b"\xff\xfe\x00"])
 def test_a_file_that_is_not_a_description_is_refused(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "test.toml"
     file.write_bytes(content)
@@ -138,21 +137,20 @@ def test_the_optional_tables_are_read(made: RawTest, tmp_path: Path) -> None:
     plain = read(tmp_path, {k: v for k, v in made.description.items() if k != "segmentation"})
     assert plain.threshold_lbm_s is None
     assert plain.window_s is None
-    assert plain.hysteresis_lbm_s == 0.0
-    test = read(
-        tmp_path,
-        made.description
-        | {
-            "segmentation": {"threshold_lbm_s": "none"},
-            "window": {"from_s": 1.8, "to_s": 3.6},
-            "limits": {"T31_A": [200.0, 620.0]},
-        },
-    )
+    assert (plain.file.time, plain.file.clock, plain.file.units) == ("time_s", "column", "check")
+    tables = {
+        "segmentation": {"threshold_lbm_s": "none"},
+        "window": {"from_s": 1.8, "to_s": 3.6},
+        "limits": {"T31_A": [200.0, 620.0]},
+        "near_stall": {**made.description["near_stall"], "P25_Pa": "7.9771 psia"},
+    }
+    test = read(tmp_path, made.description | tables)
     assert test.threshold_lbm_s == "none"
     assert test.window_s == (1.8, 3.6)
     assert dict(test.limits) == {"T31_A": (200.0, 620.0)}
-    tables = made.description | {"segmentation": {"threshold_lbm_s": 41}}
-    assert read(tmp_path, tables).threshold_lbm_s == 41.0
+    assert test.near_stall.P25_Pa == pytest.approx(7.9771 * 6894.757293168, rel=1e-12)
+    assert test.rotor_velocity_m_s == pytest.approx(334.27, abs=0.01)
+    assert pickle.loads(pickle.dumps(test)) == test
 
 
 def test_defaults_stand_for_what_many_channels_share(made: RawTest, tmp_path: Path) -> None:
@@ -162,11 +160,6 @@ def test_defaults_stand_for_what_many_channels_share(made: RawTest, tmp_path: Pa
     channels = {}
     for name, table in made.description["channels"].items():
         channels[name] = {key: value for key, value in table.items() if key not in shared}
-    slopes = {
-        (pair.forward.plane, pair.forward.rake, pair.immersion): pair.forward
-        for plane in (25, 31)
-        for pair in expected.pairs(plane)
-    }
     defaults: dict[str, Any] = {
         "pressure": {"unit": "count"},
         "temperature": {"unit": "K"},
@@ -176,18 +169,13 @@ def test_defaults_stand_for_what_many_channels_share(made: RawTest, tmp_path: Pa
         "?25_*": {"plane": 25},
         "?31_*": {"plane": 31},
     }
-    for (plane, rake, immersion), probe in slopes.items():
-        keys = {"probe_slope": probe.probe_slope, "probe_offset": probe.probe_offset}
-        defaults[f"P{plane}_{rake}_{immersion}_*"] = keys
+    for plane in (25, 31):
+        for pair in expected.pairs(plane):
+            keys = {name: getattr(pair.aft, name) for name in ("probe_slope", "probe_offset")}
+            defaults[f"P{pair.name}_*"] = keys
     quoted = {f'"{name}"': table for name, table in defaults.items()}
     test = read(tmp_path, {**made.description, "channels": channels, "defaults": quoted})
     assert dataclasses.replace(test, source="") == dataclasses.replace(expected, source="")
     own = {**channels, PROBE: {**channels[PROBE], "probe_slope": 2.0}}
     with pytest.raises(InputError, match=r"probe_slope: expected that of its mate .* and 2"):
         read(tmp_path, {**made.description, "channels": own, "defaults": quoted})
-
-
-def test_the_rotor_velocity_is_that_of_the_physical_speed(made: RawTest, tmp_path: Path) -> None:
-    test = read(tmp_path, made.description)
-    assert test.rotor_velocity_m_s == pytest.approx(334.27, abs=0.01)
-    assert pickle.loads(pickle.dumps(test)) == test

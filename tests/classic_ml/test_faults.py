@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from raw_data import RawTest, make_test
 
-from classic_ml.calibration import calibrate, match_near_stall
+from classic_ml.calibration import calibrate, near_stall_match
 from classic_ml.faults.choice import choose_channels
 from classic_ml.faults.findings import BEYOND_LIMITS, CLIPPED, STUCK
 from classic_ml.faults.search import inspect_readings
@@ -36,7 +36,9 @@ def window_of(record: Record) -> slice:
 
 
 def chosen(record: Record, test: TestDescription) -> Record:
-    record = match_near_stall(calibrate(inspect_readings(record, test), test), test)
+    record = inspect_readings(record, test)
+    shifts, _ = near_stall_match(calibrate(record, test), test)
+    record = calibrate(record, test, shifts)
     return choose_channels(record, test, window_of(record))
 
 
@@ -92,21 +94,20 @@ def test_a_bad_probe_is_named_and_left_out_with_its_mate(
     assert PROBE in dropped.why
 
 
-def test_a_fault_outside_the_window_is_flagged_and_kept(made: RawTest) -> None:
-    record, test = spoiled(made, PROBE, between(400, 430, 4095.0))
-    kept = chosen(record, test)
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ((400, 430), "faulty rows outside the window only"),
+        ((900, 904), "4 faulty rows in the window, few enough to keep it"),
+    ],
+)
+def test_few_faults_are_flagged_and_the_probe_kept(
+    made: RawTest, rows: tuple[int, int], words: str
+) -> None:
+    kept = chosen(*spoiled(made, PROBE, between(*rows, 4095.0)))
     assert PROBE in kept
     assert kept.history[-1].dropped == ()
-    assert kept.history[-1].flags == (f"{PROBE}: faulty rows outside the window only",)
-
-
-def test_a_few_clipped_rows_in_the_window_are_flagged_and_kept(made: RawTest) -> None:
-    record, test = spoiled(made, PROBE, between(900, 904, 4095.0))
-    kept = chosen(record, test)
-    assert PROBE in kept
-    assert kept.history[-1].flags == (
-        f"{PROBE}: 4 faulty rows in the window, few enough to keep it",
-    )
+    assert kept.history[-1].flags == (f"{PROBE}: {words}",)
 
 
 def test_the_last_pair_of_an_immersion_is_not_left_out_but_refused(made: RawTest) -> None:
@@ -120,14 +121,6 @@ def test_the_last_pair_of_an_immersion_is_not_left_out_but_refused(made: RawTest
         InputError, match=rf"channel {PROBE}: .* last tip pair .* clipped in 90 of \d+ rows"
     ):
         chosen(record, test)
-
-
-def test_a_probe_that_is_dead_throughout_is_left_out_though_it_cannot_be_matched(
-    made: RawTest,
-) -> None:
-    record, test = spoiled(made, PROBE, lambda values: np.full(values.size, 4095.0))
-    kept = chosen(record, test)
-    assert PROBE not in kept
 
 
 def limited(made: RawTest, low: float, high: float, *names: str) -> tuple[Record, TestDescription]:

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classic_ml.filters import (
-    butterworth_gain,
-    filter_channels,
-    low_pass,
-    period_average,
-    phase_delay_s,
-)
+from classic_ml.filters import filter_channels, low_pass, period_average, phase_delay_s
 from classic_ml.records import Record
 from surge_core.errors import InputError
 
@@ -25,22 +19,15 @@ def amplitude(values: np.ndarray, frequency_hz: float) -> float:
     return 2 * abs(np.mean(values[middle] * carrier))
 
 
-@pytest.mark.parametrize(("order", "stall_db"), [(3, -14.3), (5, -23.5)])
-def test_attenuation_at_48_and_82_5_hz(order: int, stall_db: float) -> None:
-    gain = butterworth_gain(np.array([48.0, 82.5]), RATE, order=order, cutoff_hz=48.0)
-    decibel = 20 * np.log10(gain)
-    assert decibel[0] == pytest.approx(-3.01, abs=0.01)
-    # The bilinear map of a filter at 1 kHz attenuates a little more than its analogue.
-    assert stall_db - 1.2 < decibel[1] < stall_db
-
-
 @pytest.mark.parametrize("order", [3, 5])
 @pytest.mark.parametrize(("phase", "passes"), [("causal", 1), ("zero", 2)])
-def test_a_sine_comes_out_with_that_gain(order: int, phase: str, passes: int) -> None:
+def test_a_sine_comes_out_with_butterworth_s_gain(order: int, phase: str, passes: int) -> None:
     for frequency in (8.0, 48.0, 80.0):
         sine = np.sin(2 * np.pi * frequency * TIME)
         out = low_pass(sine, RATE, order=order, cutoff_hz=48.0, phase=phase)
-        gain = butterworth_gain(np.array([frequency]), RATE, order=order, cutoff_hz=48.0)[0]
+        # The bilinear map of a filter at 1 kHz warps the frequencies.
+        ratio = np.tan(np.pi * frequency / RATE) / np.tan(np.pi * 48.0 / RATE)
+        gain = (1.0 + ratio ** (2 * order)) ** -0.5
         assert amplitude(out, frequency) == pytest.approx(gain**passes, rel=2e-3)
 
 
@@ -59,19 +46,6 @@ def test_the_causal_filter_delays_surge_by_the_known_time(order: int, delay_ms: 
     stated = phase_delay_s(7.0, RATE, order=order, cutoff_hz=48.0)
     assert stated == pytest.approx(delay_of(order, "causal"), abs=2e-5)
     assert abs(delay_of(order, "zero")) < 1e-6
-
-
-@pytest.mark.parametrize("phase", ["zero", "causal", "none"])
-def test_a_constant_passes_from_the_first_sample_on(phase: str) -> None:
-    out = low_pass(np.full(300, 5.5e4), RATE, order=3, cutoff_hz=48.0, phase=phase)
-    np.testing.assert_allclose(out, 5.5e4, rtol=1e-9)
-
-
-def test_no_filter_is_the_identity() -> None:
-    noise = np.random.default_rng(0).standard_normal(200)
-    np.testing.assert_array_equal(
-        low_pass(noise, RATE, order=3, cutoff_hz=48.0, phase="none"), noise
-    )
 
 
 @pytest.mark.parametrize("width", [0.4, 1.0, 1.7, 2.0, 12.12, 13.0, 150.0])
@@ -104,13 +78,6 @@ def test_the_average_over_one_cell_period_has_nulls_at_the_cell_and_its_harmonic
     assert np.abs(kept).max() < 20 * 0.013
 
 
-def test_the_average_keeps_a_straight_line_and_does_not_delay() -> None:
-    line = 3.0 + 2.0 * TIME
-    for width in (1 / 82.5, 0.001, 0.0123):
-        out = period_average(line, width, RATE)
-        np.testing.assert_allclose(out[20:-20], line[20:-20], rtol=1e-12)
-
-
 def test_every_channel_gets_the_same_filter_and_the_history_says_so() -> None:
     sine = np.sin(2 * np.pi * 7 * TIME)
     record = Record.from_arrays(
@@ -123,3 +90,21 @@ def test_every_channel_gets_the_same_filter_and_the_history_says_so() -> None:
     entry = out.history[-1]
     assert entry.parameters == {"phase": "causal", "order": 3, "cutoff_hz": 48.0}
     assert "delays surge frequencies by 6.6 ms" in entry.did
+
+
+@pytest.mark.parametrize("phase", ["zero", "causal"])
+def test_the_undershoot_of_the_filter_makes_no_negative_pressure(phase: str) -> None:
+    """A blowdown to 2 kPa within some rows: the filter swings below, the probe has not."""
+    falling = np.where(TIME < 2.0, 2e5, 2e3)
+    record = Record.from_arrays(
+        {"P": (falling, "Pa"), "Q": (falling + 1e5, "Pa"), "X": (falling, "1")}, sample_rate_hz=RATE
+    )
+    settings = {"order": 3, "cutoff_hz": 48.0, "phase": phase}
+    plain = low_pass(falling, RATE, **settings)
+    assert plain.min() < -1e3
+    out = filter_channels(record, ("P", "Q", "X"), **settings)
+    np.testing.assert_array_equal(out["P"], np.maximum(plain, 2e3))
+    np.testing.assert_array_equal(out["X"], plain)
+    assert out["Q"].min() < 1.02e5
+    (flag,) = out.history[-1].flags
+    assert flag.startswith("P: the filter undershoots zero pressure")

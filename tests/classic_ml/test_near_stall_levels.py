@@ -24,14 +24,13 @@ def flagged(record: Record, test: TestDescription) -> list[str]:
 
 def facility(test: TestDescription, **factors: float) -> TestDescription:
     near = test.near_stall
-    return replace(
-        test, near_stall=replace(near, **{n: getattr(near, n) * f for n, f in factors.items()})
-    )
+    moved = {name: getattr(near, name) * factor for name, factor in factors.items()}
+    return replace(test, near_stall=near.model_copy(update=moved))
 
 
 def calibrated(test: TestDescription, factor: float, *names: str) -> TestDescription:
     pressures = tuple(
-        replace(p, calibrate_pressure_Pa=p.calibrate_pressure_Pa * factor)
+        p.model_copy(update={"calibrate_pressure_Pa": p.calibrate_pressure_Pa * factor})
         if p.name.startswith(names)
         else p
         for p in test.pressures
@@ -85,23 +84,8 @@ def test_the_drift_of_single_amplifiers_is_what_the_match_is_for(name: str) -> N
             assert not [f for f in flags if f.startswith("near stall all probes")]
 
 
-@pytest.mark.parametrize("name", ["985/1", "95/1", "made/1/1"])
-def test_half_the_speed_is_that_of_no_machine(name: str) -> None:
-    record, test = clean_record(name)
-    (flag,) = flagged(record, replace(test, rotor_speed_rpm=0.5 * test.rotor_speed_rpm))
-    assert "φ is 0.8" in flag
-    assert "ψ' is 2" in flag
-    assert "rotor_speed_rpm" in flag
-
-
-def test_a_speed_far_above_the_design_is_flagged() -> None:
-    record, test = clean_record("985/1")
-    (flag,) = flagged(record, replace(test, rotor_speed_rpm=1.4 * test.rotor_speed_rpm))
-    assert "corrected speed is 138%" in flag
-
-
 def test_without_inertia_there_is_no_compressor(tmp_path: Path) -> None:
     made = make_test(seconds=0.5)
     made.description["compressor"]["inertia_per_m"] = 0.0
-    with pytest.raises(InputError, match=r"inertia_per_m: expected .* above 0.*inertia_factor"):
+    with pytest.raises(InputError, match=r"inertia_per_m: expected .* above 0"):
         read_raw(*made.write(tmp_path))

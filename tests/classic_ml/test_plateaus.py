@@ -15,7 +15,6 @@ from raw_data import make_test, to_toml, write_csv
 from classic_ml.faults.findings import CLIPPED
 from classic_ml.faults.plateaus import RangeEnd, range_ends
 from classic_ml.faults.search import inspect_readings
-from classic_ml.inspect import inspect_file
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
 from classic_ml.reduction import reduce_record
@@ -118,15 +117,6 @@ def test_stated_limits_are_believed_and_what_they_let_through_is_flagged(rig: Pa
     assert flags[0].startswith(f"{doubtful}: ")
     assert "at its largest reading of 1" in flags[0]
     assert "test.toml lets them count" in flags[0]
-
-
-def test_inspect_tells_the_same_as_the_reduction(rig: Path) -> None:
-    cell = in_other_units(rig)
-    told = {c.name: c.plateaus for c in inspect_file(cell / "raw.csv").channels}
-    found = inspect_readings(*read(cell))
-    clipped = {n[6:] for n in found.channels if n.startswith("fault_")}
-    assert {name for name, ends in told.items() if ends} == clipped
-    assert {ends for ends in told.values() if ends} == {("maximum",)}
 
 
 # ------------------------------------------------------------------------------- false alarms
@@ -237,6 +227,17 @@ def test_constant_and_switching_channels_are_not_cut_off() -> None:
     assert ends_of(spikes) == ()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_channel_without_noise_may_rest_at_its_extreme(sign: float) -> None:
+    """A simulation pumps and rests at one level to the last bit; a noisy one that does is cut."""
+    time_s = np.arange(4000) / 1000.0
+    pumps = 2e5 + 1e5 * np.maximum(np.sin(2.0 * np.pi * 3.3 * time_s), 0.0) ** 2
+    assert ends_of(sign * pumps) == ()
+    noise = np.random.default_rng(4).normal(0.0, 50.0, time_s.size)
+    (end,) = ends_of(sign * np.maximum(pumps + noise, 2.01e5))
+    assert end.upper == (sign < 0.0)
+
+
 def test_dropouts_to_the_least_reading_are_no_end_of_the_range() -> None:
     """The readings before do not lead there; a probe that drops out is left out for that."""
     rng = np.random.default_rng(6)
@@ -283,11 +284,8 @@ def test_both_ends_are_found_at_once() -> None:
 @pytest.mark.parametrize(
     ("unit", "more", "value", "words"),
     [
-        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa .* which a gauge reading needs"),
-        ("psia", {}, -1.0, r"found -6894\.\d+ Pa in row 301"),
-        ("kPa", {"reference_Pa": 0.0}, -0.5, "found -500 Pa in row 301"),
-        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa .* which is added to it"),
-        ("psid", {"reference_Pa": 2.5e5}, -40.0, "found -2.* reference_Pa .* which is added to it"),
+        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa"),
+        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa"),
     ],
 )
 def test_no_pressure_is_below_nothing(
@@ -299,18 +297,6 @@ def test_no_pressure_is_below_nothing(
         InputError, match=f"channel {ODD}: expected absolute pressures above 0 Pa, {words}"
     ):
         raw.load()
-
-
-@pytest.mark.parametrize(
-    ("unit", "more"), [("psig", {"reference_Pa": 1e5}), ("psid", {"reference_Pa": 2.5e5})]
-)
-def test_readings_below_what_they_are_taken_against_are_pressures(
-    unit: str, more: dict[str, float]
-) -> None:
-    raw = one_in(unit, **more)
-    assert raw.columns[ODD].min() < 0.0
-    record, _ = raw.load()
-    assert record[ODD].min() > 0.0
 
 
 ODD = "P25_A_tip_aft"

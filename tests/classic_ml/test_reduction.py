@@ -62,14 +62,6 @@ def test_the_causal_filter_delays_and_does_little_else(
     assert rms(made, reduction, "psi_p", late=delay) < 0.06
 
 
-def test_the_cells_are_filtered_out_of_the_flow(made: RawTest) -> None:
-    record = reduced(made).record
-    window = record["window"] > 0.5
-    rough = np.diff(record["Wc25_unfiltered_kg_s"][window])
-    smooth = np.diff(record["Wc25_kg_s"][window])
-    assert np.std(smooth) < 0.5 * np.std(rough)
-
-
 def test_filter_first_and_flow_afterwards() -> None:
     """The filter acts on the pressures: near zero flow that is not the filtered flow."""
     rough = make_test(cells_lbm_s=8.0, quantise=False)
@@ -93,20 +85,10 @@ def test_tip_or_hub_alone_is_off_by_the_shift_between_them(made: RawTest, probes
 def test_the_inertia_term_matters() -> None:
     ideal = make_test(quantise=False)
     with_term = reduced(ideal, phase="none")
-    without = reduced(ideal, phase="none", inertia_factor=0.0)
+    machine = {**ideal.description["compressor"], "inertia_per_m": 1e-9}
+    without = reduced(described(ideal, compressor=machine), phase="none")
     np.testing.assert_array_equal(with_term.series.phi, without.series.phi)
     assert rms(ideal, without, "psi_p") > 4 * rms(ideal, with_term, "psi_p")
-
-
-def test_the_thermocouple_switch_undoes_the_lag(made: RawTest) -> None:
-    inverted = reduced(made, phase="none", thermocouple_inversion=True)
-    lagged = reduced(made, phase="none")
-    rows = slice(300, 500)
-    truth = made.truth["T25"][rows]
-    assert (
-        np.abs(inverted.series.T25_K[rows] - truth).mean()
-        < 0.2 * np.abs(lagged.series.T25_K[rows] - truth).mean()
-    )
 
 
 def test_thresholds_and_hysteresis_move_the_segments_alone(made: RawTest) -> None:
@@ -117,21 +99,6 @@ def test_thresholds_and_hysteresis_move_the_segments_alone(made: RawTest) -> Non
     band = reduced(made, hysteresis_lbm_s=8.0)
     np.testing.assert_array_equal(band.series.phi, base.series.phi)
     assert band.series.n_segments == base.series.n_segments
-
-
-def test_segments_of_the_series_are_those_of_the_record(made: RawTest) -> None:
-    reduction = reduced(made)
-    series, record = reduction.series, reduction.record
-    np.testing.assert_array_equal(series.segment, record["segment"])
-    inside = (series.time_s >= reduction.window_s[0] - 1e-9) & (
-        series.time_s <= reduction.window_s[1] + 1e-9
-    )
-    assert np.all(inside[series.scored])
-    assert series.n_segments == pytest.approx(
-        (reduction.window_s[1] - reduction.window_s[0]) / 0.14, abs=1.0
-    )
-    assert series.in_stall is not None
-    assert np.all(series.in_stall[series.scored])
 
 
 def test_without_an_unstalled_regime_there_is_one_segment(made: RawTest) -> None:
@@ -153,7 +120,7 @@ def test_a_window_is_taken_from_settings_then_file_then_cycles(made: RawTest) ->
     assert found.window_s != (1.2, 2.2)
     origins = [e.parameters["origin"] for e in found.record.history if e.step == "window"]
     assert origins == ["found"]
-    with pytest.raises(InputError, match="a window inside the record"):
+    with pytest.raises(InputError, match="a window with surge cycles inside the record"):
         reduced(made, window_s=(2.0, 30.0))
 
 
@@ -186,67 +153,6 @@ def test_exit_temperatures_beyond_their_limits_leave_no_psi(made: RawTest) -> No
     assert psi_is_known(kept.phi).any()
 
 
-def test_the_history_tells_the_whole_story_in_order(made: RawTest) -> None:
-    history = reduced(made).series.history
-    assert [entry.step for entry in history] == [
-        "read",
-        "inspect readings",
-        "calibrate",
-        "near-stall match",
-        "near-stall flow",
-        "window",
-        "choose channels",
-        "filter",
-        "thermocouples",
-        "local flows",
-        "plane averages",
-        "coefficients",
-        "work coefficient",
-        "keep",
-        "segment",
-        "free run",
-    ]
-    assert all(entry.did for entry in history)
-
-
-def test_the_raw_record_is_left_as_it_was(made: RawTest) -> None:
-    record, test = made.load()
-    before = {name: record[name].copy() for name in record.channels}
-    first = reduce_record(record, test)
-    assert len(record.history) == 1
-    for name, values in before.items():
-        np.testing.assert_array_equal(record[name], values)
-    again = reduce_record(record, test)
-    np.testing.assert_array_equal(first.series.phi, again.series.phi)
-    assert first.series.history == again.series.history
-
-
-def test_the_channels_that_a_report_wants_are_there(made: RawTest) -> None:
-    record = reduced(made).record
-    units = {
-        "P25_Pa": "Pa",
-        "P25_unfiltered_Pa": "Pa",
-        "P31_Pa": "Pa",
-        "P31_unfiltered_Pa": "Pa",
-        "T25_K": "K",
-        "W25_kg_s": "kg/s",
-        "W31_kg_s": "kg/s",
-        "Wc25_kg_s": "kg/s",
-        "Wc25_unfiltered_kg_s": "kg/s",
-        "Wc25_tip_kg_s": "kg/s",
-        "Wc25_hub_kg_s": "kg/s",
-        "pressure_ratio": "1",
-        "Nc_frac": "1",
-        "phi": "1",
-        "psi_p": "1",
-        "psi": "1",
-        "in_stall": "1",
-        "segment": "1",
-        "window": "1",
-    }
-    assert {name: record.channel(name).unit for name in units} == units
-
-
 def test_a_record_without_surge_is_refused() -> None:
     with pytest.raises(InputError, match="no surge in the record"):
         reduced(make_test(surge=False, seconds=1.0))
@@ -269,17 +175,13 @@ def test_dead_pairs_are_left_out_and_the_answer_stays(made: RawTest) -> None:
         ({"filter_order": 4}, "filter_order: expected 3 or 5, found 4"),
         ({"phase": "both"}, "phase: expected 'zero' or 'causal' or 'none', found 'both'"),
         ({"probes": "mid"}, "probes: expected 'all' or 'tip' or 'hub'"),
-        ({"near_stall_match": "aft"}, "near_stall_match"),
-        ({"stall_rule": "x"}, "stall_rule"),
-        ({"cutoff_hz": 0.0}, "cutoff_hz: expected a number above 0"),
+        ({"cutoff_hz": 0.5}, "cutoff_hz: expected a number from 1 on"),
         ({"cutoff_hz": float("nan")}, "cutoff_hz"),
         ({"cutoff_hz": "none"}, "cutoff_hz"),
         ({"threshold_lbm_s": -1.0}, "threshold_lbm_s"),
         ({"threshold_lbm_s": True}, "threshold_lbm_s"),
         ({"threshold_lbm_s": "off"}, "threshold_lbm_s"),
         ({"hysteresis_lbm_s": -1.0}, "hysteresis_lbm_s: expected a number from 0 on"),
-        ({"inertia_factor": -0.1}, "inertia_factor"),
-        ({"inertia_factor": None}, "inertia_factor"),
         ({"window_s": (2.0, 1.0)}, "window_s: expected two times, the earlier first"),
         ({"window_s": (2.0,)}, "window_s"),
     ],
@@ -287,11 +189,6 @@ def test_dead_pairs_are_left_out_and_the_answer_stays(made: RawTest) -> None:
 def test_a_setting_that_means_nothing_is_refused(settings: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         ReductionSettings(**settings)
-
-
-def test_a_cutoff_above_half_the_sample_rate_is_refused(made: RawTest) -> None:
-    with pytest.raises(InputError, match="below half the sample rate"):
-        reduced(made, cutoff_hz=600.0)
 
 
 def described(made: RawTest, **tables: Any) -> RawTest:
@@ -302,11 +199,8 @@ def areas(inlet_m2: float, exit_m2: float) -> dict[str, Any]:
     return {"25": {"area_m2": inlet_m2}, "31": {"area_m2": exit_m2}}
 
 
-@pytest.mark.parametrize("match", ["pair", "forward", "none"])
 @pytest.mark.parametrize("everywhere", [False, True])
-def test_probes_with_forward_and_aft_exchanged_are_refused(
-    made: RawTest, everywhere: bool, match: str
-) -> None:
+def test_probes_with_forward_and_aft_exchanged_are_refused(made: RawTest, everywhere: bool) -> None:
     columns = dict(made.columns)
     names = [n for n in columns if n.endswith("_forward")] if everywhere else ["P25_B_hub_forward"]
     for name in names:
@@ -322,17 +216,7 @@ def test_probes_with_forward_and_aft_exchanged_are_refused(
         )
     wrong = dataclasses.replace(described(made, channels=channels), columns=columns)
     with pytest.raises(InputError, match=r"pair P25_\w+: .* are forward and aft exchanged\?"):
-        reduced(wrong, near_stall_match=match)
-
-
-def test_near_stall_the_planes_pass_the_same(made: RawTest) -> None:
-    entry = next(e for e in reduced(made).record.history if e.step == "near-stall flow")
-    assert entry.flags == ()
-    inlet, leaving = (float(entry.parameters[f"W{p}_kg_s"]) for p in (25, 31))
-    assert leaving == pytest.approx(inlet, rel=0.005)
-    # The steady part of the made-up test, before its blowdown at 0.3 s.
-    assert inlet == pytest.approx(np.mean(made.truth["W25_kg_s"][:201]), rel=0.005)
-    assert float(entry.parameters["phi"]) == pytest.approx(0.443, abs=0.002)
+        reduced(wrong)
 
 
 def test_areas_that_do_not_agree_are_refused_or_flagged(made: RawTest) -> None:
@@ -364,7 +248,9 @@ def test_a_flow_coefficient_that_no_compressor_has_is_refused(made: RawTest) -> 
 
 
 def test_a_window_outside_the_record_is_named_with_its_file(made: RawTest) -> None:
-    with pytest.raises(InputError, match=r"test.toml: \[window\]: expected a window inside"):
+    with pytest.raises(
+        InputError, match=r"test.toml: \[window\]: expected a window with surge cycles inside"
+    ):
         reduced(described(made, window={"from_s": 1.0, "to_s": 30.0}))
     with pytest.raises(InputError, match=r"raw.csv: ReductionSettings.window_s: expected"):
         reduced(made, window_s=(1.0, 30.0))
@@ -376,5 +262,5 @@ def test_regimes_that_were_not_split_are_flagged(made: RawTest) -> None:
         return next(entry.flags for entry in history if entry.step == "segment")
 
     assert flags() == ()
-    assert "never rises above 1e+09 lbm/s in the window" in flags(threshold_lbm_s=1e9)[0]
+    assert "all rows in the window are in stall" in flags(threshold_lbm_s=1e9)[0]
     assert "no unstalled regime was declared" in flags(threshold_lbm_s="none")[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 from classic_ml import CoefficientSeries
-from classic_ml.records import LedgerEntry
 from surge_core.errors import InputError
 
 N = 300
@@ -58,22 +56,6 @@ def test_a_sound_series_knows_its_clock_and_segments() -> None:
         "in_stall",
         "segment",
     ]
-
-
-def test_a_series_cannot_be_changed_behind_its_back() -> None:
-    known = columns()
-    series = CoefficientSeries(**known)
-    known["phi"][0] = 99.0
-    assert series.phi[0] < 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        series.phi[0] = 1.0
-
-
-def test_a_series_survives_pickling() -> None:
-    series = CoefficientSeries(**columns(), history=(LedgerEntry("x", "y", {"a": 1}),))
-    back = pickle.loads(pickle.dumps(series))
-    np.testing.assert_array_equal(back.psi, series.psi)
-    assert back.history == series.history
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from classic_ml.filters import period_average
 from classic_ml.free_run import extend_while_settled, free_run_rows, near
 from classic_ml.records import Channel, LedgerEntry, Record
+from classic_ml.segments import cell_period_s, hub_tip_stall
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import (
     COMMON_CURVE_SHARE,
@@ -225,6 +226,12 @@ def test_records_of_unlike_rates_and_no_records_are_refused() -> None:
             fit_whole_runs(records)
 
 
+def test_the_range_of_flow_is_that_of_the_scored_rows() -> None:
+    rows = whole_run_rows(series(0))
+    assert rows.scored_phi.size == np.count_nonzero(rows.weight)
+    assert rows.phi.min() < rows.scored_phi.min() < rows.scored_phi.max() <= rows.phi.max()
+
+
 def test_a_series_without_the_columns_is_told() -> None:
     record = replace(series(0), phi_unfiltered=None)
     assert not has_whole_run(record)
@@ -232,21 +239,6 @@ def test_a_series_without_the_columns_is_told() -> None:
         whole_run_rows(record)
     with pytest.raises(InputError, match="ledger"):
         whole_run_rows(replace(series(0), history=()))
-
-
-@pytest.mark.parametrize("found", ["x", None, float("nan"), 12.12, 0, -1.0, True])
-def test_an_average_that_cannot_be_is_refused_with_its_place(found: object) -> None:
-    entry = LedgerEntry("free run", "", {"average_s": found})  # type: ignore[dict-item]
-    with pytest.raises(InputError, match="average_s"):
-        fit_whole_runs([replace(series(0), history=(entry,))])
-
-
-@pytest.mark.parametrize("name", ["phi_unfiltered", "psi_p_unfiltered"])
-def test_columns_of_another_signal_are_refused(name: str) -> None:
-    record = series(0)
-    other = np.random.default_rng(0).permutation(getattr(record, name))
-    with pytest.raises(InputError, match=name):
-        fit_whole_runs([replace(record, **{name: other})])
 
 
 def test_near_reaches_before_and_behind() -> None:
@@ -270,8 +262,6 @@ def made_record(seed: int, *, cells: float, shift: float) -> tuple[Record, np.nd
             "Nc_frac": (np.where(time_s < 0.5, 0.9, 0.75), "1"),
             "P25_A_tip_forward": (1e5 + 1e4 * truth.phi, "Pa"),
             "fault_P25_A_tip_forward": ((time_s > 3.8).astype(float), "1"),
-            # Dropped: its faults are nobody's business.
-            "fault_P25_B_tip_forward": (np.ones(N_ROWS), "1"),
         },
         sample_rate_hz=RATE_HZ,
         source="made",
@@ -279,27 +269,26 @@ def made_record(seed: int, *, cells: float, shift: float) -> tuple[Record, np.nd
     return record, np.asarray(truth.phi_unfiltered), stalled
 
 
-def test_the_state_is_told_by_the_machine_and_every_row_left_out_is_named() -> None:
+def test_every_row_left_out_of_the_free_run_is_named_once() -> None:
     record, phi, stalled = made_record(0, cells=8.0, shift=4.0)
+    record = record.after(LedgerEntry("phi", "unfiltered"), add=[Channel("phi", phi, "1")])
     window = slice(0, N_ROWS)
-    rows = free_run_rows(record, phi, window, window, np.zeros(N_ROWS))
-    assert np.mean(rows.stalled == stalled) > 0.95
-    assert rows.entry.parameters["average_s"] == pytest.approx(PERIOD_S, rel=0.01)
-    assert sum(d.count for d in rows.entry.dropped) + rows.scored.sum() == N_ROWS
-    said = " ".join(d.why for d in rows.entry.dropped)
+    period_s, has_cells = cell_period_s(record, window)
+    assert has_cells
+    assert period_s == pytest.approx(PERIOD_S, rel=0.01)
+    state = hub_tip_stall(record, window, 1.0 / period_s)
+    assert np.mean(state == stalled) > 0.95
+    free_run, entry = free_run_rows(record, state, window, period_s)
+    assert sum(d.count for d in entry.dropped) + np.count_nonzero(free_run == 2) == N_ROWS
+    said = " ".join(d.why for d in entry.dropped)
     for word in ("blows down", "smears", "unstalled"):
         assert word in said
-    assert not np.any(rows.scored & ~rows.stalled)
-    assert rows.entry.flags == ()
+    assert not np.any((free_run == 2) & ~state)
 
 
-def test_without_a_shift_or_cells_the_threshold_stands_in_and_it_is_said() -> None:
-    record, phi, stalled = made_record(1, cells=0.0, shift=0.0)
-    window = slice(0, N_ROWS)
-    rows = free_run_rows(record, phi, window, window, stalled.astype(float))
-    assert np.array_equal(rows.stalled, stalled)
-    assert rows.entry.parameters["stall_rule"] == "threshold"
-    assert len(rows.entry.flags) == 2
+def test_without_cells_the_average_is_plain() -> None:
+    record, _, _ = made_record(1, cells=0.0, shift=0.0)
+    assert cell_period_s(record, slice(0, N_ROWS)) == (0.010, False)
 
 
 def test_the_window_grows_over_the_settled_machine_only() -> None:
@@ -318,8 +307,7 @@ def test_a_fault_inside_the_window_does_not_keep_it_from_growing(row: int) -> No
     record = replace(
         record, channels={**record.channels, "fault_P": Channel("fault_P", faults, "1")}
     )
-    in_use = {"P"}
-    assert extend_while_settled(record, slice(1500, 3000), in_use).stop == 3400
+    assert extend_while_settled(record, slice(1500, 3000)).stop == 3400
 
 
 def test_a_fit_shows_itself_in_a_notebook_and_on_a_terminal() -> None:

@@ -67,10 +67,11 @@ def planes(
 ) -> tuple[Record, TestDescription]:
     """Plane averages of stall cycles whose ψ follows the lag and whose volume stores gas."""
     _, test = make_test(seconds=0.5).load()
-    machine = replace(
-        test.compressor, internal_volume_m3=size * 0.08, inertia_per_m=test.compressor.inertia_per_m
-    )
-    machine = replace(machine, inertia_per_m=machine.inertia_per_m / size)
+    lengths = {
+        "internal_volume_m3": size * 0.08,
+        "inertia_per_m": test.compressor.inertia_per_m / size,
+    }
+    machine = test.compressor.model_copy(update=lengths)
     test = replace(
         test,
         compressor=machine,
@@ -170,7 +171,7 @@ def test_the_delivered_power_is_the_work_that_was_put_in() -> None:
 def test_power_without_storage_is_flow_times_temperature_rise_in_either_direction() -> None:
     record, test = planes()
     flow = np.linspace(-5.0, 5.0, record.n_samples)
-    still = replace(test, compressor=replace(test.compressor, internal_volume_m3=0.0))
+    still = replace(test, compressor=test.compressor.model_copy(update={"internal_volume_m3": 0.0}))
     power = delivered_power(record, still, flow, flow / 60.0, inertia_per_m=10.7)
     rise = HEAD * (record["T31_K"] - record["T25_K"])
     np.testing.assert_allclose(power, flow * rise, rtol=1e-12, atol=1e-12)

@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 from paper_runs import paper_runs
 
 from classic_ml.flow import LBM_KG
-from comparisons.paper.figures import PaperFigure, draw_figures
+from comparisons.page.blocks import Picture
+from comparisons.paper.figures import draw_figures
 from comparisons.paper.instabilities import Instabilities
 from comparisons.paper.truth import (
     in_stall_psi,
@@ -31,8 +32,8 @@ def runs() -> Instabilities:
 
 
 @pytest.fixture(scope="module")
-def figures(runs: Instabilities) -> tuple[PaperFigure, ...]:
-    """Draw the eight pictures."""
+def figures(runs: Instabilities) -> tuple[Picture, ...]:
+    """Draw the pictures."""
     return draw_figures(runs)
 
 
@@ -44,19 +45,19 @@ def line(ax: Axes, label: str) -> tuple[FloatArray, FloatArray]:
 
 
 def test_each_has_numbers_in_its_caption_and_units_on_its_axes(
-    figures: tuple[PaperFigure, ...],
+    figures: tuple[Picture, ...],
 ) -> None:
-    assert len({figure.title for figure in figures}) == 8
+    assert len({figure.title for figure in figures}) == 6
     for figure in figures:
         (ax,) = figure.figure.axes
         assert "[" in ax.get_xlabel()
         assert "[" in ax.get_ylabel()
-        assert any(letter.isdigit() for letter in figure.caption)
-        assert "nan" not in figure.caption
+        assert any(letter.isdigit() for letter in figure.alt)
+        assert "nan" not in figure.alt
 
 
 def test_the_spectrum_peaks_at_the_cells_and_the_filters_attenuate_them(
-    figures: tuple[PaperFigure, ...],
+    figures: tuple[Picture, ...],
 ) -> None:
     ax = figures[0].figure.axes[0]
     frequency, plain = line(ax, "(1)")
@@ -72,7 +73,7 @@ def test_the_spectrum_peaks_at_the_cells_and_the_filters_attenuate_them(
 
 
 def test_the_migration_lies_inside_the_rigs_own_speed_line(
-    figures: tuple[PaperFigure, ...],
+    figures: tuple[Picture, ...],
 ) -> None:
     ax = figures[1].figure.axes[0]
     flow, ratio = line(ax, "rig, speed line")
@@ -82,17 +83,10 @@ def test_the_migration_lies_inside_the_rigs_own_speed_line(
     assert np.nanmax(line(ax, "unstalled")[0]) < flow[-1]
 
 
-def test_the_loop_is_one_whole_cycle(figures: tuple[PaperFigure, ...]) -> None:
-    phi, psi_p = line(figures[2].figure.axes[0], "one surge cycle")
-    assert phi.min() < 0.0
-    assert phi.max() > 0.2
-    assert np.hypot(phi[-1] - phi[0], psi_p[-1] - psi_p[0]) < 0.1
-
-
 def test_the_characteristic_lies_on_the_truth_and_below_the_steady_points(
-    figures: tuple[PaperFigure, ...], runs: Instabilities
+    figures: tuple[Picture, ...], runs: Instabilities
 ) -> None:
-    ax = figures[3].figure.axes[0]
+    ax = figures[2].figure.axes[0]
     phi, psi_p = line(ax, "estimate")
     known = np.isfinite(phi)
     assert (phi[known].min(), phi[known].max()) == pytest.approx((-0.025, 0.175), abs=2e-3)
@@ -102,17 +96,14 @@ def test_the_characteristic_lies_on_the_truth_and_below_the_steady_points(
     assert np.all(steady > runs["985"].fits["psi_p"].quasi_steady(steady_phi))
 
 
-def test_18_ms_reconstruct_and_243_do_not(figures: tuple[PaperFigure, ...]) -> None:
-    ax = figures[5].figure.axes[0]
+def test_18_ms_reconstruct_and_243_do_not(figures: tuple[Picture, ...]) -> None:
+    ax = figures[4].figure.axes[0]
     _, actual = line(ax, "actual")
     errors = [
         float(np.sqrt(np.nanmean((actual - line(ax, f"reconstructed, τ = {ms} ms")[1]) ** 2)))
         for ms in (18, 243)
     ]
     assert errors[0] < 0.5 * errors[1]
-    tried, rms = line(figures[6].figure.axes[0], "curve kept")
-    assert np.interp(18.0, tried, rms) == pytest.approx(errors[0], rel=0.02)
-    assert 12.0 < tried[np.argmin(rms)] < 27.0
 
 
 def test_curves_of_the_truth_are_those_of_the_rig(runs: Instabilities) -> None:
@@ -131,13 +122,13 @@ def test_curves_of_the_truth_are_those_of_the_rig(runs: Instabilities) -> None:
 
 def test_flow_and_pressure_ratio_follow_the_rigs_gas(runs: Instabilities) -> None:
     high = runs["985"]
-    velocity = high.rig.truth_parameters["rotor_velocity_m_s"]
+    truth, velocity = high.rig.truth, high.rig.truth_parameters["rotor_velocity_m_s"]
     inlet_K = temperature_K(high, 0.75)
     assert inlet_K == pytest.approx(255.0 * (0.985 / 0.75) ** 2)
-    flow = np.array([-10.0, 0.0, 20.0, 50.0])
-    area = high.rig.truth_parameters["case"]["inlet_area_m2"]
-    phi = gas.flow_coefficient(LBM_KG * flow, inlet_K, area_m2=area, rotor_velocity_m_s=velocity)
-    assert_allclose(phi_of_flow(high, flow, inlet_K), phi, rtol=1e-6, atol=1e-9)
+    for row in (0, 2000, 2600):
+        flow = truth["Wc25_kg_s"][row] / LBM_KG
+        phi = phi_of_flow(high, flow, float(truth["T25_K"][row]))
+        assert phi == pytest.approx(truth["phi"][row], rel=1e-6, abs=1e-9)
     assert stall_point(high, 0.75) == pytest.approx((0.272, 4.2))
     expected = (1.0 + 4.2 * velocity**2 / (2.0 * gas.CP_J_KG_K * inlet_K)) ** 3.5
     assert float(pressure_ratio(high, 4.2, inlet_K)) == pytest.approx(expected, rel=1e-4)

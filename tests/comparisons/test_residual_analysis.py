@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from comparisons.harness.residual_analysis import (
-    autocorrelation,
-    cross_correlation,
     dwelt_on,
+    error_correlation,
     segment_spectrum,
     stall_inception,
 )
@@ -76,7 +75,7 @@ def test_autocorrelation_of_a_first_order_process() -> None:
     for k in range(1, n):
         signal[k] = a * signal[k - 1] + noise[k]
     runs = segments(*[2000] * 20)
-    correlation = autocorrelation(signal, runs, PERIOD_S, n_lags=10)
+    correlation = error_correlation(signal, runs, PERIOD_S, n_lags=10)
     assert correlation.lag_s == pytest.approx(PERIOD_S * np.arange(1, 11))
     assert correlation.value == pytest.approx(a ** np.arange(1, 11), abs=0.05)
 
@@ -86,7 +85,7 @@ def test_white_errors_stay_inside_the_band_at_99_percent_of_the_lags() -> None:
     runs = segments(300, 500, 1200)
     outside = [
         np.mean(np.abs(c.value) > c.limit99)
-        for c in (autocorrelation(rng.standard_normal(2000), runs, PERIOD_S) for _ in range(100))
+        for c in (error_correlation(rng.standard_normal(2000), runs, PERIOD_S) for _ in range(100))
     ]
     assert 0.004 < np.mean(outside) < 0.016
 
@@ -96,7 +95,7 @@ def test_errors_that_follow_phi_show_at_a_positive_lag() -> None:
     phi = 0.3 + rng.standard_normal(3000)
     errors = 0.1 * rng.standard_normal(3000)
     errors[7:] += phi[:-7] - 0.3
-    correlation = cross_correlation(errors, phi, segments(3000), PERIOD_S, n_lags=20)
+    correlation = error_correlation(errors, segments(3000), PERIOD_S, 20, phi=phi)
     assert correlation.lag_s[np.argmax(correlation.value)] == pytest.approx(7 * PERIOD_S)
     assert np.mean(np.abs(correlation.value) > correlation.limit99) < 0.1
 
@@ -106,7 +105,7 @@ def test_bartletts_band_holds_for_two_signals_with_memory() -> None:
     narrow, outside = [], []
     for _ in range(60):
         smooth = [np.convolve(rng.standard_normal(2030), np.ones(15), "valid")[:2000] for _ in "ab"]
-        correlation = cross_correlation(smooth[0], smooth[1], segments(2000), PERIOD_S, n_lags=40)
+        correlation = error_correlation(smooth[0], segments(2000), PERIOD_S, phi=smooth[1])
         outside.append(np.mean(np.abs(correlation.value) > correlation.limit99))
         narrow.append(np.mean(np.abs(correlation.value) > 2.576 / np.sqrt(2000)))
     assert np.mean(outside) < 0.03

@@ -34,9 +34,11 @@ def true_curve(case: str) -> FloatArray:
     return np.asarray(np.polynomial.polynomial.polyval(PHI, CASES[case].pressure_terms))
 
 
-def surge(case: str = "985", steps_per_second: float = 5000.0) -> dict[str, FloatArray]:
-    model = model_of(case, start_s=0.3)
-    return dict(model.simulate(n_rows=6000, period_s=2e-4, steps_per_second=steps_per_second))
+def surge(rows_per_step: int = 1) -> dict[str, FloatArray]:
+    """A surge at rows of 0.2 ms, integrated in steps of that or of a share of it."""
+    model = model_of("985", start_s=0.3)
+    run = model.simulate(n_rows=6000 * rows_per_step, period_s=2e-4 / rows_per_step)
+    return {name: values[::rows_per_step] for name, values in run.items()}
 
 
 def test_near_stall_is_a_steady_state_while_the_throttle_stands() -> None:
@@ -85,7 +87,7 @@ def test_what_flows_out_of_the_discharge_volume_takes_its_energy() -> None:
 
 def test_half_the_step_changes_nothing_to_speak_of() -> None:
     # Over the first cycles; later the smallest difference grows.
-    coarse, fine = surge("985", 5000.0), surge("985", 10_000.0)
+    coarse, fine = surge(), surge(2)
     rows = slice(0, 2500)
     for name, tolerance in (("P31", 5e-4), ("W25", 5e-4), ("P25", 2e-3)):
         swing = np.std(fine[name][rows])
@@ -97,7 +99,7 @@ def test_multiple_shooting_recovers_the_truth_from_ideal_sensors(case: str) -> N
     fit = fit_total_system(signals(case), settings(case, window_s=(1.3, 1.95)))
     assert fit.state is TotalSystemState.CONVERGED
     assert fit.tau_s == pytest.approx(TRUE_TAU_S, rel=0.01)
-    assert np.max(np.abs(fit.characteristic(PHI)[0] - true_curve(case))) < 0.025
+    assert np.max(np.abs(fit.quasi_steady(PHI) - true_curve(case))) < 0.025
     assert 0.0 < fit.tau_stderr_s < 1e-3
     assert fit.n_segments >= 6
 
@@ -107,7 +109,7 @@ def test_it_ends_at_the_same_place_from_far_away() -> None:
     far = replace(near, initial_beta=(1.3, 4.0, 30.0), initial_tau_s=0.035)
     a, b = (fit_total_system(signals("90"), s) for s in (near, far))
     assert a.tau_s == pytest.approx(b.tau_s, rel=2e-3)
-    np.testing.assert_allclose(a.characteristic(PHI)[0], b.characteristic(PHI)[0], atol=5e-3)
+    np.testing.assert_allclose(a.quasi_steady(PHI), b.quasi_steady(PHI), atol=5e-3)
 
 
 def test_the_surge_start_is_aligned_on_the_first_reversal() -> None:
@@ -142,21 +144,11 @@ def test_a_wrong_volume_lands_in_beta_and_a_wrong_start_in_a_single_run() -> Non
     assert "start +10 ms" in sensitivity_table(rows)
 
 
-@pytest.mark.parametrize("case", sorted(CASES))
-def test_a_facility_survives_its_file(case: str, tmp_path: Path) -> None:
-    file = tmp_path / "facility.toml"
-    file.write_text(facility_toml(facility_of_case(case)), "utf-8")
-    assert read_facility(file) == facility_of_case(case)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("discharge_m3 = 0.33637\n", "", "volumes.discharge_m3"),
-        ("discharge_m3 = 0.33637", "discharge_m3 = -1", "above 0"),
         ("discharge_m3", "discharge_m4", "discharge_m4"),
-        ("[heat]", "[heta]", "is 'heat' meant"),
-        ("[volumes]", "[volumes", "TOML"),
         ("exhaust_pressure_frac = 0.562", "exhaust_pressure_frac = 1.5", "from 0 to 1"),
         ("work_break_1 = 0.05", "work_break_1 = 0.5", "work_break_2"),
     ],
@@ -179,15 +171,13 @@ def test_a_record_that_cannot_be_used_is_refused() -> None:
         return truth.after(LedgerEntry("t", "t"), add=[Channel("W25_kg_s", values, "kg/s")])
 
     with pytest.raises(InputError, match="P31_Pa"):
-        measured_signals(run.truth.after(LedgerEntry("t", "t"), drop=["P31_Pa"]), test)
+        measured_signals(run.truth.without(["P31_Pa"]), test)
     with pytest.raises(InputError, match="no reversed flow"):
         measured_signals(with_flow(np.abs(run.truth["W25_kg_s"]) + 1.0), test)
     with pytest.raises(InputError, match="near-stall"):
         measured_signals(replace(run.truth, start_s=5.0), test)
     with pytest.raises(InputError, match="segments"):
         fit_total_system(signals("985"), settings("985", window_s=(1.4, 1.42)))
-    with pytest.raises(InputError, match="horizon"):
-        fit_total_system(signals("985"), near_truth("985", start="aligned", horizon_s=9.0))
     for wrong in ({"start": "guessed"}, {"volume_factor": 0.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             settings("985", **wrong)

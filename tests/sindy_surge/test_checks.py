@@ -1,4 +1,4 @@
-"""What a user is told of bad input and of results to be wary of."""
+"""Refusals of bad input, and cautions about results."""
 
 from __future__ import annotations
 
@@ -13,34 +13,6 @@ from sindy_surge import FitState, InputError, SparseLagRegressor
 from sindy_surge.candidate_terms import aliases_of, independent_columns
 
 from .conftest import TERMS
-
-
-@pytest.mark.parametrize(
-    ("value", "word"), [(np.nan, "NaN"), (np.inf, "infinity"), (-np.inf, "infinity")]
-)
-@pytest.mark.parametrize("where", ["X", "y"])
-def test_what_is_not_finite_is_named_with_its_row(value: float, word: str, where: str) -> None:
-    X, y = np.linspace(0, 1, 100)[:, None], np.linspace(0, 1, 100)
-    (X if where == "X" else y)[37] = value
-    with pytest.raises(InputError, match=rf"^{where} .*{word}.*row 37 \(1 .*segments"):
-        SparseLagRegressor(n_bootstrap=0).fit(X, y)
-
-
-@pytest.mark.parametrize(
-    ("options", "where"),
-    [
-        ({"n_bootstrap": -1}, "n_bootstrap"),
-        ({"n_bootstrap": 1.5}, "n_bootstrap"),
-        ({"max_terms": True}, "max_terms"),
-        ({"sample_period_s": 0.0}, "sample_period_s"),
-        ({"constraints": {"psi": "required"}}, "constraints"),
-    ],
-)
-def test_bad_parameters_are_named(options: dict[str, Any], where: str) -> None:
-    rng = np.random.default_rng(0)
-    phi = rng.uniform(0, 1, (200, 1))
-    with pytest.raises(InputError, match=where):
-        SparseLagRegressor(**options).fit(phi, phi[:, 0])
 
 
 def test_collinear_library_is_reported_as_aliases(surge: Callable[..., Any]) -> None:
@@ -105,7 +77,7 @@ def test_units_of_the_flow_do_not_matter(surge: Callable[..., Any], noise: float
 
 def test_names_that_collide_are_refused(surge: Callable[..., Any]) -> None:
     record = surge("quadratic", 0.02, 3, 500)
-    with pytest.raises(InputError, match="output_name"):
+    with pytest.raises(InputError, match="twice"):
         SparseLagRegressor(output_name="phi", n_bootstrap=0).fit(record.phi[:, None], record.psi_p)
     twice = PolynomialLibrary(1) + CustomLibrary([lambda x: x**2], [lambda n: n])
     with pytest.raises(InputError, match="library"):

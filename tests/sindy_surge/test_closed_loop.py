@@ -15,8 +15,7 @@ from sindy_surge.closed_loop import (
     discover_surge_model,
     surge_library,
 )
-from sindy_surge.closed_loop.cycles import measure_cycles
-from sindy_surge.closed_loop.input import half_width_samples, hidden_plenum
+from sindy_surge.closed_loop.record import half_width_samples, hidden_plenum, measure_cycles
 from surge_core.errors import InputError
 
 PERIOD_S = 1e-3
@@ -128,24 +127,19 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "noise", "seed", "hidden"), CASES)
-def test_ten_free_cycles_repeat_period_and_amplitude(
+def test_terms_are_the_true_ones_and_ten_free_cycles_repeat(
     name: str, noise: float, seed: int, hidden: bool
 ) -> None:
     model = _model(name, noise, seed, hidden)
     assert model.state is LoopState.OK
+    for terms, truth in zip(model.terms, MACHINES[name].coefficients, strict=True):
+        assert set(terms.names) == set(truth)
     clean = _settled(name)
     period = _true_period_s(clean[:, 0])
     free = model.simulate(n_samples=int(10 * period / PERIOD_S))
     # Asked for are 5 %; the worst of 120 records was off by 0.2 %.
     assert _true_period_s(free[:, 0]) == pytest.approx(period, rel=0.005)
     np.testing.assert_allclose(np.ptp(free, axis=0), np.ptp(clean, axis=0), rtol=0.01)
-
-
-@pytest.mark.parametrize(("name", "noise", "seed", "hidden"), CASES)
-def test_terms_are_the_true_ones(name: str, noise: float, seed: int, hidden: bool) -> None:
-    model = _model(name, noise, seed, hidden)
-    for terms, truth in zip(model.terms, MACHINES[name].coefficients, strict=True):
-        assert set(terms.names) == set(truth)
 
 
 def test_truth_lies_within_the_standard_errors() -> None:
@@ -164,27 +158,25 @@ def test_truth_lies_within_the_standard_errors() -> None:
     assert 0.5 < spread < 1.6
 
 
-def test_simulation_follows_the_rate_and_not_the_sample_period() -> None:
+def test_simulation_follows_the_rate() -> None:
     model = _model("moderate", 0.02, 1, False)
-    fine = model.simulate(n_samples=2001, sample_period_s=PERIOD_S / 10)
-    coarse = model.simulate(n_samples=201)
-    np.testing.assert_allclose(fine[::10], coarse, atol=1e-5)
-    middle = (fine[2:] - fine[:-2]) / (2 * PERIOD_S / 10)
-    np.testing.assert_allclose(model.rate(fine[1:-1]), middle, atol=5e-3 * np.ptp(middle))
+    states = model.simulate(n_samples=201)
+    middle = (states[2:] - states[:-2]) / (2 * PERIOD_S)
+    np.testing.assert_allclose(model.rate(states[1:-1]), middle, atol=1e-2 * np.ptp(middle))
+    with pytest.raises(InputError, match="three finite numbers"):
+        model.simulate([0.1, 0.2, np.nan])
 
 
-def test_characteristic_is_the_true_one() -> None:
-    phi = np.linspace(-0.1, 0.7, 9)
-    for hidden in (False, True):
-        model = _model("moderate", 0.02, 4 if hidden else 1, hidden)
-        value, error = model.characteristic(phi)
-        assert np.all(np.abs(value - _cubic(phi)) < 4.5 * error)
-        assert np.all(error < 0.002)
+def test_equations_are_written_with_their_errors() -> None:
+    flow, pressure, plenum = _model("moderate", 0.01, 0, False).equations()
+    assert flow.startswith("dφ/dt = 12")
+    assert "s · dψ'/dt + ψ' = 0.300" in pressure
+    assert "√Ψ" in plenum
 
 
 def test_a_hidden_plenum_has_the_unit_of_psi_p() -> None:
     model = _model("moderate", 0.02, 4, True)
-    assert not model.plenum_measured
+    assert model.noise.size == 2
     assert dict(zip(model.terms[0].names, model.coefficients[0], strict=True)) == pytest.approx(
         {"psi_p": model.coefficients[0][0], "plenum": -model.coefficients[0][0]}
     )
@@ -216,16 +208,15 @@ def test_a_library_without_the_falling_branch_is_not_called_good() -> None:
     assert model.state.advice
 
 
-def test_term_slopes_are_the_derivatives() -> None:
+def test_library_holds_the_products_and_the_special_terms() -> None:
     library = surge_library()
     assert len(set(library.names)) == len(library) == 15
-    points = np.random.default_rng(0).normal(size=(40, 3))
-    values, slopes = library.values_and_slopes(points)
-    np.testing.assert_allclose(values, library.values(points))
-    for state in range(3):
-        step = 1e-6 * np.eye(3)[state]
-        change = (library.values(points + step) - library.values(points - step)) / 2e-6
-        np.testing.assert_allclose(slopes[..., state], change, atol=1e-6)
+    phi, psi_p, plenum = states = np.random.default_rng(0).normal(size=(3, 4, 10))
+    values = dict(zip(library.names, library.values(states.T).T, strict=True))
+    np.testing.assert_allclose(values["phi psi_p"], phi * psi_p)
+    np.testing.assert_allclose(values["phi^5"], phi**5)
+    np.testing.assert_allclose(values["phi^2[phi<0]"], np.minimum(phi, 0) ** 2)
+    np.testing.assert_allclose(values["sqrt(plenum)"], np.sign(plenum) * np.sqrt(np.abs(plenum)))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05])
@@ -235,10 +226,8 @@ def test_cycles_of_a_sine_are_measured(noise: float) -> None:
     states = np.column_stack((0.2 + 0.3 * np.sin(angle), 1 + 0.5 * np.cos(angle)))
     states += noise * states.std(axis=0) * rng.standard_normal(states.shape)
     cycles = measure_cycles(states, PERIOD_S)
-    assert cycles is not None
-    assert cycles.n_cycles == 14 - (cycles.first_row > 137.3 / 2)
+    assert cycles.n_cycles in (13, 14)
     assert cycles.period_s == pytest.approx(0.1373, rel=1e-3)
-    assert cycles.period_scatter_s < 0.002
     # The extremes of fourteen averaged cycles still lie some noise beyond the true ones.
     np.testing.assert_allclose(cycles.amplitude, (0.3, 0.5), rtol=0.001 + noise / 2)
 
@@ -264,40 +253,27 @@ def _bad(row: int, value: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("change", "where", "words"),
+    ("change", "words"),
     [
-        ({"phi": np.full(1000, 0.3)}, "phi", "constant"),
-        ({"phi": _bad(17, np.nan)}, "phi", "row 17"),
-        ({"psi_p": _sine(999)}, "psi_p", "999"),
-        ({"phi": ["a", "b"]}, "phi", "numbers"),
-        (dict.fromkeys(("phi", "psi_p", "plenum"), _sine(450)), "phi", "3 in 450"),
-        ({"phi": np.sin(np.arange(1000) / 2)}, "phi", "samples between"),
-        ({"sample_period_s": 1.0}, "sample_period_s", "milliseconds"),
-        ({"sample_period_s": 0.0}, "sample_period_s", "positive"),
-        ({"max_terms": 0}, "max_terms", "at least 1"),
-        ({"library": surge_library().subset((0, 1))}, "library", "psi_p and plenum"),
+        ({"phi": np.full(1000, 0.3)}, "changes"),
+        ({"phi": _bad(17, np.nan)}, "finite"),
+        ({"psi_p": _sine(999)}, "999"),
+        (dict.fromkeys(("phi", "psi_p", "plenum"), _sine(450)), "3 in 450"),
+        ({"phi": np.sin(np.arange(1000) / 2)}, "30 samples"),
+        ({"sample_period_s": 1.0}, "in seconds"),
+        ({"sample_period_s": 0.0}, "positive"),
+        ({"max_terms": 0}, "max_terms"),
     ],
 )
 def test_input_that_cannot_be_used_is_refused_in_a_sentence(
-    change: dict[str, object], where: str, words: str
+    change: dict[str, object], words: str
 ) -> None:
     good: dict[str, object] = {
         **dict.fromkeys(("phi", "psi_p", "plenum"), _sine()),
         "sample_period_s": PERIOD_S,
     }
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=words):
         discover_surge_model(**{**good, **change})  # type: ignore[arg-type]
-    assert caught.value.where == where
-    assert "\n" not in str(caught.value)
-
-
-def test_a_start_must_be_a_state() -> None:
-    model = _model("moderate", 0.01, 0, False)
-    for start in ([0.1, 0.2], [0.1, 0.2, np.nan]):
-        with pytest.raises(InputError, match="three finite numbers"):
-            model.simulate(start)
-    with pytest.raises(InputError, match="positive"):
-        model.simulate(n_samples=0)
 
 
 def test_a_channel_late_by_a_sample_is_not_called_well() -> None:

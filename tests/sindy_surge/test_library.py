@@ -60,7 +60,7 @@ def test_at_least_fifteen_finite_candidates_anywhere(low: float, high: float) ->
     assert np.all(np.isfinite(terms(phi[:, None])))
 
 
-def test_what_cannot_be_told_apart_is_dropped() -> None:
+def test_what_cannot_be_separated_is_dropped() -> None:
     forward = np.linspace(0.0, 0.5, 300)
     terms = _terms(forward)
     kept = {terms.names[i] for i in independent_columns(terms(forward[:, None]))}

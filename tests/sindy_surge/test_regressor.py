@@ -244,6 +244,7 @@ def test_too_little_data_gives_a_static_fit_with_advice() -> None:
         ({"max_terms": 0}, "max_terms"),
         ({"degree": 0}, "degree"),
         ({"knots": [np.nan]}, "knots"),
+        ({"n_bootstrap": -1}, "n_bootstrap"),
     ],
 )
 def test_bad_parameters_are_named(options: dict[str, Any], where: str) -> None:

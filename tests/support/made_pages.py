@@ -147,9 +147,9 @@ def _study(name: str) -> str:
 
 def _reproduce(name: str) -> str:
     from comparisons.cli.reproduce import claims_sections
+    from comparisons.page.blocks import Picture
     from comparisons.page.style import new_figure
     from comparisons.paper.claim import Claim
-    from comparisons.paper.figures import PaperFigure
 
     figure = new_figure()
     figure.add_subplot().plot([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
@@ -158,7 +158,7 @@ def _reproduce(name: str) -> str:
         Claim(2, "p. 5", "The lag is 18 ms", "tested", 18.0, 29.1, False, "by trial", "ms"),
         Claim(3, "p. 6", "Cells turn", "tested", "half speed", name, True, "spectrum", ""),
     ]
-    drawn = [PaperFigure(name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
+    drawn = [Picture(name, figure, f"Level over time: 0 to 4 in 2 s {name}", "As printed")]
     return render_report(
         claims_sections(claims, drawn), title=name, command=f"sindy-surge reproduce {name}"
     )

@@ -153,7 +153,7 @@ RAW_FILES = (
     harmless("raw-spreadsheet", as_text(decimal_commas)),
     refused(
         "raw-two-decimal-signs",
-        "raw.csv|one decimal sign",
+        "raw.csv|time_s|points in all numbers",
         as_text(lambda text: decimal_commas(text).replace("0,001;", "0.001;", 1)),
     ),
     refused(
@@ -319,6 +319,16 @@ TEST_TOML = (
         "near-stall-outside",
         "test.toml|[near_stall]|5 to 5.2 s",
         toml(("near_stall/from_s", 5.0), ("near_stall/to_s", 5.2)),
+    ),
+    refused(
+        "threshold-word",
+        "test.toml: segmentation.threshold_lbm_s|none|'auto'",
+        toml(("segmentation/threshold_lbm_s", "auto")),
+    ),
+    refused(
+        "near-stall-in-surge",
+        "test.toml [near_stall]|end before the surge",
+        toml(("near_stall/to_s", 0.5)),
     ),
     refused("speed-hz", "test.toml|rotor_speed_rpm|Hz", toml(("test/rotor_speed_rpm", 1.9))),
     refused("radius-mm", "test.toml|mean_radius_m|mm", toml(("compressor/mean_radius_m", 280.0))),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 
 from comparisons.paper.instabilities import Instabilities, InstabilityRun, run_case
-from comparisons.rig import SensorSettings
 from comparisons.rig.cases import RigCase
 
 CASES = ("90", "95", "985", "985-second", "75-stall")
@@ -17,13 +16,9 @@ def paper_case(case: str) -> InstabilityRun:
     return run_case(case, 0)
 
 
-def remembered_case(
-    case: str | RigCase, seed: int = 0, sensors: SensorSettings | None = None
-) -> InstabilityRun:
+def remembered_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
     """Return what `run_case` returns, from memory where the rig is as it is."""
-    if isinstance(case, str) and seed == 0 and sensors is None:
-        return paper_case(case)
-    return run_case(case, seed, sensors)
+    return paper_case(case) if isinstance(case, str) and seed == 0 else run_case(case, seed)
 
 
 def paper_runs(*cases: str) -> Instabilities:

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from comparisons.rig.coefficient_kernels import backlash, constant_lag
 from comparisons.rig.coefficient_plant import draw_plant
-from comparisons.rig.coefficient_runs import run_record
+from comparisons.rig.coefficient_runs import backlash, constant_lag, run_record
 from comparisons.rig.coefficient_tests import (
     CoefficientTest,
     simulate_test,

@@ -27,6 +27,7 @@ from comparisons.rig.hidden import (
     LOW_FLOW_PHI,
     SECOND_CELL_ROTOR_FRAC,
     SETTLED_SPEED_FRAC,
+    UNTOUCHED,
 )
 from surge_core.errors import InputError
 
@@ -90,7 +91,7 @@ def in_stall(run: RigRun) -> Array:
 @pytest.mark.parametrize("name", HIDEABLE)
 def test_the_neutral_size_leaves_the_rig_as_it_is(name: str) -> None:
     plain = short_run()
-    run = simulate("985", duration_s=0.6, hide=name, hide_size=HIDEABLE[name].neutral)
+    run = simulate("985", duration_s=0.6, hide=name, hide_size=getattr(UNTOUCHED, name))
     for channel in plain.raw.channels:
         assert np.array_equal(run.raw[channel], plain.raw[channel]), channel
     for channel in plain.truth.channels:
@@ -100,9 +101,9 @@ def test_the_neutral_size_leaves_the_rig_as_it_is(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["flow_inertia", "facility_heating", "bias_drift", "hysteresis"])
 def test_what_is_written_holds_neither_name_nor_size(name: str, tmp_path: Path) -> None:
-    kind, plain = HIDEABLE[name], short_run()
+    plain, neutral = short_run(), getattr(UNTOUCHED, name)
     # Digits that no channel shows by chance.
-    size = kind.neutral + 0.437_291 * (kind.default - kind.neutral)
+    size = neutral + 0.437_291 * (HIDEABLE[name].default - neutral)
     run = simulate("985", duration_s=0.6, hide=name, hide_size=size)
     write_run(run, tmp_path / "run")
     files = [path for path in (tmp_path / "run").iterdir() if path.is_file()]

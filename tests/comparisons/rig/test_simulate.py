@@ -69,30 +69,6 @@ def test_ideal_sensors_hide_nothing(ideal_run: Runs, name: str) -> None:
         assert np.max(error) < 1e-4 * np.max(np.abs(truth[theirs]))
 
 
-def test_channels_are_those_of_the_raw_format(default_run: Runs) -> None:
-    run = default_run("985")
-    expected = []
-    for plane in (25, 31):
-        for rake in "AB":
-            expected += [
-                f"P{plane}_{rake}_{immersion}_{facing}"
-                for immersion in ("tip", "hub")
-                for facing in ("forward", "aft")
-            ]
-            expected.append(f"T{plane}_{rake}")
-    assert list(run.raw.channels) == expected
-    assert list(run.test["channels"]) == expected
-    assert run.raw.n_samples == 4_001
-    for name in expected:
-        unit = run.raw.channel(name).unit
-        assert unit == ("count" if name.startswith("P") else "K")
-        if unit == "count":
-            codes = run.raw[name]
-            assert np.all((codes >= 0.0) & (codes <= 4095.0))
-            assert np.all(codes == np.round(codes))
-            assert np.unique(codes).size > 200
-
-
 def test_written_files_hold_the_run(default_run: Runs, tmp_path: Path) -> None:
     run = default_run("90")
     write_run(run, tmp_path / "out" / "run")

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 
 from comparisons.total_system.facility import Facility
 from surge_core.display import Displayed, Field, Sheet
-from surge_core.errors import InputError
 from surge_core.rounding import round_to_error, significant
 from surge_core.types import FloatArray
-from surge_core.validation import one_of
+from surge_core.validation import one_of, positive
 
-__all__ = ["TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
+__all__ = ["ALIGNED", "MULTIPLE", "TotalSystemFit", "TotalSystemSettings", "TotalSystemState"]
 
 # Channels that are fitted, and their units.
 OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
@@ -33,8 +32,8 @@ class TotalSystemSettings:
     facility : Facility
         The facility's numbers.
     start : {"multiple-shooting", "aligned"}
-        Restart the model in every segment; or run it once from a surge start that makes its
-        first reversal of the flow coincide with the measured one.
+        Restart the model in every segment of the quasi-steady cycles; or run it once from a surge
+        start that makes its first reversal of the flow coincide with the measured one.
     start_error_s : float
         Added to the surge start.
     volume_factor : float
@@ -44,12 +43,8 @@ class TotalSystemSettings:
         and that from a parabola through ψ' + τ dψ'/dt over φ in stall, both as measured.
     initial_tau_s : float
         Where τ starts.
-    segment_s : float
-        Length of a segment of multiple shooting.
     window_s : tuple of float, optional
         What multiple shooting fits; the quasi-steady cycles without it.
-    horizon_s : float
-        What a single run fits, from the first reversal on.
     max_iterations : int
         Evaluations of the Jacobian in each pass at most.
 
@@ -65,28 +60,13 @@ class TotalSystemSettings:
     volume_factor: float = 1.0
     initial_beta: tuple[float, float, float] | None = None
     initial_tau_s: float = 0.02
-    segment_s: float = 0.08
     window_s: tuple[float, float] | None = None
-    horizon_s: float = 0.5
     max_iterations: int = 30
 
     def __post_init__(self) -> None:
         one_of("TotalSystemSettings.start", self.start, (MULTIPLE, ALIGNED))
-        for name, low, high in (
-            # A surge cycle lasts some 150 ms: beyond that an error of the start has no meaning.
-            ("start_error_s", -0.2, 0.2),
-            ("volume_factor", 0.1, 10.0),
-            ("initial_tau_s", 1e-3, 1.0),
-            ("segment_s", 0.02, 10.0),
-            ("horizon_s", 0.05, 60.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(
-                    f"TotalSystemSettings.{name}",
-                    expected=f"a number from {low:g} to {high:g}",
-                    found=f"{value!r}",
-                )
+        positive("TotalSystemSettings.volume_factor", self.volume_factor)
+        positive("TotalSystemSettings.initial_tau_s", self.initial_tau_s)
 
 
 class TotalSystemState(Enum):
@@ -100,18 +80,11 @@ class TotalSystemState(Enum):
     LOST_THE_CYCLES = (
         "The simulation does not follow the record: the fit sits in a wrong minimum, or a number "
         "of the facility or the surge start is wrong. Neither the characteristic nor the time "
-        "constant counts; take multiple shooting, a shorter horizon, or check volumes and throttle."
+        "constant counts; take multiple shooting, or check volumes and throttle."
     )
     DIVERGED = (
         "The simulation did not stay finite from the starting values: check the facility's "
         "numbers or start nearer."
-    )
-    AT_BOUND = (
-        "The time constant ran out of 1 ms to 1 s: it makes up for something that the model of "
-        "the facility lacks; do not use it."
-    )
-    RANK_DEFICIENT = (
-        "These rows do not determine all parameters: take a longer window, or more cycles."
     )
 
     @property
@@ -127,11 +100,10 @@ class TotalSystemFit(Displayed):
     Parameters
     ----------
     beta, beta_stderr : tuple of float
-        β₁, β₂, β₃ of ψ'_QS = β₁ + β₂ φ + β₃ φ², and their standard errors.
+        β₁, β₂, β₃ of ψ'_QS = β₁ + β₂ φ + β₃ φ², and their standard errors, valid for coloured
+        residuals.
     tau_s, tau_stderr_s : float
         Time constant and its standard error, in seconds.
-    covariance : ndarray of shape (4, 4)
-        Covariance of (β₁, β₂, β₃, τ in seconds), valid for coloured residuals.
     start_s : float
         Surge start that the model ran with.
     state : TotalSystemState
@@ -148,11 +120,10 @@ class TotalSystemFit(Displayed):
         The switches.
     """
 
-    beta: tuple[float, float, float]
-    beta_stderr: tuple[float, float, float]
+    beta: tuple[float, ...]
+    beta_stderr: tuple[float, ...]
     tau_s: float
     tau_stderr_s: float
-    covariance: FloatArray
     start_s: float
     state: TotalSystemState
     rms: Mapping[str, float]
@@ -162,11 +133,9 @@ class TotalSystemFit(Displayed):
     n_rows: int
     settings: TotalSystemSettings
 
-    def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return ψ'_QS at φ and its standard error, each of shape (n,)."""
-        terms = np.vander(np.atleast_1d(np.asarray(phi, dtype=np.float64)), 3, increasing=True)
-        variance = np.einsum("...i,ij,...j->...", terms, self.covariance[:3, :3], terms)
-        return terms @ np.asarray(self.beta), np.sqrt(variance)
+    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
+        """Return ψ'_QS at φ, of the shape of φ."""
+        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(phi), self.beta))
 
     def _sheet(self) -> Sheet:
         beta = zip(("β₁", "β₂", "β₃"), self.beta, self.beta_stderr, strict=True)
