@@ -21,27 +21,14 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class FreeModel:
-    """τ dψ'/dt + ψ' = Σ β_i s_i(φ(t - d), ψ') with its numbers.
+    """τ dψ'/dt + ψ' = Σ β_i s_i(φ(t - d), ψ') with its numbers."""
 
-    Parameters
-    ----------
-    terms : CandidateTerms
-        The library.
-    selected : ndarray of int of shape (n_terms,)
-        The terms of the model.
-    coefficients : ndarray of shape (n_terms,)
-        β.
-    lag : FirstOrderLag
-        τ, the dead time, the sample period and the hold.
-    seen : tuple of float
-        Least and greatest ψ' of the record. A model with terms in ψ' may run away far from its
-        record; it is stopped ten ranges outside.
-    """
-
-    terms: CandidateTerms
-    selected: IndexArray
-    coefficients: FloatArray
-    lag: FirstOrderLag
+    terms: CandidateTerms  # The library
+    selected: IndexArray  # (n_terms,): The terms of the model
+    coefficients: FloatArray  # (n_terms,): β
+    lag: FirstOrderLag  # τ, the dead time, the sample period and the hold
+    # Least and greatest ψ' of the record. A model with terms in ψ' may run away far from its
+    # record; it is stopped ten ranges outside
     seen: tuple[float, float]
 
     @property

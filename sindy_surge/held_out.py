@@ -58,26 +58,13 @@ def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
 
 @dataclass(frozen=True)
 class HeldOutFit:
-    """The structure chosen by cycles left out, fitted in the weak form.
+    """The structure chosen by cycles left out, fitted in the weak form."""
 
-    Parameters
-    ----------
-    support : tuple of int
-        Positions of the terms within the usable columns.
-    parameters : ndarray of shape (n_support + 1,)
-        β in physical units and, last, τ in seconds.
-    covariance : ndarray of shape (n_support + 1, n_support + 1)
-        Their covariance.
-    initial : ndarray of shape (n_segments,)
-        ψ' at the start of each segment.
-    trials : Trials
-        Each structure tried, with the errors of its weak equations on blocks left out and its τ.
-    """
-
-    support: Support
-    parameters: FloatArray
-    covariance: FloatArray
-    initial: FloatArray
+    support: Support  # Positions of the terms within the usable columns
+    parameters: FloatArray  # (n_support + 1,): β in physical units and, last, τ in seconds
+    covariance: FloatArray  # (n_support + 1, n_support + 1): Their covariance
+    initial: FloatArray  # (n_segments,): ψ' at the start of each segment
+    # Each structure tried, with the errors of its weak equations on blocks left out and its τ
     trials: Trials
 
 

@@ -61,45 +61,21 @@ class Choices:
 
 @dataclass(frozen=True)
 class Identified:
-    """A structure with its parameters, and what was looked at on the way.
+    """A structure with its parameters, and what was looked at on the way."""
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data with noise levels and dead time, and the library searched.
-    model : FreeModel
-        Terms, β (those of terms with ψ' in the library's own units), τ and dead time.
-    dead_time_stderr_s : float
-        Standard error of the dead time in seconds; 0 if it was not fitted.
-    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
-        Of β and, last, τ.
-    initial : ndarray of shape (n_segments,)
-        ψ' at the first usable row of each segment.
-    state : FitState
-        What became of the fit, as far as the search can tell.
-    path : tuple of PathRow
-        Every structure proposed or tested.
-    rivals : tuple of tuple of str
-        Structures that the data cannot tell from the chosen one.
-    inclusion : dict of str to float
-        Share of the resamples whose structure holds a term; empty without resamples.
-    weak : WeakLag or None
-        The weak estimates of τ.
-    knots : tuple of MovedKnot
-        Hinges off the library's grid that were added to it.
-    """
-
-    problem: LagProblem
+    problem: LagProblem  # The data with noise levels and dead time, and the library searched
+    # Terms, β (those of terms with ψ' in the library's own units), τ and dead time
     model: FreeModel
-    dead_time_stderr_s: float
-    covariance: FloatArray
-    initial: FloatArray
-    state: FitState
-    path: tuple[PathRow, ...]
-    rivals: tuple[tuple[str, ...], ...]
+    dead_time_stderr_s: float  # Standard error of the dead time in seconds; 0 if it was not fitted
+    covariance: FloatArray  # (n_terms + 1, n_terms + 1): Of β and, last, τ
+    initial: FloatArray  # (n_segments,): ψ' at the first usable row of each segment
+    state: FitState  # What became of the fit, as far as the search can tell
+    path: tuple[PathRow, ...]  # Every structure proposed or tested
+    rivals: tuple[tuple[str, ...], ...]  # Structures that the data cannot tell from the chosen one
+    # Share of the resamples whose structure holds a term; empty without resamples
     inclusion: dict[str, float]
-    weak: WeakLag | None
-    knots: tuple[MovedKnot, ...]
+    weak: WeakLag | None  # The weak estimates of τ
+    knots: tuple[MovedKnot, ...]  # Hinges off the library's grid that were added to it
 
     def fit_state(self) -> FitState:
         """Return what became of the fit, by the τ that it gave and its error.

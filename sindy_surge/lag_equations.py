@@ -26,34 +26,16 @@ _CHORD_DOUBT = 2.0
 
 @dataclass(frozen=True)
 class Point:
-    """Where a fit stands.
+    """Where a fit stands."""
 
-    Parameters
-    ----------
-    time_constant_s, dead_time_s : float
-        τ and the dead time, in seconds.
-    coefficients : ndarray of shape (n_support,)
-        β.
-    bend : float
-        Share of the smooth-signal correction.
-    input_noise : ndarray of shape (n_rows, n_inputs)
-        Estimated noise of the inputs.
-    blur : ndarray of shape (n_inputs,)
-        Standard deviation of the noise it leaves.
-    initial : ndarray of shape (n_runs,)
-        ψ' at the first usable row of each run.
-    state : ndarray of shape (n_usable,) or None
-        Simulated ψ'; None before the first simulation.
-    """
-
-    time_constant_s: float
+    time_constant_s: float  # τ and the dead time, in seconds
     dead_time_s: float
-    coefficients: FloatArray
-    bend: float
-    input_noise: FloatArray
-    blur: FloatArray
-    initial: FloatArray
-    state: FloatArray | None
+    coefficients: FloatArray  # (n_support,): β
+    bend: float  # Share of the smooth-signal correction
+    input_noise: FloatArray  # (n_rows, n_inputs): Estimated noise of the inputs
+    blur: FloatArray  # (n_inputs,): Standard deviation of the noise it leaves
+    initial: FloatArray  # (n_runs,): ψ' at the first usable row of each run
+    state: FloatArray | None  # (n_usable,): Simulated ψ'; None before the first simulation
 
 
 def start_point(problem: LagProblem, tau_s: float, coefficients: FloatArray) -> Point:
@@ -66,40 +48,22 @@ def start_point(problem: LagProblem, tau_s: float, coefficients: FloatArray) -> 
 
 @dataclass(frozen=True)
 class Equations:
-    """The equations of the lag about one point; vectors over them are not yet whitened.
+    """The equations of the lag about one point; vectors over them are not yet whitened."""
 
-    Parameters
-    ----------
-    whitener : Whitener
-        Whitens vectors over the equations.
-    residual : ndarray of shape (n_equations,)
-        A e.
-    columns : ndarray of shape (n_equations, n_columns)
-        Derivatives with respect to the coefficients of the model's terms, or of the whole
-        library.
-    nuisances : ndarray of shape (n_equations, n_nuisances)
-        Derivatives with respect to the bend (hold "first" only), the dead time (if fitted) and,
-        last, τ.
-    slopes : ndarray of shape (n_inputs, n_rows)
-        dψ'_QS/dφ along the record.
-    initial : ndarray of shape (n_runs,)
-        ψ' at the first usable row of each run, by generalised least squares.
-    state : ndarray of shape (n_usable,)
-        Simulated ψ'.
-    weighted : ndarray of shape (n_equations,)
-        T⁻¹ A e.
-    greatest_gain : float
-        Greatest ∂ψ'_QS/∂ψ' on the record; from 1 on the lag would run away there.
-    """
-
-    whitener: Whitener
-    residual: FloatArray
+    whitener: Whitener  # Whitens vectors over the equations
+    residual: FloatArray  # (n_equations,): A e
+    # (n_equations, n_columns): Derivatives with respect to the coefficients of the model's terms,
+    # or of the whole library
     columns: FloatArray
+    # (n_equations, n_nuisances): Derivatives with respect to the bend (hold "first" only), the dead
+    # time (if fitted) and, last, τ
     nuisances: FloatArray
-    slopes: FloatArray
+    slopes: FloatArray  # (n_inputs, n_rows): dψ'_QS/dφ along the record
+    # (n_runs,): ψ' at the first usable row of each run, by generalised least squares
     initial: FloatArray
-    state: FloatArray
-    weighted: FloatArray
+    state: FloatArray  # (n_usable,): Simulated ψ'
+    weighted: FloatArray  # (n_equations,): T⁻¹ A e
+    # Greatest ∂ψ'_QS/∂ψ' on the record; from 1 on the lag would run away there
     greatest_gain: float
 
     def white_derivatives(self) -> FloatArray:

@@ -50,39 +50,19 @@ _BEND_PRIOR = (0.5, 0.5)
 
 @dataclass(frozen=True)
 class StructureFit:
-    """One structure fitted by errors in variables.
+    """One structure fitted by errors in variables."""
 
-    Parameters
-    ----------
-    support : tuple of int
-        Positions of the terms within the usable columns.
-    point : Point
-        τ, dead time, coefficients and the estimated noise of φ.
-    residual : ndarray of shape (n_white,)
-        The whitened residuals.
-    sensitivity : ndarray of shape (n_white, n_parameters)
-        Whitened derivatives with respect to β, the bend (hold "first" only), the dead time (if
-        fitted) and τ last.
-    prior : ndarray of shape (n_parameters,)
-        Information from outside the record: that on the bend.
-    groups : Segments
-        Runs of the whitened rows.
-    rows : ndarray of int of shape (n_white,)
-        Row of the record at which each whitened equation ends.
-    converged : bool
-        Whether the last step was negligible.
-    settles : bool
-        Whether ψ' comes to rest at every φ of the record; terms with ψ' may drive it away.
-    """
-
-    support: tuple[int, ...]
-    point: Point
-    residual: FloatArray
+    support: tuple[int, ...]  # Positions of the terms within the usable columns
+    point: Point  # τ, dead time, coefficients and the estimated noise of φ
+    residual: FloatArray  # (n_white,): The whitened residuals
+    # (n_white, n_parameters): Whitened derivatives with respect to β, the bend (hold "first" only),
+    # the dead time (if fitted) and τ last
     sensitivity: FloatArray
-    prior: FloatArray
-    groups: Segments
-    rows: IndexArray
-    converged: bool
+    prior: FloatArray  # (n_parameters,): Information from outside the record: that on the bend
+    groups: Segments  # Runs of the whitened rows
+    rows: IndexArray  # (n_white,): Row of the record at which each whitened equation ends
+    converged: bool  # Whether the last step was negligible
+    # Whether ψ' comes to rest at every φ of the record; terms with ψ' may drive it away
     settles: bool
 
     @property
@@ -277,24 +257,15 @@ def _bounded(problem: LagProblem, tau: float) -> float:
 
 @dataclass(frozen=True)
 class WhiteEquations:
-    """The whole library about one fit, whitened, before any compression.
+    """The whole library about one fit, whitened, before any compression."""
 
-    Parameters
-    ----------
-    nuisances : ndarray of shape (n_white, n_nuisances)
-        Derivatives with respect to what is estimated beside the coefficients (τ last).
-    columns : ndarray of shape (n_white, n_columns)
-        Derivatives with respect to the coefficient of every usable term.
-    target : ndarray of shape (n_white,)
-        What the terms have to explain: residual plus the fitted terms.
-    rows : ndarray of int of shape (n_white,)
-        Row of the record at which each whitened equation ends.
-    """
-
+    # (n_white, n_nuisances): Derivatives with respect to what is estimated beside the coefficients
+    # (τ last)
     nuisances: FloatArray
+    # (n_white, n_columns): Derivatives with respect to the coefficient of every usable term
     columns: FloatArray
-    target: FloatArray
-    rows: IndexArray
+    target: FloatArray  # (n_white,): What the terms have to explain: residual plus the fitted terms
+    rows: IndexArray  # (n_white,): Row of the record at which each whitened equation ends
 
     def compressed(self) -> LinearProblem:
         """Project the nuisances out and keep as many rows as there are columns."""

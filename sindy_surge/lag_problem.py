@@ -26,21 +26,11 @@ _WHOLE = 1e-9
 
 @dataclass(frozen=True)
 class UsableRows:
-    """The rows of the record that have every input their equation needs.
+    """The rows of the record that have every input their equation needs."""
 
-    Parameters
-    ----------
-    rows : ndarray of int of shape (n_usable,)
-        Rows of the record.
-    segments : Segments
-        Their runs, counted within `rows`.
-    home : ndarray of int of shape (n_runs,)
-        Segment of the record that each run lies in.
-    """
-
-    rows: IndexArray
-    segments: Segments
-    home: IndexArray
+    rows: IndexArray  # (n_usable,): Rows of the record
+    segments: Segments  # Their runs, counted within `rows`
+    home: IndexArray  # (n_runs,): Segment of the record that each run lies in
 
     @property
     def later(self) -> IndexArray:

@@ -22,27 +22,14 @@ def unit_norms(columns: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """The regression about one fit, compressed by QR to as many rows as columns.
+    """The regression about one fit, compressed by QR to as many rows as columns."""
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n_rows, n_columns)
-        Every usable term, whitened, τ projected out, scaled to unit norm.
-    target : ndarray of shape (n_rows,)
-        What the terms have to explain.
-    norms : ndarray of shape (n_columns,)
-        Norms taken out of the columns.
-    outside : float
-        The part of χ² that no term can explain.
-    n_equations : int
-        Number of whitened equations behind it.
-    """
-
+    # (n_rows, n_columns): Every usable term, whitened, τ projected out, scaled to unit norm
     columns: FloatArray
-    target: FloatArray
-    norms: FloatArray
-    outside: float
-    n_equations: int
+    target: FloatArray  # (n_rows,): What the terms have to explain
+    norms: FloatArray  # (n_columns,): Norms taken out of the columns
+    outside: float  # The part of χ² that no term can explain
+    n_equations: int  # Number of whitened equations behind it
 
     @property
     def variance(self) -> float:

@@ -21,20 +21,11 @@ _CONTRADICTION = 9.0
 
 @dataclass(frozen=True)
 class NoiseLevels:
-    """Standard deviations of the white measurement noise and, if any, its colour.
+    """Standard deviations of the white measurement noise and, if any, its colour."""
 
-    Parameters
-    ----------
-    output : float
-        Noise of ψ'.
-    inputs : ndarray of shape (n_inputs,)
-        Noise of each input.
-    colour : ndarray of shape (order,)
-        Autoregressive coefficients of what the whitening leaves; empty for white noise.
-    """
-
-    output: float
-    inputs: FloatArray
+    output: float  # Noise of ψ'
+    inputs: FloatArray  # (n_inputs,): Noise of each input
+    # Autoregressive coefficients of what the whitening leaves; empty for white noise
     colour: FloatArray
 
 

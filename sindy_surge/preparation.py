@@ -51,24 +51,13 @@ DeadTimeChoice = float | Literal["auto", "fit"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """The problem with its noise levels, the fit of all terms and the weak estimates.
+    """The problem with its noise levels, the fit of all terms and the weak estimates."""
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data with noise levels and colour, and the dead time found.
-    rich : StructureFit
-        The fit of all terms without ψ'.
-    weak : WeakLag or None
-        The weak estimates of τ.
-    excess : float
-        χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what
-        they leave over that of the white noise which differences show.
-    """
-
-    problem: LagProblem
-    rich: StructureFit
-    weak: WeakLag | None
+    problem: LagProblem  # The data with noise levels and colour, and the dead time found
+    rich: StructureFit  # The fit of all terms without ψ'
+    weak: WeakLag | None  # The weak estimates of τ
+    # χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what they
+    # leave over that of the white noise which differences show
     excess: float
 
 

@@ -74,28 +74,16 @@ class PathRow:
 
 @dataclass(frozen=True)
 class Selection:
-    """The structure chosen, and everything looked at on the way.
+    """The structure chosen, and everything looked at on the way."""
 
-    Parameters
-    ----------
-    fit : StructureFit
-        The chosen structure.
-    path : tuple of PathRow
-        Every structure proposed or tested.
-    rivals : tuple of tuple of int
-        Structures that the data cannot tell from the chosen one: of the same size, χ² within 4,
-        or within 9 of a complete polynomial.
-    consistent : bool
-        False if every structure tested was refuted; the fit is then the best of them.
-    fits : dict
-        The fit of every structure that had one, by support.
-    """
-
-    fit: StructureFit
-    path: tuple[PathRow, ...]
+    fit: StructureFit  # The chosen structure
+    path: tuple[PathRow, ...]  # Every structure proposed or tested
+    # Structures that the data cannot tell from the chosen one: of the same size, χ² within 4, or
+    # within 9 of a complete polynomial
     rivals: tuple[Support, ...]
+    # False if every structure tested was refuted; the fit is then the best of them
     consistent: bool
-    fits: Mapping[Support, StructureFit]
+    fits: Mapping[Support, StructureFit]  # The fit of every structure that had one, by support
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:

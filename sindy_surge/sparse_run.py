@@ -66,25 +66,14 @@ _ALIAS = 1e-9
 
 @dataclass(frozen=True)
 class FreeRunFit:
-    """One structure fitted to the scored rows.
+    """One structure fitted to the scored rows."""
 
-    Parameters
-    ----------
-    parameters : ndarray of shape (n_support + 1,)
-        β, and last τ in seconds.
-    nuisance : ndarray of shape (n_nuisances,)
-        Coefficients of the columns that every structure has.
-    joint : ndarray of shape (n_scored, n_support + n_nuisances + 1)
-        Derivatives of the fitted values with respect to β, the nuisances and τ; starts projected
-        out.
-    residual : ndarray of shape (n_scored,)
-        What is left, times the root of the weights.
-    """
-
-    parameters: FloatArray
-    nuisance: FloatArray
+    parameters: FloatArray  # (n_support + 1,): β, and last τ in seconds
+    nuisance: FloatArray  # (n_nuisances,): Coefficients of the columns that every structure has
+    # (n_scored, n_support + n_nuisances + 1): Derivatives of the fitted values with respect to β,
+    # the nuisances and τ; starts projected out
     joint: FloatArray
-    residual: FloatArray
+    residual: FloatArray  # (n_scored,): What is left, times the root of the weights
 
 
 @dataclass(frozen=True)
