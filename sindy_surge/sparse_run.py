@@ -16,7 +16,13 @@ import numpy as np
 
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.free_run import simulate
-from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.linear_problem import (
+    LinearProblem,
+    Support,
+    least_squares,
+    unit_norms,
+    without_nuisances,
+)
 from sindy_surge.segments import Segments, block_slices
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
@@ -196,30 +202,25 @@ class FreeRunEquations:
     def _lag(self, tau: float) -> FirstOrderLag:
         return FirstOrderLag(tau, self.sample_period_s, self.hold)
 
-    def _sums(self, values: FloatArray) -> FloatArray:
-        """Sum scored rows over each run; 0 for runs without any."""
-        firsts = np.flatnonzero(np.diff(self.run, prepend=-1))
-        sums = np.zeros((self.runs.starts.size, *values.shape[1:]))
-        sums[self.run[firsts]] = np.add.reduceat(values, firsts, axis=0)
-        return sums
-
-    def _decay(self, tau: float) -> tuple[FloatArray, FloatArray]:
-        """Return what a start of unit norm leaves at the scored rows, and the norm of each run."""
+    def _decays(self, tau: float) -> FloatArray:
+        """Return what a start of one in each run leaves at the scored rows, (n_scored, n_runs)."""
+        decays = np.zeros((self.scored.size, self.runs.starts.size))
         offsets = self.runs.offsets()[self.scored].astype(float)
-        decay = self._lag(tau).a ** offsets * np.sqrt(self.weight[self.scored])
-        power = self._sums(decay**2)
-        norms = np.sqrt(np.where(power > 0, power, 1.0))
-        return decay / norms[self.run], norms
+        decays[np.arange(self.scored.size), self.run] = self._lag(tau).a ** offsets
+        return decays * np.sqrt(self.weight[self.scored])[:, None]
 
     def _stacked(self, tau: float, values: FloatArray) -> FloatArray:
         """Return the columns behind the lag, and last ψ', at the scored rows without starts."""
         every = np.column_stack((simulate(values, self.runs, self._lag(tau)), self.output))
-        return self._without_starts(every[self.scored], tau)
+        return self._without_starts(every, tau)[0]
 
-    def _without_starts(self, rows: FloatArray, tau: float) -> FloatArray:
-        decay, _ = self._decay(tau)
-        weighted = rows * np.sqrt(self.weight[self.scored])[:, None]
-        return weighted - decay[:, None] * self._sums(decay[:, None] * weighted)[self.run]
+    def _without_starts(self, columns: FloatArray, tau: float) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted scored rows of columns without starts, and these, (n_runs, n)."""
+        weighted = columns[self.scored] * np.sqrt(self.weight[self.scored])[:, None]
+        decays = self._decays(tau)
+        # Runs do not overlap: each start is a regression of its own.
+        starts = decays.T @ weighted / (unit_norms(decays) ** 2)[:, None]
+        return weighted - decays @ starts, starts
 
     @cached_property
     def _scan(self) -> tuple[FloatArray, list[FloatArray]]:
@@ -271,16 +272,15 @@ class FreeRunEquations:
         stacked = self._stacked(tau, values)
         solution = least_squares(stacked[:, :-1], stacked[:, -1])
         forcing = values @ solution
-        rest = (self.output - simulate(forcing, self.runs, self._lag(tau)))[self.scored]
-        decay, norms = self._decay(tau)
-        initial = self._sums(decay * rest * np.sqrt(self.weight[self.scored])) / norms
+        rest = self.output - simulate(forcing, self.runs, self._lag(tau))
+        initial = self._without_starts(rest[:, None], tau)[1][:, 0]
         step = _DIFFERENCE * tau
         above, below = (
             simulate(forcing, self.runs, self._lag(tau + sign * step), initial)
             for sign in (1.0, -1.0)
         )
-        slope = ((above - below) / (2 * step))[self.scored, None]
-        joint = np.column_stack((stacked[:, :-1], self._without_starts(slope, tau)))
+        slope = self._without_starts((above - below)[:, None] / (2 * step), tau)[0]
+        joint = np.column_stack((stacked[:, :-1], slope))
         return solution, joint, stacked[:, -1] - stacked[:, :-1] @ solution
 
 
