@@ -10,8 +10,8 @@ import numpy as np
 
 from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
-from sindy_surge.free_model import FreeModel
-from sindy_surge.held_out import model_error_dominates, select_by_held_out
+from sindy_surge.free_run import FreeModel
+from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
@@ -28,7 +28,6 @@ from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_esti
 from sindy_surge.segments import cycle_blocks
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.state_powers import choose_power
-from sindy_surge.trials import with_held_out
 from sindy_surge.uncertainty import held_out_rms, sandwich
 from sindy_surge.weak import WeakLag
 from surge_core.fit_state import FitState

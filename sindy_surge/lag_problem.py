@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.free_model import FreeModel
+from sindy_surge.free_run import FreeModel
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag, Hold
@@ -45,42 +45,20 @@ class UsableRows:
 
 @dataclass(frozen=True)
 class LagProblem:
-    """The data and everything that stays the same from structure to structure.
+    """The data and everything that stays the same from structure to structure."""
 
-    Parameters
-    ----------
-    inputs : ndarray of shape (n_rows, n_inputs)
-        Measured inputs (φ).
-    output : ndarray of shape (n_rows,)
-        Measured ψ'.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the terms run between two samples.
-    terms : CandidateTerms
-        The library.
-    columns : ndarray of int of shape (n_columns,)
-        The terms of the library that this data can separate, those with ψ' last.
-    noise : NoiseLevels
-        The measurement noise.
-    dead_time_s : float
-        The dead time in seconds, given or the start of its fit; positive where ψ' is late.
-    fits_dead_time : bool
-        Whether it is a parameter of the fit.
-    """
-
-    inputs: FloatArray
-    output: FloatArray
-    segments: Segments
-    sample_period_s: float
-    hold: Hold
-    terms: CandidateTerms
+    inputs: FloatArray  # (n_rows, n_inputs): Measured inputs (φ)
+    output: FloatArray  # (n_rows,): Measured ψ'
+    segments: Segments  # The runs of rows
+    sample_period_s: float  # Sample period in seconds
+    hold: Hold  # How the terms run between two samples
+    terms: CandidateTerms  # The library
+    # (n_columns,): The terms of the library that this data can separate, those with ψ' last
     columns: IndexArray
-    noise: NoiseLevels
+    noise: NoiseLevels  # The measurement noise
+    # The dead time in seconds, given or the start of its fit; positive where ψ' is late
     dead_time_s: float = 0.0
-    fits_dead_time: bool = False
+    fits_dead_time: bool = False  # Whether it is a parameter of the fit
 
     @property
     def longest_lag_s(self) -> float:

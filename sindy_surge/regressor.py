@@ -15,7 +15,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
 from sindy_surge.export import RateFunction, python_source
-from sindy_surge.free_model import FreeModel
+from sindy_surge.free_run import FreeModel
 from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import unit_norms

@@ -16,6 +16,15 @@ import numpy as np
 
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.free_run import simulate
+from sindy_surge.held_out import (
+    Trials,
+    best_of_each_size,
+    climb,
+    pays,
+    polynomial_ladder,
+    special_structures,
+    with_held_out,
+)
 from sindy_surge.linear_problem import (
     LinearProblem,
     Support,
@@ -26,15 +35,6 @@ from sindy_surge.linear_problem import (
 from sindy_surge.segments import Segments, block_slices
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
-from sindy_surge.trials import (
-    Trials,
-    best_of_each_size,
-    climb,
-    pays,
-    polynomial_ladder,
-    special_structures,
-    with_held_out,
-)
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.leave_out import leave_out, scatter

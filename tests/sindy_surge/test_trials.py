@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from sindy_surge.linear_problem import LinearProblem, without_nuisances
-from sindy_surge.trials import (
+from sindy_surge.held_out import (
     Trials,
     best_of_each_size,
     climb,
     polynomial_ladder,
     special_structures,
 )
+from sindy_surge.linear_problem import LinearProblem, without_nuisances
 
 N, N_BLOCKS = 400, 20
 BLOCKS = [(rows, rows) for rows in np.split(np.arange(N), N_BLOCKS)]
