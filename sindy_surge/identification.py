@@ -17,8 +17,8 @@ from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
     StructureFit,
     WhiteEquations,
-    fit_structure,
     information,
+    refitted,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
@@ -292,16 +292,12 @@ def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, S
     if not (problem.holds_state(fit.support) and problem.noise.colour.size):
         return problem, fit
     problem = problem.with_colour(np.empty(0))
-    fit = _again(problem, fit)
+    fit = refitted(problem, fit)
     colour = autoregression(fit.residual, fit.groups)
     if colour.size:
         problem = problem.with_colour(colour)
-        fit = _again(problem, fit)
+        fit = refitted(problem, fit)
     return problem, fit
-
-
-def _again(problem: LagProblem, fit: StructureFit) -> StructureFit:
-    return fit_structure(problem, fit.support, fit.time_constant_s, fit.coefficients, near=fit)
 
 
 def _covariance(problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, ...]) -> FloatArray:

@@ -28,6 +28,7 @@ __all__ = [
     "linearise",
     "moved_point",
     "output_error",
+    "refitted",
     "scan_lag",
     "white_equations",
 ]
@@ -173,6 +174,12 @@ def fit_structure(
         converged,
         eq.greatest_gain < 1.0,
     )
+
+
+def refitted(problem: LagProblem, fit: StructureFit, max_steps: int = _MAX_STEPS) -> StructureFit:
+    """Fit a structure again, near where it stood, to a problem that was changed."""
+    tau, beta = fit.time_constant_s, fit.coefficients
+    return fit_structure(problem, fit.support, tau, beta, max_steps=max_steps, near=fit)
 
 
 def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:

@@ -14,6 +14,7 @@ from sindy_surge.lag_fit import (
     StructureFit,
     fit_structure,
     output_error,
+    refitted,
     scan_lag,
     white_equations,
 )
@@ -97,11 +98,11 @@ def prepare(
     # Five orders below the least noise assumed there is only rounding, and its colour is nothing.
     if colour.size and excess > 1e-10:
         problem = problem.with_colour(colour)
-        rich = _refitted(problem, rich)
+        rich = refitted(problem, rich, 4)
         if problem.fits_dead_time and dead_time == "auto" and not _late(problem, rich):
             # Coloured noise had passed for a time shift.
             problem = problem.with_dead_time(0.0, False)
-            rich = _refitted(problem, rich)
+            rich = refitted(problem, rich, 4)
     return Prepared(problem, rich, _weak(problem), excess)
 
 
@@ -136,12 +137,6 @@ def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     return _weak_lag(problem, problem.late(values))
 
 
-def _refitted(problem: LagProblem, fit: StructureFit) -> StructureFit:
-    return fit_structure(
-        problem, fit.support, fit.time_constant_s, fit.coefficients, max_steps=4, near=fit
-    )
-
-
 def _with_dead_time(
     problem: LagProblem, rich: StructureFit, *, always: bool
 ) -> tuple[LagProblem, StructureFit]:
@@ -156,9 +151,8 @@ def _with_dead_time(
     if not (found.fits_dead_time and (always or _late(found, fit))):
         return problem, rich
     found = found.with_dead_time(fit.dead_time_s, True)
-    return found, fit_structure(
-        found, rich.support, fit.time_constant_s, fit.coefficients, max_steps=6
-    )
+    tau, beta = fit.time_constant_s, fit.coefficients
+    return found, fit_structure(found, rich.support, tau, beta, max_steps=6)
 
 
 def _walked(problem: LagProblem, start: StructureFit) -> tuple[LagProblem, StructureFit]:
@@ -168,10 +162,8 @@ def _walked(problem: LagProblem, start: StructureFit) -> tuple[LagProblem, Struc
         trial = found.with_dead_time(fit.dead_time_s, True)
         if trial.usable.later.size < 2 * len(start.support) + 8:
             return found, fit
-        found = trial
-        fit = fit_structure(
-            found, start.support, fit.time_constant_s, fit.coefficients, max_steps=6
-        )
+        found, tau, beta = trial, fit.time_constant_s, fit.coefficients
+        fit = fit_structure(found, start.support, tau, beta, max_steps=6)
         low, high = found.dead_time_range_s
         if low < fit.dead_time_s < high:
             break
