@@ -94,12 +94,3 @@ def test_blocks_cover_every_row_once_and_cross_no_border(lengths: list[int], sho
         assert set(segments.starts.tolist()) <= {b.start for b in blocks}
         parts = [b for b in blocks if b.start not in segments.starts]
         assert all(b.stop - b.start >= shortest for b in parts)
-
-
-def test_segments_without_a_whole_cycle_stay_whole() -> None:
-    lengths = [3000, 140, 120, 90]
-    segments = Segments.from_labels(np.repeat(np.arange(4), lengths), sum(lengths))
-    phi = _wave("sine", 150, sum(lengths), 0, 0.05)
-    blocks = cycle_blocks(phi, segments, SHORTEST)
-    assert [b.stop - b.start for b in blocks[-3:]] == [140, 120, 90]
-    assert len(blocks) > 20

@@ -67,15 +67,6 @@ def test_no_delay_is_seen_where_there_is_none(
     assert set(model.terms_) == set(TERMS[curve])
 
 
-def test_the_wrong_hold_is_half_a_sample(surge: Callable[..., Any]) -> None:
-    phi = surge("quadratic", 0.0, 7).clean_phi
-    rng = np.random.default_rng(0)
-    clean = lag(CURVES["quadratic"](phi), PERIOD_S, "zero")
-    noisy = clean + 0.01 * clean.std() * rng.standard_normal(clean.size)
-    model = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], noisy)
-    assert model.dead_time_s_ == pytest.approx(PERIOD_S / 2, abs=4 * model.dead_time_stderr_s_)
-
-
 @pytest.mark.parametrize("value", ["late", np.nan])
 def test_bad_dead_times_are_named(value: Any) -> None:
     phi = np.linspace(0, 1, 100)[:, None]

@@ -6,10 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from pysindy.feature_library import PolynomialLibrary
-from sklearn import config_context
-from sklearn.model_selection import GridSearchCV, GroupKFold
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer
 
 from sindy_surge import FitState, InputError, SparseLagRegressor
 
@@ -111,25 +107,6 @@ def test_wrong_hold_biases_tau(surge: Callable[..., Any]) -> None:
     assert 0.02 < found["zero", "first"] < 0.08
 
 
-def test_short_in_stall_segments(surge: Callable[..., Any]) -> None:
-    z, right = [], 0
-    for seed in range(40, 42):
-        record = surge("quadratic", 0.02, seed)
-        labels = _labels(record.clean_phi)
-        rows = labels > 0
-        model = SparseLagRegressor(n_bootstrap=0).fit(
-            record.phi[rows, None], record.psi_p[rows], segments=labels[rows]
-        )
-        lengths = np.bincount(labels[rows])[1:]
-        assert lengths.size > 15
-        assert lengths.max() < 150
-        assert model.initial_states_.size == lengths.size
-        right += set(model.terms_) == set(TERMS["quadratic"])
-        z.append((model.time_constant_s_ - TAU_S) / model.time_constant_stderr_s_)
-    assert right == 2
-    assert np.max(np.abs(z)) < 4
-
-
 def test_no_equation_straddles_two_segments(surge: Callable[..., Any]) -> None:
     record = surge("quadratic", 0.02, 41)
     labels = _labels(record.clean_phi)
@@ -200,25 +177,6 @@ def test_two_inputs() -> None:
     model = SparseLagRegressor(hold="zero", n_bootstrap=0).fit(inputs, psi_p)
     assert set(model.terms_) == {"1", "x0", "x0 x1"}
     assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
-
-
-def test_pipeline_and_grid_search_pass_segments_on(surge: Callable[..., Any]) -> None:
-    record = surge("quadratic", 0.02, 61, 1500)
-    segments = np.repeat([1, 2, 3], 500)
-    phi = record.phi[:, None]
-    direct = SparseLagRegressor(n_bootstrap=0).fit(phi, record.psi_p, segments=segments)
-    pipe = make_pipeline(FunctionTransformer(), SparseLagRegressor(n_bootstrap=0))
-    pipe.fit(phi, record.psi_p, sparselagregressor__segments=segments)
-    np.testing.assert_array_equal(pipe[-1].coef_, direct.coef_)
-    with config_context(enable_metadata_routing=True):
-        routed = SparseLagRegressor(n_bootstrap=0)
-        routed.set_fit_request(segments=True).set_score_request(segments=True)
-        search = GridSearchCV(
-            routed, {"max_terms": [2, 4]}, cv=GroupKFold(3).set_split_request(groups=True)
-        )
-        search.fit(phi, record.psi_p, segments=segments, groups=segments)
-    assert search.best_params_ == {"max_terms": 4}
-    np.testing.assert_array_equal(search.best_estimator_.coef_, direct.coef_)
 
 
 def test_too_little_data_gives_a_static_fit_with_advice() -> None:

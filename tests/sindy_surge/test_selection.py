@@ -43,12 +43,6 @@ def test_every_optimizer_meets_the_truth(optimizer: object) -> None:
     assert (1, 4, 7) in proposed_supports(_problem(), optimizer, 6)
 
 
-def test_optimizer_instance_is_not_changed() -> None:
-    optimizer = STLSQ(threshold=0.7, alpha=0.0)
-    proposed_supports(_problem(), optimizer, 6)
-    assert not hasattr(optimizer, "coef_")
-
-
 @pytest.mark.parametrize("optimizer", ["LASSO", 3])
 def test_unknown_optimizer_is_refused(optimizer: object) -> None:
     with pytest.raises(InputError, match="optimizer"):

@@ -158,16 +158,6 @@ def test_a_small_error_that_every_cycle_repeats_buys_no_special_term() -> None:
         assert all(row.held_out_rms**2 > 0.7 * chosen.held_out_rms**2 for row in special)
 
 
-def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else() -> None:
-    record = made(parabola, 0.015, 3)
-    plain, moved = record.found(), record.found(offset=0.01)
-    assert plain.terms == moved.terms == ("1", "phi", "phi^2")
-    assert moved.time_constant_s == pytest.approx(plain.time_constant_s, rel=1e-6)
-    at = np.linspace(0.02, 0.15, 7)
-    for ours, theirs in zip(curve_at(plain, at), curve_at(moved, at + 0.01), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-4)
-
-
 def test_errors_that_all_cycles_share_come_on_top() -> None:
     record = made(parabola, 0.015, 5)
     plain, both = record.found(), record.found(common_tau_share=0.03, common_curve_share=0.02)
