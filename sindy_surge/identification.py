@@ -145,9 +145,7 @@ def _searched(
     _, constraints = constraints_of(choices.constraints, library, usable)
     names = [library[i] for i in usable]
     degrees = [polynomial_degree(name, input_names) for name in names]
-    found = select_structure(
-        prepared, choices.optimizer, choices.max_terms, names, degrees, constraints
-    )
+    found = select_structure(prepared, choices.optimizer, choices.max_terms, degrees, constraints)
     return _Searched(problem, prepared, found, names, degrees, constraints, knots)
 
 

@@ -95,7 +95,6 @@ def select_structure(
     prepared: Prepared,
     optimizer: Any,
     max_terms: int,
-    names: Sequence[str],
     degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> Selection:
@@ -105,23 +104,22 @@ def select_structure(
     about the fit with all terms. From the smallest upwards each is fitted by itself, and the
     whole library is then regressed about *that* fit: the structure stands if no larger one
     beats its extended BIC and none of its own size does so by more than 4 (9 for a complete
-    polynomial). What refutes a
-    structure is proposed in its place. Of the smallest size that stands, the least χ² wins;
-    within those margins, the structure with fewer terms that are not polynomials.
+    polynomial). What refutes a structure is proposed in its place. Of the smallest size that
+    stands, the least χ² wins; within those margins, the structure with fewer terms that are not
+    polynomials.
 
     Parameters
     ----------
-    names : sequence of str
-        Names of the usable terms.
     degrees : sequence of int or None
-        Their degrees; None for those that are no polynomials of the inputs. For the tie rule.
+        Degrees of the usable terms; None for those that are no polynomials of the inputs. For the
+        tie rule.
     """
     search = _Search(prepared, max_terms, degrees, constraints)
     search.propose(optimizer)
     search.run()
     chosen, rivals = search.choose()
-    path = search.table(chosen, names)
-    return Selection(search.fits[chosen], path, rivals, bool(search.consistent), search.fits)
+    standing = bool(search.consistent)
+    return Selection(search.fits[chosen], search.table(chosen), rivals, standing, search.fits)
 
 
 class _Search:
@@ -290,7 +288,7 @@ class _Search:
         chosen = min(tied, key=order)
         return chosen, tuple(s for s in tied if s != chosen)
 
-    def table(self, chosen: Support, names: Sequence[str]) -> tuple[PathRow, ...]:
+    def table(self, chosen: Support) -> tuple[PathRow, ...]:
         """Return every structure with its score."""
         rows = []
         for support in {*self.rough, *self.fits}:
@@ -298,7 +296,7 @@ class _Search:
             rows.append(
                 PathRow(
                     len(support),
-                    tuple(names[i] for i in support),
+                    tuple(self.problem.names(support)),
                     self.scores[support] if fit else self.rough[support],
                     fit.chi2 if fit else self.about.chi2(support),
                     fit.time_constant_s if fit else float("nan"),
