@@ -175,8 +175,6 @@ def options_named() -> Iterator[None]:
         named = {name: option for option, name, _ in OPTIONS}
         if field not in named or table not in ("", "ReductionSettings"):
             raise
-        # An option that is not given is what None is in Python.
-        expected = error.expected.replace(", 'none' or None", "").replace(", or None", "")
         raise InputError(
-            named[field], expected=expected, found=error.found, remedy=error.remedy
+            named[field], expected=error.expected, found=error.found, remedy=error.remedy
         ) from None

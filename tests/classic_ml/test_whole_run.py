@@ -237,8 +237,10 @@ def test_a_series_without_the_columns_is_told() -> None:
     assert not has_whole_run(record)
     with pytest.raises(InputError, match="phi_unfiltered"):
         whole_run_rows(record)
-    with pytest.raises(InputError, match="ledger"):
-        whole_run_rows(replace(series(0), history=()))
+    unlike = [LedgerEntry("free run", "", {"average_s": s}) for s in ("x", float("nan"), 12.0)]
+    for history in ((), *((entry,) for entry in unlike)):
+        with pytest.raises(InputError, match="ledger"):
+            whole_run_rows(replace(series(0), history=history))
 
 
 def test_near_reaches_before_and_behind() -> None:
