@@ -11,13 +11,13 @@ import numpy as np
 from sindy_surge.constraints import Constraints
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import LinearProblem, Support, unit_norms
+from sindy_surge.linear_problem import LinearProblem, Support, leave_out_moves, unit_norms
 from sindy_surge.preparation import Prepared
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
 from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
-from surge_core.leave_out import leave_out, pseudo_inverse, scatter
+from surge_core.leave_out import pseudo_inverse, scatter
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
@@ -93,7 +93,7 @@ class Trials:
         """Return the mean square error of each block's equations, fitted without that block."""
         if support not in self.errors:
             parameters, design, residual = self.equations.fit(support)
-            moves = leave_out(-design, residual, [touched for touched, _ in self.blocks]).moves
+            moves = leave_out_moves(design, residual, [touched for touched, _ in self.blocks])
             own_errors = np.empty(len(self.blocks))
             for number, (touched, own) in enumerate(self.blocks):
                 error = residual[own] - design[own] @ moves[number]
@@ -299,7 +299,7 @@ def select_by_held_out(
     if not problem.shortest_lag_s < trials.lags[chosen] < problem.longest_lag_s:
         return None
     parameters, design, residual = weak.fit(chosen)
-    covariance = scatter(leave_out(-design, residual, [own for _, own in trials.blocks]).moves)
+    covariance = scatter(leave_out_moves(design, residual, [own for _, own in trials.blocks]))
     covariance += _repeated(design, residual) + _spread(problem, weak, chosen)
     initial = _starts(problem, chosen, parameters)
     return HeldOutFit(chosen, parameters, covariance, initial, trials)

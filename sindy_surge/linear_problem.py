@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from surge_core.types import FloatArray
+from surge_core.leave_out import leave_out
+from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["LinearProblem", "Support", "least_squares", "unit_norms", "without_nuisances"]
+__all__ = [
+    "LinearProblem",
+    "Support",
+    "least_squares",
+    "leave_out_moves",
+    "unit_norms",
+    "without_nuisances",
+]
 
 Support = tuple[int, ...]
 
@@ -96,3 +105,11 @@ def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
     norms = unit_norms(design)
     solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
     return solution
+
+
+def leave_out_moves(
+    design: FloatArray, residual: FloatArray, blocks: Sequence[IndexArray]
+) -> FloatArray:
+    """Return how a fit on columns of unlike size moves without each block, (n_blocks, n)."""
+    norms = unit_norms(design)
+    return leave_out(-design / norms, residual, blocks).moves / norms

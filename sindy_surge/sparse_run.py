@@ -29,6 +29,7 @@ from sindy_surge.linear_problem import (
     LinearProblem,
     Support,
     least_squares,
+    leave_out_moves,
     unit_norms,
     without_nuisances,
 )
@@ -37,7 +38,7 @@ from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.leave_out import leave_out, scatter
+from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["FreeRunEquations", "FreeRunFit", "SparseRun", "select_on_free_run"]
@@ -397,7 +398,7 @@ def select_on_free_run(
     chosen, rivals = _chosen(equations, trials, [degrees[i] for i in usable], optimizer, most)
     fit = equations.solve(chosen)
     # The nuisances are estimated again without each cycle as well.
-    moves = leave_out(-fit.joint, fit.residual, blocks).moves
+    moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = len(chosen)
     covariance = scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
     covariance += _spread(equations, fit, chosen, rivals)

@@ -10,7 +10,7 @@ import numpy as np
 from sindy_surge.lag_equations import free_run
 from sindy_surge.lag_fit import StructureFit, moved_point
 from sindy_surge.lag_problem import LagProblem
-from surge_core.leave_out import leave_out
+from sindy_surge.linear_problem import leave_out_moves
 from surge_core.types import FloatArray
 
 __all__ = ["held_out_rms", "sandwich"]
@@ -115,7 +115,7 @@ def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]
     columns = np.vstack((fit.sensitivity, np.diag(np.sqrt(fit.prior))))
     errors = np.concatenate((fit.residual, np.sqrt(fit.prior) * fit.prior_pull))
     folds = [np.flatnonzero(home == k) for k in range(n_folds)]
-    moves = leave_out(-columns, errors, folds).moves
+    moves = leave_out_moves(columns, errors, folds)
     # At the measured inputs: a prediction has no others.
     silent = np.zeros_like(problem.inputs)
     total = 0.0
