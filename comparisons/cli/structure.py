@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_parser", "run"]
 
-OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
+OPTIMIZERS = ("SSR", "STLSQ", "best-subset")
 WORDS = ("required", "forbidden", "positive", "negative")
 
 

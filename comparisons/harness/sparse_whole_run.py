@@ -80,7 +80,7 @@ def fit_sparse_whole_runs(
         How φ acts between samples.
     until_s : sequence of float, optional
         Score each record up to this time only; the rest is held out.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "best-subset"} or pysindy optimizer
         What proposes structures.
     max_terms : int
         Largest structure considered.
@@ -96,9 +96,8 @@ def fit_sparse_whole_runs(
         When a series lacks the unfiltered columns.
     """
     from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
-    from sindy_surge.free_run_equations import FreeRunEquations
     from sindy_surge.segments import Segments
-    from sindy_surge.sparse_run import select_on_free_run
+    from sindy_surge.sparse_run import FreeRunEquations, select_on_free_run
 
     check_rates(records)
     plain = scored_until([whole_run_rows(record) for record in records], until_s)

@@ -8,7 +8,6 @@ from scipy.stats import norm
 
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.lag_fit import WhiteEquations
-from sindy_surge.segments import Segments
 from sindy_surge.selection import information_penalty
 
 PENALTY = 17.0
@@ -22,7 +21,7 @@ def _equations(
     if nuisances is None:
         nuisances = np.sin(np.arange(n) / 7.0)[:, None]
     rows = np.arange(n)
-    return WhiteEquations(nuisances, columns, target, Segments.from_labels(None, n), rows)
+    return WhiteEquations(nuisances, columns, target, rows)
 
 
 def _even_blocks(n: int, n_blocks: int = N_BLOCKS) -> list[slice]:
