@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from surge_core.files import to_strict_json
 from surge_core.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
+    from classic_ml.series import CoefficientSeries
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.where import Where
 
@@ -88,7 +88,7 @@ def add_parser(commands: Commands) -> None:
     )
     add(
         "--max-effects",
-        type=whole(1, MOST_MODEL_EFFECTS),
+        type=whole(1),
         metavar="N",
         help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model "
         f"{DEFAULT_MODEL_EFFECTS}, at most {MOST_MODEL_EFFECTS})",
@@ -109,6 +109,13 @@ def run(arguments: argparse.Namespace) -> None:
     InputError
         When an input or an option cannot be used; nothing is written then.
     """
+    most = MOST_EFFECTS if arguments.model is None else MOST_MODEL_EFFECTS
+    if (arguments.max_effects or 0) > most:
+        raise InputError(
+            "--max-effects",
+            expected=f"a whole number from 1 to {most}",
+            found=f"{arguments.max_effects}",
+        )
     if arguments.model is None:
         _check_compressor(arguments)
         lines = _compressor(arguments)
@@ -118,77 +125,70 @@ def run(arguments: argparse.Namespace) -> None:
     print("\n".join(lines))
 
 
-@dataclass(frozen=True)
-class _Found:
-    """All that one run of the command found."""
-
-    diagnosis: Diagnosis
-    before: Where | None
-    after: Where | None
-    limits: Any
-    separation: Any
-    base: dict[str, Any]
-    remarks: tuple[str, ...]
-
-
 def _compressor(arguments: argparse.Namespace) -> list[str]:
     """Diagnose series and return what is printed."""
+    from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
     from comparisons.missing_effect.terminal import diagnosis_text
     from comparisons.show.diagnose_report import diagnosis_report
 
     steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
     with shown_steps(steps) as begin:
-        found = _diagnosed(arguments, begin)
-        more = {"limits": found.limits, "separation": found.separation}
+        begin("reading")
+        # Each once: the last record is held out whole, and its double would be fitted.
+        records = read_records(arguments.series)
+        terms, base, remarks = _base(arguments, records, begin)
+        begin("trying effects")
+        d = diagnose(
+            records,
+            arguments.degree or DEFAULT_DEGREE,
+            terms=terms,
+            most_effects=arguments.max_effects or MOST_EFFECTS,
+        )
+        begin("looking where")
+        before, why = _where(d, d.before)
+        after, _ = _where(d, d.after) if d.missing else (before, "")
+        remarks += [f"Where was not looked at: {why}."] if why else []
+        more = _asked_beyond(arguments, d, begin)
         begin("writing")
 
         def document() -> str:
-            return to_strict_json(
-                diagnosis_document(
-                    found.diagnosis, found.before, found.limits, found.separation, base=found.base
-                )
-            )
+            return to_strict_json(diagnosis_document(d, before, **more, base=base))
 
         def page() -> str:
-            ends = found.before, found.after
-            return diagnosis_report(found.diagnosis, *ends, **more, command=command_line())
+            return diagnosis_report(d, before, after, **more, command=command_line())
 
         written = write_all(
             [("numbers", arguments.json, document), ("report", arguments.report, page)]
         )
         if arguments.save:
-            written.append(f"model: {_saved(found.diagnosis, arguments.save)}")
-    text = diagnosis_text(found.diagnosis, found.before, **more)
-    return [text, *found.remarks, *([""] if written else []), *written]
+            written.append(f"model: {_saved(d, arguments.save)}")
+    return [diagnosis_text(d, before, **more), *remarks, *([""] if written else []), *written]
 
 
-def _diagnosed(arguments: argparse.Namespace, begin: Callable[[str], None]) -> _Found:
-    from comparisons.missing_effect import diagnose
+def _base(
+    arguments: argparse.Namespace,
+    records: Sequence[CoefficientSeries],
+    begin: Callable[[str], None],
+) -> tuple[Any, dict[str, Any], list[str]]:
+    """Return the base terms, what the document says of them, and what is printed of them."""
+    if arguments.base != "sindy":
+        degree = arguments.degree or DEFAULT_DEGREE
+        return None, {"source": "polynomial", "degree": degree}, []
+    from comparisons.missing_effect.base_terms import discovered_terms
 
-    begin("reading")
-    # Each once: the last record is held out whole, and its double would be fitted.
-    records = read_records(arguments.series)
-    remarks, terms = [], None
-    degree = arguments.degree or DEFAULT_DEGREE
-    base: dict[str, Any] = {"source": "polynomial", "degree": degree}
-    if arguments.base == "sindy":
-        from comparisons.missing_effect.base_terms import discovered_terms
+    begin("discovering terms")
+    found = discovered_terms(records)
+    names = ", ".join(found.dropped)
+    words = f"Left out of the base, since their form is not known here: {names}."
+    base = {"source": "sindy", "dropped": list(found.dropped)}
+    return found.terms, base, [words] if names else []
 
-        begin("discovering terms")
-        discovered = discovered_terms(records)
-        terms = discovered.terms
-        base = {"source": "sindy", "dropped": list(discovered.dropped)}
-        if discovered.dropped:
-            names = ", ".join(discovered.dropped)
-            remarks.append(f"Left out of the base, since their form is not known here: {names}.")
-    begin("trying effects")
-    most = arguments.max_effects or MOST_EFFECTS
-    d = diagnose(records, degree, terms=terms, most_effects=most)
-    begin("looking where")
-    before, why = _where(d, d.before)
-    after, _ = _where(d, d.after) if d.missing else (before, "")
-    remarks += [f"Where was not looked at: {why}."] if why else []
+
+def _asked_beyond(
+    arguments: argparse.Namespace, d: Diagnosis, begin: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return what --limits and --separate found; None for what was not asked for."""
     limits = separation = None
     if arguments.limits:
         from comparisons.missing_effect.catalogue import CATALOGUE
@@ -202,7 +202,7 @@ def _diagnosed(arguments: argparse.Namespace, begin: Callable[[str], None]) -> _
 
         begin("simulating measurements")
         separation = separating_measurements(d)
-    return _Found(d, before, after, limits, separation, base, tuple(remarks))
+    return {"limits": limits, "separation": separation}
 
 
 def _where(d: Diagnosis, fit: Any) -> tuple[Where | None, str]:
@@ -268,12 +268,6 @@ def _check_compressor(arguments: argparse.Namespace) -> None:
             "--degree",
             expected="no degree with --base sindy, which finds the terms itself",
             found=f"{arguments.degree}",
-        )
-    if (arguments.max_effects or 0) > MOST_EFFECTS:
-        raise InputError(
-            "--max-effects",
-            expected=f"a whole number from 1 to {MOST_EFFECTS}",
-            found=f"{arguments.max_effects}",
         )
     targets = {name: getattr(arguments, name) for name in ("json", "report", "save")}
     check_files(arguments.series, **targets)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from typing import NoReturn
+import re
+from typing import Any, NoReturn
 
 __all__ = ["OneLineParser", "one_line"]
 
@@ -30,6 +31,11 @@ def one_line(text: str) -> str:
 
 class OneLineParser(argparse.ArgumentParser):
     """A parser that refuses in one line, without the whole usage above it."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # "-5ms" is a value like "-5": what is wrong with it, its option says.
+        self._negative_number_matcher = re.compile(r"-\.?\d.*")
 
     def error(self, message: str) -> NoReturn:
         """End the program with exit code 2 and the message.

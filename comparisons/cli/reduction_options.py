@@ -24,73 +24,36 @@ __all__ = [
 
 # Option, the field of the settings behind it, and what argparse has to know.
 OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    (
-        "--filter-order",
-        "filter_order",
-        {"type": whole(1, 99), "metavar": "N", "help": "Butterworth order, 3 or 5 (default: 3)"},
-    ),
-    (
-        "--cutoff",
-        "cutoff_hz",
-        {"type": number, "metavar": "HZ", "help": "filter cut-off (default: 48)"},
-    ),
-    (
-        "--phase",
-        "phase",
-        {"choices": ("zero", "causal", "none"), "help": "filter direction (default: zero)"},
-    ),
-    (
-        "--probes",
-        "probes",
-        {"choices": ("all", "tip", "hub"), "help": "probes that are averaged (default: all)"},
-    ),
+    ("--filter-order", "filter_order", {"type": whole(1, 99), "metavar": "N"}),
+    ("--cutoff", "cutoff_hz", {"type": number, "metavar": "HZ"}),
+    ("--phase", "phase", {"choices": ("zero", "causal", "none")}),
+    ("--probes", "probes", {"choices": ("all", "tip", "hub")}),
     (
         "--invert-thermocouples",
         "thermocouple_inversion",
-        {
-            "action": "store_const",
-            "const": True,
-            "help": "undo the lag of the thermocouples",
-        },
+        {"action": "store_const", "const": True},
     ),
     (
         "--work-form",
         "work_form",
-        {
-            "choices": ("auto", "exit-flow", "mass-balance", "temperature-rise"),
-            "help": "ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
-        },
+        {"choices": ("auto", "exit-flow", "mass-balance", "temperature-rise")},
     ),
-    (
-        "--threshold",
-        "threshold_lbm_s",
-        {
-            "type": number,
-            "metavar": "LBM_S",
-            "help": "corrected flow below which the machine is in stall (default: test.toml's, "
-            "else estimated from the record)",
-        },
-    ),
-    (
-        "--hysteresis",
-        "hysteresis_lbm_s",
-        {
-            "type": number,
-            "metavar": "LBM_S",
-            "help": "half width of a band around the threshold (default: test.toml's, else 0)",
-        },
-    ),
-    (
-        "--window",
-        "window_s",
-        {
-            "type": number,
-            "nargs": 2,
-            "metavar": ("FROM_S", "TO_S"),
-            "help": "window of the quasi-steady cycles, else from test.toml, else found",
-        },
-    ),
+    ("--threshold", "threshold_lbm_s", {"type": number, "metavar": "LBM_S"}),
+    ("--hysteresis", "hysteresis_lbm_s", {"type": number, "metavar": "LBM_S"}),
+    ("--window", "window_s", {"type": number, "nargs": 2, "metavar": ("FROM_S", "TO_S")}),
 )
+HELP = {
+    "--filter-order": "Butterworth order, 3 or 5 (default: 3)",
+    "--cutoff": "filter cut-off (default: 48)",
+    "--phase": "filter direction (default: zero)",
+    "--probes": "probes that are averaged (default: all)",
+    "--invert-thermocouples": "undo the lag of the thermocouples",
+    "--work-form": "ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
+    "--threshold": "corrected flow below which the machine is in stall (default: test.toml's, else "
+    "estimated from the record)",
+    "--hysteresis": "half width of a band around the threshold (default: test.toml's, else 0)",
+    "--window": "window of the quasi-steady cycles, else from test.toml, else found",
+}
 
 
 def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
@@ -101,8 +64,8 @@ def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGr
     parser : argparse parser or group
         Where they go.
     """
-    for option, _, details in OPTIONS:
-        parser.add_argument(option, default=None, **details)
+    for option, field, details in OPTIONS:
+        parser.add_argument(option, dest=field, help=HELP[option], **details)
 
 
 def add_read_window(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
@@ -156,12 +119,10 @@ def reduction_settings(arguments: argparse.Namespace) -> ReductionSettings:
     """
     from classic_ml.reduction import ReductionSettings
 
-    given: dict[str, Any] = {}
-    for option, field, _ in OPTIONS:
-        value = getattr(arguments, option.removeprefix("--").replace("-", "_"))
-        if value is not None:
-            given[field] = tuple(value) if isinstance(value, list) else value
-    return ReductionSettings(**given)
+    given = {field: getattr(arguments, field) for _, field, _ in OPTIONS}
+    if given["window_s"] is not None:
+        given["window_s"] = tuple(given["window_s"])
+    return ReductionSettings(**{name: value for name, value in given.items() if value is not None})
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from surge_core.errors import InputError
 from surge_core.files import check_apart, check_target, write_whole
 from surge_core.progress import shown_over
 
@@ -85,7 +86,7 @@ def add_targets(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def check_files(inputs: Iterable[Path | None], **targets: Path | None) -> None:
-    """Refuse, before any work is done, a target that cannot or must not be written.
+    """Refuse, before any work is done, a missing input and a target that must not be written.
 
     Parameters
     ----------
@@ -102,6 +103,9 @@ def check_files(inputs: Iterable[Path | None], **targets: Path | None) -> None:
     from classic_ml.io.series import ledger_path
 
     read = [path for path in inputs if path is not None]
+    for path in read:
+        if not path.exists():
+            raise InputError(str(path), expected="a file that exists", found="no such file")
     written = {name: path for name, path in targets.items() if path is not None}
     for name, path in written.items():
         check_target(path, SUFFIXES.get(name, ()))
@@ -167,23 +171,23 @@ def drawing(items: Iterable[Any]) -> Iterable[Any]:
     return shown_over(items, unit="picture", words="drawing")
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     """Return a type of options: whole numbers within limits.
 
     Parameters
     ----------
     low, high : int
-        The least and the greatest that is taken.
+        The least and the greatest that is taken; no greatest without it.
     """
+    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
 
     def read(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = low - 1
-        if not low <= value <= high:
-            words = f"expected a whole number from {low} to {high}, found '{text}'"
-            raise argparse.ArgumentTypeError(words)
+        if value < low or (high is not None and value > high):
+            raise argparse.ArgumentTypeError(f"expected a whole number {limits}, found '{text}'")
         return value
 
     return read
@@ -215,7 +219,6 @@ def time_constant(text: str) -> float:
         What was typed.
     """
     from comparisons.harness.tau_trial import parse_tau
-    from surge_core.errors import InputError
 
     try:
         return parse_tau(text)

@@ -156,16 +156,18 @@ def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
     return Caution.of("psi_unknown", why=words)
 
 
-def spread_speeds(records: Sequence[CoefficientSeries]) -> list[float]:
-    """Return the corrected speeds of records that are too far apart for one curve, else none.
+def spread_speeds(records: Sequence[CoefficientSeries]) -> dict[str, float]:
+    """Return the median corrected speed of each record where these are too far apart for one curve.
 
     Parameters
     ----------
     records : sequence of CoefficientSeries
         The records.
     """
-    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
-    return speeds if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD else []
+    known = [r for r in records if r.Nc_frac is not None]
+    speeds = {r.source: float(np.median(r.Nc_frac[r.scored])) for r in known}
+    apart = len(speeds) > 1 and max(speeds.values()) - min(speeds.values()) > SPEED_SPREAD
+    return speeds if apart else {}
 
 
 def noise_model_cautions(estimates: Sequence[TauEstimate]) -> tuple[Caution, ...]:
@@ -350,8 +352,8 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
             cautions.append(Caution.of("odd_rate", record.source, rate_hz=rate_hz))
     speeds = spread_speeds(records)
     if speeds:
-        low, high = 100.0 * min(speeds), 100.0 * max(speeds)
-        cautions.append(Caution.of("speeds_apart", low_percent=low, high_percent=high))
+        each = ", ".join(f"{name} {100.0 * speed:.0f} %" for name, speed in speeds.items())
+        cautions.append(Caution.of("speeds_apart", each=each))
     return cautions
 
 

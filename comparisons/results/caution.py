@@ -31,8 +31,8 @@ SENTENCES: Mapping[str, str] = {
     "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
     "in-stall",
     "odd_rate": "{rate_hz:g} rows a second: is time_s in seconds?",
-    "speeds_apart": "the records lie between {low_percent:.0f} and {high_percent:.0f} % corrected "
-    "speed: one curve is fitted to all of them",
+    "speeds_apart": "one curve and one τ are fitted to records of different corrected speeds "
+    "(medians of their fitted rows: {each}), and are those of none of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "
     "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
     "rows_left_out": "{rows} rows in a stretch of fewer than {fewest} were not fitted",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,10 @@ from comparisons.missing_effect.shown import (
 )
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
+    ACCENT,
     FAINT,
     INK,
+    MARK,
     MEASURED,
     QUIET,
     SHADE,
@@ -29,7 +32,6 @@ from comparisons.page.style import (
     printable,
     robust_limits,
 )
-from comparisons.show.plots_added_effect import AFTER, BEFORE, plot_curves
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:
@@ -41,7 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = ["diagnosis_picture", "title"]
 
-PALE = "#d3e5f1"
+BEFORE, AFTER, PALE = MARK, ACCENT, "#d3e5f1"
+DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 SMALL = 8.5
 TINY = 7.5
 CANDIDATES_SHOWN = 6
@@ -199,17 +202,12 @@ def _residuals(ax: Axes, d: Diagnosis, run: HeldOutRun, shown: slice) -> None:
         -BAND_FLOORS, BAND_FLOORS, color=SHADE, lw=0, label=f"± {BAND_FLOORS:.0f} times the noise"
     )
     ax.axhline(0.0, color=INK, lw=0.7)
-    values = [(run.measured - run.after)[shown] / floor]
-    if d.missing:
-        values.append((run.measured - run.before)[shown] / floor)
-        ax.plot(run.time_s[shown], values[1], color=BEFORE, lw=1.2, label="before")
-    ax.plot(
-        run.time_s[shown],
-        values[0],
-        color=AFTER,
-        lw=0.9,
-        label="after" if d.missing else "residual",
-    )
+    lines = [(run.before, BEFORE, 1.2, "before"), (run.after, AFTER, 0.9, "after")]
+    values = []
+    for simulated, colour, width, word in lines[0 if d.missing else 1 :]:
+        values.append((run.measured - simulated)[shown] / floor)
+        label = word if d.missing else "residual"
+        ax.plot(run.time_s[shown], values[-1], color=colour, lw=width, label=label)
     low, high = robust_limits(*values, margin=0.1)
     ax.set_ylim(min(low, -1.3 * BAND_FLOORS), max(high, 1.3 * BAND_FLOORS))
     ax.set_xlim(run.time_s[shown][0], run.time_s[shown][-1])
@@ -329,8 +327,14 @@ def _fate(row: CandidateRow) -> str:
 
 
 def _curves(ax: Axes, d: Diagnosis) -> None:
+    """Draw the characteristic as a slow sweep would, two branches where there is hysteresis."""
+    old = steady_curves(d.before, d.data)
     new = steady_curves(d.after, d.data) if d.missing else ()
-    plot_curves(ax, steady_curves(d.before, d.data), new)
+    models = [(old, BEFORE, "before"), (new, AFTER, "after")] if new else [(old, AFTER, "model")]
+    for curves, colour, word in models:
+        for curve, dashes in zip(curves, cycle(DASHES), strict=False):
+            label = ", ".join(filter(None, (word, curve.label)))
+            ax.plot(curve.phi, curve.value, color=colour, lw=1.7, ls=dashes, label=label)
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]", fontsize=9)
     ax.set_title(
         r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", fontsize=9, color=INK, loc="left"

@@ -199,8 +199,8 @@ def test_a_ledger_with_two_low_passes_is_reported() -> None:
 
 
 def test_each_code_has_a_sentence_that_its_numbers_fill() -> None:
-    speeds = Caution.of("speeds_apart", low_percent=70.2, high_percent=98.5)
-    assert "between 70 and 98 % corrected speed" in str(speeds)
+    speeds = Caution.of("speeds_apart", each="a.csv 70 %, b.csv 98 %")
+    assert "a.csv 70 %, b.csv 98 %" in str(speeds)
     assert Caution.of("odd_rate", "a.csv", rate_hz=1.0).text.startswith("a.csv: 1 rows a second")
 
 

@@ -187,6 +187,11 @@ def test_missing_files_and_folders_are_refused(
     assert ".html" in refused(capsys, "compare", file, "--report", tmp_path / "r.txt")
     assert "folder" in refused(capsys, "compare", file, "--save", tmp_path)
     assert "no such file" in refused(capsys, "reconstruct", tmp_path / "m.json", file)
+    # The inputs are looked for before any of them is read.
+    (tmp_path / "bad.csv").write_text("nothing", "utf-8")
+    absent = ("compare", tmp_path / "bad.csv", "--model", tmp_path / "m.json")
+    assert "m.json: expected a file that exists" in refused(capsys, *absent)
+    (tmp_path / "bad.csv").unlink()
     assert nothing_but(tmp_path, "s.csv")
 
 
@@ -323,23 +328,27 @@ def test_bad_rig_settings_are_refused(
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "words"),
     [
-        ("compare", "s.csv", "--degree", "0"),
-        ("compare", "s.csv", "--degree", "two"),
-        ("compare", "s.csv", "--hold", "second"),
-        ("compare",),
-        ("fly",),
-        (),
+        (("compare", "s.csv", "--degree", "0"), "--degree: expected a whole number from 1 to 12"),
+        (("compare", "s.csv", "--degree", "two"), "found 'two'"),
+        (("compare", "s.csv", "--hold", "second"), "--hold: invalid choice"),
+        (("compare", "s.csv", "--tau", "-5ms"), "above 0 and up to 10 s, found -0.005 s"),
+        (("compare", "s.csv", "--tau", "abc"), "a time constant such as 18ms"),
+        (("compare",), "SERIES"),
+        (("fly",), "fly"),
+        ((), "COMMAND"),
     ],
 )
-def test_bad_options_exit_with_2(
-    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+def test_bad_options_exit_with_2_and_one_sentence(
+    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         run(*arguments)
     assert stop.value.code == 2
-    assert "Traceback" not in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
 
 
 def test_the_demo_is_refused_at_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
