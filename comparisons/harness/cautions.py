@@ -156,18 +156,19 @@ def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
     return Caution.of("psi_unknown", why=words)
 
 
-def spread_speeds(records: Sequence[CoefficientSeries]) -> dict[str, float]:
-    """Return the median corrected speed of each record where these are too far apart for one curve.
+def spread_speeds(records: Sequence[CoefficientSeries]) -> list[tuple[str, float]]:
+    """Return each record's median corrected speed where they are too far apart for one curve.
 
     Parameters
     ----------
     records : sequence of CoefficientSeries
         The records.
     """
-    known = [r for r in records if r.Nc_frac is not None]
-    speeds = {r.source: float(np.median(r.Nc_frac[r.scored])) for r in known}
-    apart = len(speeds) > 1 and max(speeds.values()) - min(speeds.values()) > SPEED_SPREAD
-    return speeds if apart else {}
+    known = [
+        (r.source, float(np.median(r.Nc_frac[r.scored]))) for r in records if r.Nc_frac is not None
+    ]
+    speeds = [speed for _, speed in known] or [0.0]
+    return known if max(speeds) - min(speeds) > SPEED_SPREAD else []
 
 
 def noise_model_cautions(estimates: Sequence[TauEstimate]) -> tuple[Caution, ...]:
@@ -352,7 +353,7 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
             cautions.append(Caution.of("odd_rate", record.source, rate_hz=rate_hz))
     speeds = spread_speeds(records)
     if speeds:
-        each = ", ".join(f"{name} {100.0 * speed:.0f} %" for name, speed in speeds.items())
+        each = ", ".join(f"{name} {100.0 * speed:.0f} %" for name, speed in speeds)
         cautions.append(Caution.of("speeds_apart", each=each))
     return cautions
 

@@ -14,7 +14,7 @@ from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs, has_whole_run
-from comparisons.results import ESTIMATOR_LABELS, FitRows, StructureChoice
+from comparisons.results import ESTIMATOR_LABELS, FitRows
 from surge_core.lag import Hold
 
 __all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints", "structure_of"]
@@ -191,13 +191,21 @@ def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
     return (low, high) if low < high else (float(pair[0]), float(pair[1]))
 
 
-def structure_of(estimator: Any) -> StructureChoice | None:
-    """Take the choice of terms out of a fitted estimator; None of one whose terms were given.
+def structure_of(estimator: Any) -> dict[str, Any] | None:
+    """Return how sure a choice of terms is, as plain JSON types; None where they were given.
 
     Parameters
     ----------
     estimator : object
         Fitted; one that searches has ``candidate_terms_`` and ``path_``.
+
+    Returns
+    -------
+    dict or None
+        ``n_candidates``, the terms that were searched; ``rivals``, structures that the data do not
+        separate from the chosen one; ``aliases``, terms left out because they are sums of others
+        on this record; ``inclusion_probability``, share of resampled records that hold a term;
+        ``path``, the best structure of each size with its held-out rms (NaN where unknown).
     """
     if not hasattr(estimator, "candidate_terms_"):
         return None
@@ -205,13 +213,20 @@ def structure_of(estimator: Any) -> StructureChoice | None:
     # Of each size the chosen structure, else that of the least error; unknown errors last.
     for row in sorted(estimator.path_, key=_by_merit, reverse=True):
         best[row.size] = row
-    return StructureChoice(
-        len(estimator.candidate_terms_),
-        tuple(tuple(terms) for terms in getattr(estimator, "rivals_", ())),
-        dict(getattr(estimator, "aliases_", {})),
-        dict(getattr(estimator, "inclusion_probability_", {})),
-        tuple((n, tuple(best[n].terms), float(best[n].held_out_rms)) for n in sorted(best)),
-    )
+    return {
+        "n_candidates": len(estimator.candidate_terms_),
+        "rivals": [list(terms) for terms in getattr(estimator, "rivals_", ())],
+        "aliases": dict(getattr(estimator, "aliases_", {})),
+        "inclusion_probability": dict(getattr(estimator, "inclusion_probability_", {})),
+        "path": [
+            {
+                "size": size,
+                "terms": list(best[size].terms),
+                "held_out_rms": float(best[size].held_out_rms),
+            }
+            for size in sorted(best)
+        ],
+    }
 
 
 def _by_merit(row: Any) -> tuple[bool, float]:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
+from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows
-from comparisons.results.tables import SYMBOLS
 from comparisons.results.terms import evaluate_terms, is_known_term
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.lag import FirstOrderLag, Hold
