@@ -64,24 +64,13 @@ class Misalignment:
     ----------
     delay_s, stderr_s : float
         Dead time and its standard error, in seconds; negative where ψ' comes first.
-    threshold : float
-        Standard errors beyond which it is significant.
-    sample_period_s : float
-        Sample period, in seconds.
+    significant : bool
+        Whether it is more than chance, and more than the hold of φ is worth.
     """
 
     delay_s: float
     stderr_s: float
-    threshold: float
-    sample_period_s: float
-
-    @property
-    def significant(self) -> bool:
-        """Whether it is more than chance, and more than the hold of φ is worth."""
-        return (
-            abs(self.delay_s) > self.threshold * self.stderr_s
-            and abs(self.delay_s) > LEAST_DELAY_SAMPLES * self.sample_period_s
-        )
+    significant: bool
 
 
 def drift_of(
@@ -163,14 +152,12 @@ def misalignment(rows: FitRows, *, degree: int = 2, hold: Hold = "first") -> Mis
     ).fit(late.X, late.measured, late.labels)
     if model.fit_state_ is not FitState.CONVERGED:
         return None
-    n = model.n_blocks_
-    tail = 0.5 * FALSE_ALARM
-    return Misalignment(
-        float(model.dead_time_s_) - margin * rows.sample_period_s,
-        float(model.dead_time_stderr_s_),
-        float(t.isf(tail, n - 1) if n > 1 else norm.isf(tail)),
-        rows.sample_period_s,
-    )
+    n, tail = model.n_blocks_, 0.5 * FALSE_ALARM
+    threshold = t.isf(tail, n - 1) if n > 1 else norm.isf(tail)
+    delay_s = float(model.dead_time_s_) - margin * rows.sample_period_s
+    stderr_s = float(model.dead_time_stderr_s_)
+    least_s = max(threshold * stderr_s, LEAST_DELAY_SAMPLES * rows.sample_period_s)
+    return Misalignment(delay_s, stderr_s, abs(delay_s) > least_s)
 
 
 def _late(rows: FitRows, margin: int) -> FitRows:

@@ -89,7 +89,7 @@ class Caution:
     numbers: Mapping[str, float | int | str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, code: str, where: str = "", **numbers: float | int | str) -> Caution:
+    def of(cls, code: str, where: str = "", /, **numbers: float | int | str) -> Caution:
         """Return a caution with its numbers by name."""
         return cls(code, where, "", numbers)
 
