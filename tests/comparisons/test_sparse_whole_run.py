@@ -16,6 +16,7 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
+from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.saved_models import load_models, save_models
 from comparisons.harness.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
 from comparisons.harness.tau_trial import trial_of
@@ -168,6 +169,10 @@ def test_in_a_comparison_it_stands_beside_the_classical_run(
     assert not any("put τ between" in caution for caution in document["cautions"])
     save_models({"sindy": result.model}, tmp_path / "model.json")
     saved = load_models(tmp_path / "model.json")["sindy"]
+    # φ is trusted where the estimator scores it: without the reversed flow of the filtered rows.
+    inputs, scored = result.whole_run.stacked()
+    assert saved.valid_phi == trusted_range(inputs.phi[scored])
+    assert saved.valid_phi[0] > comparison.valid_phi[0] + 0.01
     np.testing.assert_allclose(saved.quasi_steady(AT), result.model.quasi_steady(AT))
 
 

@@ -52,14 +52,6 @@ def test_the_least_error_is_at_the_true_tau_and_at_the_noise() -> None:
     np.testing.assert_allclose(np.mean(noise, axis=0), 0.003, rtol=0.02)
 
 
-def test_without_noise_the_error_falls_to_nothing() -> None:
-    trial = trial_over(rows_of(0, noise=0.0), [0.012, 0.015, TAU_S, 0.022, 0.03])
-    assert trial.least_rms < 1e-12
-    assert trial.best_tau_s == pytest.approx(TAU_S, rel=0.03)
-    assert np.all(np.diff(trial.refitted_rms[:3]) < 0)
-    assert np.all(np.diff(trial.refitted_rms[2:]) > 0)
-
-
 def test_a_curve_of_its_own_is_never_worse_than_the_held_one_and_equal_at_the_best() -> None:
     trial = trial_over(rows_of(1), trial_taus(0.01, 0.04))
     assert np.all(trial.refitted_rms <= trial.held_rms * (1 + 1e-12))
@@ -77,6 +69,7 @@ def test_rows_that_do_not_count_are_simulated_through() -> None:
     spoilt = FitRows(rows.phi, bad, *list(vars(rows).values())[2:])
     trial = trial_over(spoilt, [0.01, TAU_S, 0.03], scored=keep)
     assert trial.least_rms < 1e-12
+    assert trial.best_tau_s == pytest.approx(TAU_S, rel=0.03)
 
 
 def test_where_the_values_end_the_interval_ends() -> None:
@@ -92,14 +85,6 @@ def test_the_noise_of_low_passed_data_is_not_guessed() -> None:
     smooth = sosfiltfilt(butter(3, 48.0, fs=1000.0, output="sos"), rows.measured)
     filtered = FitRows(rows.phi, smooth, *list(vars(rows).values())[2:])
     assert math.isnan(trial_over(filtered, [0.015, 0.018, 0.02]).noise_rms)
-
-
-def test_values_are_spread_around_what_estimators_found() -> None:
-    taus = trial_taus(0.01, math.nan, 0.03)
-    assert taus[0] == pytest.approx(0.0025)
-    assert taus[-1] == pytest.approx(0.12)
-    assert np.ptp(np.diff(np.log(taus))) < 1e-12
-    assert 0.005 < trial_taus(math.nan)[10] < 0.1
 
 
 @pytest.mark.parametrize("text", ["0.018", "18ms", " 18 ms ", "1.8e-2s", "18000us"])
