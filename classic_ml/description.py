@@ -13,9 +13,10 @@ from functools import partial
 from math import nan, pi
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit, quantity_in
+from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.models import Table
 
@@ -53,8 +54,17 @@ def key(expected: str, remedy: str = "", **bounds: Any) -> Any:
 
 
 def _with_unit(kind: str, value: Any) -> Any:
-    """Return a text such as "7.98 psia" in SI, and anything else as it is."""
-    return quantity_in(value, kind, "") if isinstance(value, str) else value
+    """Return a text such as "7.98 psia" or "-0.67 degF" in SI, and anything else as it is."""
+    if not isinstance(value, str):
+        return value
+    number, _, unit = value.strip().partition(" ")
+    try:
+        return float(conversion_to_si(unit, kind, "").to_si(np.asarray(float(number))))
+    except ValueError:
+        example = '"7.98 psia"' if kind == "pressure" else '"-0.67 degF"'
+        an = "an absolute" if kind == "pressure" else "a"
+        expected = f"a number, or {an} {kind} with its unit as in {example}"
+        raise InputError("", expected=expected, found=repr(value)) from None
 
 
 def _one_line(text: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from sindy_surge.constraints import Constraints
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import jackknife_covariance, leave_out_moves, unit_norms
+from sindy_surge.leave_out import leave_out_moves, unit_norms
 from sindy_surge.linear_problem import Support
 from sindy_surge.preparation import Prepared
 from sindy_surge.segments import block_slices
@@ -27,6 +27,7 @@ from sindy_surge.trials import (
     special_structures,
 )
 from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
+from surge_core.leave_out import scatter
 from surge_core.types import FloatArray
 
 __all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out", "with_held_out"]
@@ -197,7 +198,7 @@ def _finished(
 ) -> HeldOutFit:
     parameters, design, residual = weak.fit(support)
     homes = [block.own for block in trials.blocks]
-    covariance = jackknife_covariance(leave_out_moves(design, residual, homes))
+    covariance = scatter(leave_out_moves(design, residual, homes))
     covariance += _repeated(design, residual) + _spread(problem, weak, support)
     tau = float(parameters[-1])
     lag = problem.hold_at(tau)

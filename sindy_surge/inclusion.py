@@ -7,17 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from sindy_surge.lag_fit import WhiteEquations
-from sindy_surge.leave_out import unit_norms
 from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from sindy_surge.sparse_paths import beam_search
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["inclusion_probabilities"]
 
 
-# Weight of a block that a resample leaves out. It keeps the resampled Gram positive definite when
-# a term acts in that block alone, and decides nothing: χ² changes by one part in 1e9.
+# Weight of a block that a resample leaves out. It keeps a term that acts in that block alone, and
+# decides nothing: χ² changes by one part in 1e9.
 _LEAST_WEIGHT = 1e-9
 _WIDTH = 16
 # The best structures about the record itself are tried in every resample, beside what its own
@@ -55,20 +53,12 @@ def inclusion_probabilities(
     ndarray of shape (n_columns,)
         Share of the resamples whose structure holds each usable term; nan if no equation lies in
         the blocks.
-
-    Notes
-    -----
-    A Gram matrix squares the condition number, which reaches 1e10 between the terms. So the
-    equations are first factored as Q R over all rows, the blocks are summed up as Grams of Q, which
-    is orthogonal, and a resample with Gram G = L L' of Q is the regression on L' R.
     """
-    if n_resamples < 1:
-        raise InputError("n_resamples", expected="at least 1", found=str(n_resamples))
     n_nuisances, n_terms = equations.nuisances.shape[1], equations.columns.shape[1]
     forced = tuple(sorted({int(i) for i in required}))
     largest = max(min(max_terms, n_terms), len(forced), 1)
-    triangle, grams, sizes = _compressed_blocks(equations, blocks)
-    if not len(grams):
+    triangles = _triangles(equations, blocks)
+    if not triangles:
         return np.full(n_terms, np.nan)
     linear = equations.compressed()
     ranked = sorted(
@@ -77,12 +67,14 @@ def inclusion_probabilities(
         for chi2, support in found
     )
     seeds = sorted((support for _, support in ranked[:_SEEDS]), key=len)
-    counts = rng.multinomial(len(grams), np.full(len(grams), 1 / len(grams)), size=n_resamples)
+    even = np.full(len(triangles), 1 / len(triangles))
     held = np.zeros(n_terms)
-    for drawn in counts:
-        summed = np.tensordot(drawn + _LEAST_WEIGHT, grams, axes=1)
-        rows = np.linalg.cholesky(summed).T @ triangle
-        n_equations = int(drawn @ sizes)
+    for drawn in rng.multinomial(len(triangles), even, size=n_resamples):
+        weights = np.sqrt(drawn + _LEAST_WEIGHT)
+        rows = np.vstack(
+            [w * triangle for w, (triangle, _) in zip(weights, triangles, strict=True)]
+        )
+        n_equations = int(drawn @ [size for _, size in triangles])
         resample = without_nuisances(
             rows[:, :n_nuisances], rows[:, n_nuisances:-1], rows[:, -1], n_equations
         )
@@ -109,20 +101,12 @@ def _best(
     return min([best, *scored])[1]
 
 
-def _compressed_blocks(
-    equations: WhiteEquations, blocks: Sequence[slice]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return R, the Gram of Q in each block that has equations, and their number there."""
-    ordered = sorted(blocks, key=lambda block: block.start)
-    used = [
-        slice(*np.searchsorted(equations.rows, (block.start, block.stop)).tolist())
-        for block in ordered
-    ]
-    used = [rows for rows in used if rows.stop > rows.start]
+def _triangles(equations: WhiteEquations, blocks: Sequence[slice]) -> list[tuple[FloatArray, int]]:
+    """Return the triangular factor of each block that has equations, and their number."""
     stacked = np.column_stack((equations.nuisances, equations.columns, equations.target))
-    norms = unit_norms(stacked)
-    orthogonal, triangle = np.linalg.qr(stacked / norms)
-    # The target keeps its size: χ² is in units of the noise.
-    triangle[:, -1] *= norms[-1]
-    grams = np.array([orthogonal[rows].T @ orthogonal[rows] for rows in used])
-    return triangle, grams, np.array([rows.stop - rows.start for rows in used], dtype=np.float64)
+    found = []
+    for block in sorted(blocks, key=lambda block: block.start):
+        first, last = np.searchsorted(equations.rows, (block.start, block.stop)).tolist()
+        if last > first:
+            found.append((np.asarray(np.linalg.qr(stacked[first:last], mode="r")), last - first))
+    return found

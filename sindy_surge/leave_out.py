@@ -8,7 +8,7 @@ import numpy as np
 
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["jackknife_covariance", "leave_out_moves", "newey_west", "unit_norms"]
+__all__ = ["leave_out_moves", "newey_west", "unit_norms"]
 
 
 def unit_norms(columns: FloatArray) -> FloatArray:
@@ -57,7 +57,7 @@ def leave_out_moves(
     columns : ndarray of shape (n_rows, n_parameters)
         Derivatives J of the fitted values.
     residual : ndarray of shape (n_rows,)
-        What the fit leaves, e.
+        What the fit leaves, e; rows of ``columns`` behind it are a prior, which no block holds.
     blocks : sequence of ndarray of int
         Rows of each block.
 
@@ -78,20 +78,3 @@ def leave_out_moves(
         moves[number] = -bread @ np.linalg.lstsq(system, part.T @ residual[rows])[0]
     moves /= norms
     return moves
-
-
-def jackknife_covariance(moves: FloatArray) -> FloatArray:
-    """Return the covariance (G - 1)/G Σ (Δ_g - mean Δ)(Δ_g - mean Δ)' of leave-one-out moves.
-
-    It allows for colour within a block, for errors that grow with the signal, and for blocks
-    that carry much of the information (CR3 of Bell & McCaffrey 2002); on a dozen segments a
-    Newey-West sum over strongly coloured errors is far too small.
-
-    Parameters
-    ----------
-    moves : ndarray of shape (n_blocks, n_parameters)
-        From `leave_out_moves`.
-    """
-    spread = moves - moves.mean(axis=0)
-    result: FloatArray = (len(moves) - 1) / len(moves) * spread.T @ spread
-    return result

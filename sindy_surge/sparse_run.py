@@ -16,7 +16,7 @@ import numpy as np
 from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
 from sindy_surge.held_out import HeldOutFit, with_held_out
-from sindy_surge.leave_out import jackknife_covariance, leave_out_moves
+from sindy_surge.leave_out import leave_out_moves
 from sindy_surge.linear_problem import Support, least_squares
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
@@ -30,6 +30,7 @@ from sindy_surge.trials import (
     special_structures,
 )
 from surge_core.fit_state import FitState
+from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["SparseRun", "select_on_free_run"]
@@ -214,7 +215,7 @@ def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
     """Return the jackknife over cycles, in which the nuisances are estimated again as well."""
     moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = fit.parameters.size - 1
-    return jackknife_covariance(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
+    return scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
 
 
 def _spread(

@@ -16,13 +16,12 @@ from surge_core.progress import shown_steps
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
     from classic_ml.series import CoefficientSeries
-    from classic_ml.work.coefficient import WorkCharacteristic
     from comparisons.page.blocks import Part
     from comparisons.results import Comparison, Truth
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
 
-__all__ = ["add_parser", "run", "run_demo"]
+__all__ = ["add_parser", "run"]
 
 # The paper's main case, and the one in which ψ could be had too; the second 98.5 % instability
 # is for validation: nothing is fitted to it.
@@ -91,53 +90,34 @@ def run(arguments: argparse.Namespace) -> None:
     ----------
     arguments : argparse.Namespace
         Of the command.
-    """
-    from comparisons.cli.compare import print_comparison
-
-    with shown_steps(STEPS, lines=True) as begin:
-        demo = run_demo(arguments.out, arguments.seed, begin)
-    for comparison, work in demo.comparisons:
-        print_comparison(comparison, work)
-    print("\n".join(demo.lines))
-    print(f"report: {arguments.out / 'report.html'}")
-
-
-def run_demo(folder: Path, seed: int, begin: Callable[[str], None]) -> _Demo:
-    """Simulate, reduce, compare, validate, diagnose and report.
-
-    Parameters
-    ----------
-    folder : path
-        Where records, series, models and the report go; made if it does not exist.
-    seed : int
-        Seed of the rig's sensors.
-    begin : callable
-        Says which stage begins.
 
     Raises
     ------
     InputError
         When the folder cannot be made.
     """
-    demo = _Demo(folder, seed, begin)
+    from comparisons.cli.compare import print_comparison
+
+    folder = arguments.out
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise InputError(str(folder), expected="a folder to write to", found="a file") from None
-    begin("loading; the first run compiles for some seconds")
-    from comparisons.show.report import write_report
+    with shown_steps(STEPS, lines=True) as begin:
+        begin("loading; the first run compiles for some seconds")
+        from comparisons.show.report import write_report
 
-    (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
-    _missing(demo, untouched, tau_s)
-    begin("drawing the report")
-    write_report(
-        folder / "report.html",
-        demo.sections,
-        title="A simulated surge test, end to end",
-        command=command_line(),
-        progress=drawing,
-    )
-    return demo
+        demo = _Demo(folder, arguments.seed, begin)
+        (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
+        _missing(demo, untouched, tau_s)
+        begin("drawing the report")
+        title = "A simulated surge test, end to end"
+        page = folder / "report.html"
+        write_report(page, demo.sections, title=title, command=command_line(), progress=drawing)
+    for comparison, work in demo.comparisons:
+        print_comparison(comparison, work)
+    print("\n".join(demo.lines))
+    print(f"report: {page}")
 
 
 def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, float]:
@@ -154,15 +134,13 @@ def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, floa
     comparison, work = compare_records([series]), None
     save_models(models_to_save(comparison), demo.folder / f"models_{case}.json")
     truth = _truth(rig, "psi_p")
-    demo.lines += _against_truth(title, comparison, truth)
+    _against_truth(demo, title, comparison, truth)
     work_truth, power_part, validation = None, [], []
     if series.psi is not None:
         demo.begin(f"{title}: fitting the estimators of ψ, and ψ_QS from the power balance")
         work, work_truth = compare_records([series], target="psi"), _truth(rig, "psi")
-        power = _power_balance(demo.folder / f"raw_{case}")
-        demo.lines += _against_truth(title, work, work_truth)
-        demo.lines.append(_power_against_truth(title, power, work_truth))
-        power_part.append(_power_part(power, work_truth))
+        _against_truth(demo, title, work, work_truth)
+        power_part.append(_power_balance(demo, case, title, work_truth))
     if case == FITTED[0][0]:
         from comparisons.harness.reconstruction import reconstruct_record
 
@@ -253,58 +231,37 @@ def _truth(rig: RigRun, target: str) -> Truth:
     return Truth(float(known["tau_s"]), phi, quasi_steady, "truth of the simulated rig")
 
 
-def _against_truth(title: str, comparison: Comparison, truth: Truth) -> list[str]:
+def _against_truth(demo: _Demo, title: str, fit: Comparison, truth: Truth) -> None:
+    from comparisons.results import SYMBOLS
+    from comparisons.show.report_words import truth_list
+
+    found = truth_list(fit, truth)
+    demo.lines += [f"{title}, {SYMBOLS[fit.rows.target]}: {found.heading}"]
+    demo.lines += [f"  {item}" for item in found.items]
+
+
+def _power_balance(demo: _Demo, case: str, title: str, truth: Truth) -> Part:
+    """Fit ψ_QS to the power the blading delivers, as `sindy-surge work` does."""
     import numpy as np
 
-    low, high = max(comparison.valid_phi[0], truth.phi[0]), min(comparison.valid_phi[1], 0.15)
-    at = np.linspace(low, high, 50)
-    true = np.interp(at, truth.phi, truth.quasi_steady)
-    symbol = "ψ'_QS" if comparison.rows.target == "psi_p" else "ψ_QS"
-    lines = [
-        f"{title}, {symbol}: found against the truth of the rig, φ from {low:.2f} to {high:.2f}"
-    ]
-    for result in comparison.results:
-        off = float(np.max(np.abs(result.model.quasi_steady(at) - true)))
-        lines.append(
-            f"  {result.label:32s} off by at most {off:.2f} of {true.min():.1f} to "
-            f"{true.max():.1f}, "
-            f"τ {1e3 * result.model.time_constant_s:5.1f} ms for {1e3 * truth.time_constant_s:.0f}"
-        )
-    return lines
-
-
-def _power_balance(raw: Path) -> WorkCharacteristic:
-    """Fit ψ_QS to the power the blading delivers, as `sindy-surge work` does."""
     from classic_ml.io import read_raw
     from comparisons.harness.work_fit import fit_work
-
-    return fit_work(*read_raw(raw / "raw.csv", raw / "test.toml"))
-
-
-def _power_against_truth(title: str, power: WorkCharacteristic, truth: Truth) -> str:
-    import numpy as np
-
-    if not np.isfinite(power.time_constant_s):
-        return f"{title}, ψ_QS from the power balance: not stated. {power.fit_state.advice}"
-    low, high = max(power.valid_phi[0], 0.0), min(power.valid_phi[1], WORK_TO_PHI)
-    at = np.linspace(low, high, 50)
-    off = np.max(np.abs(power.characteristic(at)[0] - np.interp(at, truth.phi, truth.quasi_steady)))
-    return (
-        f"{title}, ψ_QS from the power balance (`work`), φ from {low:.2f} to {high:.2f}: off by at "
-        f"most {off:.2f}, τ {1e3 * power.time_constant_s:.1f} ms for "
-        f"{1e3 * truth.time_constant_s:.0f}"
-    )
-
-
-def _power_part(power: WorkCharacteristic, truth: Truth) -> Part:
-    import numpy as np
-
     from comparisons.page.blocks import Head, Part, Table, Words
     from surge_core.rounding import round_to_error
 
+    raw = demo.folder / f"raw_{case}"
+    power = fit_work(*read_raw(raw / "raw.csv", raw / "test.toml"))
     at = np.round(np.arange(0.02, WORK_TO_PHI + 0.005, 0.01), 3)
     value, stderr = power.characteristic(at)
     true = np.interp(at, truth.phi, truth.quasi_steady)
+    words = f"not stated. {power.fit_state.advice}"
+    if np.isfinite(power.time_constant_s):
+        off = np.max(np.abs(value - true))
+        words = (
+            f"φ from {at[0]:.2f} to {at[-1]:.2f}: off by at most {off:.2f}, "
+            f"τ {1e3 * power.time_constant_s:.1f} ms for {1e3 * truth.time_constant_s:.0f}"
+        )
+    demo.lines.append(f"{title}, ψ_QS from the power balance (`work`): {words}")
     rows = tuple(
         (f"{p:.2f}", round_to_error(v, s), f"{t:.2f}")
         for p, v, s, t in zip(at, value, stderr, true, strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        arguments = build_parser().parse_args(argv)
+        arguments = build_parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
         arguments.run(arguments)
         sys.stdout.flush()
     except InputError as error:
@@ -91,6 +92,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_DONE
     print(f"sindy-surge: {words}", file=sys.stderr)
     return EXIT_UNUSABLE
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """Return the arguments with ``--tau -18ms`` as one: argparse takes ``-18ms`` for an option."""
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1].startswith("--") and re.fullmatch(r"-[\d.]+\s*[^\W\d]+", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def build_parser() -> argparse.ArgumentParser:

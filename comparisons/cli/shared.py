@@ -123,11 +123,14 @@ def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
     Raises
     ------
     InputError
-        When one cannot be used.
+        When one cannot be used, or is given twice.
     """
     from classic_ml.io.series import read_series
+    from comparisons.harness.rows import check_once
 
-    return [read_series(path) for path in paths]
+    records = [read_series(path) for path in paths]
+    check_once(records)
+    return records
 
 
 def write_all(contents: Iterable[tuple[str, Path | None, Callable[[], str]]]) -> list[str]:

@@ -16,6 +16,7 @@ from comparisons.cli.shared import (
     check_files,
     command_line,
     read_records,
+    time_constant,
     whole,
     write_all,
 )
@@ -217,17 +218,14 @@ def _constraint(text: str) -> tuple[str, str]:
 def _dead_time(text: str) -> float | str:
     if text in ("auto", "fit"):
         return text
-    from comparisons.harness.tau_trial import parse_tau
-
     size = text.strip().removeprefix("-")
     # No time constant may be zero; a dead time may.
     if re.fullmatch(r"0+(\.0*)?\s*(s|ms|us|µs)?", size):
         return 0.0
     try:
-        seconds = parse_tau(size)
-    except InputError as error:
-        words = f"expected auto, fit or a time such as 5ms or 0.005 (seconds), found {error.found}"
-        raise argparse.ArgumentTypeError("; ".join(filter(None, (words, error.remedy)))) from None
+        seconds = time_constant(size)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"auto, fit or a time: {error}") from None
     return -seconds if text.strip().startswith("-") else seconds
 
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from comparisons.cli.shared import Commands, command_line, whole
+from surge_core.errors import InputError
 
 __all__ = ["add_parser"]
-
-# Reasons of failed cells that are printed; the report has all.
-MOST_REASONS = 5
 
 
 def add_parser(commands: Commands) -> None:
@@ -54,7 +51,7 @@ def run_study_command(arguments: argparse.Namespace) -> None:
     """Run the study that the arguments name."""
     from joblib import cpu_count
 
-    from comparisons.study.comparison import methods_in, study_text
+    from comparisons.study.comparison import study_text
     from comparisons.study.design import cells_of
     from comparisons.study.report import write_study_report
     from comparisons.study.run import RESULTS, check_study, run_study
@@ -80,19 +77,19 @@ def run_study_command(arguments: argparse.Namespace) -> None:
             resume=arguments.resume,
             progress=progress,
         )
-    _print_failures(table)
-    reference = spec.reference if spec.reference in methods_in(table) else None
+    reasons = table[table["state"] == "failed"]["reason"].value_counts()
+    if reasons.sum() == len(table):
+        raise InputError(
+            str(arguments.spec),
+            expected="cells that can be fitted",
+            found=f"{len(table)} that failed, {reasons.iloc[0]} of them with: {reasons.index[0]}",
+            remedy=f"{arguments.out / RESULTS} has the reason of each",
+        )
+    if len(reasons):
+        print(f"{reasons.sum()} of {len(table)} cells failed; table and report have the reasons")
     print()
-    print(study_text(table, spec.scores, reference=reference, by=spec.by))
+    print(study_text(table, spec.scores, reference=spec.reference, by=spec.by))
     page = arguments.out / "report.html"
     write_study_report(page, table, spec, command=command_line())
     print(f"table:  {arguments.out / RESULTS}")
     print(f"report: {page}")
-
-
-def _print_failures(table: Any) -> None:
-    failed = table[table["state"] == "failed"]
-    if len(failed):
-        print(f"{len(failed)} of {len(table)} cells failed; the table has the reason of each:")
-        for reason, count in list(failed["reason"].value_counts().items())[:MOST_REASONS]:
-            print(f"  {count} x {reason}")

@@ -15,7 +15,7 @@ from surge_core.errors import InputError
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "check_once", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
@@ -48,7 +48,7 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
             found=" and ".join(f"{1.0 / period:g} Hz" for period in periods),
             remedy="compare them one at a time",
         )
-    _check_once(records)
+    check_once(records)
     parts: list[tuple[Any, ...]] = []
     n_labels = 0
     for index, record in enumerate(records):
@@ -68,8 +68,19 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
     return FitRows(phi, measured, time_s, labels, record_index, periods[0], target, train)
 
 
-def _check_once(records: Sequence[CoefficientSeries]) -> None:
-    """Refuse rows that are given twice: they would count as two, and errors come out too small."""
+def check_once(records: Sequence[CoefficientSeries]) -> None:
+    """Refuse rows that are given twice: they would count as two, or be held out and fitted too.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        The records.
+
+    Raises
+    ------
+    InputError
+        Naming the record whose rows are those of another.
+    """
     for one, other in combinations(records, 2):
         if np.array_equal(one.phi, other.phi) and np.array_equal(one.psi_p, other.psi_p):
             raise InputError(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -84,7 +84,7 @@ class SparseWholeRunFit(WholeRunFit):
         )
         return ModelSummary(
             parts,
-            cast(FitState, self.fit_state_),
+            self.fit_state_,
             n_candidates=len(self.candidate_terms_),
             path=self.path_,
             input_ranges=self._phi_range,

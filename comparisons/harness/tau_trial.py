@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.characteristics import polynomial_basis
 from classic_ml.emptied_band import emptied_above_hz
 from comparisons.harness.fit_quality import block_errors, paired_difference, rms
 from comparisons.results import Comparison, FitRows, TauTrial
@@ -170,7 +169,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
         return replace(trial, noise_rms=math.nan, estimates=(estimate,))
     estimates = tuple(result.estimate for result in fitted)
     powers = [term for term in comparison.results[0].model.terms if term.startswith("phi")]
-    terms = polynomial_basis(max(len(powers), 1)).fit_transform(rows.X)
+    terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
     taus = trial_taus(*(estimate.tau_s for estimate in estimates))
     trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)
     return replace(trial, estimates=estimates)

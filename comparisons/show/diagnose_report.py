@@ -233,11 +233,11 @@ def _added(d: Diagnosis) -> tuple[Block, ...]:
             )
     names = [name for item in d.missing for name in item.alias_set]
     named = [each for each in (effect_of(d, name) for name in names) if not each.unnamed]
-    first = {item.effect for item in d.missing}
+    added = {item.effect for item in d.missing}
     lists = (
         Bullets(tuple(f"{e.name}: {e.confirm}" for e in named), heading="What would confirm it"),
         Bullets(
-            tuple(f"{e.name}: {e.on_tau}" for e in named if e.name in first),
+            tuple(f"{e.name}: {e.on_tau}" for e in named if e.name in added),
             heading="What τ suffers without it",
         ),
     )

@@ -69,7 +69,7 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
         if true_tau_s is not None:
             panel.axvline(1e3 * true_tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
     if n:
-        _estimates(*panels, trial)
+        _estimates(ax, panels[1], trial)
     if true_tau_s is not None:
         title = f"dotted: truth, {1e3 * true_tau_s:.3g} ms"
         ax.set_title(title, fontsize=8.5, color=QUIET, loc="right")

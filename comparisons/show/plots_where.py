@@ -111,10 +111,10 @@ def _over_time(figure: Figure, place: SubplotSpec, data: ResidualRuns, where: Wh
         if strongest.record == name:
             colour = MARK if strongest.z > where.bound_z else QUIET
             ax.axvspan(strongest.from_s, strongest.to_s, color=colour, alpha=0.18, lw=0)
-            look = {"ha": "center", "va": "top", "fontsize": SMALL, "color": colour}
-            place = (0.5 * (strongest.from_s + strongest.to_s), 1.0)
+            look: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": SMALL, "color": colour}
+            top = (0.5 * (strongest.from_s + strongest.to_s), 1.0)
             words = f"z {strongest.z:.1f}"
-            ax.annotate(words, place, xytext=(0, -3), xycoords=BELOW_TOP, **OFFSET, **look)
+            ax.annotate(words, top, xytext=(0, -3), xycoords=BELOW_TOP, **OFFSET, **look)
         ax.set_ylim(*limits)
         ax.set_xlim(edges[0], edges[-1])
         ax.set_title(printable(name, 60 // len(names)), fontsize=9, color=INK, loc="left")

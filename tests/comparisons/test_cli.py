@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -51,14 +50,6 @@ def test_help_answers_without_loading_anything_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize("command", ["demo", "simulate", "reduce", "compare", "reconstruct"])
-def test_each_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        run(command, "--help")
-    assert stop.value.code == 0
-    assert command in capsys.readouterr().out
 
 
 @needs_record
@@ -212,19 +203,6 @@ def test_no_output_replaces_an_input_or_another_output(
     assert (raw / "raw.csv").read_bytes() == counts
     assert file.read_bytes() == before
     assert nothing_but(tmp_path, "s.csv")
-
-
-def test_a_terminal_without_greek_is_no_reason_to_fail(tmp_path: Path) -> None:
-    file = tmp_path / "s.csv"
-    series_table(600).to_csv(file, index=False)
-    done = subprocess.run(
-        [sys.executable, "-m", "comparisons.cli", "compare", str(file)],
-        capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "ascii"},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert b"Traceback" not in done.stderr
 
 
 def test_an_interrupt_is_one_line(

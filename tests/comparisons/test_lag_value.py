@@ -35,7 +35,7 @@ def test_free_run_and_one_step_are_the_estimators_own(hold: str) -> None:
     )
     np.testing.assert_allclose(
         value.free_run(phi, PERIOD_S, labels, start=y),
-        m.simulate(phi[:, None], labels, start=y),
+        m.predict(phi[:, None], labels, start=y),
         atol=1e-12,
     )
     step = value.one_step(phi, y, PERIOD_S, labels)

@@ -224,7 +224,7 @@ def test_a_dead_time_is_read_with_its_unit(text: str, seconds: float) -> None:
         (("--constraint", "phi=positive", "--constraint", "phi=negative"), "--constraint"),
         (("--optimizer", "lasso"), "best-subset"),
         (("--dead-time", "18"), "18ms"),
-        (("--dead-time", "5 min"), "auto, fit"),
+        (("--dead-time", "5 min"), "auto, fit or a time"),
         (("--dead-time", "9s"), "longest segment"),
         (("--knots", "0.05,x"), "0.05,x"),
         (("--degree", "0"), "from 1"),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
-from classic_ml.characteristics import polynomial_basis
 from comparisons.harness.tau_trial import (
     parse_tau,
     reconstruction_error_over_tau,
@@ -34,7 +33,7 @@ def rows_of(seed: int, noise: float = 0.003, n: int = 2400) -> FitRows:
 
 
 def trial_over(rows: FitRows, taus_s: list[float], **options: object) -> TauTrial:
-    terms = polynomial_basis(2).fit_transform(rows.X)
+    terms = np.vander(rows.phi, 3, increasing=True)
     return reconstruction_error_over_tau(rows, terms, np.asarray(taus_s), **options)
 
 

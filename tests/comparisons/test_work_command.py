@@ -65,6 +65,8 @@ def test_above_90_percent_there_is_no_psi_and_one_sentence_says_why(
         (("--breakpoints", 0.1, 0.05), "--breakpoints"),
         (("--breakpoints", -1, 0.05), "--breakpoints"),
         (("--tau", "18"), "--tau"),
+        (("--tau", "-18ms"), "above 0 and up to 10 s, found -0.018 s"),
+        (("--tau", "5"), "shorter than a surge cycle"),
         (("--json", "no/such/folder/w.json"), "no/such/folder"),
     ],
 )

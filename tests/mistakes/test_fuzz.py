@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from mistake import REDUCE
 from mistake_checks import check_printable, check_sentence
 from mistake_desk import Answer, ledger_of, rms_errors, run_in
-from spoiling import toml_text
+from raw_data import to_toml
 
 FUZZ = settings(
     deadline=None,
@@ -166,7 +166,7 @@ def test_a_value_of_another_type(clean: Path, data: st.DataObject, value: Any) -
         for key in path[:-1]:
             inner = inner[key]
         inner[path[-1]] = value
-        (folder / "test.toml").write_text(toml_text(tables), "utf-8")
+        (folder / "test.toml").write_text(to_toml(tables), "utf-8")
         if answered(run_in(folder, REDUCE), "reduced.csv", "reduced.ledger.json"):
             table = pd.read_csv(folder / "reduced.csv")
             assert np.isfinite(table[["phi", "psi_p"]].to_numpy()).all()
