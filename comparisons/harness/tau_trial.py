@@ -52,11 +52,12 @@ def parse_tau(text: str) -> float:
     except ValueError:
         seconds = math.nan
     if not 0.0 < seconds <= LONGEST_TAU_S:
+        expected = "a time constant such as 18ms or 0.018 (seconds), above 0 and up to"
         remedy = f"write {text.strip()}ms if milliseconds are meant"
         raise InputError(
             "--tau",
-            expected=f"a time constant such as 18ms or 0.018 (seconds), up to {LONGEST_TAU_S:g} s",
-            found=repr(text),
+            expected=f"{expected} {LONGEST_TAU_S:g} s",
+            found=f"{seconds:g} s" if math.isfinite(seconds) else repr(text),
             remedy=remedy if seconds > LONGEST_TAU_S and unit is None else "",
         )
     return seconds

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
 
 from classic_ml.series import CoefficientSeries
 from comparisons.results.lag import LagModel
@@ -42,6 +45,31 @@ class Reconstruction:
     reconstructed: FloatArray
     score: FitScore
     outside: float
+
+    def to_csv(self) -> str:
+        """Return the reconstruction as a CSV table, beside what was measured."""
+        rows, target = self.rows, self.model.target
+        columns = {
+            "time_s": rows.time_s,
+            "segment": rows.labels,
+            "phi": rows.phi,
+            target: rows.measured,
+            f"{target}_reconstructed": self.reconstructed,
+        }
+        return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``reconstruct --json`` says of it."""
+        return {
+            "record": self.record.source,
+            "estimator": self.model.estimator,
+            "target": self.model.target,
+            "time_constant_s": self.model.time_constant_s,
+            "rows": self.score.n_rows,
+            "segments": self.rows.n_segments,
+            "free_run": self.score.to_json(),
+            "outside_valid_phi": self.outside,
+        }
 
 
 # Heading of each column of the table, and what it says.

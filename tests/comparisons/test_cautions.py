@@ -93,15 +93,13 @@ def test_output_noise_parts_arx_from_the_others() -> None:
         assert "arx" in (caution.numbers["one"], caution.numbers["two"])
 
 
-def test_estimates_without_a_tau_or_an_error_part_from_nothing() -> None:
-    known = TauEstimate("a", "a", 0.018, 0.001, 0.0)
-    lost = TauEstimate("b", "b", math.nan, math.nan, 0.0)
-    assert noise_model_cautions([known, lost]) == ()
-    assert noise_model_cautions([known]) == ()
-    near = TauEstimate("c", "c", 0.020, 0.001, 0.0)
-    far = TauEstimate("d", "d", 0.030, 0.001, 0.0)
-    assert noise_model_cautions([known, near]) == ()
-    assert "18 ms against d 30 ms" in noise_model_cautions([known, near, far])[0].text
+def test_only_estimates_further_apart_than_their_errors_part() -> None:
+    taus = {"a": 0.018, "b": math.nan, "c": 0.020, "d": 0.030}
+    known, lost, near, far = (
+        TauEstimate(name, name, tau, 0.001 + 0.0 * tau, 0.0) for name, tau in taus.items()
+    )
+    assert noise_model_cautions([known, lost, near]) == ()
+    assert "18 ms against d 30 ms" in noise_model_cautions([known, lost, near, far])[0].text
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0])

@@ -14,7 +14,7 @@ from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators, psi_breakpoints
 from comparisons.harness.fit_quality import block_errors, block_rms, paired_difference, score_fit
-from comparisons.harness.reconstruction import reconstruct_record, reconstruction_csv
+from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
 from comparisons.show.json_output import comparison_document
@@ -171,7 +171,7 @@ def test_reconstruction_of_another_record() -> None:
     result = reconstruct_record(model, series(12))
     assert result.score.rms == pytest.approx(0.003, rel=0.2)
     assert 0.0 <= result.outside < 0.5
-    lines = reconstruction_csv(result).splitlines()
+    lines = result.to_csv().splitlines()
     assert lines[0] == "time_s,segment,phi,psi_p,psi_p_reconstructed"
     assert len(lines) == result.rows.phi.size + 1
     wrong = FittedLag(**{**model.__dict__, "time_constant_s": 0.243})

@@ -66,7 +66,7 @@ def test_rows_that_do_not_count_are_simulated_through() -> None:
     keep = np.ones(2400, dtype=np.bool_)
     keep[900:960] = False
     spoilt = FitRows(rows.phi, bad, *list(vars(rows).values())[2:])
-    trial = trial_over(spoilt, [0.01, TAU_S, 0.03], scored=keep)
+    trial = trial_over(spoilt, [0.015, TAU_S, 0.022], scored=keep)
     assert trial.least_rms < 1e-12
     assert trial.best_tau_s == pytest.approx(TAU_S, rel=0.03)
 
