@@ -261,13 +261,13 @@ def _table(
     results: tuple[EstimatorResult, ...], quotable: tuple[str, ...]
 ) -> tuple[ComparisonRow, ...]:
     """Set the estimator whose τ is to be quoted first, then order by trust."""
-    scores = [block_rms(result.held_out_blocks) for result in results]
-    known = [i for i, (error, _) in enumerate(scores) if math.isfinite(error)]
-    least = min(known, key=lambda i: scores[i][0], default=None)
+    errors = {result.name: block_rms(result.held_out_blocks) for result in results}
+    known = [result for result in results if math.isfinite(errors[result.name][0])]
+    least = min(known, key=lambda result: errors[result.name][0], default=None)
     median_tau = _median_tau(results)
 
-    def distrust(i: int) -> tuple[int, bool, bool, int, float]:
-        result, error = results[i], scores[i][0]
+    def distrust(result: EstimatorResult) -> tuple[int, bool, bool, int, float]:
+        error = errors[result.name][0]
         return (
             quotable.index(result.name) if result.name in quotable else len(quotable),
             not result.converged,
@@ -277,26 +277,16 @@ def _table(
         )
 
     rows = []
-    for rank, i in enumerate(sorted(range(len(results)), key=distrust), start=1):
-        result = results[i]
-        difference, paired_error = 0.0, 0.0
-        if least is not None and i != least and i in known:
-            difference, paired_error = paired_difference(
-                result.held_out_blocks, results[least].held_out_blocks
-            )
-        rows.append(
-            ComparisonRow(
-                result.name,
-                result.label,
-                rank,
-                *scores[i],
-                difference,
-                paired_error,
-                result.model.time_constant_s,
-                result.model.time_constant_stderr_s,
-                _trust(result, median_tau, difference, paired_error),
-            )
+    for rank, result in enumerate(sorted(results, key=distrust), start=1):
+        paired = (0.0, 0.0)
+        if least is not None and result is not least and math.isfinite(errors[result.name][0]):
+            paired = paired_difference(result.held_out_blocks, least.held_out_blocks)
+        tau = result.model.time_constant_s, result.model.time_constant_stderr_s
+        trust = _trust(result, median_tau, *paired)
+        row = ComparisonRow(
+            result.name, result.label, rank, *errors[result.name], *paired, *tau, trust
         )
+        rows.append(row)
     return tuple(rows)
 
 

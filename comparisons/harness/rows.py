@@ -104,9 +104,7 @@ def _check_rows(
         raise InputError(
             where,
             expected=f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows to be fitted",
-            found="none: every row has segment 0"
-            if marked == 0
-            else f"{marked} rows, all in shorter ones",
+            found=f"{marked} rows in segments that are numbered",
             remedy="number the intervals to be fitted 1, 2, … in the column segment",
         )
     for name, values in (("phi", phi), (target, measured)):
