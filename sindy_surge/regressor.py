@@ -464,9 +464,15 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             output_name=self.output_name,
         )
 
-    def _sheet(self) -> Sheet | None:
-        if not hasattr(self, "fit_state_"):
-            return None
+    def summary(self) -> ModelSummary:
+        """Return all that is known of the fit: equation, state, rivals, noise, structures tried.
+
+        Returns
+        -------
+        ModelSummary
+            Its ``sheet()`` is what a terminal and a notebook show.
+        """
+        check_is_fitted(self)
         searched = bool(self.path_) and self.fit_state_ is not FitState.MODEL_ERROR_DOMINATES
         known = self.inclusion_probability_
         return ModelSummary(
@@ -481,7 +487,10 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             path=self.path_,
             input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
-        ).sheet()
+        )
+
+    def _sheet(self) -> Sheet | None:
+        return self.summary().sheet() if hasattr(self, "fit_state_") else None
 
     def __sklearn_tags__(self) -> Any:
         """State that a free run over rows without time order fits them poorly."""

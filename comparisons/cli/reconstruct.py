@@ -70,8 +70,6 @@ def run(arguments: argparse.Namespace) -> None:
     from comparisons.cli.saved_models import load_any_models
     from comparisons.harness.reconstruction import (
         reconstruct_record,
-        reconstruction_csv,
-        reconstruction_document,
     )
     from comparisons.show.table import reconstruction_table
     from surge_core.errors import InputError
@@ -105,8 +103,8 @@ def run(arguments: argparse.Namespace) -> None:
         )
     write_all(
         [
-            ("reconstruction", arguments.out, lambda: reconstruction_csv(runs[0])),
-            ("scores", arguments.json, lambda: to_strict_json(reconstruction_document(runs))),
+            ("reconstruction", arguments.out, runs[0].to_csv),
+            ("scores", arguments.json, lambda: to_strict_json(_document(runs))),
             ("report", arguments.report, lambda: _page(runs)),
         ]
     )
@@ -121,6 +119,11 @@ def _chosen(models: dict[str, Any], name: str | None) -> dict[str, Any]:
     if name not in models:
         raise InputError("--estimator", expected="one of " + ", ".join(models), found=name)
     return {name: models[name]}
+
+
+def _document(runs: Sequence[Reconstruction]) -> dict[str, Any]:
+    reconstructions = [run.to_json() for run in runs]
+    return {"schema": "sindy-surge/reconstruct/1", "reconstructions": reconstructions}
 
 
 def _page(runs: Sequence[Reconstruction]) -> str:

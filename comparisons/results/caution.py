@@ -89,7 +89,7 @@ class Caution:
     numbers: Mapping[str, float | int | str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, code: str, where: str = "", **numbers: float | int | str) -> Caution:
+    def of(cls, code: str, where: str = "", /, **numbers: float | int | str) -> Caution:
         """Return a caution with its numbers by name."""
         return cls(code, where, "", numbers)
 
@@ -118,18 +118,16 @@ def texts_of(cautions: Iterable[Caution]) -> tuple[str, ...]:
     """
     groups: dict[tuple[str, ...], list[str]] = {}
     for caution in cautions:
-        together = caution.code == "ledger"
-        key = (caution.where, caution.step) if together else (caution.text,)
-        said = str(caution.numbers["finding"]) if together else caution.text
+        key: tuple[str, ...] = (caution.text,)
+        said = caution.text
+        if caution.code == "ledger":
+            key, said = (caution.where, caution.step), str(caution.numbers["finding"])
         known = groups.setdefault(key, [])
         if said not in known:
             known.append(said)
-    return tuple(_joined(key, said) for key, said in groups.items())
-
-
-def _joined(key: tuple[str, ...], said: list[str]) -> str:
-    if len(key) == 1:
-        return said[0]
-    more = len(said) - FINDINGS_SHOWN
-    rest = [f"and {more} more of the step “{key[1]}” in the ledger"] if more > 0 else []
-    return f"{key[0]}: {'; '.join([*said[:FINDINGS_SHOWN], *rest])}"
+    texts = []
+    for (where, *step), found in groups.items():
+        more = len(found) - FINDINGS_SHOWN
+        rest = [f"and {more} more of the step “{step[0]}” in the ledger"] if more > 0 else []
+        texts.append(f"{where}: {'; '.join(found[:FINDINGS_SHOWN] + rest)}" if step else where)
+    return tuple(texts)

@@ -124,8 +124,7 @@ def _lag_scores(
         spec = EstimatorSpec(
             method.name,
             method.name,
-            lambda rows: _made(method, rows.sample_period_s),
-            fit_rows=made_and_fitted,
+            made_and_fitted,
         )
     comparison = compare_records(records, estimators=[spec], **fit)
     result = comparison.results[0]

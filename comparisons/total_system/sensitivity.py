@@ -169,7 +169,7 @@ def _component(
     reduction = reduce_record(moved, replace(test, compressor=machine), ReductionSettings())
     rows = stack_rows([reduction.series])
     spec = next(s for s in default_estimators() if s.name == "classic_ml")
-    model = spec.build(rows).fit(rows.X, rows.measured, rows.labels)
+    model = spec.fit_rows(rows, [reduction.series])
     return (
         tuple(model.coef_.tolist()),
         tuple(np.sqrt(np.diag(model.covariance_)).tolist()),

