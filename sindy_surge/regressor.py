@@ -59,7 +59,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
         exponentials over the range of the data.
-    optimizer : {"SSR", "STLSQ", "best-subset"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes the structures; the best subsets of each size are always looked at too.
     max_terms : int
         Largest structure considered.

@@ -14,7 +14,7 @@ from surge_core.types import FloatArray
 
 __all__ = ["OPTIMIZERS", "beam_search", "proposals", "proposed_supports", "without_required"]
 
-OPTIMIZERS = ("SSR", "STLSQ", "best-subset")
+OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "best-subset")
 
 # Dropping the term whose loss hurts least needs one regression for each term left: 0.2 s with
 # 20 terms, several seconds with 60.
@@ -83,7 +83,7 @@ def without_required(
 
 
 def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
-    from pysindy.optimizers import SSR, STLSQ
+    from pysindy.optimizers import FROLS, SSR, STLSQ
 
     if not isinstance(optimizer, str) and hasattr(optimizer, "fit"):
         # A copy: pysindy's optimizers carry state from one fit to the next.
@@ -96,6 +96,8 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
         few = n_terms <= _MOST_TERMS_FOR_RESIDUAL_CRITERION
         criteria = "model_residual" if few else "coefficient_value"
         return [SSR(alpha=0.0, criteria=criteria, max_iter=n_terms, ridge_kw=exact)]
+    if optimizer == "FROLS":
+        return [FROLS(alpha=0.0, max_iter=n_terms, ridge_kw=exact)]
     if optimizer == "STLSQ":
         # Relative thresholds, from far below the noise to the whole signal.
         size = float(np.linalg.norm(linear.target)) or 1.0
@@ -117,8 +119,17 @@ def _history(optimizer: Any, linear: LinearProblem) -> list[FloatArray]:
     with warnings.catch_warnings(), quick:
         # STLSQ warns whenever a threshold removes every term, which ends a sweep as it should.
         warnings.simplefilter("ignore")
-        optimizer.fit(linear.columns, linear.target)
-    met = [*getattr(optimizer, "history_", ()), getattr(optimizer, "coef_", np.zeros(0))]
+        try:
+            optimizer.fit(linear.columns, linear.target)
+        except ValueError:
+            # FROLS stops so on columns that rounding makes dependent; what it found still counts.
+            if not getattr(optimizer, "history_", None):
+                return []
+    met = [
+        *getattr(optimizer, "history_", ()),
+        *getattr(optimizer, "coef_list", ()),
+        getattr(optimizer, "coef_", np.zeros(0)),
+    ]
     return [np.ravel(np.asarray(one)) for one in met]
 
 

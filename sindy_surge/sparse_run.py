@@ -369,7 +369,7 @@ def select_on_free_run(
         Total degree of each; None for a term that is no polynomial.
     cycles : ndarray of int of shape (n_rows,)
         Number of the cycle of each row: what is left out together.
-    optimizer : {"SSR", "STLSQ", "best-subset"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes the structures off the ladder.
     max_terms : int
         Largest structure considered.

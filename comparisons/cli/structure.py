@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_parser", "run"]
 
-OPTIMIZERS = ("SSR", "STLSQ", "best-subset")
+OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "best-subset")
 WORDS = ("required", "forbidden", "positive", "negative")
 
 

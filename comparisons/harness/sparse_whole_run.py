@@ -127,7 +127,7 @@ def fit_sparse_whole_runs(
         How φ acts between samples.
     until_s : sequence of float, optional
         Score each record up to this time only; the rest is held out.
-    optimizer : {"SSR", "STLSQ", "best-subset"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes structures.
     max_terms : int
         Largest structure considered.

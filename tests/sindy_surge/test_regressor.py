@@ -157,7 +157,7 @@ def test_coloured_noise_is_whitened(surge: Callable[..., Any]) -> None:
     assert np.max(np.abs(z)) < 4
 
 
-@pytest.mark.parametrize("optimizer", ["STLSQ", "best-subset"])
+@pytest.mark.parametrize("optimizer", ["STLSQ", "FROLS", "best-subset"])
 def test_other_optimizers_reach_the_same_structure(
     surge: Callable[..., Any], optimizer: str
 ) -> None:
