@@ -17,7 +17,7 @@ from classic_ml.lag_regressor import LagRegressor
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-from surge_core.lag import Hold
+from surge_core.leave_out import scatter
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 from surge_core.validation import whole_number
@@ -127,7 +127,6 @@ def select_order(
     noise: Sequence[NoiseKind] = NOISE_KINDS,
     input_lags: Sequence[int] = (0, 1, 2),
     degrees: Sequence[int] = (1, 2, 3),
-    hold: Hold = "first",
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> OrderTable:
     """Fit every combination of orders to the same rows and recommend one.
@@ -149,8 +148,6 @@ def select_order(
         of them leaves.
     degrees : sequence of int
         Degrees of the characteristic.
-    hold : {"zero", "first"}
-        How φ acts between samples.
     progress : callable
         Wraps the iteration over the models, to show how far it is.
 
@@ -194,7 +191,7 @@ def select_order(
             noise=kind,
             noise_order=c,
             degree=degree,
-            hold=hold,
+            hold="first",
             # The errors before a segment are then not counted as errors of its rows: the sums of
             # squares of all models are over the same equations.
             exact_start=False,
@@ -258,11 +255,12 @@ def _table(fitted: list[_Fitted], n: int) -> OrderTable:
     aicc = [n * f.log_power + _aicc_penalty(f.n_parameters, n) for f in fitted]
     order = np.argsort(bic, kind="stable").tolist()
     chosen, reason = _recommend(fitted, order)
-    rows = {}
+    rows: list[OrderRow] = []
+    ties: list[OrderRow] = []
     for i in order:
         f = fitted[i]
-        _, paired = _difference(f.blocks, fitted[chosen].blocks)
-        rows[i] = OrderRow(
+        difference, paired = _difference(f.blocks, fitted[chosen].blocks)
+        row = OrderRow(
             f.model.noise,
             f.model.noise_order,
             f.input_lag,
@@ -277,14 +275,12 @@ def _table(fitted: list[_Fitted], n: int) -> OrderTable:
             f.white,
             f.model.fit_state_.code,
         )
-    ties = [
-        row
-        for i, row in rows.items()
-        if i == chosen
-        or abs(_difference(fitted[i].blocks, fitted[chosen].blocks)[0]) <= row.paired_error
-    ]
-    ties.sort(key=lambda row: row is not rows[chosen])
-    return OrderTable(tuple(rows.values()), rows[chosen], reason, tuple(ties))
+        rows.append(row)
+        if i == chosen:
+            ties.insert(0, row)
+        elif abs(difference) <= paired:
+            ties.append(row)
+    return OrderTable(tuple(rows), ties[0], reason, tuple(ties))
 
 
 def _aicc_penalty(p: int, n: int) -> float:
@@ -300,17 +296,16 @@ def _recommend(fitted: list[_Fitted], order: list[int]) -> tuple[int, str]:
     if fitted[best].white:
         return best, "least BIC, and its one-step errors are white, so that BIC holds"
     leader = min(ended_well, key=lambda i: _rms(fitted[i].blocks))
-    near = [i for i in ended_well if _within(fitted[i].blocks, fitted[leader].blocks)]
+    near = []
+    for i in ended_well:
+        difference, paired = _difference(fitted[i].blocks, fitted[leader].blocks)
+        if difference <= max(paired, 0.0):
+            near.append(i)
     simplest = min(near, key=lambda i: (fitted[i].n_parameters, _rms(fitted[i].blocks)))
     return simplest, (
         "simplest within one paired standard error of the best on the later cycles; the one-step "
         "errors of the row of least BIC are not white, so that BIC does not hold"
     )
-
-
-def _within(blocks: FloatArray, reference: FloatArray) -> bool:
-    difference, paired = _difference(blocks, reference)
-    return difference <= 0.0 or difference <= paired
 
 
 def _rms(blocks: FloatArray) -> float:
@@ -319,15 +314,10 @@ def _rms(blocks: FloatArray) -> float:
 
 def _difference(blocks: FloatArray, reference: FloatArray) -> tuple[float, float]:
     """Return the difference of two rms values and its jackknife error over shared blocks."""
-    n = blocks.shape[0]
-    if blocks is reference:
-        return 0.0, 0.0
-    left_out = np.array(_without_each(blocks)) - np.array(_without_each(reference))
-    spread = left_out - left_out.mean()
-    error = math.sqrt((n - 1) / n * float(spread @ spread))
-    return _rms(blocks) - _rms(reference), error
+    moves = _without_each(blocks) - _without_each(reference)
+    return _rms(blocks) - _rms(reference), math.sqrt(float(scatter(moves[:, None])[0, 0]))
 
 
-def _without_each(blocks: FloatArray) -> Iterable[float]:
-    squares, rows = blocks.sum(axis=0)
-    return [math.sqrt(max(squares - s, 0.0) / (rows - r)) for s, r in blocks]
+def _without_each(blocks: FloatArray) -> FloatArray:
+    squares, rows = (blocks.sum(axis=0) - blocks).T
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / rows))
