@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from comparisons.cli.shared import Commands, command_line, drawing, whole
+from comparisons.cli.shared import Command, argument, command_line, drawing, seed
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
 
-__all__ = ["add_parser", "run"]
+__all__ = ["COMMAND"]
 
 # The paper's main case, and the one in which ψ could be had too; the second 98.5 % instability
 # is for validation: nothing is fitted to it.
@@ -62,43 +62,11 @@ class _Demo:
     lines: list[str] = field(default_factory=list)
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
+def _run(given: argparse.Namespace) -> Iterable[str]:
+    """Run the whole way on simulated tests, and write the report."""
+    from comparisons.cli.compare import comparison_lines
 
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "demo",
-        help="simulate a surge test, reduce it, fit both estimators, write a report",
-        description="Simulate an E3-like surge test at 98.5 % and 90 % speed, reduce the raw "
-        "counts, run the estimators on both coefficients and write one HTML report.",
-    )
-    parser.add_argument("--out", type=Path, default=Path("demo"), help="folder (default: demo)")
-    parser.add_argument(
-        "--seed", type=whole(0, 2**32 - 2), default=0, help="seed of the sensors (default: 0)"
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Run the whole way on simulated tests, print what was found and write the report.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-
-    Raises
-    ------
-    InputError
-        When the folder cannot be made.
-    """
-    from comparisons.cli.compare import print_comparison
-
-    folder = arguments.out
+    folder = given.out
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
@@ -107,7 +75,7 @@ def run(arguments: argparse.Namespace) -> None:
         begin("loading; the first run compiles for some seconds")
         from comparisons.show.report import write_report
 
-        demo = _Demo(folder, arguments.seed, begin)
+        demo = _Demo(folder, given.seed, begin)
         (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
         _missing(demo, untouched, tau_s)
         begin("drawing the report")
@@ -115,9 +83,9 @@ def run(arguments: argparse.Namespace) -> None:
         page = folder / "report.html"
         write_report(page, demo.sections, title=title, command=command_line(), progress=drawing)
     for comparison, work in demo.comparisons:
-        print_comparison(comparison, work)
-    print("\n".join(demo.lines))
-    print(f"report: {page}")
+        yield from comparison_lines(comparison, work)
+    yield from demo.lines
+    yield f"report: {page}"
 
 
 def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, float]:
@@ -271,3 +239,17 @@ def _power_balance(demo: _Demo, case: str, title: str, truth: Truth) -> Part:
         "Work characteristic from the power balance",
         (Words(power.entry.did), Table("ψ_QS from W25 ψ in one free run", heads, rows)),
     )
+
+
+COMMAND = Command(
+    "demo",
+    help="simulate a surge test, reduce it, fit both estimators, write a report",
+    description="Simulate an E3-like surge test at 98.5 % and 90 % speed, reduce the raw "
+    "counts, run the estimators on both coefficients and write one HTML report.",
+    arguments=(
+        argument("--out", type=Path, default=Path("demo"), help="folder (default: demo)"),
+        # The second test has the next seed.
+        seed(highest=2**32 - 2),
+    ),
+    run=_run,
+)

@@ -34,22 +34,22 @@ EXIT_UNUSABLE = 2
 # 128 + SIGINT, as a shell reports a process that was interrupted.
 EXIT_INTERRUPTED = 130
 
-# Each module adds one command, in the order of `--help`.
+# In the order of `--help`.
 COMMANDS = (
-    demo,
-    simulate,
-    inspect,
-    reduce,
-    live,
-    compare,
-    reconstruct,
-    diagnose,
-    work,
-    orders,
-    structure,
-    reproduce,
-    study,
-    total_system,
+    demo.COMMAND,
+    simulate.COMMAND,
+    inspect.COMMAND,
+    reduce.COMMAND,
+    live.COMMAND,
+    compare.COMMAND,
+    reconstruct.COMMAND,
+    diagnose.COMMAND,
+    work.COMMAND,
+    orders.COMMAND,
+    structure.COMMAND,
+    reproduce.COMMAND,
+    study.COMMAND,
+    total_system.COMMAND,
 )
 
 
@@ -72,8 +72,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        arguments = build_parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
-        arguments.run(arguments)
+        given = build_parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+        given.command.carry_out(given)
         sys.stdout.flush()
     except InputError as error:
         words = one_line(str(error))
@@ -115,7 +115,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in COMMANDS:
-        command.add_parser(commands)
+        command.add_to(commands)
     return parser
 
 

@@ -115,6 +115,14 @@ def test_the_degree_and_the_hold_reach_the_fit(tmp_path: Path) -> None:
     assert estimate["hold"] == "zero"
 
 
+def test_a_tau_that_no_row_could_show_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "s.csv"
+    series_table().to_csv(file, index=False)
+    assert "longest segment" in refused(capsys, "compare", file, "--tau", 5)
+
+
 def nothing_but(folder: Path, *names: str) -> bool:
     return sorted(p.name for p in folder.iterdir()) == sorted(names)
 
@@ -211,7 +219,7 @@ def test_an_interrupt_is_one_line(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("comparisons.cli.compare.run", interrupted)
+    monkeypatch.setattr("comparisons.cli.shared.Command.check_files", interrupted)
     assert run("compare", tmp_path / "s.csv") == 130
     assert capsys.readouterr().err.count("\n") == 1
 
