@@ -16,7 +16,6 @@ from surge_core.progress import shown_steps
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction
     from classic_ml.series import CoefficientSeries
-    from comparisons.page.blocks import Part
     from comparisons.results import Comparison, Truth
     from comparisons.rig import RigRun
     from comparisons.show.report import ReportSection
@@ -34,7 +33,7 @@ RIG_FILES = {"raw.csv", "test.toml", "truth"}
 # Beyond this the rig's in-stall parabola meets its unstalled branch.
 TRUTH_TO_PHI = 0.24
 # The paper's own valid range of the 90 % curves is 0 to 0.1.
-WORK_TO_PHI = 0.1
+WORK_PHI = (0.02, 0.1)
 PICTURE = "missing_effect.png"
 PICTURE_DPI = 110
 STEPS = 11
@@ -103,12 +102,13 @@ def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, floa
     save_models(models_to_save(comparison), demo.folder / f"models_{case}.json")
     truth = _truth(rig, "psi_p")
     _against_truth(demo, title, comparison, truth)
-    work_truth, power_part, validation = None, [], []
+    work_truth, validation = None, []
     if series.psi is not None:
         demo.begin(f"{title}: fitting the estimators of ψ, and ψ_QS from the power balance")
         work, work_truth = compare_records([series], target="psi"), _truth(rig, "psi")
         _against_truth(demo, title, work, work_truth)
-        power_part.append(_power_balance(demo, case, title, work_truth))
+        words = _power_balance(demo, case, work_truth)
+        demo.lines.append(f"{title}, ψ_QS from the power balance (`work`): {words}")
     if case == FITTED[0][0]:
         from comparisons.harness.reconstruction import reconstruct_record
 
@@ -125,7 +125,6 @@ def _fitted(demo: _Demo, case: str, title: str) -> tuple[CoefficientSeries, floa
             truth=truth,
             work_truth=work_truth,
             validation=tuple(validation),
-            extra=tuple(power_part),
         )
     )
     return series, float(rig.truth_parameters["tau_s"])
@@ -187,16 +186,12 @@ def _truth(rig: RigRun, target: str) -> Truth:
     phi = np.linspace(0.0, TRUTH_TO_PHI, 101)
     known = rig.truth_parameters
     if target == "psi_p":
-        quasi_steady = np.polynomial.polynomial.polyval(phi, known["beta"])
+        curve = np.polynomial.polynomial.polyval(phi, known["beta"])
     else:
-        first, second = known["psi_breaks"]
-        pieces = [
-            np.minimum(phi, first),
-            np.clip(phi - first, 0.0, second - first),
-            np.maximum(phi - second, 0.0),
-        ]
-        quasi_steady = known["psi_intercept"] + np.asarray(known["psi_slopes"]) @ np.array(pieces)
-    return Truth(float(known["tau_s"]), phi, quasi_steady, "truth of the simulated rig")
+        bends = np.array([0.0, *known["psi_breaks"], TRUTH_TO_PHI])
+        rises = np.cumsum([0.0, *(known["psi_slopes"] * np.diff(bends))])
+        curve = np.interp(phi, bends, known["psi_intercept"] + rises)
+    return Truth(float(known["tau_s"]), phi, curve, "truth of the simulated rig")
 
 
 def _against_truth(demo: _Demo, title: str, fit: Comparison, truth: Truth) -> None:
@@ -208,36 +203,22 @@ def _against_truth(demo: _Demo, title: str, fit: Comparison, truth: Truth) -> No
     demo.lines += [f"  {item}" for item in found.items]
 
 
-def _power_balance(demo: _Demo, case: str, title: str, truth: Truth) -> Part:
+def _power_balance(demo: _Demo, case: str, truth: Truth) -> str:
     """Fit ψ_QS to the power the blading delivers, as `sindy-surge work` does."""
     import numpy as np
 
     from classic_ml.io import read_raw
     from comparisons.harness.work_fit import fit_work
-    from comparisons.page.blocks import Head, Part, Table, Words
-    from surge_core.rounding import round_to_error
 
     raw = demo.folder / f"raw_{case}"
     power = fit_work(*read_raw(raw / "raw.csv", raw / "test.toml"))
-    at = np.round(np.arange(0.02, WORK_TO_PHI + 0.005, 0.01), 3)
-    value, stderr = power.characteristic(at)
-    true = np.interp(at, truth.phi, truth.quasi_steady)
-    words = f"not stated. {power.fit_state.advice}"
-    if np.isfinite(power.time_constant_s):
-        off = np.max(np.abs(value - true))
-        words = (
-            f"φ from {at[0]:.2f} to {at[-1]:.2f}: off by at most {off:.2f}, "
-            f"τ {1e3 * power.time_constant_s:.1f} ms for {1e3 * truth.time_constant_s:.0f}"
-        )
-    demo.lines.append(f"{title}, ψ_QS from the power balance (`work`): {words}")
-    rows = tuple(
-        (f"{p:.2f}", round_to_error(v, s), f"{t:.2f}")
-        for p, v, s, t in zip(at, value, stderr, true, strict=True)
-    )
-    heads = (Head("φ"), Head("ψ_QS"), Head("truth"))
-    return Part(
-        "Work characteristic from the power balance",
-        (Words(power.entry.did), Table("ψ_QS from W25 ψ in one free run", heads, rows)),
+    if not np.isfinite(power.time_constant_s):
+        return f"not stated. {power.fit_state.advice}"
+    at = np.linspace(*WORK_PHI, 9)
+    off = np.abs(power.characteristic(at)[0] - np.interp(at, truth.phi, truth.quasi_steady))
+    return (
+        f"φ from {at[0]:.2f} to {at[-1]:.2f}: off by at most {np.max(off):.2f}, "
+        f"τ {1e3 * power.time_constant_s:.1f} ms for {1e3 * truth.time_constant_s:.0f}"
     )
 
 

@@ -54,7 +54,7 @@ def _check_options(given: argparse.Namespace) -> None:
                 where,
                 expected=f"it only {'without' if own else 'with'} --model",
                 found=f"{where} {'beside' if own else 'without'} --model",
-                remedy="records of a model go behind --fit or --check" if own else "",
+                remedy="records of a model go behind --fit or --check" if name == "series" else "",
             )
     if not (given.fit if own else given.series):
         raise InputError(
