@@ -111,12 +111,12 @@ def write_whole(path: Path, text: str) -> None:
     replace_whole(path, lambda temporary: temporary.write_text(text, "utf-8"))
 
 
-def to_strict_json(document: dict[str, Any]) -> str:
+def to_strict_json(document: dict[str, Any] | list[Any]) -> str:
     """Return JSON in which a number that is not finite is null: JSON has no NaN.
 
     Parameters
     ----------
-    document : dict
+    document : dict or list
         Of plain types.
     """
     return json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n"

@@ -176,17 +176,22 @@ def _blocks(file: Path, found: _Layout, lenient: bool, names: tuple[str, ...]) -
 
     def row_of_another_length(row: Any) -> str:
         short.append(row)
-        return "skip" if lenient else "error"
+        return "skip"
 
     n_rows = 0
     try:
         with arrow_csv.open_csv(
             file,
             read_options=arrow_csv.ReadOptions(
-                block_size=BLOCK_BYTES, column_names=list(found.names), skip_rows=found.skipped
+                block_size=BLOCK_BYTES,
+                column_names=list(found.names),
+                skip_rows=found.skipped,
+                # The handler below is given text, and bytes that are none must not stop it.
+                encoding="latin-1" if lenient else "utf8",
             ),
             parse_options=arrow_csv.ParseOptions(
-                delimiter=found.separator, invalid_row_handler=row_of_another_length
+                delimiter=found.separator,
+                invalid_row_handler=row_of_another_length if lenient else None,
             ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=types,

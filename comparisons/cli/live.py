@@ -6,26 +6,25 @@ import argparse
 import math
 import signal
 import sys
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from comparisons.cli.reduction_options import (
-    add_reduction_options,
-    options_named,
-    reduction_settings,
-)
-from comparisons.cli.shared import Commands, number
+from comparisons.cli.reduce import SERIES_SUFFIXES, reduction_lines
+from comparisons.cli.reduction_options import REDUCTION, options_named, reduction_settings
+from comparisons.cli.shared import Command, argument, whole
+from surge_core.errors import InputError
+from surge_core.files import check_apart, check_target
 
 if TYPE_CHECKING:
     from comparisons.live.feeds import Feed
     from comparisons.live.pieces import Piece
 
-__all__ = ["add_parser"]
+__all__ = ["COMMAND"]
 
-SERIES = (".csv", ".nc", ".nc4", ".netcdf")
 _BEHAVIOUR = """\
 While it runs, the operating point comes from pressures behind a causal low-pass (48 Hz, about 7 ms
 late). Surge is reported when the flow at plane 25 has run backwards for 3 ms, some 12 ms after the
@@ -40,21 +39,8 @@ SIGTERM; then the rows are reduced as `reduce` would with the same options. They
 time: after a crash, reduce that file."""
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the sub-command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "live",
-        help="follow a test as it runs, and reduce it at the end",
-        description="Take the rows of a running test from a pipe or a socket, show operating "
-        "point, surge and a running estimate, and end with the series that `reduce` gives.",
-        formatter_class=_WithFormats,
-    )
+def _add_source(parser: argparse.ArgumentParser) -> None:
+    """Add where the rows come from, and the options of the reduction as a group."""
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("input", nargs="?", choices=("-",), help="read the standard input")
     source.add_argument(
@@ -65,18 +51,10 @@ def add_parser(commands: Commands) -> None:
         "on another address any machine that reaches it can send)",
     )
     source.add_argument("--unix", type=Path, metavar="PATH", help="wait on a Unix socket")
-    parser.add_argument("--test", type=Path, required=True, help="description of the test (.toml)")
-    words = "series (.csv or .nc; default: live-DATE-TIME.csv)"
-    parser.add_argument("-o", "--out", type=Path, metavar="SERIES", help=words)
-    parser.add_argument("--raw", type=Path, metavar="FILE.csv", help="keep the raw record here")
-    words = "end the run after so long without a row (default: wait)"
-    parser.add_argument("--timeout", type=number, default=math.inf, metavar="S", help=words)
-    words = "show a page on 127.0.0.1 (0: any free port)"
-    parser.add_argument("--page", type=_port, metavar="PORT", help=words)
-    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
     words = "for the running estimate and for the series at the end"
-    add_reduction_options(parser.add_argument_group("options of `reduce`", words))
-    parser.set_defaults(run=_run)
+    group = parser.add_argument_group("options of `reduce`", words)
+    for each in REDUCTION:
+        each.add_to(group)
 
 
 class _WithFormats(argparse.RawDescriptionHelpFormatter):
@@ -88,7 +66,7 @@ class _WithFormats(argparse.RawDescriptionHelpFormatter):
         return f"{super().format_help()}\n{_BEHAVIOUR}\n\n{TEXT_FORMAT}\n"
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io import read_test_description
     from comparisons.live.display import Terminal
     from comparisons.live.monitor import Monitor
@@ -96,20 +74,20 @@ def _run(arguments: argparse.Namespace) -> None:
     from comparisons.live.pieces import Pieces, reduce_pieces
     from comparisons.live.session import Session
 
-    out, raw = _targets(arguments)
-    test = read_test_description(arguments.test)
+    out, raw = _targets(given)
+    test = read_test_description(given.test)
     with options_named():
-        settings = reduction_settings(arguments)
+        settings = reduction_settings(given)
     with TemporaryDirectory() as scratch, ExitStack() as ends:
         screens: list[Page | Terminal] = []
-        if arguments.page is not None:
-            screens.append(Page(arguments.page))
-        if not arguments.quiet:
+        if given.page is not None:
+            screens.append(Page(given.page))
+        if not given.quiet:
             screens.append(Terminal(sys.stdout))
         for screen in screens:
             ends.callback(screen.close)
         monitor = Monitor(test, settings, Path(scratch))
-        session = Session(test, _feed(arguments), Pieces(raw), monitor, screens, arguments.timeout)
+        session = Session(test, _feed(given), Pieces(raw), monitor, screens, given.timeout)
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             if hasattr(signal, name):
                 before = signal.signal(getattr(signal, name), lambda which, _: session.stop(which))
@@ -120,29 +98,23 @@ def _run(arguments: argparse.Namespace) -> None:
         session.run()
         with options_named():
             pieces = session.pieces.pieces
-            reduce_pieces(pieces, arguments.test, out, settings, session.entry())
+            reduce_pieces(pieces, given.test, out, settings, session.entry())
         session.show("done")
-    if not arguments.quiet:
-        _print_results(pieces)
-    if arguments.raw is None and all(piece.error is None for piece in pieces):
+    kept = given.raw is not None or any(piece.error is not None for piece in pieces)
+    if not kept:
         session.pieces.discard()
-    elif not arguments.quiet:
-        for piece in pieces:
-            described = f" with {piece.test}" if piece.test else ""
-            print(f"raw record: {piece.path}{described}")
+    return [] if given.quiet else _lines(pieces, raw_kept=kept)
 
 
-def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
+def _targets(given: argparse.Namespace) -> tuple[Path, Path]:
     """Return where series and raw record go, or refuse what cannot be written."""
     from classic_ml.io.series import ledger_path
-    from surge_core.errors import InputError
-    from surge_core.files import check_apart, check_target
 
-    out = arguments.out or Path(f"live-{datetime.now():%Y%m%d-%H%M%S}.csv")
-    raw = arguments.raw or out.with_name(f"{out.stem}.raw.csv")
-    check_target(out, SERIES)
+    out = given.out or Path(f"live-{datetime.now():%Y%m%d-%H%M%S}.csv")
+    raw = given.raw or out.with_name(f"{out.stem}.raw.csv")
+    check_target(out, SERIES_SUFFIXES)
     check_target(raw, (".csv",))
-    check_apart([arguments.test], [out, ledger_path(out), raw])
+    check_apart([given.test], [out, ledger_path(out), raw])
     if raw.exists():
         raise InputError(
             str(raw),
@@ -153,25 +125,26 @@ def _targets(arguments: argparse.Namespace) -> tuple[Path, Path]:
     return out, raw
 
 
-def _feed(arguments: argparse.Namespace) -> Feed:
+def _feed(given: argparse.Namespace) -> Feed:
     from comparisons.live.feeds import listening, piped
 
-    if arguments.listen is not None or arguments.unix is not None:
-        return listening(arguments.listen or arguments.unix)
+    if given.listen is not None or given.unix is not None:
+        return listening(given.listen or given.unix)
     return piped(sys.stdin.fileno())
 
 
-def _print_results(pieces: list[Piece]) -> None:
-    from comparisons.cli.reduce import print_reduction
-
+def _lines(pieces: list[Piece], *, raw_kept: bool) -> Iterator[str]:
     for piece in pieces:
         if len(pieces) > 1:
-            print(f"piece {piece.number}, {piece.n_rows} rows:")
+            yield f"piece {piece.number}, {piece.n_rows} rows:"
         if piece.reduction is None:
-            print(f"not reduced: {piece.error}")
+            yield f"not reduced: {piece.error}"
         else:
-            print_reduction(piece.reduction)
-            print(f"series: {piece.series}")
+            yield from reduction_lines(piece.reduction)
+            yield f"series: {piece.series}"
+    for piece in pieces if raw_kept else ():
+        described = f" with {piece.test}" if piece.test else ""
+        yield f"raw record: {piece.path}{described}"
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -183,5 +156,47 @@ def _address(text: str) -> tuple[str, int]:
         raise argparse.ArgumentTypeError(f"expected HOST:PORT or PORT, found {text!r}") from None
 
 
-def _port(text: str) -> int:
-    return _address(f"127.0.0.1:{text}")[1]
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, found {text!r}")
+    return value
+
+
+COMMAND = Command(
+    "live",
+    help="follow a test as it runs, and reduce it at the end",
+    description="Take the rows of a running test from a pipe or a socket, show operating point, "
+    "surge and a running estimate, and end with the series that `reduce` gives.",
+    arguments=(
+        argument("--test", type=Path, required=True, help="description of the test (.toml)"),
+        argument(
+            "-o",
+            "--out",
+            type=Path,
+            metavar="SERIES",
+            help="series (.csv or .nc; default: live-DATE-TIME.csv)",
+        ),
+        argument("--raw", type=Path, metavar="FILE.csv", help="keep the raw record here"),
+        argument(
+            "--timeout",
+            type=_seconds,
+            default=math.inf,
+            metavar="S",
+            help="end the run after so long without a row (default: wait)",
+        ),
+        argument(
+            "--page",
+            type=whole(0, 65535),
+            metavar="PORT",
+            help="show a page on 127.0.0.1 (0: any free port)",
+        ),
+        argument("--quiet", action="store_true", help="say nothing but errors"),
+    ),
+    run=_run,
+    add=_add_source,
+    formatter=_WithFormats,
+)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +113,14 @@ def test_the_degree_and_the_hold_reach_the_fit(tmp_path: Path) -> None:
     assert estimate["hold"] == "zero"
 
 
+def test_a_tau_that_no_row_could_show_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "s.csv"
+    series_table().to_csv(file, index=False)
+    assert "longest segment" in refused(capsys, "compare", file, "--tau", 5)
+
+
 def nothing_but(folder: Path, *names: str) -> bool:
     return sorted(p.name for p in folder.iterdir()) == sorted(names)
 
@@ -127,45 +133,6 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     assert said.err.count("\n") == 1
     assert "Traceback" not in said.err
     return said.err
-
-
-def gap(table: pd.DataFrame) -> pd.DataFrame:
-    return table.drop(index=range(500, 520))
-
-
-def setting(column: str, value: object, row: int | slice = 1234) -> Callable[..., pd.DataFrame]:
-    def spoil(table: pd.DataFrame) -> pd.DataFrame:
-        table[column] = table[column].astype(object)
-        table.loc[row, column] = value
-        return table
-
-    return spoil
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (gap, ("time_s", "uniform step")),
-        (setting("phi", np.nan), ("phi", "finite", "row 1235")),
-        (setting("phi", "n/a!"), ("phi", "numbers", "n/a!")),
-        (setting("phi", 0.3, slice(None)), ("phi", "constant")),
-        (lambda t: t.drop(columns="psi_p"), ("psi_p", "no column")),
-        (lambda t: t.iloc[:99], ("100 rows", "99")),
-    ],
-)
-def test_a_bad_series_is_refused_in_one_sentence(
-    spoil: Callable[[pd.DataFrame], pd.DataFrame],
-    words: tuple[str, ...],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    file = tmp_path / "bad.csv"
-    spoil(series_table()).to_csv(file, index=False)
-    said = refused(capsys, "compare", file, "--json", tmp_path / "c.json")
-    assert str(file) in said
-    for word in words:
-        assert word in said
-    assert nothing_but(tmp_path, "bad.csv")
 
 
 def test_missing_files_and_folders_are_refused(
@@ -211,7 +178,7 @@ def test_an_interrupt_is_one_line(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("comparisons.cli.compare.run", interrupted)
+    monkeypatch.setattr("comparisons.cli.shared.Command.check_files", interrupted)
     assert run("compare", tmp_path / "s.csv") == 130
     assert capsys.readouterr().err.count("\n") == 1
 
@@ -225,91 +192,12 @@ def test_the_option_is_named_and_not_the_field_behind_it(
     assert "--window: expected" in refused(capsys, *files, "--window", "3", "2")
 
 
-def drop_channel(folder: Path) -> None:
-    table = pd.read_csv(folder / "raw.csv")
-    table.drop(columns="P25_B_hub_aft").to_csv(folder / "raw.csv", index=False)
-
-
-def put_nan(folder: Path) -> None:
-    table = pd.read_csv(folder / "raw.csv", dtype=str)
-    table.loc[100, "P31_A_tip_aft"] = "nan"
-    table.to_csv(folder / "raw.csv", index=False)
-
-
-def saturate(folder: Path) -> None:
-    table = pd.read_csv(folder / "raw.csv")
-    tips = [name for name in table.columns if name.startswith("P25") and "tip" in name]
-    table[tips] = 4095
-    table.to_csv(folder / "raw.csv", index=False)
-
-
-def replacing(old: str, new: str) -> Callable[[Path], None]:
-    def spoil(folder: Path) -> None:
-        file = folder / "test.toml"
-        text = file.read_text("utf-8")
-        assert old in text
-        file.write_text(text.replace(old, new, 1), "utf-8")
-
-    return spoil
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (drop_channel, ("P25_B_hub_aft",)),
-        (replacing('unit = "count"', 'unit = "psi"'), ("test.toml", "calibrate_pressure_Pa")),
-        (put_nan, ("P31_A_tip_aft", "nan")),
-        (saturate, ("P25", "clipped")),
-        (replacing("[test]", "[test"), ("test.toml",)),
-    ],
-)
-def test_a_bad_raw_record_is_refused_in_one_sentence(
-    spoil: Callable[[Path], None],
-    words: tuple[str, ...],
-    raw: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    folder = tmp_path / "raw"
-    shutil.copytree(raw, folder)
-    spoil(folder)
-    said = refused(
-        capsys,
-        "reduce",
-        folder / "raw.csv",
-        "--test",
-        folder / "test.toml",
-        "-o",
-        tmp_path / "s.csv",
-    )
-    for word in words:
-        assert word in said
-    assert nothing_but(tmp_path, "raw")
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("simulate", "--case", "1985", "-o", "x"),
-        ("simulate", "--duration", "-1", "-o", "x"),
-    ],
-)
-def test_bad_rig_settings_are_refused(
-    arguments: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    refused(capsys, *arguments)
-    assert nothing_but(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("compare", "s.csv", "--degree", "0"), "--degree: expected a whole number from 1 to 12"),
         (("compare", "s.csv", "--degree", "two"), "found 'two'"),
+        (("orders", "s.csv", "--degrees", "-1"), "--degrees: expected a whole number"),
         (("compare", "s.csv", "--hold", "second"), "--hold: invalid choice"),
         (("compare", "s.csv", "--tau", "-5ms"), "above 0 and up to 10 s, found -0.005 s"),
         (("compare", "s.csv", "--tau", "abc"), "a time constant such as 18ms"),
@@ -333,14 +221,3 @@ def test_the_demo_is_refused_at_a_file(tmp_path: Path, capsys: pytest.CaptureFix
     at_a_file = tmp_path / "file"
     at_a_file.write_text("")
     assert "folder" in refused(capsys, "demo", "--out", at_a_file)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [("compare", "."), ("reduce", ".", "--test", ".", "-o", "x.csv"), ("reconstruct", ".", ".")],
-)
-def test_a_folder_for_a_file_is_named(
-    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*command) == 2
-    assert capsys.readouterr().err.strip().count("\n") == 0

@@ -226,7 +226,7 @@ def test_what_cannot_be_read_at_all_is_refused(
         ([tmp_path / "raw.h5"], "expected an HDF5 file, found what cannot be read"),
         ([tmp_path / "none.csv"], "no such file"),
         ([raw, "--test", toml], "test.toml: test.name: expected a value"),
-        ([tmp_path / "raw.h5", "--group", "a", "--test", "t.toml"], "--group: expected it without"),
+        ([tmp_path / "raw.h5", "--group", "a", "--test", toml], "--group: expected it without"),
     ):
         code, out, err = run(capsys, *arguments)
         assert (code, out) == (2, "")
@@ -342,18 +342,3 @@ def test_channels_of_another_rate_are_named(
     with pytest.raises(InputError, match=f"T25_A: .* 'slow/T25_A': {held}"):
         read_raw(path, toml)
     assert inspect_file(path, group="slow").rows == 51
-
-
-def test_a_channel_cut_off_in_psia_is_found_as_in_counts(tmp_path: Path) -> None:
-    """Forty readings or more are bit-equal at the top, as codes and as the pressures of these."""
-    rng = np.random.default_rng(8)
-    time_s = np.arange(3000) / 1000.0
-    swing = 2300.0 + 1500.0 * np.sin(2.0 * np.pi * 8.0 * time_s) + 12.0 * rng.standard_normal(3000)
-    codes = np.clip(np.round(swing), 0.0, 3780.0)
-    assert np.count_nonzero(codes == codes.max()) >= 40
-    whole = np.round(swing)
-    for unit, of in (("count", lambda v: v), ("psia", lambda v: np.round(7.0 + v / 271.3, 4))):
-        columns = {"time_s": time_s, f"cut [{unit}]": of(codes), f"whole [{unit}]": of(whole)}
-        facts = {c.name: c for c in inspected(tmp_path, columns).channels}
-        assert facts[f"cut [{unit}]"].plateaus == ("maximum",), unit
-        assert facts[f"whole [{unit}]"].plateaus == (), unit
