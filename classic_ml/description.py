@@ -247,14 +247,15 @@ class CountChannel(PressureChannel):
     def _calibrated(self) -> CountChannel:
         counts = abs(self.calibrate_count - self.zero_count)
         step_Pa, reference_Pa = abs(self.calibrate_pressure_Pa), self.zoc_reference_Pa
-        in_pascal = "500 Pa and more (is it in kPa or psi?)"
+        in_pascal = "500 Pa to 1 GPa (is it in kPa or psi?)"
         for name, good, expected in (
             # With fewer counts the sensitivity is not known to 1 %.
             ("calibrate_count", counts >= 100.0, "at least 100 counts from zero_count"),
             # No rake is calibrated by less than a twentieth of a metre of water, nor stands in
-            # such a vacuum; a transducer against vacuum has a reference of zero.
-            ("calibrate_pressure_Pa", step_Pa >= 500.0, in_pascal),
-            ("zoc_reference_Pa", reference_Pa == 0.0 or reference_Pa >= 500.0, in_pascal),
+            # such a vacuum; a transducer against vacuum has a reference of zero. The strongest
+            # pressure cells read 1 GPa.
+            ("calibrate_pressure_Pa", 500.0 <= step_Pa <= 1e9, in_pascal),
+            ("zoc_reference_Pa", reference_Pa == 0.0 or 500.0 <= reference_Pa <= 1e9, in_pascal),
         ):
             if not good:
                 raise InputError(name, expected=expected, found=f"{getattr(self, name):g}")
