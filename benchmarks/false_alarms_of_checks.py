@@ -82,7 +82,6 @@ def right_orders(truth: str, n_seeds: int, n: int) -> int:
         X, y, labels = record(seed, 4, n, c, seed % 3)
         best = select_order(
             X, y, labels, sample_period_s=PERIOD_S, input_lags=(0, 1, 2), degrees=(2, 3),
-            hold_out=False,
         ).rows[0]  # fmt: skip
         found = (best.noise, best.noise_order, best.input_lag, best.degree)
         right += found == (noise, order, seed % 3, 2)

@@ -8,13 +8,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["PiecewiseLinear", "feature_names", "polynomial_basis", "term_names"]
+__all__ = ["PiecewiseLinear", "feature_names", "polynomial_names", "term_names"]
 
 
 class PiecewiseLinear(TransformerMixin, BaseEstimator):
@@ -81,9 +80,9 @@ class PiecewiseLinear(TransformerMixin, BaseEstimator):
         return np.asarray(names, dtype=object)
 
 
-def polynomial_basis(degree: int) -> PolynomialFeatures:
-    """Return the polynomial terms 1, φ, φ², … (paper, Eq 12)."""
-    return PolynomialFeatures(degree=degree, include_bias=True)
+def polynomial_names(name: str, degree: int) -> list[str]:
+    """Name the terms 1, φ, φ², … of a polynomial in one input (paper, Eq 12)."""
+    return ["1", name, *(f"{name}^{power}" for power in range(2, degree + 1))][: degree + 1]
 
 
 def feature_names(n_features: int, given: ArrayLike | None) -> list[str]:

@@ -7,10 +7,10 @@ records really give is stated with each check and held by its test.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from classic_ml.characteristics import feature_names
 from classic_ml.cycle_shifts import CycleShifts, cycle_shifts
@@ -22,16 +22,15 @@ from classic_ml.whitening import (
     lagged_correlation,
 )
 from surge_core.segments import runs_of
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "CheckRow",
-    "PhiCoverage",
     "coverage",
+    "dwelling",
     "input_correlation",
     "leverage",
     "normality",
-    "phi_coverage",
     "residual_checks",
     "whiteness",
 ]
@@ -78,47 +77,6 @@ class CheckRow:
     meaning: str
 
 
-@dataclass(frozen=True)
-class PhiCoverage:
-    """Where φ dwells in a stated range.
-
-    Parameters
-    ----------
-    edges : ndarray of shape (n_parts + 1,)
-        Edges of equal parts of the range.
-    dwell : ndarray of shape (n_parts,)
-        Share of all rows in each part.
-    cycles : ndarray of int, shape (n_parts,)
-        Number of different cycles that visited each part.
-    """
-
-    edges: FloatArray
-    dwell: FloatArray
-    cycles: NDArray[np.int64]
-
-    @property
-    def visited(self) -> float:
-        """Share of the range in which φ dwells for at least 1 % of the rows."""
-        return float(np.mean(self.dwell >= VISITED_SHARE))
-
-    @property
-    def repeated(self) -> float:
-        """Share of the range that at least three cycles visited."""
-        return float(np.mean(self.cycles >= FEWEST_SWEEPS))
-
-    @property
-    def mostly(self) -> tuple[float, float]:
-        """Shortest stretch of whole parts that holds half of the rows."""
-        total = np.concatenate([[0.0], np.cumsum(self.dwell)])
-        n = self.dwell.size
-        for width in range(1, n + 1):
-            held = total[width:] - total[:-width]
-            at = int(np.argmax(held))
-            if held[at] >= 0.5 * total[-1]:
-                return float(self.edges[at]), float(self.edges[at + width])
-        return float(self.edges[0]), float(self.edges[-1])
-
-
 def residual_checks(
     model: LagRegressor,
     X: ArrayLike,
@@ -149,8 +107,10 @@ def residual_checks(
     -------
     tuple of CheckRow
         Whiteness, correlation with each input, normality, leverage of single cycles, and, of the
-        first input, sweeps, range and cycles of φ.
+        first input, sweeps, range and cycles of φ; none where the fit has no lag.
     """
+    if math.isnan(model.time_constant_s_):
+        return ()
     inputs = np.asarray(X, dtype=np.float64)
     fit = model.linearised(inputs, y, segments, sample_weight)
     pieces = list(fit.pieces)
@@ -159,15 +119,16 @@ def residual_checks(
     rows = [whiteness(errors, pieces)]
     for column, name in enumerate(names):
         row = input_correlation(errors, scored[:, column], pieces, name=name)
-        rows.append(row if len(names) == 1 else _renamed(row, f"input_correlation({name})"))
+        if len(names) > 1:
+            row = replace(row, check=f"input_correlation({name})")
+        rows.append(row)
     rows.append(normality(errors, pieces))
-    if math.isfinite(model.time_constant_s_):
-        rows.append(leverage(model, fit, scored))
+    rows.append(leverage(model, fit, scored))
     phi = scored[:, 0]
     stated = stated_phi or (float(phi.min()), float(phi.max()))
     cycles = runs_of(fit.segment, fit.segment.size)
     rows.append(coverage(phi, cycles, stated))
-    rows += _dwelling(phi_coverage(phi, cycles, stated))
+    rows += dwelling(phi, cycles, stated)
     return tuple(rows)
 
 
@@ -305,14 +266,14 @@ def leverage(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> Che
     cycle, contrast = np.unravel_index(int(np.argmax(size)), size.shape)
     statistic = float(size[cycle, contrast])
     passed = statistic < limit
-    return CheckRow(
-        "leverage",
-        statistic,
-        "<",
-        limit,
-        passed,
-        _about_cycle(model, shifts, contrasts, int(cycle), int(contrast), passed),
+    effect = _about_cycle(model, shifts, contrasts, int(cycle), int(contrast))
+    meaning = (
+        f"no cycle outweighs the others ({effect})"
+        if passed
+        else f"one cycle moves the answer more than the others let expect: {effect}; look at that "
+        "cycle before you trust either"
     )
+    return CheckRow("leverage", statistic, "<", limit, passed, meaning)
 
 
 def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> CheckRow:
@@ -337,10 +298,10 @@ def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> 
     return CheckRow("phi_coverage", float(sweeps), ">=", float(FEWEST_SWEEPS), passed, meaning)
 
 
-def phi_coverage(
-    phi: FloatArray, runs: list[slice], stated: tuple[float, float], n_parts: int = PARTS
-) -> PhiCoverage:
-    """Return where φ dwells in a stated range, and how many cycles went there.
+def dwelling(
+    phi: FloatArray, runs: list[slice], stated: tuple[float, float]
+) -> tuple[CheckRow, CheckRow]:
+    """Check that φ dwells in all parts of a range, and that several cycles went to each.
 
     Parameters
     ----------
@@ -351,68 +312,47 @@ def phi_coverage(
         second sweep.
     stated : tuple of float
         Range in which the curve is to be stated.
-    n_parts : int
-        Equal parts into which it is cut.
     """
-    edges = np.linspace(*stated, n_parts + 1)
-    part = np.searchsorted(edges, phi, side="right") - 1
-    part[phi == edges[-1]] = n_parts - 1
-    inside = (part >= 0) & (part < n_parts)
+    edges = np.linspace(*stated, PARTS + 1)
     cycle = np.zeros(phi.size, dtype=np.int64)
     n_cycles = 0
     for run in runs:
         cycle[run] = n_cycles + _sweeps(phi[run], stated) // 2
         n_cycles = int(cycle[run][-1]) + 1
-    visits = np.unique(np.column_stack([part, cycle])[inside], axis=0)
-    dwell = np.bincount(part[inside], minlength=n_parts) / max(phi.size, 1)
-    return PhiCoverage(edges, dwell, np.bincount(visits[:, 0], minlength=n_parts))
+    visits = np.histogram2d(phi, cycle, bins=(edges, np.arange(n_cycles + 1)))[0]
+    rare = visits.sum(axis=1) < VISITED_SHARE * phi.size
+    single = np.count_nonzero(visits, axis=1) < FEWEST_SWEEPS
+    visited, repeated = 1.0 - float(np.mean(rare)), 1.0 - float(np.mean(single))
+    seen, low, high = visited >= SHARE_OF_RANGE, *np.percentile(phi, (25.0, 75.0))
+    half = f"half of the rows lie between φ = {low:.3g} and {high:.3g}"
+    seen_meaning = (
+        f"φ dwells all over the stated range ({half})"
+        if seen
+        else f"φ hardly visits {_gaps(edges, rare)}, so that the curve is a guess there ({half})"
+    )
+    again = repeated >= SHARE_OF_RANGE
+    again_meaning = (
+        "each part of the stated range is visited by several cycles"
+        if again
+        else f"fewer than {FEWEST_SWEEPS} cycles visit {_gaps(edges, single)}: the curve and its "
+        "error there rest on single events"
+    )
+    return (
+        CheckRow("phi_range", visited, ">=", SHARE_OF_RANGE, seen, seen_meaning),
+        CheckRow("phi_cycles", repeated, ">=", SHARE_OF_RANGE, again, again_meaning),
+    )
 
 
-def _dwelling(found: PhiCoverage) -> list[CheckRow]:
-    """Return the rows for the share of the range, and for the cycles behind it."""
-    low, high = found.mostly
-    dwells = f"half of the rows lie between φ = {low:.3g} and {high:.3g}"
-    seen = found.visited >= SHARE_OF_RANGE
-    repeated = found.repeated >= SHARE_OF_RANGE
-    gaps = _gaps(found.edges, found.dwell < VISITED_SHARE)
-    rare = _gaps(found.edges, found.cycles < FEWEST_SWEEPS)
-    return [
-        CheckRow(
-            "phi_range",
-            found.visited,
-            ">=",
-            SHARE_OF_RANGE,
-            seen,
-            f"φ dwells all over the stated range ({dwells})"
-            if seen
-            else f"φ hardly visits {gaps}, so that the curve is a guess there ({dwells})",
-        ),
-        CheckRow(
-            "phi_cycles",
-            found.repeated,
-            ">=",
-            SHARE_OF_RANGE,
-            repeated,
-            "each part of the stated range is visited by several cycles"
-            if repeated
-            else f"fewer than {FEWEST_SWEEPS} cycles visit {rare}: the curve and its error there "
-            "rest on single events",
-        ),
-    ]
-
-
-def _gaps(edges: FloatArray, missing: ArrayLike) -> str:
+def _gaps(edges: FloatArray, missing: BoolArray) -> str:
     """Name the stretches of a range that are missing."""
-    flags = np.asarray(missing)
-    stretches = [
+    return " and ".join(
         f"φ = {edges[run.start]:.3g} to {edges[run.stop]:.3g}"
-        for run in runs_of(flags, flags.size)
-        if flags[run.start]
-    ]
-    return " and ".join(stretches)
+        for run in runs_of(missing, missing.size)
+        if missing[run.start]
+    )
 
 
-def _sweeps(phi: FloatArray, stated: tuple[float, float]) -> NDArray[np.int64]:
+def _sweeps(phi: FloatArray, stated: tuple[float, float]) -> IntArray:
     """Return for each row how many sweeps from one outer third to the other came before."""
     low, high = stated
     third = (high - low) / 3.0
@@ -426,7 +366,7 @@ def _sweeps(phi: FloatArray, stated: tuple[float, float]) -> NDArray[np.int64]:
 def _contrasts(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> FloatArray:
     """Return τ and the curve at three points as linear functions of the fit's parameters."""
     points = np.percentile(inputs, CURVE_PERCENTILES, axis=0)
-    terms = np.asarray(model.basis_.transform(points), dtype=np.float64) @ fit.back
+    terms = model.terms_at(points) @ fit.back
     contrasts = np.zeros((1 + terms.shape[0], fit.jacobian.shape[1]))
     contrasts[0, 0] = 1.0
     contrasts[1:, 1 : 1 + terms.shape[1]] = terms
@@ -434,33 +374,18 @@ def _contrasts(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> F
 
 
 def _about_cycle(
-    model: LagRegressor,
-    shifts: CycleShifts,
-    contrasts: FloatArray,
-    cycle: int,
-    contrast: int,
-    passed: bool,
+    model: LagRegressor, shifts: CycleShifts, contrasts: FloatArray, cycle: int, contrast: int
 ) -> str:
-    tau_s = float(model.time_constant_s_)
-    without = max(tau_s + float(shifts.shift[cycle, 0]), 0.0)
-    where = f"rows {shifts.first_row[cycle]} to {shifts.last_row[cycle]}"
+    """Say what the fit would be without a cycle."""
+    rows = f"without rows {shifts.first_row[cycle]} to {shifts.last_row[cycle]}"
+    moved = float(contrasts[contrast] @ shifts.shift[cycle])
     if contrast == 0:
-        effect = f"τ would be {1e3 * without:.3g} instead of {1e3 * tau_s:.3g} ms"
-    else:
-        place = ("at the low end", "in the middle", "at the high end")[contrast - 1]
-        moved = float(contrasts[contrast] @ shifts.shift[cycle])
-        effect = f"the curve {place} of φ would lie {abs(moved):.2g} "
-        effect += "higher" if moved > 0.0 else "lower"
-    if passed:
-        return f"no cycle outweighs the others (without {where}, {effect})"
-    return (
-        f"one cycle moves the answer more than the others let expect: without {where}, {effect}; "
-        "look at that cycle before you trust either"
-    )
-
-
-def _renamed(row: CheckRow, check: str) -> CheckRow:
-    return CheckRow(check, row.statistic, row.operator, row.threshold, row.passed, row.meaning)
+        tau_s = float(model.time_constant_s_)
+        without = max(tau_s + moved, 0.0)
+        return f"{rows}, τ would be {1e3 * without:.3g} instead of {1e3 * tau_s:.3g} ms"
+    place = ("at the low end", "in the middle", "at the high end")[contrast - 1]
+    side = "higher" if moved > 0.0 else "lower"
+    return f"{rows}, the curve {place} of φ would lie {abs(moved):.2g} {side}"
 
 
 def _limit(n_rows: int, n_lags: int) -> float:

@@ -13,9 +13,10 @@ from functools import partial
 from math import nan, pi
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit, quantity_in
+from classic_ml.units import COUNT, Conversion, conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.models import Table
 
@@ -53,8 +54,17 @@ def key(expected: str, remedy: str = "", **bounds: Any) -> Any:
 
 
 def _with_unit(kind: str, value: Any) -> Any:
-    """Return a text such as "7.98 psia" in SI, and anything else as it is."""
-    return quantity_in(value, kind, "") if isinstance(value, str) else value
+    """Return a text such as "7.98 psia" or "-0.67 degF" in SI, and anything else as it is."""
+    if not isinstance(value, str):
+        return value
+    number, _, unit = value.strip().partition(" ")
+    try:
+        return float(conversion_to_si(unit, kind, "").to_si(np.asarray(float(number))))
+    except ValueError:
+        example = '"7.98 psia"' if kind == "pressure" else '"-0.67 degF"'
+        an = "an absolute" if kind == "pressure" else "a"
+        expected = f"a number, or {an} {kind} with its unit as in {example}"
+        raise InputError("", expected=expected, found=repr(value)) from None
 
 
 def _one_line(text: str) -> str:
@@ -237,14 +247,15 @@ class CountChannel(PressureChannel):
     def _calibrated(self) -> CountChannel:
         counts = abs(self.calibrate_count - self.zero_count)
         step_Pa, reference_Pa = abs(self.calibrate_pressure_Pa), self.zoc_reference_Pa
-        in_pascal = "500 Pa and more (is it in kPa or psi?)"
+        in_pascal = "500 Pa to 1 GPa (is it in kPa or psi?)"
         for name, good, expected in (
             # With fewer counts the sensitivity is not known to 1 %.
             ("calibrate_count", counts >= 100.0, "at least 100 counts from zero_count"),
             # No rake is calibrated by less than a twentieth of a metre of water, nor stands in
-            # such a vacuum; a transducer against vacuum has a reference of zero.
-            ("calibrate_pressure_Pa", step_Pa >= 500.0, in_pascal),
-            ("zoc_reference_Pa", reference_Pa == 0.0 or reference_Pa >= 500.0, in_pascal),
+            # such a vacuum; a transducer against vacuum has a reference of zero. The strongest
+            # pressure cells read 1 GPa.
+            ("calibrate_pressure_Pa", 500.0 <= step_Pa <= 1e9, in_pascal),
+            ("zoc_reference_Pa", reference_Pa == 0.0 or 500.0 <= reference_Pa <= 1e9, in_pascal),
         ):
             if not good:
                 raise InputError(name, expected=expected, found=f"{getattr(self, name):g}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,88 +10,60 @@ from surge_core.display import Grid
 from surge_core.rounding import bracketed, round_to_error
 from surge_core.types import FloatArray
 
-__all__ = ["FittedCurve", "characteristic_grid", "equation_with_errors", "factor", "milliseconds"]
+__all__ = ["characteristic_grid", "equation_with_errors", "factor", "milliseconds"]
 
 
-class FittedCurve(Protocol):
-    """What is shown of a fitted lag."""
-
-    @property
-    def time_constant_s_(self) -> float:
-        """τ in seconds."""
-
-    @property
-    def time_constant_stderr_s_(self) -> float:
-        """Its standard error, in seconds."""
-
-    @property
-    def terms_(self) -> list[str]:
-        """Names of the terms."""
-
-    @property
-    def coef_(self) -> FloatArray:
-        """β, of shape (q,)."""
-
-    @property
-    def covariance_(self) -> FloatArray:
-        """Covariance of β, of shape (q, q)."""
-
-
-def characteristic_grid(fitted: FittedCurve) -> Grid:
+def characteristic_grid(terms: Sequence[str], coef: FloatArray, covariance: FloatArray) -> Grid:
     """Return the terms of a fitted lag as a table.
 
     Parameters
     ----------
-    fitted : FittedCurve
-        Fitted.
+    terms : sequence of str
+        Their names.
+    coef, covariance : ndarray of shape (q,), (q, q)
+        β and its covariance.
     """
-    errors = np.sqrt(np.maximum(np.diag(fitted.covariance_), 0.0))
     rows = tuple(
-        (name, round_to_error(float(value), float(error)))
-        for name, value, error in zip(fitted.terms_, fitted.coef_, errors, strict=True)
+        (name, round_to_error(value, error))
+        for name, value, error in zip(terms, coef.tolist(), _errors(covariance), strict=True)
     )
     return Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
 
 
-def equation_with_errors(fitted: FittedCurve) -> str:
+def equation_with_errors(
+    lag: tuple[float, float], terms: Sequence[str], coef: FloatArray, covariance: FloatArray
+) -> str:
     """Write a fitted lag with the error of each number in its last digits.
 
     Parameters
     ----------
-    fitted : FittedCurve
-        Fitted.
+    lag : tuple of float
+        τ and its standard error, in seconds; nan where it is not known.
+    terms, coef, covariance
+        As for :func:`characteristic_grid`.
     """
-    errors = np.sqrt(np.maximum(np.diag(fitted.covariance_), 0.0))
     right = ""
-    for name, value, error in zip(fitted.terms_, fitted.coef_, errors, strict=True):
+    for name, value, error in zip(terms, coef.tolist(), _errors(covariance), strict=True):
         sign = "−" if value < 0.0 else "+"
-        right += f" {sign} {bracketed(abs(float(value)), float(error))}{factor(name)}"
+        right += f" {sign} {bracketed(abs(value), error)}{factor(name)}"
     right = right.removeprefix(" + ").strip()
-    if not np.isfinite(fitted.time_constant_s_):
+    if not np.isfinite(lag[0]):
         return f"y = {right}"
-    tau = bracketed(1e3 * fitted.time_constant_s_, 1e3 * fitted.time_constant_stderr_s_)
-    return f"{tau} ms · dy/dt + y = {right}"
+    return f"{bracketed(1e3 * lag[0], 1e3 * lag[1])} ms · dy/dt + y = {right}"
+
+
+def _errors(covariance: FloatArray) -> list[float]:
+    errors: list[float] = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    return errors
 
 
 def milliseconds(value_s: float, stderr_s: float) -> str:
-    """Write a time with its error in milliseconds.
-
-    Parameters
-    ----------
-    value_s, stderr_s : float
-        In seconds; nan where it is not known.
-    """
+    """Write a time with its error in milliseconds, both given in seconds."""
     if not np.isfinite(value_s):
         return "not known"
     return f"{round_to_error(1e3 * value_s, 1e3 * stderr_s)} ms"
 
 
 def factor(name: str) -> str:
-    """Return a term as a factor behind its coefficient; nothing for the constant.
-
-    Parameters
-    ----------
-    name : str
-        The term.
-    """
+    """Return a term as a factor behind its coefficient; nothing for the constant."""
     return "" if name == "1" else f" {name}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -357,22 +357,8 @@ class LagData:
         )
 
 
-class LagSettings(Protocol):
-    """Parameters of :class:`classic_ml.LagRegressor` that make the model."""
-
-    sample_period_s: float
-    noise: NoiseKind
-    drift: Literal["spline"] | None
-    hold: Hold
-    noise_order: int
-    knot_spacing_s: float
-    exact_start: bool
-    time_constant_s: float | None
-    dead_time_s: float | Literal["fit"]
-
-
 def lag_data(
-    settings: LagSettings,
+    settings: Any,
     y: FloatArray,
     terms: FloatArray,
     weight: FloatArray,
@@ -383,8 +369,8 @@ def lag_data(
 
     Parameters
     ----------
-    settings : LagSettings
-        The model, its parameters checked.
+    settings : LagRegressor
+        Its parameters make the model; they are checked.
     y : ndarray of shape (n,)
         ψ' as measured.
     terms : ndarray of shape (n, r)
@@ -426,9 +412,7 @@ def lag_data(
     )
 
 
-def _dead_samples(
-    settings: LagSettings, runs: list[slice], about: float | None
-) -> tuple[float, float]:
+def _dead_samples(settings: Any, runs: list[slice], about: float | None) -> tuple[float, float]:
     """Return the dead time to start from and the longest that is tried, in samples."""
     period = float(settings.sample_period_s)
     shortest = min(run.stop - run.start for run in runs)

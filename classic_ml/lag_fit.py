@@ -21,25 +21,25 @@ from surge_core.leave_out import (
     scatter,
     slow_correlation_length,
 )
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["LagFit", "Newton", "fit_lag", "newton", "without_blocks"]
 
-# A first-order lag looks much the same over a factor of three in τ. The equations' sum of squares
-# is a parabola in a and b, so that there a search ends at its one minimum from anywhere.
-SCAN_POINTS = 8
-FEW_SCAN_POINTS = 5
+# From a fifth of a sample to the longest segment. A first-order lag looks much the same over a
+# factor of three in τ to either side. The equations' sum of squares is a parabola in a and b, so
+# that there a search ends at its one minimum from anywhere.
+SCAN_POINTS = 6
+FEW_SCAN_POINTS = 4
 SCAN_ROWS = 4_000
 # A search is brought to its end on this share of a long record before the first pass over all.
 HEAD_SHARE = 0.05
-HEAD_ROWS = 20_000
 BEST_DEAD_TIMES = 3
 MAXIMUM_ITERATIONS = 200
 # With C near the unit circle the last steps shrink slowly: a hundredth of a standard error short of
 # the minimum is still at it.
 COARSE_DECREMENT = 1e-4
-# One standard error short of the minimum says which of several minima is the lower.
-CHOICE_DECREMENT = 1.0
+# Three standard errors short of the minima, the parabola says which of them is the lower.
+CHOICE_DECREMENT = 10.0
 # A step of 1e-4 standard errors changes nothing that is ever printed; of 1e-6 no test.
 NEWTON_DECREMENT = 1e-8
 FINE_DECREMENT = 1e-12
@@ -103,11 +103,9 @@ class Newton:
     Parameters
     ----------
     slope : ndarray of shape (s,)
-        Half the downhill slope of the cost.
+        Half the downhill slope of the cost; 0 for a dead time pressed against a bound.
     curvature : ndarray of shape (s, s)
         Half its curvature (Gauss-Newton), everything linear following.
-    may_move : ndarray of bool, shape (s,)
-        Not those pressed against a bound.
     jacobian : ndarray of shape (m, s + r)
         ∂e/∂(free shape, β).
     normal : ndarray of shape (r, r)
@@ -116,25 +114,25 @@ class Newton:
 
     slope: FloatArray
     curvature: FloatArray
-    may_move: BoolArray
     jacobian: FloatArray
     normal: FloatArray
 
     def step(self, damping: float) -> FloatArray:
         """Return a damped step to the minimum."""
-        damped = self.curvature + damping * np.diag(np.diag(self.curvature) + 1e-300)
-        move = np.zeros(self.slope.size)
-        at = np.ix_(self.may_move, self.may_move)
-        move[self.may_move] = np.linalg.lstsq(damped[at], self.slope[self.may_move])[0]
+        diagonal = np.diag(self.curvature)
+        # A parameter that moves nothing gets a pivot that leaves it where it is.
+        pivots = damping * diagonal + 1e-30 * np.max(diagonal, initial=0.0) + 1e-300
+        move = np.linalg.solve(self.curvature + np.diag(pivots), self.slope)
         # log τ and ρ are of order one: longer moves leave the region where the slope holds.
-        return move * min(1.0, 1.5 / max(float(np.max(np.abs(move), initial=0.0)), 1e-300))
+        longest = max(float(np.max(np.abs(move), initial=0.0)), 1e-300)
+        return np.asarray(move * min(1.0, 1.5 / longest))
 
     @property
     def decrement(self) -> float:
         """What a full step would take from the cost."""
-        slope = self.slope[self.may_move]
-        inner = self.curvature[np.ix_(self.may_move, self.may_move)]
-        return float(slope @ np.linalg.lstsq(inner, slope)[0]) if slope.size else 0.0
+        if not self.slope.size:
+            return 0.0
+        return float(self.slope @ np.linalg.lstsq(self.curvature, self.slope)[0])
 
 
 def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
@@ -158,14 +156,15 @@ def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
     cross = gram[:s, s:]
     curvature = gram[:s, :s] - cross @ np.linalg.lstsq(gram[s:, s:], cross.T)[0]
     slope = -both[:, :s].T @ at.errors
-    movable = np.ones(s, dtype=np.bool_)
     if data.fit_dead:
         place, dead = s - data.order - 1, float(at.shape[1])
         outward = (dead <= 0.0 and slope[place] < 0.0) or (
             dead >= data.longest_dead and slope[place] > 0.0
         )
-        movable[place] = not (outward or at_kink)
-    return Newton(slope, curvature, movable, both, gram[s:, s:])
+        if outward or at_kink:
+            slope[place] = curvature[place] = curvature[:, place] = 0.0
+            curvature[place, place] = 1.0
+    return Newton(slope, curvature, both, gram[s:, s:])
 
 
 def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
@@ -181,7 +180,8 @@ def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
         An earlier fit to start from, in place of a scan.
     """
     starts = _starts(data) if start is None else [start.shape]
-    at, near, state = _search(data, starts)
+    is_long = data.rows_of_errors.size > LONG_RECORD
+    at, near, state = _search(data, starts, NEWTON_DECREMENT if is_long else FINE_DECREMENT)
     scored = at.errors[data.scored]
     n_lags = correlation_length(scored, data.piece_lengths)
     shortest = n_lags
@@ -253,29 +253,27 @@ def _is_deficient(gram: FloatArray) -> bool:
 
 
 def _search(
-    data: LagData, starts: list[FloatArray], fine: float | None = None
+    data: LagData, starts: list[FloatArray], tolerance: float
 ) -> tuple[Profile, Newton, FitState]:
     """Refine from each start and return the best fit, and how it ended."""
-    if fine is None:
-        fine = NEWTON_DECREMENT if data.rows_of_errors.size > LONG_RECORD else FINE_DECREMENT
-    if len(starts) > 1:
+    found = []
+    for start in starts:
+        at = profile(data, start)
+        found.append((at, newton(data, at)))
+    if len(found) > 1:
         # The choice among them needs no more digits than their costs differ in.
-        ends = [_refine(data, start, CHOICE_DECREMENT)[0] for start in starts]
-        starts = [min(ends, key=lambda end: end.cost).shape]
-    return _refine(data, starts[0], fine)
+        ends = [_refine(data, at, near, CHOICE_DECREMENT)[:2] for at, near in found]
+        found = [min(ends, key=lambda end: end[0].cost - end[1].decrement)]
+    return _refine(data, *found[0], tolerance)
 
 
-def _refine(data: LagData, start: FloatArray, tolerance: float) -> tuple[Profile, Newton, FitState]:
-    low, high = data.log_tau_bounds
-    fitted = data.held_log_tau is None
-    if fitted:
-        start = np.concatenate([[np.clip(start[0], low, high)], start[1:]])
-    at = profile(data, start)
-    near = newton(data, at)
+def _refine(
+    data: LagData, at: Profile, near: Newton, tolerance: float
+) -> tuple[Profile, Newton, FitState]:
     n_errors = max(data.scored.size, 1)
-    damping, state, at_kink = 1e-3, FitState.NOT_CONVERGED, False
+    damping, state, at_kink = 1e-6, FitState.NOT_CONVERGED, False
+    left = near.decrement
     for _ in range(MAXIMUM_ITERATIONS):
-        left = near.decrement
         if left <= tolerance * at.cost / n_errors:
             state = FitState.CONVERGED
             break
@@ -289,12 +287,15 @@ def _refine(data: LagData, start: FloatArray, tolerance: float) -> tuple[Profile
         else:
             at = trial
         near = newton(data, at, at_kink=at_kink)
-    if near.decrement <= COARSE_DECREMENT * at.cost / n_errors:
+        left = near.decrement
+    if left <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
-    if fitted and at.shape[0] <= low + 1e-9:
-        state = FitState.AT_LOWER_BOUND
-    elif fitted and at.shape[0] >= high - 1e-9:
-        state = FitState.AT_UPPER_BOUND
+    if data.held_log_tau is None:
+        low, high = data.log_tau_bounds
+        if at.shape[0] <= low + 1e-9:
+            state = FitState.AT_LOWER_BOUND
+        elif at.shape[0] >= high - 1e-9:
+            state = FitState.AT_UPPER_BOUND
     return at, near, state
 
 
@@ -319,12 +320,10 @@ def _step(
 
 
 def _starts(data: LagData) -> list[FloatArray]:
-    """Scan log τ on the head of the record, and search on longer and longer heads."""
+    """Scan log τ on the head of the record, and search on that and on a longer head."""
     n_rows = sum(run.stop - run.start for run in data.runs)
-    heads = [SCAN_ROWS]
-    while heads[-1] < HEAD_SHARE * n_rows:
-        heads.append(int(HEAD_SHARE * n_rows) if len(heads) > 1 else HEAD_ROWS)
-    heads = [rows for rows in heads if rows < n_rows and _is_enough(data.head(rows))]
+    heads = [rows for rows in (SCAN_ROWS, int(HEAD_SHARE * n_rows)) if SCAN_ROWS <= rows < n_rows]
+    heads = [rows for rows in heads if _is_enough(data.head(rows))]
     starts = _shapes(data.head(heads[0]) if heads else data)
     for rows in heads:
         head = data.head(rows)
@@ -361,7 +360,7 @@ def _shapes(data: LagData) -> list[FloatArray]:
 def _pairs(data: LagData, points: int) -> list[FloatArray]:
     """Scan log τ, and the dead time where it is fitted; several dead times may be worth a try."""
     low, high = data.log_tau_bounds
-    grid = np.linspace(low + np.log(10.0), high, points)
+    grid = np.linspace(low + np.log(10.0), high - np.log(20.0), points)
     held = data.held_log_tau
     if held is not None:
         grid = np.array([held])

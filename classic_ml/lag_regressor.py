@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
+from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
-from classic_ml.characteristics import feature_names, polynomial_basis, term_names
+from classic_ml.characteristics import feature_names, polynomial_names, term_names
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
 from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal, rows_late
 from classic_ml.lag_fit import LagFit, fit_lag
-from classic_ml.linearised import LinearisedFit, linearised, linearised_static
+from classic_ml.linearised import LinearisedFit, linearised
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
 from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError
@@ -166,8 +167,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             For malformed arrays, as scikit-learn's estimators raise.
         """
         self._check_parameters()
-        X, y = self._validated(X, y, reset=True)
-        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        X, y, weight = self._validated(X, y, sample_weight, reset=True)
         runs = self._runs(segments, y.size)
         terms = self._fit_basis(X)
         combined = nearly_orthogonal(terms)
@@ -186,26 +186,10 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self._store(fit, data, combined)
         return self
 
-    def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
-        """Return the free run of ψ', each segment from rest on its characteristic.
-
-        Parameters
-        ----------
-        X : array-like of shape (n, n_features)
-            Inputs; rows in time order.
-        segments : array-like of int, shape (n,), optional
-            Labels as in :meth:`fit`.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-        """
-        return self.simulate(X, segments)
-
-    def simulate(
+    def predict(
         self, X: ArrayLike, segments: ArrayLike | None = None, start: ArrayLike | None = None
     ) -> FloatArray:
-        """Return the free run of ψ' from given starts (the reconstruction of the paper's Fig 27).
+        """Return the free run of ψ' (the reconstruction of the paper's Fig 27).
 
         Parameters
         ----------
@@ -215,7 +199,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             Labels as in :meth:`fit`.
         start : array-like of shape (n,), optional
             Only the value at the first row of each segment is used: ψ' there. Without it a
-            segment starts on its characteristic.
+            segment starts at rest, on its characteristic.
 
         Returns
         -------
@@ -223,7 +207,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         inputs = np.asarray(validate_data(self, X, dtype=np.float64, reset=False))
-        quasi_steady = self._terms_of(inputs) @ self.coef_
+        quasi_steady = self.terms_at(inputs) @ self.coef_
         if np.isnan(self.time_constant_s_):
             return quasi_steady
         begin = quasi_steady if start is None else np.asarray(start, dtype=np.float64)
@@ -252,8 +236,8 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             False at the first row of each segment of an equation-error model.
         """
         check_is_fitted(self)
-        X, y = self._validated(X, y, reset=False)
-        terms = self._terms_of(X)
+        X, y, _ = self._validated(X, y, None, reset=False)
+        terms = self.terms_at(X)
         known = np.ones(y.size, dtype=np.bool_)
         if np.isnan(self.time_constant_s_):
             return terms @ self.coef_, known
@@ -288,11 +272,17 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         points = np.asarray(phi, dtype=np.float64)
         points = points.reshape(-1, self.n_features_in_) if points.ndim < 2 else points
-        terms = self._terms_of(points)
+        terms = self.terms_at(points)
         # Raw powers of φ all but cancel: t' covariance_ t keeps no digit where the curve has many.
         moves = (terms @ self._curve_back) @ self._curve_moves.T
         share = (len(self._curve_moves) - 1) / len(self._curve_moves)
         return terms @ self.coef_, np.sqrt(share) * np.linalg.norm(moves, axis=1)
+
+    def terms_at(self, X: FloatArray) -> FloatArray:
+        """Return the terms s_i, of shape (n, n_terms), at inputs of shape (n, n_features)."""
+        if self._is_polynomial:
+            return np.vander(X[:, 0], self.degree + 1, increasing=True)
+        return np.asarray(self.basis_.transform(X), dtype=np.float64)
 
     def score(
         self,
@@ -301,13 +291,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         segments: ArrayLike | None = None,
         sample_weight: ArrayLike | None = None,
     ) -> float:
-        """Return R² of the free run.
-
-        Parameters
-        ----------
-        X, y, segments, sample_weight
-            As in :meth:`fit`.
-        """
+        """Return R² of the free run; arguments as in :meth:`fit`."""
         return float(r2_score(y, self.predict(X, segments), sample_weight=sample_weight))
 
     def equation(self) -> str:
@@ -337,17 +321,14 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Returns
         -------
         LinearisedFit
-            At the τ, β and C of the fit; start and drift of each segment are the best for these.
-            The recursion of C starts from zero.
+            At the τ, β and C of a fit with a lag; start and drift of each segment are the best for
+            these. The recursion of C starts from zero.
         """
         check_is_fitted(self)
-        X, y = self._validated(X, y, reset=False)
-        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        X, y, weight = self._validated(X, y, sample_weight, reset=False)
         runs = self._runs(segments, y.size)
-        terms = nearly_orthogonal(self._terms_of(X))
+        terms = nearly_orthogonal(self.terms_at(X))
         beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
-        if np.isnan(self.time_constant_s_):
-            return linearised_static(y - terms.columns @ beta, terms, weight, runs)
         dead = self.dead_time_s_ / float(self.sample_period_s)
         if self._n_late:
             weight = with_known_inputs(weight, runs, self._n_late)
@@ -362,11 +343,12 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         state = self.fit_state_
         held = " (held)" if self.time_constant_s is not None else ""
         tone = "good" if state is FitState.CONVERGED else "advice"
-        tau = milliseconds(self.time_constant_s_, self.time_constant_stderr_s_)
+        lag = self.time_constant_s_, self.time_constant_stderr_s_
+        curve = self.terms_, self.coef_, self.covariance_
         fields = [
-            Field("equation", equation_with_errors(self)),
+            Field("equation", equation_with_errors(lag, *curve)),
             Field("state", f"{state.code}: {state.advice}", tone),
-            Field("time constant τ", tau + held),
+            Field("time constant τ", milliseconds(*lag) + held),
         ]
         if self.dead_time_s_:
             fields.append(
@@ -377,7 +359,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             Field("residual (std)", significant(self.residual_std_, 3)),
             Field("scored", f"{self.n_scored_} rows; errors from {self.n_blocks_} blocks"),
         ]
-        return Sheet("LagRegressor", tuple(fields), (characteristic_grid(self),))
+        return Sheet("LagRegressor", tuple(fields), (characteristic_grid(*curve),))
 
     def __sklearn_tags__(self) -> Any:
         """Declare what scikit-learn's checks should know."""
@@ -406,30 +388,33 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             )
 
     def _validated(
-        self, X: ArrayLike, y: ArrayLike, *, reset: bool
-    ) -> tuple[FloatArray, FloatArray]:
-        checked = validate_data(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, *, reset: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        X, y = validate_data(
             self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2, reset=reset
         )
-        return np.asarray(checked[0]), np.asarray(checked[1], dtype=np.float64)
+        weight = _check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True)
+        return np.asarray(X), np.asarray(y, dtype=np.float64), np.asarray(weight)
 
     def _fit_basis(self, X: FloatArray) -> FloatArray:
-        self.basis_ = polynomial_basis(self.degree) if self.basis is None else clone(self.basis)
-        if self.basis is None and X.shape[1] == 1:
-            self.basis_.fit(X[:1])
-            terms = np.vander(X[:, 0], self.degree + 1, increasing=True)
-        else:
-            terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
+        names = feature_names(X.shape[1], getattr(self, "feature_names_in_", None))
+        if self._is_polynomial:
+            self.terms_ = polynomial_names(names[0], self.degree)
+            return self.terms_at(X)
+        plain = PolynomialFeatures(self.degree)
+        self.basis_ = plain if self.basis is None else clone(self.basis)
+        terms = np.asarray(self.basis_.fit_transform(X), dtype=np.float64)
         if terms.ndim != 2 or terms.shape[0] != X.shape[0] or not np.all(np.isfinite(terms)):
             raise InputError(
                 "basis", expected="a finite table with one row a sample", found=f"{terms.shape}"
             )
-        names = feature_names(X.shape[1], getattr(self, "feature_names_in_", None))
         self.terms_ = term_names(self.basis_, names, terms.shape[1])
         return terms
 
-    def _terms_of(self, X: FloatArray) -> FloatArray:
-        return np.asarray(self.basis_.transform(X), dtype=np.float64)
+    @property
+    def _is_polynomial(self) -> bool:
+        """Whether the terms are powers of one input, for which no transformer is needed."""
+        return self.basis is None and self.n_features_in_ == 1
 
     def _lag(self) -> FirstOrderLag:
         period = float(self.sample_period_s)

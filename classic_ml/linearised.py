@@ -12,7 +12,7 @@ from classic_ml.likelihood import jacobian, profile
 from surge_core.leave_out import LocalColumns
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["LinearisedFit", "linearised", "linearised_static"]
+__all__ = ["LinearisedFit", "linearised"]
 
 
 @dataclass(frozen=True)
@@ -91,29 +91,6 @@ def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray)
         local,
         before,
     )
-
-
-def linearised_static(
-    errors: FloatArray, terms: Terms, weight: FloatArray, runs: list[slice]
-) -> LinearisedFit:
-    """Linearise a static curve, which has no lag.
-
-    Parameters
-    ----------
-    errors : ndarray of shape (n,)
-        ψ' less the curve.
-    terms : Terms
-        The terms of the curve.
-    weight : ndarray of shape (n,)
-        Weights of the rows.
-    runs : list of slice
-        The segments.
-    """
-    root, rows = np.sqrt(weight), np.flatnonzero(weight)
-    columns = np.column_stack([np.zeros(errors.size), -terms.columns * root[:, None]])[rows]
-    scaled, segment = (errors * root)[rows], _numbers(runs)[rows]
-    pieces, aside = _stretches(rows, segment), np.zeros(rows.size)
-    return LinearisedFit(scaled, columns, terms.back, rows, pieces, segment, aside, None, scaled)
 
 
 def _numbers(runs: list[slice]) -> IntArray:

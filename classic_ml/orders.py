@@ -9,17 +9,18 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from sklearn.base import clone
 
 from classic_ml.checks import whiteness
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-from surge_core.lag import Hold
+from surge_core.leave_out import scatter
 from surge_core.segments import runs_of
-from surge_core.types import FloatArray
-from surge_core.validation import one_of, whole_number
+from surge_core.types import BoolArray, FloatArray, IntArray
+from surge_core.validation import whole_number
 
 __all__ = ["OrderRow", "OrderTable", "select_order"]
 
@@ -49,8 +50,7 @@ class OrderRow:
     aicc, bic : float
         Information criteria, less those of the best row.
     held_out_rms : float
-        Free-run error on the later cycles, by a fit to the earlier ones; nan where none were
-        held out.
+        Free-run error on the later cycles, by a fit to the earlier ones.
     paired_error : float
         Standard error of that rms minus the recommended row's, on the same cycles.
     time_constant_s, time_constant_stderr_s : float
@@ -107,17 +107,11 @@ class OrderTable:
 
 
 @dataclass(frozen=True)
-class _Candidate:
-    noise: NoiseKind
-    noise_order: int
-    input_lag: int
-    degree: int
-
-
-@dataclass(frozen=True)
 class _Fitted:
-    candidate: _Candidate
+    """A model, fitted to φ that acts so many samples late."""
+
     model: LagRegressor
+    input_lag: int
     n_parameters: int
     log_power: float
     white: bool
@@ -133,8 +127,6 @@ def select_order(
     noise: Sequence[NoiseKind] = NOISE_KINDS,
     input_lags: Sequence[int] = (0, 1, 2),
     degrees: Sequence[int] = (1, 2, 3),
-    hold: Hold = "first",
-    hold_out: bool = True,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> OrderTable:
     """Fit every combination of orders to the same rows and recommend one.
@@ -156,10 +148,6 @@ def select_order(
         of them leaves.
     degrees : sequence of int
         Degrees of the characteristic.
-    hold : {"zero", "first"}
-        How φ acts between samples.
-    hold_out : bool
-        Score each model on the last third of the cycles too, by a fit to the others.
     progress : callable
         Wraps the iteration over the models, to show how far it is.
 
@@ -181,131 +169,78 @@ def select_order(
     model that is within one paired standard error of the best on the later cycles.
     """
     inputs, target = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    candidates = _candidates(noise, input_lags, degrees)
-    runs = runs_of(segments, target.size)
-    data = _Rows(inputs, target, runs, max(input_lags))
-    if data.y.size < FEWEST_ROWS:
+    if not (noise and input_lags and degrees):
+        raise InputError("select_order", expected="at least one of each order", found="none")
+    for lag in input_lags:
+        whole_number("input_lags", lag, 0, 1000)
+    at, labels = _usable(runs_of(segments, target.size), max(input_lags))
+    if at.size < FEWEST_ROWS:
         raise InputError(
             "select_order",
             expected=f"at least {FEWEST_ROWS} rows after the longest input lag",
-            found=str(data.y.size),
+            found=str(at.size),
         )
-    train = data.earlier() if hold_out else None
-    fitted = [_fit(c, data, train, sample_period_s, hold) for c in progress(candidates)]
-    return _table(fitted, data.n_free)
+    kinds = [(kind, c) for kind in noise for c in (ORDERS_OF_C if kind == "armax" else (0,))]
+    orders = list(product(dict.fromkeys(kinds), input_lags, degrees))
+    train = _earlier(labels)
+    n_free = at.size - int(labels[-1] + 1)
+    fitted = []
+    for (kind, c), lag, degree in progress(orders):
+        model = LagRegressor(
+            sample_period_s,
+            noise=kind,
+            noise_order=c,
+            degree=degree,
+            hold="first",
+            # The errors before a segment are then not counted as errors of its rows: the sums of
+            # squares of all models are over the same equations.
+            exact_start=False,
+        )
+        fitted.append(_fit(model, lag, inputs[at - lag], target[at], labels, train))
+    return _table(fitted, n_free)
 
 
-class _Rows:
-    """The rows that every candidate can use: those behind the longest input lag of a segment."""
+def _usable(runs: list[slice], longest_lag: int) -> tuple[IntArray, IntArray]:
+    """Return the rows that every model can use, and the number of their segment.
 
-    def __init__(
-        self,
-        X: FloatArray,
-        y: FloatArray,
-        runs: list[slice],
-        longest_lag: int,
-    ) -> None:
-        kept = [
-            np.arange(run.start + longest_lag, run.stop)
-            for run in runs
-            # Fewer rows than this hold one equation or none.
-            if run.stop - run.start - longest_lag > 2
-        ]
-        self.at = np.concatenate([*kept, np.zeros(0, dtype=np.int64)]).astype(np.int64)
-        self.labels = np.repeat(np.arange(len(kept)), [rows.size for rows in kept])
-        self._X = X
-        self.y = y[self.at]
-
-    def X(self, lag: int) -> FloatArray:
-        """Return the inputs that act at each row."""
-        return self._X[self.at - lag]
-
-    @property
-    def n_free(self) -> int:
-        """Rows, less one for the start of each segment."""
-        return int(self.y.size) - np.unique(self.labels).size
-
-    def earlier(self) -> NDArray[np.bool_]:
-        """Tell which rows train: whole cycles, or the first part of the one segment."""
-        runs = runs_of(self.labels, self.labels.size)
-        if len(runs) == 1:
-            return np.arange(self.y.size) < TRAIN_SHARE * self.y.size
-        ends = np.array([run.stop for run in runs])
-        n_train = int(np.clip(np.searchsorted(ends, TRAIN_SHARE * ends[-1]), 1, len(runs) - 1))
-        return self.labels < n_train
+    A segment of which fewer than three are left holds one equation or none.
+    """
+    kept = [np.arange(run.start + longest_lag, run.stop) for run in runs]
+    kept = [rows for rows in kept if rows.size > 2]
+    labels = np.repeat(np.arange(len(kept)), [rows.size for rows in kept])
+    return np.concatenate([*kept, np.zeros(0, dtype=np.int64)]).astype(np.int64), labels
 
 
-def _candidates(
-    noise: Sequence[NoiseKind],
-    input_lags: Sequence[int],
-    degrees: Sequence[int],
-) -> list[_Candidate]:
-    if not (noise and input_lags and degrees):
-        raise InputError("select_order", expected="at least one of each order", found="none")
-    for kind in noise:
-        one_of("noise", kind, NOISE_KINDS)
-    for lag in input_lags:
-        whole_number("input_lags", lag, 0, 1000)
-    for degree in degrees:
-        whole_number("degrees", degree, 0, 20)
-    kinds: list[tuple[NoiseKind, int]] = []
-    for kind in noise:
-        kinds += [(kind, c) for c in (ORDERS_OF_C if kind == "armax" else (0,))]
-    return [
-        _Candidate(kind, c, lag, degree)
-        for (kind, c), lag, degree in product(dict.fromkeys(kinds), input_lags, degrees)
-    ]
+def _earlier(labels: IntArray) -> BoolArray:
+    """Tell which rows train: whole cycles, or the first part of the one segment."""
+    ends = np.cumsum(np.bincount(labels))
+    if ends.size == 1:
+        return np.arange(labels.size) < TRAIN_SHARE * labels.size
+    n_train = int(np.clip(np.searchsorted(ends, TRAIN_SHARE * ends[-1]), 1, ends.size - 1))
+    return labels < n_train
 
 
 def _fit(
-    candidate: _Candidate,
-    data: _Rows,
-    train: NDArray[np.bool_] | None,
-    sample_period_s: float,
-    hold: Hold,
+    model: LagRegressor, lag: int, X: FloatArray, y: FloatArray, labels: IntArray, train: BoolArray
 ) -> _Fitted:
-    X = data.X(candidate.input_lag)
-    model = _model(candidate, sample_period_s, hold).fit(X, data.y, data.labels)
-    predicted, known = model.one_step(X, data.y, data.labels)
-    errors = data.y - predicted
-    runs = runs_of(data.labels, data.y.size)
-    power = float(errors[known] @ errors[known])
-    white = whiteness(np.where(known, errors, 0.0), runs).passed
-    n_parameters = 2 + model.coef_.size + candidate.noise_order
-    log_power = math.log(max(power / max(data.n_free, 1), np.finfo(np.float64).tiny))
-    blocks = np.zeros((0, 2)) if train is None else _held_out(candidate, model, data, train, X)
-    return _Fitted(candidate, model, n_parameters, log_power, white, blocks)
-
-
-def _model(candidate: _Candidate, sample_period_s: float, hold: Hold) -> LagRegressor:
-    return LagRegressor(
-        sample_period_s,
-        noise=candidate.noise,
-        noise_order=max(candidate.noise_order, 1),
-        degree=candidate.degree,
-        hold=hold,
-        # The errors before a segment are then not counted as errors of its rows: the sums of
-        # squares of all candidates are over the same equations.
-        exact_start=False,
-    )
+    blocks = _held_out(clone(model).fit(X[train], y[train], labels[train]), X, y, labels, ~train)
+    model.fit(X, y, labels)
+    predicted, known = model.one_step(X, y, labels)
+    errors = np.where(known, y - predicted, 0.0)
+    white = whiteness(errors, runs_of(labels, y.size)).passed
+    n_parameters = 2 + model.coef_.size + model.noise_order
+    power = float(errors @ errors) / max(y.size - int(labels[-1] + 1), 1)
+    log_power = math.log(max(power, np.finfo(np.float64).tiny))
+    return _Fitted(model, lag, n_parameters, log_power, white, blocks)
 
 
 def _held_out(
-    candidate: _Candidate,
-    model: LagRegressor,
-    data: _Rows,
-    train: NDArray[np.bool_],
-    X: FloatArray,
+    trained: LagRegressor, X: FloatArray, y: FloatArray, labels: IntArray, test: BoolArray
 ) -> FloatArray:
     """Return the sum of squares and rows of each held-out block of cycles."""
-    trained = _model(candidate, model.sample_period_s, model.hold).fit(
-        X[train], data.y[train], data.labels[train]
-    )
-    test = ~train
-    labels = data.labels[test]
-    free_run = trained.simulate(X[test], labels, start=data.y[test])
-    squares = (data.y[test] - free_run) ** 2
-    runs = runs_of(labels, labels.size)
+    free_run = trained.predict(X[test], labels[test], start=y[test])
+    squares = (y[test] - free_run) ** 2
+    runs = runs_of(labels[test], squares.size)
     parts = max(1, math.ceil(FEWEST_BLOCKS / len(runs)))
     blocks = []
     for run in runs:
@@ -320,15 +255,16 @@ def _table(fitted: list[_Fitted], n: int) -> OrderTable:
     aicc = [n * f.log_power + _aicc_penalty(f.n_parameters, n) for f in fitted]
     order = np.argsort(bic, kind="stable").tolist()
     chosen, reason = _recommend(fitted, order)
-    rows = {}
+    rows: list[OrderRow] = []
+    ties: list[OrderRow] = []
     for i in order:
         f = fitted[i]
-        _, paired = _difference(f.blocks, fitted[chosen].blocks)
-        rows[i] = OrderRow(
-            f.candidate.noise,
-            f.candidate.noise_order,
-            f.candidate.input_lag,
-            f.candidate.degree,
+        difference, paired = _difference(f.blocks, fitted[chosen].blocks)
+        row = OrderRow(
+            f.model.noise,
+            f.model.noise_order,
+            f.input_lag,
+            f.model.degree,
             f.n_parameters,
             aicc[i] - min(aicc),
             bic[i] - min(bic),
@@ -339,14 +275,12 @@ def _table(fitted: list[_Fitted], n: int) -> OrderTable:
             f.white,
             f.model.fit_state_.code,
         )
-    ties = [
-        row
-        for i, row in rows.items()
-        if i == chosen
-        or abs(_difference(fitted[i].blocks, fitted[chosen].blocks)[0]) <= row.paired_error
-    ]
-    ties.sort(key=lambda row: row is not rows[chosen])
-    return OrderTable(tuple(rows.values()), rows[chosen], reason, tuple(ties))
+        rows.append(row)
+        if i == chosen:
+            ties.insert(0, row)
+        elif abs(difference) <= paired:
+            ties.append(row)
+    return OrderTable(tuple(rows), ties[0], reason, tuple(ties))
 
 
 def _aicc_penalty(p: int, n: int) -> float:
@@ -361,11 +295,12 @@ def _recommend(fitted: list[_Fitted], order: list[int]) -> tuple[int, str]:
     best = ended_well[0]
     if fitted[best].white:
         return best, "least BIC, and its one-step errors are white, so that BIC holds"
-    scored = [i for i in ended_well if math.isfinite(_rms(fitted[i].blocks))]
-    if not scored:
-        return best, "least BIC; its one-step errors are not white, so that BIC is a rough guide"
-    leader = min(scored, key=lambda i: _rms(fitted[i].blocks))
-    near = [i for i in scored if _within(fitted[i].blocks, fitted[leader].blocks)]
+    leader = min(ended_well, key=lambda i: _rms(fitted[i].blocks))
+    near = []
+    for i in ended_well:
+        difference, paired = _difference(fitted[i].blocks, fitted[leader].blocks)
+        if difference <= max(paired, 0.0):
+            near.append(i)
     simplest = min(near, key=lambda i: (fitted[i].n_parameters, _rms(fitted[i].blocks)))
     return simplest, (
         "simplest within one paired standard error of the best on the later cycles; the one-step "
@@ -373,26 +308,16 @@ def _recommend(fitted: list[_Fitted], order: list[int]) -> tuple[int, str]:
     )
 
 
-def _within(blocks: FloatArray, reference: FloatArray) -> bool:
-    difference, paired = _difference(blocks, reference)
-    return difference <= 0.0 or difference <= paired
-
-
 def _rms(blocks: FloatArray) -> float:
-    return math.sqrt(float(blocks[:, 0].sum() / blocks[:, 1].sum())) if blocks.size else math.nan
+    return math.sqrt(float(blocks[:, 0].sum() / blocks[:, 1].sum()))
 
 
 def _difference(blocks: FloatArray, reference: FloatArray) -> tuple[float, float]:
     """Return the difference of two rms values and its jackknife error over shared blocks."""
-    n = blocks.shape[0]
-    if n < 2 or blocks is reference:
-        return (0.0, 0.0) if blocks is reference and n else (math.nan, math.nan)
-    left_out = np.array(_without_each(blocks)) - np.array(_without_each(reference))
-    spread = left_out - left_out.mean()
-    error = math.sqrt((n - 1) / n * float(spread @ spread))
-    return _rms(blocks) - _rms(reference), error
+    moves = _without_each(blocks) - _without_each(reference)
+    return _rms(blocks) - _rms(reference), math.sqrt(float(scatter(moves[:, None])[0, 0]))
 
 
-def _without_each(blocks: FloatArray) -> Iterable[float]:
-    squares, rows = blocks.sum(axis=0)
-    return [math.sqrt(max(squares - s, 0.0) / (rows - r)) for s, r in blocks]
+def _without_each(blocks: FloatArray) -> FloatArray:
+    squares, rows = (blocks.sum(axis=0) - blocks).T
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / rows))

@@ -225,7 +225,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
             return _Window(times_s, window_rows(record, times_s, where), entry)
     # Looked for in all channels, bridged: which of them can be used depends on the window, and a
     # dropout must not end it.
-    bridged = with_faults_bridged(record, test)
+    bridged = with_faults_bridged(record, test.channel_names)
     filtered = _low_passed(bridged, test, AHEAD)
     flows = local_flows(filtered, test)
     averages = plane_averages(flows, test)

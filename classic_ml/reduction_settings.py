@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeGuard
 
 import numpy as np
 
 from classic_ml.work.forms import WORK_FORMS
 from surge_core.errors import InputError
+from surge_core.validation import one_of, positive
 
 __all__ = ["ReductionSettings"]
 
@@ -69,40 +69,25 @@ class ReductionSettings:
     window_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        where = "ReductionSettings."
         for name, choices in _CHOICES.items():
-            expected = " or ".join(repr(c) for c in choices)
-            self._check(name, expected, getattr(self, name) in choices)
-        hysteresis, window = self.hysteresis_lbm_s, self.window_s
-        self._check(
-            "cutoff_hz",
-            f"a number from {LEAST_CUTOFF_HZ:g} on, so that the surge cycles pass",
-            _is_number(self.cutoff_hz) and self.cutoff_hz >= LEAST_CUTOFF_HZ,
-        )
-        threshold = self.threshold_lbm_s
-        self._check(
-            "threshold_lbm_s",
-            "a number above 0, 'none' or None",
-            threshold in (None, "none") or (_is_number(threshold) and threshold > 0.0),
-        )
-        self._check(
-            "hysteresis_lbm_s",
-            "a number from 0 on, or None",
-            hysteresis is None or (_is_number(hysteresis) and hysteresis >= 0.0),
-        )
-        self._check(
-            "window_s",
-            "two times, the earlier first",
-            window is None
-            or (len(window) == 2 and all(map(_is_number, window)) and window[0] < window[1]),
-        )
-
-    def _check(self, name: str, expected: str, holds: bool) -> None:
-        if not holds:
-            where, found = f"ReductionSettings.{name}", repr(getattr(self, name))
-            raise InputError(where, expected=expected, found=found)
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return bool(np.isfinite(value))
+            one_of(where + name, getattr(self, name), choices)
+        positive(where + "cutoff_hz", self.cutoff_hz)
+        if self.cutoff_hz < LEAST_CUTOFF_HZ:
+            raise InputError(
+                where + "cutoff_hz",
+                expected=f"at least {LEAST_CUTOFF_HZ:g} Hz, so that the surge cycles pass",
+                found=f"{self.cutoff_hz:g}",
+            )
+        if self.threshold_lbm_s not in (None, "none"):
+            positive(where + "threshold_lbm_s", self.threshold_lbm_s)
+        if self.hysteresis_lbm_s not in (None, 0.0):
+            positive(where + "hysteresis_lbm_s", self.hysteresis_lbm_s)
+        window = self.window_s
+        # A time that is no number is neither before nor behind another.
+        if window is not None and not (
+            len(window) == 2 and -np.inf < window[0] < window[1] < np.inf
+        ):
+            raise InputError(
+                where + "window_s", expected="two times, the earlier first", found=repr(window)
+            )

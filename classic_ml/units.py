@@ -22,10 +22,8 @@ __all__ = [
     "Conversion",
     "conversion_to_si",
     "kind_of_unit",
-    "pressure_reference",
-    "quantity_in",
     "same_unit",
-    "unit_in_brackets",
+    "split_reference",
 ]
 
 COUNT = "count"
@@ -49,7 +47,6 @@ _WORDED = re.compile(
     re.IGNORECASE,
 )
 _LETTERED = re.compile(r"(?P<unit>psi|psf|m?bar|[kMh]?Pa)(?:(?P<absolute>a)|g|d)", re.IGNORECASE)
-_BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
 # pint works numbers out, however large: one digit in an exponent is all that a unit has of them.
 _PLAIN = re.compile(r"(?!.*\d\d)(?!.*(\*\*|\^).*(\*\*|\^))[^\d].{0,39}")
 
@@ -71,6 +68,8 @@ class Conversion:
 
     def to_si(self, values: FloatArray) -> FloatArray:
         """Return values in SI; what is too large for a double there is infinite."""
+        if self == Conversion():
+            return values
         with np.errstate(over="ignore"):
             return np.asarray(values * self.factor + self.offset)
 
@@ -100,7 +99,7 @@ def conversion_to_si(
     """
     if kind == COUNT:
         return Conversion()
-    plain, reference = _split_reference(unit) if kind == "pressure" else (unit, "")
+    plain, reference = split_reference(unit) if kind == "pressure" else (unit, "")
     known = _to_si(plain.strip(), kind)
     if known is None:
         expected = f"a unit of {kind}, such as {_COMMON[kind]}"
@@ -128,45 +127,9 @@ def kind_of_unit(unit: str) -> str:
     """Return ``"count"``, ``"pressure"``, ``"temperature"``, ``"time"``, or nothing for others."""
     if unit.strip().lower() in _COUNT_WORDS:
         return COUNT
-    plain, _ = _split_reference(unit)
+    plain, _ = split_reference(unit)
     kinds = (("pressure", plain), ("temperature", unit), ("time", unit))
     return next((kind for kind, name in kinds if _to_si(name.strip(), kind) is not None), "")
-
-
-def pressure_reference(unit: str) -> str:
-    """Return what a pressure unit is taken against, as far as its name says so.
-
-    Parameters
-    ----------
-    unit : str
-        For example ``"psia"``, ``"bar(g)"``, ``"kPa abs"``, ``"psi"``.
-
-    Returns
-    -------
-    str
-        ``"absolute"``; ``"gauge"``, also for a differential reading; ``""`` where the name leaves
-        it open.
-    """
-    return _split_reference(unit)[1]
-
-
-def unit_in_brackets(name: str) -> str:
-    """Return the unit of pressure, temperature or time, or the counts, that ends a column's name.
-
-    Parameters
-    ----------
-    name : str
-        For example ``"PT25A fwd [psia]"``.
-
-    Returns
-    -------
-    str
-        The text in the brackets, or nothing: ``"P25 (C)"`` names a rake, ``"T25 (C)"`` a unit.
-    """
-    match = _BRACKETED.search(name)
-    unit = match["unit"].strip() if match is not None else ""
-    is_rake = len(unit) == 1 and unit != "s" and not name.lower().startswith("t")
-    return unit if unit and not is_rake and kind_of_unit(unit) else ""
 
 
 def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:
@@ -187,42 +150,28 @@ def same_unit(one: str, other: str, reference_Pa: float | None = None) -> bool:
         return True
     if kind != "pressure":
         return kind in _SI and _to_si(one.strip(), kind) == _to_si(other.strip(), kind)
-    (plain, reference), (plain_other, reference_other) = map(_split_reference, (one, other))
+    (plain, reference), (plain_other, reference_other) = map(split_reference, (one, other))
     if _to_si(plain, kind) != _to_si(plain_other, kind):
         return False
     is_absolute = reference_other == "absolute" or reference_Pa == 0.0
     return not reference or (reference == "absolute") == is_absolute
 
 
-def quantity_in(text: str, kind: str, where: str) -> float:
-    """Return a number with a unit, such as ``"14.7 psia"`` or ``"-0.67 degF"``, in SI.
+def split_reference(unit: str) -> tuple[str, str]:
+    """Return a unit of pressure without its "a" or "gauge", and what that stood for.
 
     Parameters
     ----------
-    text : str
-        Number, space, unit; a pressure must say that it is absolute.
-    kind : str
-        ``"pressure"`` or ``"temperature"``.
-    where : str
-        What to call it in an error.
+    unit : str
+        For example ``"psia"``, ``"bar(g)"``, ``"kPa abs"``, ``"psi"``.
 
-    Raises
-    ------
-    InputError
-        When it is something else.
+    Returns
+    -------
+    plain : str
+        The unit alone.
+    reference : str
+        ``"absolute"``; ``"gauge"``, also for a differential reading; ``""`` where it is open.
     """
-    number, _, unit = text.strip().partition(" ")
-    try:
-        return float(conversion_to_si(unit, kind, where).to_si(np.asarray(float(number))))
-    except ValueError:
-        example = '"7.98 psia"' if kind == "pressure" else '"-0.67 degF"'
-        an = "an absolute" if kind == "pressure" else "a"
-        expected = f"a number, or {an} {kind} with its unit as in {example}"
-        raise InputError(where, expected=expected, found=repr(text)) from None
-
-
-def _split_reference(unit: str) -> tuple[str, str]:
-    """Return a unit of pressure without its "a" or "gauge", and what that stood for."""
     # The time that a match takes grows with the square of the length.
     text = unit.strip()[:60]
     match = _LETTERED.fullmatch(text) or _WORDED.fullmatch(text)

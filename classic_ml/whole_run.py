@@ -12,12 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from classic_ml.characteristics import polynomial_basis, term_names
+from classic_ml.characteristics import polynomial_names
 from classic_ml.checks import (
     CheckRow,
     coverage,
@@ -82,14 +81,6 @@ class StackedRuns:
     run: NDArray[np.int64]
 
 
-class Ending(Protocol):
-    """How a fit ended, by this package or by another."""
-
-    @property
-    def advice(self) -> str:
-        """What it means and what to do about it."""
-
-
 @dataclass(frozen=True)
 class WholeRunFit(Displayed):
     """A fitted lag model, with the attributes of an estimator.
@@ -109,7 +100,7 @@ class WholeRunFit(Displayed):
     n_blocks_, n_scored_ : int
         Blocks behind the jackknife and rows scored.
     fit_state_ : FitState
-        How it ended; of another package a state with an advice of its own.
+        How it ended.
     model_ : LagRegressor
         The fit behind it, over the averaged terms and the nuisances.
     rows_ : tuple of WholeRunRows
@@ -126,7 +117,7 @@ class WholeRunFit(Displayed):
     degree: int
     n_blocks_: int
     n_scored_: int
-    fit_state_: Ending
+    fit_state_: FitState
     model_: LagRegressor
     rows_: tuple[WholeRunRows, ...]
     kept_: tuple[int, ...]
@@ -135,11 +126,12 @@ class WholeRunFit(Displayed):
         state = self.fit_state_
         held = " (held)" if self.model_.time_constant_s is not None else ""
         n_rows, n_runs = sum(row.phi.size for row in self.rows_), len(self.rows_)
-        tau = milliseconds(self.time_constant_s_, self.time_constant_stderr_s_)
+        lag = self.time_constant_s_, self.time_constant_stderr_s_
+        curve = self.terms_, self.coef_, self.covariance_
         fields = (
-            Field("equation", equation_with_errors(self)),
+            Field("equation", equation_with_errors(lag, *curve)),
             Field("state", state.advice, "good" if state is FitState.CONVERGED else "advice"),
-            Field("time constant τ", tau + held),
+            Field("time constant τ", milliseconds(*lag) + held),
             Field(
                 "fitted to",
                 f"{n_runs} run{'' if n_runs == 1 else 's'} of unfiltered signals, {n_rows} rows, "
@@ -151,7 +143,7 @@ class WholeRunFit(Displayed):
                 "blocks, with those that all cycles share",
             ),
         )
-        return Sheet("WholeRunFit", fields, (characteristic_grid(self),))
+        return Sheet("WholeRunFit", fields, (characteristic_grid(*curve),))
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
@@ -253,7 +245,7 @@ def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -
     return WholeRunFit(
         math.nan,
         math.nan,
-        _names(degree),
+        polynomial_names("phi", degree),
         np.zeros(degree + 1),
         np.full((degree + 1, degree + 1), math.nan),
         degree,
@@ -291,7 +283,7 @@ def _result(
     return WholeRunFit(
         tau_s,
         stderr_s,
-        _names(degree),
+        polynomial_names("phi", degree),
         model.coef_[:n_terms],
         covariance,
         degree,
@@ -302,11 +294,6 @@ def _result(
         rows,
         kept,
     )
-
-
-def _names(degree: int) -> list[str]:
-    basis = polynomial_basis(degree).fit(np.zeros((2, 1)))
-    return term_names(basis, ["phi"], degree + 1)
 
 
 def check_rates(records: Sequence[CoefficientSeries]) -> None:

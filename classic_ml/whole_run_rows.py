@@ -226,4 +226,5 @@ def moving_columns(inputs: FloatArray, n_terms: int) -> tuple[int, ...]:
 def _average_s(series: CoefficientSeries) -> float | None:
     """Return what the free run is averaged over as the ledger says, None where it does not."""
     stated = [e.parameters.get("average_s") for e in series.history if e.step == "free run"]
-    return float(stated[-1]) if stated and stated[-1] is not None else None
+    found = stated[-1] if stated else None
+    return float(found) if isinstance(found, int | float) and 0.0 < found < 1.0 else None

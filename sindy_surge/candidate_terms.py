@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sindy_surge.library import default_library, hinge_name
+from sindy_surge.library import StallLibrary, default_library, hinge_name
 from sindy_surge.linear_problem import least_squares
 from sindy_surge.state_terms import ProductStateTerms
 from surge_core.errors import InputError
@@ -60,21 +60,18 @@ class CandidateTerms:
         self.states: ProductStateTerms | None = None
         if psi_p is not None and len(input_names) <= _MOST_INPUTS_WITH_STATE:
             self.states = ProductStateTerms.of(psi_p, input_names, output_name, self._own_names)
-        double = [n for n in self._own_names if self._own_names.count(n) > 1]
-        double += [output_name] * (output_name in input_names)
-        if double:
-            raise InputError(
-                "library",
-                expected="a name of its own for every term, input and output",
-                found=f"{double[0]!r} twice",
-                remedy="rename the term or the column, or give another `output_name`",
-            )
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all terms; those that hold ψ' come last."""
         extra = tuple(hinge_name(self.input_names[0], knot) for knot in self._extra)
         return self._own_names + extra + (() if self.states is None else self.states.names)
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Knots of all hinges of the first input."""
+        own = self._library.knots if isinstance(self._library, StallLibrary) else ()
+        return (*(own[0] if own else ()), *self._extra)
 
     @property
     def n_without_state(self) -> int:

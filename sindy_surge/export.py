@@ -23,7 +23,7 @@ __all__ = ["RateFunction", "TermValues", "python_source"]
 TermValues = Callable[[FloatArray, FloatArray], FloatArray]
 
 # Names the written module needs for itself.
-_RESERVED = FUNCTIONS | {"numpy", "characteristic", "rate", "right_side", "gap", "slope"}
+_RESERVED = FUNCTIONS | {"numpy", "characteristic", "rate", "right_side"}
 # A knot is named with 12 digits; a term that is something else differs by far more.
 _SAME = 1e-9
 _PROBES = 64
@@ -88,7 +88,7 @@ def python_source(parts: EquationParts, evaluate: TermValues, feature_range: Flo
     Returns
     -------
     str
-        ``characteristic(phi)`` is ψ'_QS, with terms in ψ' the ψ' at rest; ``rate(psi_p, phi)`` is
+        ``characteristic(phi)`` is ψ'_QS, left out where a term holds ψ'; ``rate(psi_p, phi)`` is
         dψ'/dt in 1/s of φ DEAD_TIME_S ago, left out of a static fit. Columns whose names are no
         Python names are called x0, x1, …
 
@@ -122,9 +122,8 @@ def python_source(parts: EquationParts, evaluate: TermValues, feature_range: Flo
         total=total or "0.0",
         first=inputs.split(",")[0],
     )
-    if held:
-        source += _NEWTON.format(state=state, inputs=inputs)
-    source += f"    return {state}\n"
+    if not held:
+        source += _CHARACTERISTIC.format(state=state, inputs=inputs)
     return source if parts.is_static else source + _RATE.format(state=state, inputs=inputs)
 
 
@@ -143,21 +142,13 @@ def right_side({state}, {inputs}):
         {total}
         + 0.0 * {first}
     )
+"""
 
+_CHARACTERISTIC = """
 
 def characteristic({inputs}):
     \"\"\"Return the quasi-steady psi'_QS: the psi' at rest.\"\"\"
-    {state} = right_side(0.0, {inputs})
-"""
-
-# With terms in ψ' the state at rest is that of Newton's method from ψ' = 0; nan if there is none.
-_NEWTON = """\
-    for _ in range(60):
-        gap = right_side({state}, {inputs}) - {state}
-        slope = right_side({state} + 1e-6, {inputs}) - right_side({state} - 1e-6, {inputs})
-        {state} = {state} - gap / (slope / 2e-6 - 1.0)
-    gap = right_side({state}, {inputs}) - {state}
-    {state} = numpy.where(numpy.abs(gap) < 1e-9 * (1.0 + numpy.abs({state})), {state}, numpy.nan)
+    return right_side(0.0, {inputs})
 """
 
 _RATE = """

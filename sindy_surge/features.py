@@ -27,7 +27,7 @@ class Features:
     slopes : ndarray of shape (n_inputs, n_rows, n_columns)
         Derivatives with respect to each input.
     state_slopes : ndarray of shape (n_rows, n_columns)
-        Derivatives with respect to ψ'; no columns where no state was given.
+        Derivatives with respect to ψ'; zero where no state was given.
     """
 
     values: FloatArray
@@ -58,36 +58,30 @@ def features(
     state : ndarray of shape (n_rows,) or None
         ψ' at the times when the inputs act; needed for the terms that hold it.
     """
-    n_rows, n_inputs = inputs.shape
     least = _SMALL_STEP * np.ptp(problem.inputs, axis=0)
     least[least == 0] = _SMALL_STEP
     reach = np.sqrt(3.0) * blur
-    blurred = reach > least
-    steps = np.where(blurred, reach, least)
-    moves = [np.zeros(n_inputs)]
-    for j in range(n_inputs):
-        unit = np.eye(n_inputs)[j] * steps[j]
-        moves += [unit, -unit, 2 * unit, -2 * unit] if blurred[j] else [unit, -unit]
-    # All moves in one call: pysindy's array type costs more for each call than for each row.
-    places = np.concatenate([inputs + move for move in moves])
+    steps = np.maximum(reach, least)
     wanted = problem.columns[list(support)].tolist()
-    if state is None:
-        stacked = problem.terms(places, wanted=wanted, strict=False)
-        state_slopes = np.zeros((n_rows, 0))
-    else:
-        stacked = problem.terms(places, np.tile(state, len(moves)), wanted, strict=False)
-        state_slopes = _state_slopes(problem, inputs, state, wanted)
-    at = iter(stacked.reshape(len(moves), n_rows, stacked.shape[1]))
-    base = next(at)
+
+    def at(move: FloatArray | float, psi_p: FloatArray | None = state) -> FloatArray:
+        return problem.terms(inputs + move, psi_p, wanted, strict=False)
+
+    base = at(0.0)
     values, slopes = base.copy(), []
-    for j in range(n_inputs):
-        above, below = _where_defined(base, next(at), next(at))
-        slopes.append((above - below) / (2 * steps[j]))
-        if blurred[j]:
-            further, back = _where_defined(base, next(at), next(at))
+    for number, step in enumerate(steps):
+        unit = step * np.eye(steps.size)[number]
+        above, below = _where_defined(base, at(unit), at(-unit))
+        slopes.append((above - below) / (2 * step))
+        if step > least[number]:
+            further, back = _where_defined(base, at(2 * unit), at(-2 * unit))
             once = 2 / 3 * base + (above + below) / 6
             twice = base / 2 + 2 / 9 * (above + below) + (further + back) / 36
             values += 2 * base - 3 * once + twice
+    state_slopes = np.zeros_like(base)
+    if state is not None and any(i >= problem.terms.n_without_state for i in wanted):
+        move = _SMALL_STEP * max(float(np.ptp(problem.output)), 1e-300)
+        state_slopes = (at(0.0, state + move) - at(0.0, state - move)) / (2 * move)
     return Features(values, np.stack(slopes), state_slopes)
 
 
@@ -98,17 +92,3 @@ def _where_defined(
     high = np.where(np.isfinite(above), above, 2 * base - below)
     low = np.where(np.isfinite(below), below, 2 * base - above)
     return np.where(np.isfinite(high), high, base), np.where(np.isfinite(low), low, base)
-
-
-def _state_slopes(
-    problem: LagProblem, inputs: FloatArray, state: FloatArray, wanted: Sequence[int]
-) -> FloatArray:
-    slopes = np.zeros((state.size, len(wanted)))
-    first = problem.terms.n_without_state
-    holding = [number for number, i in enumerate(wanted) if i >= first]
-    if holding:
-        step = _SMALL_STEP * max(float(np.ptp(problem.output)), 1e-300)
-        those = [wanted[number] for number in holding]
-        above = problem.terms(inputs, state + step, those)
-        slopes[:, holding] = (above - problem.terms(inputs, state - step, those)) / (2 * step)
-    return slopes

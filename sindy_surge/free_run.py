@@ -1,65 +1,39 @@
-"""Free run of the lag through every segment, with a dead time of either sign."""
+"""Free run of the lag and of an identified model, with a dead time of either sign."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from sindy_surge.candidate_terms import CandidateTerms
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["DelayedLag", "run_lag", "simulate"]
+__all__ = ["FreeModel", "driven", "run_lag", "simulate", "solve_recursion"]
 
 
-# Part of a sample of dead time that is rounding.
-_WHOLE = 1e-9
+_MOST_STEPS = 60
+_STEP = 1e-6
 
 
-@dataclass(frozen=True)
-class DelayedLag:
-    """x[k] = pole x[k-1] + Σ_i weights[0, i] f[k - shift - i]: τ x' + x = f(t - d), exactly.
+def driven(lag: FirstOrderLag, values: FloatArray, rows: IndexArray, by: int = 0) -> FloatArray:
+    """Return Σ_i taps[by, i] values[row - m - i] for rows of the record.
 
     Parameters
     ----------
-    pole : float
-        exp(-h/τ).
-    pole_slope : float
-        Its derivative with respect to τ, in 1/s.
-    shift : int
-        Whole samples of the dead time; negative if the input comes late.
-    weights : ndarray of shape (3, 2) or (3, 3)
-        Weights of the input, and their derivatives with respect to τ and to the dead time in 1/s;
-        three taps where the dead time may be a fraction of a sample.
+    values : ndarray of shape (n_rows,) or (n_rows, n_columns)
+        Forcing at the samples.
+    rows : ndarray of int
+        Rows whose inputs, the dead time of m samples and a fraction earlier, are in the record.
+    by : {0, 1, 2}
+        The drive itself, or its derivative with respect to log τ or to the dead time in samples.
     """
-
-    pole: float
-    pole_slope: float
-    shift: int
-    weights: FloatArray
-
-    @classmethod
-    def of(cls, lag: FirstOrderLag, fitted: bool = False) -> DelayedLag:
-        """Discretise a lag with a dead time of either sign; three taps always where it is fitted.
-
-        A negative dead time d is that of m whole samples ahead and a positive part of one.
-        """
-        samples = lag.dead_time_s / lag.sample_period_s
-        whole = int(np.floor(samples + _WHOLE))
-        part = max(samples - whole, 0.0)
-        inside = replace(lag, dead_time_s=part * lag.sample_period_s)
-        weights = inside.taps / np.array([[1.0], [lag.tau_s], [lag.sample_period_s]])
-        taps = 3 if fitted or part > _WHOLE else 2
-        slope = lag.d_a / lag.tau_s
-        return cls(lag.a, slope, whole, weights[:, :taps])
-
-    def drive(self, values: FloatArray, rows: IndexArray, by: int = 0) -> FloatArray:
-        """Return Σ_i weights[by, i] values[row - shift - i] for rows of the record."""
-        result: FloatArray = self.weights[by, 0] * values[rows - self.shift]
-        for number, weight in enumerate(self.weights[by, 1:], start=1):
-            result += weight * values[rows - self.shift - number]
-        return result
+    at = rows - lag.whole_samples
+    taps = lag.taps[by]
+    result: FloatArray = taps[0] * values[at] + taps[1] * values[at - 1]
+    return result + taps[2] * values[at - 2] if taps[2] else result
 
 
 def run_lag(
@@ -90,17 +64,128 @@ def run_lag(
 def simulate(
     forcing: FloatArray, segments: Segments, lag: FirstOrderLag, initial: FloatArray | None = None
 ) -> FloatArray:
-    """Run the lag through every segment from that segment's own initial state.
-
-    Parameters
-    ----------
-    forcing : ndarray of shape (n_rows,) or (n_rows, n_columns)
-        ψ'_QS at the samples, or the basis functions, each run alone.
-    segments : Segments
-        The runs of rows.
-    initial : ndarray of shape (n_segments,) or None
-        State at the first row of each segment; None starts every run at zero.
-    """
+    """Run the lag without dead time over its forcing; see `run_lag`."""
     drive = lag.gain_now * forcing
     drive[1:] += lag.gain_before * forcing[:-1]
     return run_lag(drive, segments, lag.a, initial)
+
+
+def solve_recursion(
+    ahead: FloatArray, behind: FloatArray, target: FloatArray, segments: Segments
+) -> FloatArray:
+    """Solve ahead[k] x[k] - behind[k] x[k-1] = target[k]; each segment's first x is its target.
+
+    Parameters
+    ----------
+    ahead, behind : ndarray of shape (n_equations,)
+        At the rows `segments.later`.
+    target : ndarray of shape (n_rows,)
+    """
+    from scipy.linalg import solve_banded
+
+    band = np.zeros((2, target.size))
+    band[0] = 1.0
+    band[0, segments.later] = ahead
+    band[1, segments.later - 1] = -behind
+    return np.asarray(solve_banded((1, 0), band, target))
+
+
+@dataclass(frozen=True)
+class FreeModel:
+    """τ dψ'/dt + ψ' = Σ β_i s_i(φ(t - d), ψ') with its numbers."""
+
+    terms: CandidateTerms  # The library
+    selected: IndexArray  # (n_terms,): The terms of the model
+    coefficients: FloatArray  # (n_terms,): β
+    lag: FirstOrderLag  # τ, the dead time, the sample period and the hold
+    # Least and greatest ψ' of the record. A model with terms in ψ' may run away far from its
+    # record; it is stopped ten ranges outside
+    seen: tuple[float, float]
+
+    @property
+    def holds_state(self) -> bool:
+        """Whether a term holds ψ'."""
+        return bool(np.any(self.selected >= self.terms.n_without_state))
+
+    def values(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Evaluate the terms: from (n, n_inputs) when they act and ψ' then to (n, n_terms)."""
+        order = np.argsort(self.selected, kind="stable")
+        rising = self.terms(inputs, psi_p, self.selected[order].tolist())
+        values = np.empty_like(rising)
+        values[:, order] = rising
+        return values
+
+    def forcing(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Return Σ β_i s_i; see `values`."""
+        result: FloatArray = self.values(inputs, psi_p) @ self.coefficients
+        return result
+
+    def gain(self, inputs: FloatArray, psi_p: FloatArray) -> FloatArray:
+        """Return ∂(Σ β_i s_i)/∂ψ'; see `values`."""
+        if not self.holds_state:
+            return np.zeros(psi_p.size)
+        step = _STEP * max(1.0, float(np.max(np.abs(psi_p), initial=0.0)))
+        above, below = self.forcing(inputs, psi_p + step), self.forcing(inputs, psi_p - step)
+        return (above - below) / (2 * step)
+
+    def at_rest(self, inputs: FloatArray) -> FloatArray:
+        """Return the ψ' at which nothing changes, by Newton's method; nan where there is none."""
+        state = self.forcing(inputs, np.zeros(inputs.shape[0]))
+        if not self.holds_state:
+            return state
+        state = self._bounded(state)
+        with np.errstate(all="ignore"):
+            for _ in range(_MOST_STEPS):
+                gap = self.forcing(inputs, state) - state
+                state = self._bounded(state - gap / (self.gain(inputs, state) - 1.0))
+            gap = self.forcing(inputs, state) - state
+        return np.where(np.abs(gap) < 1e-9 * (1.0 + np.abs(state)), state, np.nan)
+
+    def _bounded(self, state: FloatArray) -> FloatArray:
+        low, high = self.seen
+        reach = 10.0 * max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-300)
+        return np.clip(np.nan_to_num(state), low - reach, high + reach)
+
+    def run(self, inputs: FloatArray, segments: Segments, initial: FloatArray) -> FloatArray:
+        """Run the model freely, each segment from an initial state.
+
+        Before a segment begins its inputs are taken to have been what they are at its first
+        row (after its end, for a dead time below zero, at its last).
+
+        Parameters
+        ----------
+        inputs : ndarray of shape (n_rows, n_inputs)
+            Inputs at the samples.
+        segments : Segments
+            The runs of rows.
+        initial : ndarray of shape (n_segments,)
+            ψ' at the first row of each segment.
+        """
+        lag, later = self.lag, segments.later
+        rows = np.arange(segments.n_rows)
+        sources = [segments.within(rows - lag.whole_samples - i) for i in range(3)]
+
+        def driven(forcing: FloatArray) -> FloatArray:
+            pairs = zip(lag.taps[0], sources, strict=True)
+            return np.asarray(sum(tap * forcing[source] for tap, source in pairs))
+
+        state = np.repeat(initial, segments.lengths)
+        if not self.holds_state:
+            return run_lag(driven(self.forcing(inputs, state)), segments, lag.a, initial)
+        samples = lag.dead_time_s / lag.sample_period_s
+        ahead = int(np.floor(samples))
+        near, far = segments.within(rows + ahead), segments.within(rows + ahead + 1)
+        for _ in range(_MOST_STEPS):
+            # ψ' at the times when the inputs of each row act.
+            acting = (1 - samples + ahead) * state[near] + (samples - ahead) * state[far]
+            gain = np.clip(self.gain(inputs, acting), -np.inf, 1.0)
+            target = driven(self.forcing(inputs, acting)) - state
+            target[1:] += lag.a * state[:-1]
+            target[segments.starts] = initial - state[segments.starts]
+            now = 1.0 - lag.gain_now * gain[later]
+            before = lag.a + lag.gain_before * gain[later - 1]
+            change = solve_recursion(now, before, target, segments)
+            state = self._bounded(state + change)
+            if float(np.max(np.abs(change))) < 1e-12 * (1.0 + float(np.max(np.abs(state)))):
+                break
+        return state

@@ -1,37 +1,46 @@
-"""Choice and fit of the terms when the error of the model, not the noise, is what is left."""
+"""Terms judged by what is left out, where the error of the model is what the fit leaves."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 
 from sindy_surge.constraints import Constraints
 from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import jackknife_covariance, leave_out_moves, unit_norms
-from sindy_surge.linear_problem import Support
+from sindy_surge.linear_problem import LinearProblem, Support, leave_out_moves, unit_norms
 from sindy_surge.preparation import Prepared
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow
 from sindy_surge.sparse_paths import proposals
-from sindy_surge.trials import (
-    FEWEST_BLOCKS,
-    Block,
-    Trials,
-    best_of_each_size,
-    climb,
-    polynomial_ladder,
-    special_structures,
-)
 from sindy_surge.weak import MIN_HALF_WIDTH, WeakEquations
-from surge_core.types import FloatArray
+from surge_core.leave_out import scatter
+from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["HeldOutFit", "model_error_dominates", "select_by_held_out", "with_held_out"]
+__all__ = [
+    "Equations",
+    "HeldOutFit",
+    "Trials",
+    "best_of_each_size",
+    "climb",
+    "model_error_dominates",
+    "pays",
+    "polynomial_ladder",
+    "select_by_held_out",
+    "special_structures",
+    "with_held_out",
+]
 
 
+# A characteristic in stall falls, turns and rises: a cubic (Moore & Greitzer 1986) is the
+# most that is asked of a polynomial when the data cannot tell a term from an error.
+_HIGHEST_DEGREE = 3
+_MOST_SPECIAL = 24
+# With fewer, a scatter over blocks says nothing.
+_FEWEST_BLOCKS = 3
 # Variance of what all terms leave over that of the noise which fourth differences show. An
 # autoregression of first order has 3.5/(1 - a²): 16 for a = 0.9, 88 for a = 0.98, which is a noise
 # that lasts 50 samples. What exceeds this is smoother than a sensor's noise: on reduced records
@@ -47,20 +56,173 @@ _SHARE_LEFT = 0.1
 _FEWEST_RUNGS = 2
 
 
-def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
-    """Return whether what the terms leave is an error of the model rather than noise.
+class Equations(Protocol):
+    """What structures are tried on."""
+
+    def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return parameters with τ last, derivatives of the fitted values, and the residual."""
+
+
+@dataclass
+class Trials:
+    """Held-out errors of the structures tried.
 
     Parameters
     ----------
-    consistent : bool
-        Whether a structure stands against all others.
+    equations : Equations
+        What is fitted.
+    blocks : list of tuple of two ndarray of int
+        What is left out in turn: the equations that any row of a block enters, and those on which
+        the fit without them is scored.
+    most_leverage : float
+        A block that holds more than this share of the information on some parameter is not
+        scored: without it the parameter would be a guess. From 0 to 1; 1 scores all.
+    errors : dict
+        Mean square error of each block's equations, NaN where not scored, by structure.
+    lags : dict
+        τ in seconds, by structure.
+    """
 
-    Returns
-    -------
-    bool
-        True if even all terms leave more than 100 times the variance of the noise, or if no
-        structure stands and all terms leave a coloured rest. With a white rest it is the number
-        of terms allowed that no structure fits in.
+    equations: Equations
+    blocks: list[tuple[IndexArray, IndexArray]]
+    most_leverage: float = 1.0
+    errors: dict[Support, FloatArray] = field(default_factory=dict)
+    lags: dict[Support, float] = field(default_factory=dict)
+
+    def error(self, support: Support) -> FloatArray:
+        """Return the mean square error of each block's equations, fitted without that block."""
+        if support not in self.errors:
+            parameters, design, residual = self.equations.fit(support)
+            moves = leave_out_moves(design, residual, [touched for touched, _ in self.blocks])
+            own_errors = np.empty(len(self.blocks))
+            for number, (touched, own) in enumerate(self.blocks):
+                error = residual[own] - design[own] @ moves[number]
+                own_errors[number] = np.mean(error**2)
+                if self.most_leverage < 1.0 and _leverage(design, touched) > self.most_leverage:
+                    own_errors[number] = np.nan
+            self.lags[support], self.errors[support] = float(parameters[-1]), own_errors
+        return self.errors[support]
+
+    def pair(self, one: Support, other: Support) -> tuple[FloatArray, FloatArray]:
+        """Return the errors of two structures on the blocks that are scored for both."""
+        first, second = self.error(one), self.error(other)
+        both = np.isfinite(first) & np.isfinite(second)
+        return first[both], second[both]
+
+    def mean(self, support: Support) -> float:
+        """Return the mean over the blocks that are scored."""
+        known = self.error(support)
+        known = known[np.isfinite(known)]
+        return float(np.mean(known)) if known.size else float("nan")
+
+
+def _leverage(design: FloatArray, rows: IndexArray) -> float:
+    """Return the largest share of the information on any parameter that some rows hold."""
+    basis, values, _ = np.linalg.svd(design / unit_norms(design), full_matrices=False)
+    within = basis[np.ix_(rows, values > 1e-10 * values[0])]
+    return float(np.linalg.norm(within, 2) ** 2)
+
+
+def polynomial_ladder(degrees: Sequence[int | None], max_terms: int) -> list[Support]:
+    """Return the complete polynomials from degree 1 up to a cubic, smallest first.
+
+    Parameters
+    ----------
+    degrees : sequence of int or None
+        Total degree of each usable term; None for a term that is no polynomial.
+    max_terms : int
+        Largest structure considered.
+    """
+    known = [degree for degree in degrees if degree is not None]
+    if not {0, 1} <= set(known):
+        return []
+    rungs = [
+        tuple(i for i, degree in enumerate(degrees) if degree is not None and degree <= top)
+        for top in range(1, min(max(known), _HIGHEST_DEGREE) + 1)
+    ]
+    return [rung for rung in dict.fromkeys(rungs) if len(rung) <= max_terms]
+
+
+def best_of_each_size(linear: LinearProblem, proposed: list[Support]) -> list[Support]:
+    """Return the structure of least χ² of every size, smallest first."""
+    best: dict[int, Support] = {}
+    for support in sorted(proposed, key=linear.chi2):
+        best.setdefault(len(support), support)
+    return [best[size] for size in sorted(best)]
+
+
+def climb(trials: Trials, ladder: list[Support], start: int = 0) -> Support:
+    """Go up a ladder of structures as long as that pays on what is left out, else down."""
+    chosen = ladder[start]
+    for rung in ladder[start + 1 :]:
+        if pays(trials, chosen, rung):
+            chosen = rung
+    for rung in ladder[:start][::-1] if chosen == ladder[start] else []:
+        if pays(trials, chosen, rung):
+            chosen = rung
+    trials.error(chosen)
+    return chosen
+
+
+def pays(trials: Trials, one: Support, other: Support) -> bool:
+    """Return whether the other leaves less by more than a standard error of the differences."""
+    before, after = trials.pair(one, other)
+    gain = before - after
+    if gain.size < _FEWEST_BLOCKS:
+        return False
+    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(gain.size))
+
+
+def special_structures(
+    trials: Trials,
+    linear: LinearProblem,
+    proposed: list[Support],
+    chosen: Support,
+    ladder: list[Support],
+    share_left: float,
+) -> dict[Support, float]:
+    """Return the structures off the ladder, and no larger, that leave little of the error.
+
+    With the share each leaves of the held-out error of the chosen one, below `share_left`.
+    """
+    largest = max(len(rung) for rung in ladder)
+    others = [s for s in proposed if s not in ladder and len(s) <= largest]
+    found = {}
+    for support in sorted(others, key=linear.chi2)[:_MOST_SPECIAL]:
+        own, reference = trials.pair(support, chosen)
+        if own.size >= _FEWEST_BLOCKS and own.mean() / reference.mean() < share_left:
+            found[support] = float(own.mean() / reference.mean())
+    return found
+
+
+def with_held_out(
+    path: Sequence[PathRow], trials: Trials, chosen: Support, names: Sequence[str]
+) -> tuple[PathRow, ...]:
+    """Add the structures tried on rows left out, with their rms there, to a table."""
+    rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
+    for support, tau in trials.lags.items():
+        terms = tuple(names[i] for i in support)
+        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False, False)
+        rows[terms] = replace(
+            rows.get(terms, none),
+            time_constant_s=tau,
+            refitted=True,
+            chosen=support == chosen,
+            held_out_rms=trials.mean(support) ** 0.5,
+        )
+
+    def order(row: PathRow) -> tuple[int, float]:
+        return row.size, row.held_out_rms if np.isfinite(row.held_out_rms) else np.inf
+
+    return tuple(sorted(rows.values(), key=order))
+
+
+def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
+    """Return whether what the terms leave is an error of the model rather than noise.
+
+    True if even all terms leave more than 100 times the variance of the noise, or if no
+    structure stands against all others (`consistent`) and all terms leave a coloured rest. With a
+    white rest it is the number of terms allowed that no structure fits in.
     """
     coloured = prepared.problem.noise.colour.size > 0
     return prepared.excess > _MOST_EXCESS or (not consistent and coloured)
@@ -68,30 +230,14 @@ def model_error_dominates(prepared: Prepared, consistent: bool) -> bool:
 
 @dataclass(frozen=True)
 class HeldOutFit:
-    """The structure chosen by cycles left out, fitted in the weak form.
+    """The structure chosen by cycles left out, fitted in the weak form."""
 
-    Parameters
-    ----------
-    support : tuple of int
-        Positions of the terms within the usable columns.
-    time_constant_s : float
-        τ in seconds.
-    coefficients : ndarray of shape (n_support,)
-        β in physical units.
-    covariance : ndarray of shape (n_support + 1, n_support + 1)
-        Of β and, last, τ.
-    initial : ndarray of shape (n_segments,)
-        ψ' at the start of each segment.
-    tried : dict
-        Each structure tried, with the rms of its weak equations on blocks left out and its τ.
-    """
-
-    support: Support
-    time_constant_s: float
-    coefficients: FloatArray
-    covariance: FloatArray
-    initial: FloatArray
-    tried: dict[Support, tuple[float, float]]
+    support: Support  # Positions of the terms within the usable columns
+    parameters: FloatArray  # (n_support + 1,): β in physical units and, last, τ in seconds
+    covariance: FloatArray  # (n_support + 1, n_support + 1): Their covariance
+    initial: FloatArray  # (n_segments,): ψ' at the start of each segment
+    # Each structure tried, with the errors of its weak equations on blocks left out and its τ
+    trials: Trials
 
 
 def select_by_held_out(
@@ -99,7 +245,7 @@ def select_by_held_out(
     optimizer: Any,
     max_terms: int,
     degrees: Sequence[int | None],
-    constraints: Constraints | None = None,
+    constraints: Constraints,
 ) -> HeldOutFit | None:
     """Choose the degree of a polynomial by cycles left out and fit it in the weak form.
 
@@ -120,8 +266,6 @@ def select_by_held_out(
     ----------
     degrees : sequence of int or None
         Total degree of each usable term; None for a term that is no polynomial.
-    constraints : Constraints or None
-        What is known of the terms beforehand.
 
     Returns
     -------
@@ -132,16 +276,15 @@ def select_by_held_out(
     if weak is None:
         return None
     trials = Trials(weak, _blocks(problem, weak))
-    if len(trials.blocks) < FEWEST_BLOCKS or weak.signal.size < 2 * max_terms + 2:
+    if len(trials.blocks) < _FEWEST_BLOCKS or weak.signal.size < 2 * max_terms + 2:
         return None
     linear = weak.linear()
     # Terms with ψ' have no part in the weak form.
-    n_terms = linear.columns.shape[1]
-    required = tuple(i for i in constraints.required if i < n_terms) if constraints else ()
+    required = tuple(i for i in constraints.required if i < linear.columns.shape[1])
 
     def admitted(support: Support) -> bool:
         held = set(required) <= set(support)
-        return held and (not constraints or constraints.allow(support, weak.fit(support)[0][:-1]))
+        return held and constraints.allow(support, weak.fit(support)[0][:-1])
 
     proposed = [s for s in proposals(linear, optimizer, max_terms, required) if admitted(s)]
     ladder = [s for s in polynomial_ladder(degrees, max_terms) if admitted(s)]
@@ -155,10 +298,14 @@ def select_by_held_out(
     chosen = min(special, key=lambda s: (len(s), special[s]), default=chosen)
     if not problem.shortest_lag_s < trials.lags[chosen] < problem.longest_lag_s:
         return None
-    return _finished(problem, weak, trials, chosen)
+    parameters, design, residual = weak.fit(chosen)
+    covariance = scatter(leave_out_moves(design, residual, [own for _, own in trials.blocks]))
+    covariance += _repeated(design, residual) + _spread(problem, weak, chosen)
+    initial = _starts(problem, chosen, parameters)
+    return HeldOutFit(chosen, parameters, covariance, initial, trials)
 
 
-def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
+def _blocks(problem: LagProblem, weak: WeakEquations) -> list[tuple[IndexArray, IndexArray]]:
     """Return the blocks to leave out, each scored on the equations centred in it."""
     centres, reach = weak.centres, weak.half_width
     blocks = []
@@ -166,49 +313,19 @@ def _blocks(problem: LagProblem, weak: WeakEquations) -> list[Block]:
         own = np.flatnonzero((centres >= rows.start) & (centres < rows.stop))
         touched = (centres > rows.start - reach) & (centres < rows.stop - 1 + reach)
         if own.size:
-            blocks.append(Block(np.flatnonzero(touched), own))
+            blocks.append((np.flatnonzero(touched), own))
     return blocks
 
 
-def with_held_out(
-    path: Sequence[PathRow], fit: HeldOutFit, names: Sequence[str]
-) -> tuple[PathRow, ...]:
-    """Add the structures tried on rows left out to the table of structures."""
-    rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
-    for support, (rms, tau) in fit.tried.items():
-        terms = tuple(names[i] for i in support)
-        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False, False)
-        rows[terms] = replace(
-            rows.get(terms, none),
-            time_constant_s=tau,
-            refitted=True,
-            chosen=support == fit.support,
-            held_out_rms=rms,
-        )
-
-    def order(row: PathRow) -> tuple[int, float]:
-        return row.size, row.held_out_rms if np.isfinite(row.held_out_rms) else np.inf
-
-    return tuple(sorted(rows.values(), key=order))
-
-
-def _finished(
-    problem: LagProblem, weak: WeakEquations, trials: Trials, support: Support
-) -> HeldOutFit:
-    parameters, design, residual = weak.fit(support)
-    homes = [block.own for block in trials.blocks]
-    covariance = jackknife_covariance(leave_out_moves(design, residual, homes))
-    covariance += _repeated(design, residual) + _spread(problem, weak, support)
-    tau = float(parameters[-1])
-    lag = problem.hold_at(tau)
+def _starts(problem: LagProblem, support: Support, parameters: FloatArray) -> FloatArray:
+    """Return ψ' at the start of each segment that its free run fits best."""
+    segments, lag = problem.segments, problem.lag(float(parameters[-1]))
     wanted = problem.columns[list(support)].tolist()
     values = problem.late(problem.terms(problem.inputs, wanted=wanted))
-    forcing = values @ parameters[:-1]
-    rest = problem.output - simulate(forcing, problem.segments, lag)
-    decay = lag.a ** problem.segments.offsets().astype(float)
-    starts = problem.segments.starts
-    initial = np.add.reduceat(decay * rest, starts) / np.add.reduceat(decay**2, starts)
-    return HeldOutFit(support, tau, parameters[:-1], covariance, initial, trials.tried())
+    rest = problem.output - simulate(values @ parameters[:-1], segments, lag)
+    decay = lag.a ** segments.offsets().astype(float)
+    power = np.add.reduceat(decay**2, segments.starts)
+    return np.asarray(np.add.reduceat(decay * rest, segments.starts) / power)
 
 
 def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
@@ -217,11 +334,11 @@ def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:
     Cycles that repeat an error agree about it, and their scatter says nothing of its size. The
     information is that of one cycle, however many there are.
     """
+    total = float(residual @ residual) / _EQUATIONS_IN_CYCLE
     norms = unit_norms(design)
     scaled = design / norms
-    bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
-    total = float(residual @ residual) / _EQUATIONS_IN_CYCLE
-    return np.asarray(total * bread / np.outer(norms, norms))
+    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True) / np.outer(norms, norms)
+    return np.asarray(total * inverse)
 
 
 def _spread(problem: LagProblem, weak: WeakEquations, support: Support) -> FloatArray:
@@ -230,14 +347,12 @@ def _spread(problem: LagProblem, weak: WeakEquations, support: Support) -> Float
     A true model gives one answer for every test function and either direction of the
     regression; the mean square of the two shifts is what a wrong one adds.
     """
-    parameters = weak.fit(support)[0]
     others = [weak.fit_forward(support)]
     narrow = round(weak.half_width / np.sqrt(2.0))
-    if narrow >= MIN_HALF_WIDTH:
-        narrower = WeakEquations.of(problem, narrow)
-        others.append(None if narrower is None else narrower.fit(support)[0])
-    shifts = [other - parameters for other in others if other is not None]
-    result = np.zeros((parameters.size, parameters.size))
-    for shift in shifts:
-        result += np.outer(shift, shift) / len(shifts)
-    return result
+    narrower = WeakEquations.of(problem, narrow) if narrow >= MIN_HALF_WIDTH else None
+    if narrower is not None:
+        others.append(narrower.fit(support)[0])
+    parameters = weak.fit(support)[0]
+    shifts = np.array([other - parameters for other in others if other is not None])
+    shifts = shifts.reshape(-1, parameters.size)
+    return np.asarray(shifts.T @ shifts / max(len(shifts), 1))

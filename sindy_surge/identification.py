@@ -10,15 +10,15 @@ import numpy as np
 
 from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
-from sindy_surge.free_model import FreeModel
+from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
 from sindy_surge.inclusion import inclusion_probabilities
 from sindy_surge.knots import MovedKnot, knot_columns, moved_knots, with_hinges
 from sindy_surge.lag_fit import (
     StructureFit,
     WhiteEquations,
-    fit_structure,
     information,
+    refitted,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
@@ -48,73 +48,33 @@ _FAR_FROM_WEAK = 2.0
 
 @dataclass(frozen=True)
 class Choices:
-    """What a user decides of a search.
-
-    Parameters
-    ----------
-    optimizer : str or pysindy optimizer
-        What proposes the structures.
-    max_terms : int
-        Largest structure considered.
-    constraints : mapping of str to str, or None
-        See `sindy_surge.constraints.constraints_of`.
-    dead_time : float, "fit" or "auto"
-        Dead time in seconds, or whether to fit it.
-    n_bootstrap : int
-        Resamples of the cycles; 0 for none.
-    seed : int, Generator or None
-        Of the resamples.
-    """
+    """What a user decides of a search: parameters of `SparseLagRegressor`, under their names."""
 
     optimizer: Any
     max_terms: int
     constraints: Mapping[str, str] | None
-    dead_time: DeadTimeChoice
+    dead_time_s: DeadTimeChoice
     n_bootstrap: int
-    seed: Any
+    random_state: Any
 
 
 @dataclass(frozen=True)
 class Identified:
-    """A structure with its parameters, and what was looked at on the way.
+    """A structure with its parameters, and what was looked at on the way."""
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data with noise levels and dead time, and the library searched.
-    model : FreeModel
-        Terms, β (those of terms with ψ' in the library's own units), τ and dead time.
-    dead_time_stderr_s : float
-        Standard error of the dead time in seconds; 0 if it was not fitted.
-    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
-        Of β and, last, τ.
-    initial : ndarray of shape (n_segments,)
-        ψ' at the first usable row of each segment.
-    state : FitState
-        What became of the fit, as far as the search can tell.
-    path : tuple of PathRow
-        Every structure proposed or tested.
-    rivals : tuple of tuple of str
-        Structures that the data cannot tell from the chosen one.
-    inclusion : dict of str to float
-        Share of the resamples whose structure holds a term; empty without resamples.
-    weak : WeakLag or None
-        The weak estimates of τ.
-    knots : tuple of MovedKnot
-        Hinges off the library's grid that were added to it.
-    """
-
-    problem: LagProblem
+    problem: LagProblem  # The data with noise levels and dead time, and the library searched
+    # Terms, β (those of terms with ψ' in the library's own units), τ and dead time
     model: FreeModel
-    dead_time_stderr_s: float
-    covariance: FloatArray
-    initial: FloatArray
-    state: FitState
-    path: tuple[PathRow, ...]
-    rivals: tuple[tuple[str, ...], ...]
+    dead_time_stderr_s: float  # Standard error of the dead time in seconds; 0 if it was not fitted
+    covariance: FloatArray  # (n_terms + 1, n_terms + 1): Of β and, last, τ
+    initial: FloatArray  # (n_segments,): ψ' at the first usable row of each segment
+    state: FitState  # What became of the fit, as far as the search can tell
+    path: tuple[PathRow, ...]  # Every structure proposed or tested
+    rivals: tuple[tuple[str, ...], ...]  # Structures that the data cannot tell from the chosen one
+    # Share of the resamples whose structure holds a term; empty without resamples
     inclusion: dict[str, float]
-    weak: WeakLag | None
-    knots: tuple[MovedKnot, ...]
+    weak: WeakLag | None  # The weak estimates of τ
+    knots: tuple[MovedKnot, ...]  # Hinges off the library's grid that were added to it
 
     def fit_state(self) -> FitState:
         """Return what became of the fit, by the τ that it gave and its error.
@@ -139,15 +99,14 @@ class Identified:
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
     """Search the structure of a record and estimate its parameters."""
     search = _searched(problem, choices, input_names)
-    if choices.dead_time == "auto" and search.prepared.problem.dead_time.fitted:
+    if choices.dead_time_s == "auto" and search.prepared.problem.fits_dead_time:
         search = _simpler(search, _searched(problem, _on_time(choices, search), input_names))
     if search.may_lack_a_knot:
         search = _with_knots(search, choices, input_names)
+    robust = None
     if model_error_dominates(search.prepared, search.found.consistent):
         robust = _by_held_out(search, choices)
-        if robust is not None:
-            return robust
-    return _by_likelihood(search, choices)
+    return robust or _by_likelihood(search, choices)
 
 
 @dataclass(frozen=True)
@@ -181,14 +140,12 @@ def _searched(
 ) -> _Searched:
     library = problem.terms.names
     columns, constraints = constraints_of(choices.constraints, library, problem.columns)
-    prepared = prepare(replace(problem, columns=columns), choices.dead_time, constraints.required)
+    prepared = prepare(replace(problem, columns=columns), choices.dead_time_s, constraints.required)
     usable = prepared.problem.columns
     _, constraints = constraints_of(choices.constraints, library, usable)
     names = [library[i] for i in usable]
     degrees = [polynomial_degree(name, input_names) for name in names]
-    found = select_structure(
-        prepared, choices.optimizer, choices.max_terms, names, degrees, constraints
-    )
+    found = select_structure(prepared, choices.optimizer, choices.max_terms, degrees, constraints)
     return _Searched(problem, prepared, found, names, degrees, constraints, knots)
 
 
@@ -197,7 +154,7 @@ def _on_time(choices: Choices, late: _Searched) -> Choices:
     most = len(late.found.fit.support) + 1 if late.found.consistent else choices.max_terms
     return replace(
         choices,
-        dead_time=0.0,
+        dead_time_s=0.0,
         max_terms=min(max(most, len(late.constraints.required)), choices.max_terms),
         # The best subsets hold whatever an optimizer would propose of so few terms.
         optimizer="best-subset" if isinstance(choices.optimizer, str) else choices.optimizer,
@@ -218,7 +175,7 @@ def _simpler(late: _Searched, on_time: _Searched) -> _Searched:
         fit, prepared = search.found.fit, search.prepared
         stands = search.found.consistent and not model_error_dominates(prepared, True)
         noise = prepared.problem.noise
-        size = len(fit.support) + prepared.problem.dead_time.fitted + noise.colour.size
+        size = len(fit.support) + prepared.problem.fits_dead_time + noise.colour.size
         # χ² is in units of each search's own noise of ψ'.
         spread = float(np.log(fit.chi2 / fit.residual.size * noise.output**2))
         return not stands, n * spread + penalty * size
@@ -233,8 +190,8 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
     if not knots:
         return search
     wide, _ = with_hinges(search.whole, [moved.knot for moved in knots])
-    if choices.dead_time == "auto" and not problem.dead_time.fitted:
-        choices = replace(choices, dead_time=0.0)
+    if choices.dead_time_s == "auto" and not problem.fits_dead_time:
+        choices = replace(choices, dead_time_s=0.0)
     again = _searched(wide, choices, input_names, knots)
     stands = again.found.consistent and not model_error_dominates(again.prepared, True)
     first = again.prepared.problem.n_without_state - len(knots)
@@ -253,9 +210,14 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         for support, one in found.fits.items()
         if one.converged
     }
-    path = tuple(replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path)
-    if power.problem is not prepared.problem and fit.support != found.fit.support:
-        path = _chosen_instead(path, fit, names)
+    path = [replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path]
+    if fit.support != found.fit.support:
+        terms = tuple(names[i] for i in fit.support)
+        path = [replace(row, chosen=False) for row in path if row.terms != terms]
+        # A score would belong to another linearisation than the table's.
+        none, tau = float("nan"), fit.time_constant_s
+        path.append(PathRow(len(terms), terms, none, fit.chi2, tau, True, found.consistent, True))
+        path.sort(key=lambda row: row.size)
     inclusion: dict[str, float] = {}
     equations = white_equations(problem, fit)
     if choices.n_bootstrap:
@@ -265,12 +227,12 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
             choices.max_terms,
             penalty_per_term=information_penalty(equations.target.size, len(names)),
             n_resamples=choices.n_bootstrap,
-            rng=np.random.default_rng(choices.seed),
+            rng=np.random.default_rng(choices.random_state),
             required=search.constraints.required,
         )
         inclusion = dict(zip(names, shares.tolist(), strict=True))
     covariance = _covariance(problem, fit, search.knots)
-    dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.dead_time.fitted else 0.0
+    dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.fits_dead_time else 0.0
     wanted = [*range(len(fit.support)), -1]
     covariance = covariance[np.ix_(wanted, wanted)]
     weak = weak_estimates(problem, fit.support) or prepared.weak
@@ -293,7 +255,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         covariance,
         _of_segments(problem, fit.initial),
         state,
-        path,
+        tuple(path),
         tuple(tuple(names[i] for i in rival) for rival in rivals),
         inclusion,
         weak,
@@ -309,34 +271,13 @@ def _explains(equations: WhiteEquations, support: Support) -> bool:
     return gain / linear.variance > penalty * len(support)
 
 
-def _chosen_instead(
-    path: tuple[PathRow, ...], fit: StructureFit, names: list[str]
-) -> tuple[PathRow, ...]:
-    """Mark the structure that took the place of the search's own in the table."""
-    terms = tuple(names[i] for i in fit.support)
-    old = next(row for row in path if row.chosen)
-    # Its score belongs to another linearisation than the table's.
-    own = replace(
-        old,
-        size=len(terms),
-        terms=terms,
-        score=float("nan"),
-        chi2=fit.chi2,
-        time_constant_s=fit.time_constant_s,
-        held_out_rms=float("nan"),
-    )
-    rest = tuple(replace(row, chosen=False) for row in path if row.terms != terms)
-    return tuple(sorted((*rest, own), key=lambda row: row.size))
-
-
 def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) -> bool:
     """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
     if weak is None or not problem.holds_state(fit.support):
         return False
-    model = problem.model(
-        fit.support, fit.coefficients, fit.time_constant_s, problem.dead_time.seconds
-    )
-    local = fit.time_constant_s / (1.0 - problem.mean_gain(model))
+    tau = fit.time_constant_s
+    model = problem.model(fit.support, fit.coefficients, tau, fit.dead_time_s)
+    local = tau / (1.0 - problem.mean_gain(model))
     low, high = sorted((weak.reverse_s, weak.forward_s))
     return not low / _FAR_FROM_WEAK < local < high * _FAR_FROM_WEAK
 
@@ -348,40 +289,37 @@ def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, S
     """
     if not (problem.holds_state(fit.support) and problem.noise.colour.size):
         return problem, fit
-    white = replace(problem, noise=replace(problem.noise, colour=np.empty(0)))
-    plain = fit_structure(white, fit.support, fit.time_constant_s, fit.coefficients, near=fit)
-    colour = autoregression(plain.residual, plain.groups)
-    if not colour.size:
-        return white, plain
-    again = replace(problem, noise=replace(problem.noise, colour=colour))
-    return again, fit_structure(again, fit.support, fit.time_constant_s, fit.coefficients, near=fit)
+    problem = problem.with_colour(np.empty(0))
+    fit = refitted(problem, fit)
+    colour = autoregression(fit.residual, fit.groups)
+    if colour.size:
+        problem = problem.with_colour(colour)
+        fit = refitted(problem, fit)
+    return problem, fit
 
 
 def _covariance(problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, ...]) -> FloatArray:
     """Return the covariance of β, the moved knots and the dead time, and τ last."""
     known = information(problem, fit)
     extra = knot_columns(problem, fit, knots)
-    n_extra = extra.shape[1]
-    if not n_extra:
-        return sandwich(problem, fit, known)
     # The knots count among the parameters, so that the errors of the others allow for them; they
     # stand before the dead time and τ, which come last.
-    at = [len(fit.support) + (problem.hold == "first")] * n_extra
+    first = len(fit.support) + (problem.hold == "first")
+    at = [first] * extra.shape[1]
     wide = replace(
         fit,
         sensitivity=np.insert(fit.sensitivity, at, extra, axis=1),
         prior=np.insert(fit.prior, at, 0.0),
     )
     whole = wide.sensitivity.T @ wide.sensitivity + np.diag(wide.prior)
-    old = [i for i in range(wide.prior.size) if not at[0] <= i < at[0] + n_extra]
+    old = np.delete(np.arange(wide.prior.size), np.s_[first : first + len(at)])
     whole[np.ix_(old, old)] = known
     return sandwich(problem, wide, whole)
 
 
 def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
-    prepared, found, names = search.prepared, search.found, search.names
-    problem = prepared.problem
-    if choices.dead_time == "auto":
+    problem = search.prepared.problem
+    if choices.dead_time_s == "auto":
         # Tested against noise, of which there is next to none: an error of the model passed for it.
         problem = problem.with_dead_time(0.0, False)
     fit = select_by_held_out(
@@ -389,19 +327,18 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
     )
     if fit is None:
         return None
+    beta, tau = fit.parameters[:-1], float(fit.parameters[-1])
     return Identified(
         problem,
-        problem.model(
-            fit.support, fit.coefficients, fit.time_constant_s, problem.dead_time.seconds
-        ),
+        problem.model(fit.support, beta, tau, problem.dead_time_s),
         0.0,
         fit.covariance,
         fit.initial,
         FitState.MODEL_ERROR_DOMINATES,
-        with_held_out(found.path, fit, names),
+        with_held_out(search.found.path, fit.trials, fit.support, search.names),
         (),
         {},
-        prepared.weak,
+        search.prepared.weak,
         (),
     )
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sindy_surge.lag_fit import WhiteEquations
-from sindy_surge.leave_out import unit_norms
-from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
+from sindy_surge.linear_problem import LinearProblem, Support, unit_norms, without_nuisances
 from sindy_surge.sparse_paths import beam_search
 from surge_core.errors import InputError
 from surge_core.types import FloatArray

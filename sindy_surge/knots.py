@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sindy_surge.lag_fit import StructureFit, fit_structure, white_equations
 from sindy_surge.lag_problem import LagProblem
+from sindy_surge.library import hinge_name
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.selection import information_penalty
 from sindy_surge.sparse_paths import beam_search
@@ -30,17 +31,8 @@ _PART_OF_STEP = 0.25
 _NEIGHBOURS = 0.15
 
 
-@dataclass(frozen=True)
-class MovedKnot:
-    """A hinge off the library's grid.
-
-    Parameters
-    ----------
-    knot : float
-        Where it bends, rounded within its standard error.
-    stderr : float
-        Standard error of the knot.
-    """
+class MovedKnot(NamedTuple):
+    """A hinge off the library's grid: where it bends, rounded within its standard error."""
 
     knot: float
     stderr: float
@@ -105,13 +97,10 @@ def _joined(kinks: list[tuple[float, float]], reach: float) -> list[float]:
 
 def _knots_of(problem: LagProblem) -> dict[int, float]:
     """Return the knots of the library's hinges by position among the usable terms."""
-    found = {}
-    for position, column in enumerate(problem.columns):
-        match = re.fullmatch(r"relu\(\w+?(?:([+-])([\d.e-]+))?\)", problem.terms.names[column])
-        if match:
-            size = float(match[2] or 0.0)
-            found[position] = -size if match[1] == "+" else size
-    return found
+    terms = problem.terms
+    known = {hinge_name(terms.input_names[0], knot): knot for knot in terms.knots}
+    names = [terms.names[column] for column in problem.columns]
+    return {position: known[name] for position, name in enumerate(names) if name in known}
 
 
 def with_hinges(problem: LagProblem, knots: Sequence[float]) -> tuple[LagProblem, dict[int, int]]:

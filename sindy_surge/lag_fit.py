@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sindy_surge.features import features
-from sindy_surge.free_run import run_lag
+from sindy_surge.free_run import driven, run_lag
 from sindy_surge.lag_equations import (
     Equations,
     Point,
@@ -19,7 +18,7 @@ from sindy_surge.lag_equations import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, least_squares, without_nuisances
 from sindy_surge.segments import Segments
-from surge_core.types import FloatArray
+from surge_core.types import FloatArray, IndexArray
 
 __all__ = [
     "StructureFit",
@@ -29,6 +28,7 @@ __all__ = [
     "linearise",
     "moved_point",
     "output_error",
+    "refitted",
     "scan_lag",
     "white_equations",
 ]
@@ -51,43 +51,30 @@ _BEND_PRIOR = (0.5, 0.5)
 
 @dataclass(frozen=True)
 class StructureFit:
-    """One structure fitted by errors in variables.
+    """One structure fitted by errors in variables."""
 
-    Parameters
-    ----------
-    support : tuple of int
-        Positions of the terms within the usable columns.
-    point : Point
-        τ, dead time, coefficients and the estimated noise of φ.
-    chi2 : float
-        Sum of the squared whitened residuals.
-    residual : ndarray of shape (n_white,)
-        The whitened residuals.
-    sensitivity : ndarray of shape (n_white, n_parameters)
-        Whitened derivatives with respect to β, the bend (hold "first" only), the dead time (if
-        fitted) and τ last.
-    prior : ndarray of shape (n_parameters,)
-        Information from outside the record: that on the bend.
-    groups : Segments
-        Runs of the whitened rows.
-    rows : ndarray of int of shape (n_white,)
-        Row of the record at which each whitened equation ends.
-    converged : bool
-        Whether the last step was negligible.
-    settles : bool
-        Whether ψ' comes to rest at every φ of the record; terms with ψ' may drive it away.
-    """
-
-    support: tuple[int, ...]
-    point: Point
-    chi2: float
-    residual: FloatArray
+    support: tuple[int, ...]  # Positions of the terms within the usable columns
+    point: Point  # τ, dead time, coefficients and the estimated noise of φ
+    residual: FloatArray  # (n_white,): The whitened residuals
+    # (n_white, n_parameters): Whitened derivatives with respect to β, the bend (hold "first" only),
+    # the dead time (if fitted) and τ last
     sensitivity: FloatArray
-    prior: FloatArray
-    groups: Segments
-    rows: NDArray[np.intp]
-    converged: bool
+    prior: FloatArray  # (n_parameters,): Information from outside the record: that on the bend
+    groups: Segments  # Runs of the whitened rows
+    rows: IndexArray  # (n_white,): Row of the record at which each whitened equation ends
+    converged: bool  # Whether the last step was negligible
+    # Whether ψ' comes to rest at every φ of the record; terms with ψ' may drive it away
     settles: bool
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def prior_pull(self) -> float:
+        """How far the bend lies below what is known of it beforehand."""
+        return _BEND_PRIOR[0] - self.point.bend
 
     @property
     def time_constant_s(self) -> float:
@@ -146,23 +133,22 @@ def fit_structure(
             dead_time_s=float(np.clip(near.dead_time_s, low, high)),
             state=kept if kept is not None and kept.size == problem.usable.rows.size else None,
         )
-    extra = _nuisances(problem)
-    prior = np.zeros(len(support) + len(extra))
+    size, first = len(support), problem.hold == "first"
+    prior = np.zeros(size + first + problem.fits_dead_time + 1)
+    pull = np.zeros(prior.size)
     converged = False
     for step in range(max_steps + 1):
         eq = equations_about(problem, support, point)
         white = eq.whitener(eq.residual)
-        if problem.hold == "first":
+        if first:
             # In units of the residual found: on exact data the prior must not pull at all.
             mean_square = float(white @ white) / max(white.size, 1)
-            prior[len(support)] = _BEND_PRIOR[1] ** -2 * min(1.0, mean_square)
-        nuisances = [getattr(eq, name) for name in extra]
-        columns = eq.whitener(np.column_stack((eq.raw_columns, *nuisances)))
+            prior[size] = _BEND_PRIOR[1] ** -2 * min(1.0, mean_square)
+            pull[size] = _BEND_PRIOR[0] - point.bend
+        columns = eq.white_derivatives()
         point = replace(point, initial=eq.initial, state=eq.state)
         if converged or step == max_steps:
             break
-        pull = np.zeros(prior.size)
-        pull[len(support) : len(support) + 1] = _BEND_PRIOR[0] - point.bend
         change = least_squares(
             np.vstack((columns, np.diag(np.sqrt(prior)))),
             np.concatenate((white, np.sqrt(prior) * pull)),
@@ -178,24 +164,22 @@ def fit_structure(
         # The second condition ends a run into a bound.
         converged = step > 0 and (moved < enough or (at_bound and step > 8))
     return StructureFit(
-        support=support,
-        point=point,
-        chi2=float(white @ white),
-        residual=white,
-        sensitivity=columns,
-        prior=prior,
-        groups=eq.whitener.groups,
-        rows=problem.usable.rows[problem.usable.later[eq.whitener.kept]],
-        converged=converged,
-        settles=eq.greatest_gain < 1.0,
+        support,
+        point,
+        white,
+        columns,
+        prior,
+        eq.whitener.groups,
+        problem.usable.ends[eq.whitener.kept],
+        converged,
+        eq.greatest_gain < 1.0,
     )
 
 
-def _nuisances(problem: LagProblem) -> list[str]:
-    """Return the columns of the equations that are estimated beside β, τ last."""
-    names = ["bend_column"] if problem.hold == "first" else []
-    names += ["dead_time_column"] if problem.dead_time.fitted else []
-    return [*names, "tau_column"]
+def refitted(problem: LagProblem, fit: StructureFit, max_steps: int = _MAX_STEPS) -> StructureFit:
+    """Fit a structure again, near where it stood, to a problem that was changed."""
+    tau, beta = fit.time_constant_s, fit.coefficients
+    return fit_structure(problem, fit.support, tau, beta, max_steps=max_steps, near=fit)
 
 
 def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
@@ -207,19 +191,18 @@ def moved_point(problem: LagProblem, point: Point, change: FloatArray) -> Point:
         The step, in the order of `StructureFit.sensitivity`.
     """
     size = point.coefficients.size
-    move = dict(zip(_nuisances(problem), change[size:].tolist(), strict=True))
-    tau, step = point.time_constant_s, move["tau_column"]
+    tau, step = point.time_constant_s, float(change[-1])
     tau_new = _bounded(problem, float(np.clip(tau + step, tau / 3, 3 * tau)))
     # A step cut short leaves the coefficients where they belong to the longer one.
     share = max(1.0 if step == 0 else min(1.0, abs((tau_new - tau) / step)), 0.1)
-    low, high = problem.dead_time_range_s
-    dead = point.dead_time_s + share * move.get("dead_time_column", 0.0)
+    bend, dead = point.bend, point.dead_time_s
+    if problem.hold == "first":
+        bend += share * float(change[size])
+    if problem.fits_dead_time:
+        dead = float(np.clip(dead + share * float(change[-2]), *problem.dead_time_range_s))
+    coefficients = point.coefficients + share * change[:size]
     return replace(
-        point,
-        time_constant_s=tau_new,
-        dead_time_s=float(np.clip(dead, low, high)) if problem.dead_time.fitted else dead,
-        coefficients=point.coefficients + share * change[:size],
-        bend=point.bend + share * move.get("bend_column", 0.0),
+        point, time_constant_s=tau_new, dead_time_s=dead, coefficients=coefficients, bend=bend
     )
 
 
@@ -271,12 +254,8 @@ def _score(problem: LagProblem, fit: StructureFit, move: FloatArray) -> FloatArr
         eq = equations_about(problem, fit.support, point)
         point = _with_renewed_noise(problem, replace(point, state=eq.state), eq, 1.0)
     eq = equations_about(problem, fit.support, point)
-    nuisances = [getattr(eq, name) for name in _nuisances(problem)]
-    columns = eq.whitener(np.column_stack((eq.raw_columns, *nuisances)))
-    score: FloatArray = columns.T @ eq.whitener(eq.residual)
-    size = len(fit.support)
-    score[size : size + 1] -= fit.prior[size : size + 1] * (point.bend - _BEND_PRIOR[0])
-    return score
+    score: FloatArray = eq.white_derivatives().T @ eq.whitener(eq.residual)
+    return score - fit.prior * (point.bend - _BEND_PRIOR[0])
 
 
 def _bounded(problem: LagProblem, tau: float) -> float:
@@ -285,27 +264,15 @@ def _bounded(problem: LagProblem, tau: float) -> float:
 
 @dataclass(frozen=True)
 class WhiteEquations:
-    """The whole library about one fit, whitened, before any compression.
+    """The whole library about one fit, whitened, before any compression."""
 
-    Parameters
-    ----------
-    nuisances : ndarray of shape (n_white, n_nuisances)
-        Derivatives with respect to what is estimated beside the coefficients (τ first).
-    columns : ndarray of shape (n_white, n_columns)
-        Derivatives with respect to the coefficient of every usable term.
-    target : ndarray of shape (n_white,)
-        What the terms have to explain: residual plus the fitted terms.
-    groups : Segments
-        Runs of the whitened rows.
-    rows : ndarray of int of shape (n_white,)
-        Row of the record at which each whitened equation ends.
-    """
-
+    # (n_white, n_nuisances): Derivatives with respect to what is estimated beside the coefficients
+    # (τ last)
     nuisances: FloatArray
+    # (n_white, n_columns): Derivatives with respect to the coefficient of every usable term
     columns: FloatArray
-    target: FloatArray
-    groups: Segments
-    rows: NDArray[np.intp]
+    target: FloatArray  # (n_white,): What the terms have to explain: residual plus the fitted terms
+    rows: IndexArray  # (n_white,): Row of the record at which each whitened equation ends
 
     def compressed(self) -> LinearProblem:
         """Project the nuisances out and keep as many rows as there are columns."""
@@ -315,18 +282,11 @@ class WhiteEquations:
 def white_equations(problem: LagProblem, fit: StructureFit) -> WhiteEquations:
     """Set up the whitened equations of the whole library about one fit."""
     eq = equations_about(problem, fit.support, fit.point, whole=True)
-    target = eq.residual + eq.raw_columns[:, list(fit.support)] @ fit.coefficients
-    nuisances = [getattr(eq, name) for name in reversed(_nuisances(problem))]
-    n = len(nuisances)
-    stacked = eq.whitener(np.column_stack((*nuisances, eq.raw_columns, target)))
-    usable = problem.usable
-    return WhiteEquations(
-        stacked[:, :n],
-        stacked[:, n:-1],
-        stacked[:, -1],
-        eq.whitener.groups,
-        usable.rows[usable.later[eq.whitener.kept]],
-    )
+    target = eq.residual + eq.columns[:, list(fit.support)] @ fit.coefficients
+    white = eq.whitener(np.column_stack((eq.columns, eq.nuisances, target)))
+    n = eq.columns.shape[1]
+    rows = problem.usable.ends[eq.whitener.kept]
+    return WhiteEquations(white[:, n:-1], white[:, :n], white[:, -1], rows)
 
 
 def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
@@ -334,9 +294,7 @@ def linearise(problem: LagProblem, fit: StructureFit) -> LinearProblem:
     return white_equations(problem, fit).compressed()
 
 
-def output_error(
-    problem: LagProblem, values: FloatArray, tau: float, dead_time_s: float | None = None
-) -> tuple[float, FloatArray]:
+def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[float, FloatArray]:
     """Return the sum of squares and β of the plain free run, initial states projected out.
 
     Parameters
@@ -345,23 +303,14 @@ def output_error(
         Terms at the measured inputs.
     tau : float
         τ in seconds.
-    dead_time_s : float or None
-        Dead time in seconds; None takes the problem's own.
-
-    Returns
-    -------
-    cost : float
-        Residual sum of squares.
-    beta : ndarray of shape (n_terms,)
-        Coefficients.
     """
     usable = problem.usable
-    taps = problem.taps_at(tau, problem.dead_time.seconds if dead_time_s is None else dead_time_s)
+    lag = problem.lag(tau, problem.dead_time_s)
     drive = np.zeros((usable.rows.size, values.shape[1]))
-    drive[usable.later] = taps.drive(values, usable.rows[usable.later])
-    states = run_lag(drive, usable.segments, taps.pole)
+    drive[usable.later] = driven(lag, values, usable.ends)
+    states = run_lag(drive, usable.segments, lag.a)
     stacked = np.column_stack((states, problem.output[usable.rows]))
-    decay = taps.pole ** usable.segments.offsets().astype(float)
+    decay = lag.a ** usable.segments.offsets().astype(float)
     power = np.add.reduceat(decay**2, usable.segments.starts)
     share = np.add.reduceat(decay[:, None] * stacked, usable.segments.starts, axis=0)
     share /= power[:, None]
@@ -374,15 +323,7 @@ def output_error(
 def scan_lag(problem: LagProblem, extra_s: tuple[float, ...] = ()) -> float:
     """Find τ of the plain free run with the simplest terms, by a scan and one refinement.
 
-    Parameters
-    ----------
-    extra_s : tuple of float
-        Further values to try, in seconds (the weak form's).
-
-    Returns
-    -------
-    float
-        The best τ in seconds.
+    `extra_s` are further values to try, in seconds (the weak form's).
     """
     from scipy.optimize import minimize_scalar
 

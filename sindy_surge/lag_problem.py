@@ -9,95 +9,56 @@ from functools import cached_property
 import numpy as np
 
 from sindy_surge.candidate_terms import CandidateTerms
-from sindy_surge.free_model import FreeModel
-from sindy_surge.free_run import DelayedLag
+from sindy_surge.free_run import FreeModel
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["DeadTime", "LagProblem", "UsableRows"]
+__all__ = ["LagProblem", "UsableRows"]
 
 
 # τ below a thousandth of the sample period is no lag at all: e^-1000 = 0.
 _SHORTEST_LAG_SAMPLES = 1e-3
-
-
-@dataclass(frozen=True)
-class DeadTime:
-    """The dead time of a fit: given, or to be fitted near a start value.
-
-    Parameters
-    ----------
-    seconds : float
-        The given value, or the start of the fit; positive where ψ' is late.
-    fitted : bool
-        Whether it is a parameter of the fit.
-    """
-
-    seconds: float = 0.0
-    fitted: bool = False
+# Part of a sample of dead time that is rounding.
+_WHOLE = 1e-9
 
 
 @dataclass(frozen=True)
 class UsableRows:
-    """The rows of the record that have every input their equation needs.
+    """The rows of the record that have every input their equation needs."""
 
-    Parameters
-    ----------
-    rows : ndarray of int of shape (n_usable,)
-        Rows of the record.
-    segments : Segments
-        Their runs, counted within `rows`.
-    home : ndarray of int of shape (n_runs,)
-        Segment of the record that each run lies in.
-    """
-
-    rows: IndexArray
-    segments: Segments
-    home: IndexArray
+    rows: IndexArray  # (n_usable,): Rows of the record
+    segments: Segments  # Their runs, counted within `rows`
+    home: IndexArray  # (n_runs,): Segment of the record that each run lies in
 
     @property
     def later(self) -> IndexArray:
         """Positions within `rows` that have a predecessor: one equation each."""
         return self.segments.later
 
+    @property
+    def ends(self) -> IndexArray:
+        """Row of the record at which each equation ends."""
+        return self.rows[self.later]
+
 
 @dataclass(frozen=True)
 class LagProblem:
-    """The data and everything that stays the same from structure to structure.
+    """The data and everything that stays the same from structure to structure."""
 
-    Parameters
-    ----------
-    inputs : ndarray of shape (n_rows, n_inputs)
-        Measured inputs (φ).
-    output : ndarray of shape (n_rows,)
-        Measured ψ'.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-    hold : {"first", "zero"}
-        How the terms run between two samples.
-    terms : CandidateTerms
-        The library.
-    columns : ndarray of int of shape (n_columns,)
-        The terms of the library that this data can separate, those with ψ' last.
-    noise : NoiseLevels
-        The measurement noise.
-    dead_time : DeadTime
-        The dead time, given or to be fitted.
-    """
-
-    inputs: FloatArray
-    output: FloatArray
-    segments: Segments
-    sample_period_s: float
-    hold: Hold
-    terms: CandidateTerms
+    inputs: FloatArray  # (n_rows, n_inputs): Measured inputs (φ)
+    output: FloatArray  # (n_rows,): Measured ψ'
+    segments: Segments  # The runs of rows
+    sample_period_s: float  # Sample period in seconds
+    hold: Hold  # How the terms run between two samples
+    terms: CandidateTerms  # The library
+    # (n_columns,): The terms of the library that this data can separate, those with ψ' last
     columns: IndexArray
-    noise: NoiseLevels
-    dead_time: DeadTime = DeadTime()
+    noise: NoiseLevels  # The measurement noise
+    # The dead time in seconds, given or the start of its fit; positive where ψ' is late
+    dead_time_s: float = 0.0
+    fits_dead_time: bool = False  # Whether it is a parameter of the fit
 
     @property
     def longest_lag_s(self) -> float:
@@ -114,40 +75,33 @@ class LagProblem:
         """Number of usable terms that do not hold ψ'; they come first."""
         return int(np.count_nonzero(self.columns < self.terms.n_without_state))
 
-    def holds_state(self, support: tuple[int, ...]) -> bool:
+    def holds_state(self, support: Sequence[int]) -> bool:
         """Return whether a structure has a term that holds ψ'."""
         return any(i >= self.n_without_state for i in support)
 
-    def hold_at(self, time_constant_s: float) -> FirstOrderLag:
-        """Return the discrete lag for one τ, without dead time."""
-        return FirstOrderLag(time_constant_s, self.sample_period_s, self.hold)
+    def names(self, support: Sequence[int]) -> list[str]:
+        """Return the names of some usable terms."""
+        return [self.terms.names[i] for i in self.columns[list(support)]]
 
-    def taps_at(self, time_constant_s: float, dead_time_s: float) -> DelayedLag:
-        """Return the discrete lag for one τ and dead time."""
-        lag = FirstOrderLag(time_constant_s, self.sample_period_s, self.hold, dead_time_s)
-        return DelayedLag.of(lag, self.dead_time.fitted)
+    def lag(self, time_constant_s: float, dead_time_s: float = 0.0) -> FirstOrderLag:
+        """Return the discrete lag for one τ and dead time, in seconds."""
+        return FirstOrderLag(time_constant_s, self.sample_period_s, self.hold, dead_time_s)
 
     @cached_property
     def dead_time_range_s(self) -> tuple[float, float]:
         """Least and greatest dead time that the usable rows allow a fit to reach."""
-        if not self.dead_time.fitted:
-            return self.dead_time.seconds, self.dead_time.seconds
-        whole = self._whole_samples()
-        period = self.sample_period_s
+        if not self.fits_dead_time:
+            return self.dead_time_s, self.dead_time_s
+        whole, period = self.lag(1.0, self.dead_time_s).whole_samples, self.sample_period_s
         return (whole - 1) * period, (whole + 2 - 1e-6) * period
-
-    def _whole_samples(self) -> int:
-        return int(np.floor(self.dead_time.seconds / self.sample_period_s + 1e-9))
 
     @cached_property
     def usable(self) -> UsableRows:
         """The rows that have every input within reach of the dead time, segment by segment."""
-        whole = self._whole_samples()
-        if self.dead_time.fitted:
-            first, last, taps = whole - 1, whole + 1, 3
-        else:
-            first = last = whole
-            taps = self.taps_at(1.0, self.dead_time.seconds).weights.shape[1]
+        whole = self.lag(1.0, self.dead_time_s).whole_samples
+        part = self.dead_time_s / self.sample_period_s - whole
+        first, last = (whole - 1, whole + 1) if self.fits_dead_time else (whole, whole)
+        taps = 3 if self.fits_dead_time or part > _WHOLE else 2
         before, after = max(0, last + taps - 2), max(0, -first)
         starts = self.segments.starts + before
         lengths = self.segments.stops - after - starts
@@ -163,17 +117,15 @@ class LagProblem:
 
     def with_dead_time(self, seconds: float, fitted: bool) -> LagProblem:
         """Return the problem with another dead time, and the rows that it leaves."""
-        return replace(self, dead_time=DeadTime(seconds, fitted))
+        return replace(self, dead_time_s=seconds, fits_dead_time=fitted)
+
+    def with_colour(self, colour: FloatArray) -> LagProblem:
+        """Return the problem with another colour of the noise."""
+        return replace(self, noise=replace(self.noise, colour=colour))
 
     def late(self, values: FloatArray) -> FloatArray:
-        """Return columns as they act at each row: straight lines between rows, d earlier.
-
-        Parameters
-        ----------
-        values : ndarray of shape (n_rows,) or (n_rows, n_columns)
-            Signals of the record.
-        """
-        samples = self.dead_time.seconds / self.sample_period_s
+        """Return columns as they act at each row: straight lines between rows, d earlier."""
+        samples = self.dead_time_s / self.sample_period_s
         if samples == 0.0:
             return values
         whole = int(np.floor(samples))
@@ -186,12 +138,12 @@ class LagProblem:
     def model(
         self, support: Sequence[int], coefficients: FloatArray, tau_s: float, dead_time_s: float
     ) -> FreeModel:
-        """Return a structure with its numbers as a model that runs by itself."""
+        """Return a structure with its numbers as a model that runs on its own."""
         return FreeModel(
             self.terms,
             self.columns[list(support)],
             coefficients,
-            FirstOrderLag(tau_s, self.sample_period_s, self.hold, dead_time_s),
+            self.lag(tau_s, dead_time_s),
             (float(self.output.min()), float(self.output.max())),
         )
 

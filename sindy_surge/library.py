@@ -180,12 +180,12 @@ def default_library(
     each_knots, each_scales = [], []
     for phi in X.T:
         step = _round_step(phi)
-        # Without a range there is nothing to place knots in; the usual ones then stay in the
-        # list as constants, which cannot be selected beside "1".
-        usual = tuple(round(0.05 * k, 2) for k in range(1, 7))
         whole = Segments.from_labels(None, phi.size)
-        auto = default_knots(phi, difference_noise(phi, whole)) if step else usual
-        each_knots.append(auto if knots is None else tuple(map(float, np.ravel(knots))))
+        each_knots.append(
+            default_knots(phi, difference_noise(phi, whole))
+            if knots is None
+            else tuple(map(float, np.ravel(knots)))
+        )
         scales = (step, 2 * step) if step else (0.05, 0.1)
         # exp overflows for a range far below zero compared with its own width.
         each_scales.append(tuple(s for s in scales if -float(np.min(phi)) / s < 50))

@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sindy_surge.leave_out import unit_norms
-from surge_core.types import FloatArray
+from surge_core.leave_out import leave_out
+from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["LinearProblem", "Support", "least_squares", "without_nuisances"]
+__all__ = [
+    "LinearProblem",
+    "Support",
+    "least_squares",
+    "leave_out_moves",
+    "unit_norms",
+    "without_nuisances",
+]
 
 Support = tuple[int, ...]
 
 
+def unit_norms(columns: FloatArray) -> FloatArray:
+    """Return the norms of columns, 1 for columns of zeros."""
+    norms: FloatArray = np.linalg.norm(columns, axis=0)
+    norms[norms == 0] = 1.0
+    return norms
+
+
 @dataclass(frozen=True)
 class LinearProblem:
-    """The regression about one fit, compressed by QR to as many rows as columns.
+    """The regression about one fit, compressed by QR to as many rows as columns."""
 
-    Parameters
-    ----------
-    columns : ndarray of shape (n_rows, n_columns)
-        Every usable term, whitened, τ projected out, scaled to unit norm.
-    target : ndarray of shape (n_rows,)
-        What the terms have to explain.
-    norms : ndarray of shape (n_columns,)
-        Norms taken out of the columns.
-    outside : float
-        The part of χ² that no term can explain.
-    n_equations : int
-        Number of whitened equations behind it.
-    """
-
+    # (n_rows, n_columns): Every usable term, whitened, τ projected out, scaled to unit norm
     columns: FloatArray
-    target: FloatArray
-    norms: FloatArray
-    outside: float
-    n_equations: int
+    target: FloatArray  # (n_rows,): What the terms have to explain
+    norms: FloatArray  # (n_columns,): Norms taken out of the columns
+    outside: float  # The part of χ² that no term can explain
+    n_equations: int  # Number of whitened equations behind it
 
     @property
     def variance(self) -> float:
@@ -79,17 +81,10 @@ def without_nuisances(
     ----------
     nuisances : ndarray of shape (n_rows, n_nuisances)
         Columns that are in every structure.
-    columns : ndarray of shape (n_rows, n_columns)
-        Every usable term.
-    target : ndarray of shape (n_rows,)
-        What the terms have to explain.
+    columns, target : ndarray of shape (n_rows, n_columns) and (n_rows,)
+        Every usable term, and what they have to explain.
     n_equations : int or None
         Number of equations that the rows stand for; None takes one each.
-
-    Returns
-    -------
-    LinearProblem
-        With as many rows as there are terms.
     """
     n = nuisances.shape[1]
     stacked = np.column_stack((nuisances, columns, target))
@@ -106,20 +101,15 @@ def without_nuisances(
 
 
 def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
-    """Solve a regression on columns of unlike size.
-
-    Parameters
-    ----------
-    design : ndarray of shape (n_rows, n_columns)
-        The columns.
-    target : ndarray of shape (n_rows,)
-        What they have to explain.
-
-    Returns
-    -------
-    ndarray of shape (n_columns,)
-        The coefficients, of least norm where columns are dependent.
-    """
+    """Solve a regression on columns of unlike size; of least norm where they are dependent."""
     norms = unit_norms(design)
     solution: FloatArray = np.linalg.lstsq(design / norms, target, rcond=1e-12)[0] / norms
     return solution
+
+
+def leave_out_moves(
+    design: FloatArray, residual: FloatArray, blocks: Sequence[IndexArray]
+) -> FloatArray:
+    """Return how a fit on columns of unlike size moves without each block, (n_blocks, n)."""
+    norms = unit_norms(design)
+    return leave_out(-design / norms, residual, blocks).moves / norms

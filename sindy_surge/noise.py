@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sindy_surge.free_run import DelayedLag
 from sindy_surge.segments import Segments
+from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IndexArray
 
 __all__ = ["NoiseLevels", "Whitener", "autoregression", "difference_noise", "refine_noise"]
@@ -21,39 +21,19 @@ _CONTRADICTION = 9.0
 
 @dataclass(frozen=True)
 class NoiseLevels:
-    """Standard deviations of the white measurement noise and, if any, its colour.
+    """Standard deviations of the white measurement noise and, if any, its colour."""
 
-    Parameters
-    ----------
-    output : float
-        Noise of ψ'.
-    inputs : ndarray of shape (n_inputs,)
-        Noise of each input.
-    colour : ndarray of shape (order,)
-        Autoregressive coefficients of what the whitening leaves; empty for white noise.
-    """
-
-    output: float
-    inputs: FloatArray
+    output: float  # Noise of ψ'
+    inputs: FloatArray  # (n_inputs,): Noise of each input
+    # Autoregressive coefficients of what the whitening leaves; empty for white noise
     colour: FloatArray
 
 
 def difference_noise(signal: FloatArray, segments: Segments) -> float:
     """Estimate the white noise of a smooth signal from its fourth differences.
 
-    The median absolute fourth difference over 0.6745 √70: the median passes over jumps.
-
-    Parameters
-    ----------
-    signal : ndarray of shape (n_rows,)
-        The signal.
-    segments : Segments
-        The runs of rows.
-
-    Returns
-    -------
-    float
-        Standard deviation; 0 if no segment has five rows.
+    The median absolute fourth difference over 0.6745 √70: the median passes over jumps. 0 if no
+    segment has five rows.
     """
     pieces = [np.diff(signal[rows], 4) for rows in segments.slices()]
     differences = np.concatenate(pieces) if pieces else np.empty(0)
@@ -74,88 +54,68 @@ class Whitener:
 
     Parameters
     ----------
-    taps : DelayedLag
-        Of the lag.
+    lag : FirstOrderLag
+        The lag, whose taps the inputs pass.
     slopes : ndarray of shape (n_inputs, n_rows)
         dψ'_QS/dφ along the record.
     noise : NoiseLevels
         The noise.
     segments : Segments
         The runs of usable rows.
-    rows : ndarray of int of shape (n_usable,) or None
-        Row of the record of each usable row; None: they are all usable.
-    ahead, behind : ndarray of shape (n_equations,) or None
-        p and q; None for a linear lag.
-    doubt : ndarray of shape (n_equations,) or None
+    rows : ndarray of int of shape (n_usable,)
+        Row of the record of each usable row.
+    ahead, behind : ndarray of shape (n_equations,) or float
+        p and q.
+    doubt : ndarray of shape (n_equations,) or float
         Standard deviation of what single equations are wrong by, beside the noise.
     """
 
     def __init__(
         self,
-        taps: DelayedLag,
+        lag: FirstOrderLag,
         slopes: FloatArray,
         noise: NoiseLevels,
         segments: Segments,
-        rows: IndexArray | None = None,
-        ahead: FloatArray | None = None,
-        behind: FloatArray | None = None,
-        doubt: FloatArray | None = None,
+        rows: IndexArray,
+        ahead: FloatArray | float,
+        behind: FloatArray | float,
+        doubt: FloatArray | float = 0.0,
     ) -> None:
         from scipy.linalg import cholesky_banded
 
         later = segments.later
-        at = (later if rows is None else rows[later]) - taps.shift
-        p = np.ones(later.size) if ahead is None else ahead
-        q = np.full(later.size, taps.pole) if behind is None else behind
+        at = rows[later] - lag.whole_samples
+        p, q = np.broadcast_to(ahead, later.size), np.broadcast_to(behind, later.size)
         carried = (noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0)
         # Keeps the factor exact to eight digits even about a wild intermediate characteristic.
         carried = np.minimum(carried, 1e8 * noise.output**2)
+        taps = lag.taps[0] if lag.taps[0, 2] else lag.taps[0, :2]
+        band = np.zeros((taps.size, later.size))
+        for apart in range(taps.size):
+            linked = np.arange(later.size - apart)
+            linked = linked[later[linked + apart] - later[linked] == apart]
+            for i in range(taps.size - apart):
+                band[apart, linked] += taps[i] * taps[i + apart] * carried[at[linked] - i]
+        band[0] += noise.output**2 * (p**2 + q**2) + doubt**2
         joined = np.diff(later) == 1
-        weights = taps.weights[0]
-        band = np.zeros((weights.size, later.size))
-        for distance in range(weights.size):
-            both = np.ones(later.size, dtype=bool)
-            for step in range(distance):
-                both[: later.size - 1 - step] &= joined[step:]
-                both[later.size - 1 - step :] = False
-            shared = np.zeros(later.size)
-            for i in range(weights.size - distance):
-                shared += weights[i] * weights[i + distance] * carried[at - i]
-            band[distance] = np.where(both, shared, 0.0)
-        band[0] += noise.output**2 * (p**2 + q**2)
-        if doubt is not None:
-            band[0] += doubt**2
         band[1, :-1] -= np.where(joined, noise.output**2 * p[:-1] * q[1:], 0.0)
         self._factor = cholesky_banded(band, lower=True)
         self._colour = noise.colour
-        # An autoregression of order q has no residual for the first q rows of a segment.
         first = np.flatnonzero(np.concatenate(([True], ~joined)))
-        self.equation_segments = Segments(
-            first, np.concatenate((first[1:], [later.size])).astype(np.intp)
-        )
+        stops = np.append(first[1:], later.size).astype(np.intp)
+        self.equation_segments = Segments(first, stops)
+        # An autoregression of order q has no residual for the first q rows of a segment.
         self.kept = np.flatnonzero(self.equation_segments.offsets() >= noise.colour.size)
 
     @property
     def groups(self) -> Segments:
         """The runs of the whitened rows."""
-        number = np.repeat(
-            np.arange(self.equation_segments.starts.size), self.equation_segments.lengths
-        )[self.kept]
-        return Segments.from_labels(number, number.size)
+        lengths = np.maximum(self.equation_segments.lengths - self._colour.size, 0)
+        stops = np.cumsum(lengths[lengths > 0])
+        return Segments(stops - lengths[lengths > 0], stops)
 
     def __call__(self, columns: FloatArray) -> FloatArray:
-        """Whiten equations.
-
-        Parameters
-        ----------
-        columns : ndarray of shape (n_equations,) or (n_equations, n_columns)
-            Each column is one vector over the equations.
-
-        Returns
-        -------
-        ndarray
-            Whitened columns; fewer rows if the noise is coloured.
-        """
+        """Whiten vectors over the equations, one a column; fewer rows if the noise is coloured."""
         from scipy.linalg.lapack import dtbtrs
 
         white, info = dtbtrs(self._factor, columns, uplo="L")
@@ -183,29 +143,19 @@ class Whitener:
 
 def refine_noise(
     residual: FloatArray,
-    taps: DelayedLag,
+    lag: FirstOrderLag,
     slopes: FloatArray,
     guess: NoiseLevels,
     segments: Segments,
     rows: IndexArray,
     output_scale: float,
 ) -> NoiseLevels:
-    """Split the residual of a fit between the noise of ψ' and that of the inputs.
+    """Split the residual A e of a fit with all terms between the noise of ψ' and of the inputs.
 
     Fourth differences count a truly rough signal (a random excitation) as noise; the residual
     does not. So the ratio of the two levels and their common scale maximise the likelihood
-    of the residual, and the fourth differences are only the upper limit.
-
-    Parameters
-    ----------
-    residual : ndarray of shape (n_equations,)
-        A e of a fit with all terms.
-    slopes : ndarray of shape (n_inputs, n_rows)
-        dψ'_QS/dφ along the record.
-    segments : Segments
-        The runs of usable rows.
-    rows : ndarray of int of shape (n_usable,)
-        Their rows in the record.
+    of the residual, and the fourth differences are only the upper limit. See `Whitener` for the
+    other parameters; `output_scale` is the standard deviation of ψ'.
     """
     from scipy.optimize import minimize_scalar
 
@@ -215,58 +165,33 @@ def refine_noise(
 
     def level(log_ratio: float) -> tuple[float, float]:
         trial = replace(unit, inputs=unit.inputs * np.exp(log_ratio))
-        white = Whitener(taps, slopes, trial, segments, rows)
+        white = Whitener(lag, slopes, trial, segments, rows, 1.0, lag.a)
         variance = float(np.mean(white(residual) ** 2))
         return n * np.log(max(variance, 1e-300)) + white.log_determinant(), variance
 
     best = minimize_scalar(
         lambda v: level(v)[0], bounds=(-5.0, 5.0), method="bounded", options={"xatol": 0.05}
     )
-    # The residual tells the ratio of the levels to 15 % on a record of 5 s, differences to 3 %:
+    # The residual shows the ratio of the levels to 15 % on a record of 5 s, differences to 3 %:
     # they are believed until the residual contradicts them by three standard errors.
     log_ratio = 0.0 if level(0.0)[0] < best.fun + _CONTRADICTION else float(best.x)
-    ratio = float(np.exp(log_ratio))
     scale = float(np.sqrt(level(log_ratio)[1]))
     # Twice the sampling error of a median over n correlated differences, about 2/√n.
     top = 1 + 4 / np.sqrt(n)
-    inputs = unit.inputs * min(ratio * scale, top)
-    return floored(
-        NoiseLevels(min(scale, top) * unit.output, inputs, np.empty(0)),
-        taps.pole,
-        slopes,
-        output_scale,
-    )
-
-
-def floored(
-    noise: NoiseLevels, pole: float, slopes: FloatArray, output_scale: float
-) -> NoiseLevels:
-    """Keep the noise of ψ' off zero: a tenth of what the lag passes of the inputs' noise.
-
-    Without any, a record whose ψ' is exact makes the covariance singular wherever the
-    characteristic is flat.
-
-    Parameters
-    ----------
-    slopes : ndarray of shape (n_inputs, n_rows)
-        dψ'_QS/dφ along the record.
-    """
-    carried = float((noise.inputs[:, None] ** 2 * slopes**2).sum(axis=0).mean())
-    # A first-order lag passes white noise with the variance (1 - a)/(1 + a).
-    passed = carried * (1 - pole) / (1 + pole)
-    floor = max(0.1 * float(np.sqrt(passed)), _RELATIVE_FLOOR * output_scale)
-    return replace(noise, output=max(noise.output, floor))
+    inputs = unit.inputs * min(float(np.exp(log_ratio)) * scale, top)
+    # Without any noise of ψ' a record whose ψ' is exact makes the covariance singular wherever
+    # the characteristic is flat: at least a tenth of what the lag passes of the inputs' noise,
+    # whose variance it multiplies by (1 - a)/(1 + a).
+    carried = float((inputs[:, None] ** 2 * slopes**2).sum(axis=0).mean())
+    passed = carried * (1 - lag.a) / (1 + lag.a)
+    output = max(min(scale, top) * unit.output, 0.1 * float(np.sqrt(passed)), tiny)
+    return NoiseLevels(output, inputs, np.empty(0))
 
 
 def autoregression(white: FloatArray, groups: Segments, largest: int = 4) -> FloatArray:
     """Fit an autoregression to a whitened residual by Burg's method, order by BIC.
 
-    Parameters
-    ----------
-    white : ndarray of shape (n_white,)
-        Whitened residual.
-    groups : Segments
-        The runs of its rows; sums run over all, none reaches across.
+    No sum reaches across two runs of rows, `groups`.
 
     Returns
     -------

@@ -14,12 +14,18 @@ from sindy_surge.lag_fit import (
     StructureFit,
     fit_structure,
     output_error,
+    refitted,
     scan_lag,
     white_equations,
 )
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import unit_norms
-from sindy_surge.linear_problem import LinearProblem, Support, least_squares, without_nuisances
+from sindy_surge.linear_problem import (
+    LinearProblem,
+    Support,
+    least_squares,
+    unit_norms,
+    without_nuisances,
+)
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
 from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
@@ -46,24 +52,13 @@ DeadTimeChoice = float | Literal["auto", "fit"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """The problem with its noise levels, the fit of all terms and the weak estimates.
+    """The problem with its noise levels, the fit of all terms and the weak estimates."""
 
-    Parameters
-    ----------
-    problem : LagProblem
-        The data with noise levels and colour, and the dead time found.
-    rich : StructureFit
-        The fit of all terms without ψ'.
-    weak : WeakLag or None
-        The weak estimates of τ.
-    excess : float
-        χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what
-        they leave over that of the white noise which differences show.
-    """
-
-    problem: LagProblem
-    rich: StructureFit
-    weak: WeakLag | None
+    problem: LagProblem  # The data with noise levels and colour, and the dead time found
+    rich: StructureFit  # The fit of all terms without ψ'
+    weak: WeakLag | None  # The weak estimates of τ
+    # χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what they
+    # leave over that of the white noise which differences show
     excess: float
 
 
@@ -89,7 +84,8 @@ def prepare(
             found=f"{given:g} s, which leaves {problem.usable.later.size} equations",
             remedy="check its unit (seconds), or use longer segments",
         )
-    tau = scan_lag(problem, _brackets(_weak(problem)))
+    weak = _weak(problem)
+    tau = scan_lag(problem, (weak.reverse_s, weak.forward_s) if weak else ())
     problem = _screened(problem, tau, required)
     problem = replace(problem, noise=_noise(problem, tau))
     everything = tuple(range(problem.n_without_state))
@@ -101,12 +97,12 @@ def prepare(
     colour = autoregression(left, rich.groups)
     # Five orders below the least noise assumed there is only rounding, and its colour is nothing.
     if colour.size and excess > 1e-10:
-        problem = replace(problem, noise=replace(problem.noise, colour=colour))
-        rich = _refitted(problem, rich)
-        if problem.dead_time.fitted and dead_time == "auto" and not _late(problem, rich):
+        problem = problem.with_colour(colour)
+        rich = refitted(problem, rich, 4)
+        if problem.fits_dead_time and dead_time == "auto" and not _late(problem, rich):
             # Coloured noise had passed for a time shift.
             problem = problem.with_dead_time(0.0, False)
-            rich = _refitted(problem, rich)
+            rich = refitted(problem, rich, 4)
     return Prepared(problem, rich, _weak(problem), excess)
 
 
@@ -125,40 +121,20 @@ def _weak(problem: LagProblem) -> WeakLag | None:
     # One weak equation comes every quarter of a half width, so far fewer than rows.
     most = max(2, min(20, problem.output.size // 100, problem.n_without_state))
     few = problem.terms(problem.inputs, wanted=problem.columns[:most].tolist())
-    return weak_lag(
-        problem.output,
-        problem.late(few),
-        problem.segments,
-        problem.sample_period_s,
-        surge_period_s=_surge_period_s(problem),
-    )
+    return _weak_lag(problem, problem.late(few))
 
 
-def _surge_period_s(problem: LagProblem) -> float | None:
-    return surge_period_s(problem.inputs[:, 0], problem.segments, problem.sample_period_s)
+def _weak_lag(problem: LagProblem, values: FloatArray) -> WeakLag | None:
+    segments, sample_s = problem.segments, problem.sample_period_s
+    surge_s = surge_period_s(problem.inputs[:, 0], segments, sample_s)
+    return weak_lag(problem.output, values, segments, sample_s, surge_period_s=surge_s)
 
 
 def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
     """Estimate τ of a structure in the weak form; None if the segments are too short."""
     without = [i for i in support if i < problem.n_without_state]
     values = features(problem, problem.inputs, problem.noise.inputs, without).values
-    return weak_lag(
-        problem.output,
-        problem.late(values),
-        problem.segments,
-        problem.sample_period_s,
-        surge_period_s=_surge_period_s(problem),
-    )
-
-
-def _brackets(weak: WeakLag | None) -> tuple[float, ...]:
-    return () if weak is None else (weak.reverse_s, weak.forward_s)
-
-
-def _refitted(problem: LagProblem, fit: StructureFit) -> StructureFit:
-    return fit_structure(
-        problem, fit.support, fit.time_constant_s, fit.coefficients, max_steps=4, near=fit
-    )
+    return _weak_lag(problem, problem.late(values))
 
 
 def _with_dead_time(
@@ -172,14 +148,11 @@ def _with_dead_time(
         further, other = _walked(problem, _far_off(problem, fit))
         if other.chi2 / other.residual.size < fit.chi2 / fit.residual.size:
             found, fit = further, other
-    if not found.dead_time.fitted:
-        return problem, rich
-    if not (always or _late(found, fit)):
+    if not (found.fits_dead_time and (always or _late(found, fit))):
         return problem, rich
     found = found.with_dead_time(fit.dead_time_s, True)
-    return found, fit_structure(
-        found, rich.support, fit.time_constant_s, fit.coefficients, max_steps=6
-    )
+    tau, beta = fit.time_constant_s, fit.coefficients
+    return found, fit_structure(found, rich.support, tau, beta, max_steps=6)
 
 
 def _walked(problem: LagProblem, start: StructureFit) -> tuple[LagProblem, StructureFit]:
@@ -189,10 +162,8 @@ def _walked(problem: LagProblem, start: StructureFit) -> tuple[LagProblem, Struc
         trial = found.with_dead_time(fit.dead_time_s, True)
         if trial.usable.later.size < 2 * len(start.support) + 8:
             return found, fit
-        found = trial
-        fit = fit_structure(
-            found, start.support, fit.time_constant_s, fit.coefficients, max_steps=6
-        )
+        found, tau, beta = trial, fit.time_constant_s, fit.coefficients
+        fit = fit_structure(found, start.support, tau, beta, max_steps=6)
         low, high = found.dead_time_range_s
         if low < fit.dead_time_s < high:
             break
@@ -213,7 +184,7 @@ def _far_off(problem: LagProblem, fit: StructureFit) -> StructureFit:
         cost = output_error(trial, values, tau)[0] / rows
         if cost < best:
             point = replace(
-                fit.point, dead_time_s=trial.dead_time.seconds, time_constant_s=tau, state=None
+                fit.point, dead_time_s=trial.dead_time_s, time_constant_s=tau, state=None
             )
             best, start = cost, replace(fit, point=point)
     return start
@@ -229,8 +200,8 @@ def _late(problem: LagProblem, fit: StructureFit) -> bool:
     if abs(fit.dead_time_s) <= _BELIEVED * stderr:
         return False
     equations = white_equations(problem, fit)
-    tau, dead_time = equations.nuisances[:, :1], equations.nuisances[:, 1]
-    others = np.column_stack((tau, equations.nuisances[:, 2:]))
+    dead_time = equations.nuisances[:, -2]
+    others = np.delete(equations.nuisances, -2, axis=1)
     # What the terms have to explain if there is no dead time.
     target = equations.target + fit.dead_time_s * dead_time
     without = without_nuisances(others, equations.columns, target)
@@ -245,7 +216,7 @@ def _screened(problem: LagProblem, tau: float, required: tuple[int, ...]) -> Lag
     if n_inputs_terms <= most:
         return problem
     values = problem.terms(problem.inputs)[:, problem.columns[:n_inputs_terms]]
-    columns = simulate(problem.late(values), problem.segments, problem.hold_at(tau))
+    columns = simulate(problem.late(values), problem.segments, problem.lag(tau))
     norms = unit_norms(columns)
     plain = LinearProblem(columns / norms, problem.output, norms, 0.0, columns.shape[0])
     always = tuple(i for i in required if i < n_inputs_terms)
@@ -268,13 +239,8 @@ def _noise(problem: LagProblem, tau: float) -> NoiseLevels:
     values = features(clean, problem.inputs, silent.inputs, everything).values
     beta = output_error(clean, values, tau)[1]
     eq = equations_about(clean, everything, start_point(clean, tau, beta))
-    taps = problem.taps_at(tau, problem.dead_time.seconds)
-    usable = problem.usable
-    limited = _limited(eq.slopes)
-    return refine_noise(eq.residual, taps, limited, guess, usable.segments, usable.rows, scale)
-
-
-def _limited(slopes: FloatArray) -> FloatArray:
-    """Cap slopes at their 95 % level: a fit with every term is wild at the ends of the range."""
-    top = np.quantile(np.abs(slopes), 0.95, axis=1, keepdims=True)
-    return np.clip(slopes, -top, top)
+    lag = problem.lag(tau, problem.dead_time_s)
+    # Capped at their 95 % level: a fit with every term is wild at the ends of the range.
+    top = np.quantile(np.abs(eq.slopes), 0.95, axis=1, keepdims=True)
+    slopes, usable = np.clip(eq.slopes, -top, top), problem.usable
+    return refine_noise(eq.residual, lag, slopes, guess, usable.segments, usable.rows, scale)

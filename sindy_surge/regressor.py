@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,10 +15,10 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
 from sindy_surge.export import RateFunction, python_source
-from sindy_surge.free_model import FreeModel
+from sindy_surge.free_run import FreeModel
 from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import unit_norms
+from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
 from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.segments import Segments
@@ -59,7 +59,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
         exponentials over the range of the data.
-    optimizer : {"SSR", "STLSQ", "FROLS", "ensemble", "best-subset"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes the structures; the best subsets of each size are always looked at too.
     max_terms : int
         Largest structure considered.
@@ -224,14 +224,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     def _fit_lag(
         self, X: FloatArray, y: FloatArray, runs: Segments, columns: NDArray[np.intp]
     ) -> None:
-        choices = Choices(
-            self.optimizer,
-            int(self.max_terms),
-            self.constraints,
-            self.dead_time_s,
-            int(self.n_bootstrap),
-            self.random_state,
-        )
+        choices = Choices(**{one.name: getattr(self, one.name) for one in fields(Choices)})
         terms, period = self._candidates, float(self.sample_period_s)
         with_state = np.arange(terms.n_without_state, len(terms.names))
         usable = np.concatenate((columns, with_state)).astype(np.intp)
@@ -257,6 +250,15 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         )
         self.terms_, self.coef_ = form.names, form.coefficients
         self.time_constant_s_ = form.time_constant_s
+        # As it is written: powers of ψ' itself, which the search holds centred.
+        physical = self._candidates.physical()
+        self._physical = replace(
+            found.model,
+            terms=physical,
+            selected=np.array([physical.names.index(name) for name in form.names], dtype=np.intp),
+            coefficients=form.coefficients,
+            lag=replace(found.model.lag, tau_s=form.time_constant_s),
+        )
         self.joint_covariance_ = form.covariance
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
@@ -287,7 +289,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.initial_states_ = y[runs.starts]
         self.fit_state_ = state
         self.cautions_ = (state.advice,)
-        self._model = FreeModel(
+        self._model = self._physical = FreeModel(
             self._candidates,
             selected,
             self.coef_,
@@ -329,23 +331,11 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             return np.empty(0), np.empty(0)
         curve = self._model.at_rest(inputs)
         resting = np.nan_to_num(curve)
-        values = self._physical_model().values(inputs, resting)
         # With terms in ψ' a change of the forcing moves the ψ' at rest by 1/(1 - gain) of it.
-        values = values / (1.0 - self._physical_model().gain(inputs, resting))[:, None]
+        gain = self._physical.gain(inputs, resting)
+        values = self._physical.values(inputs, resting) / (1.0 - gain)[:, None]
         variance = np.einsum("ij,jk,ik->i", values, self.covariance_, values)
         return curve, np.sqrt(np.maximum(variance, 0.0))
-
-    def _physical_model(self) -> FreeModel:
-        """Return the model as `terms_` and `coef_` state it."""
-        physical = self._candidates.physical()
-        names = physical.names
-        return replace(
-            self._model,
-            terms=physical,
-            selected=np.array([names.index(term) for term in self.terms_], dtype=np.intp),
-            coefficients=self.coef_,
-            lag=replace(self._model.lag, tau_s=self.time_constant_s_),
-        )
 
     def predict(self, X: ArrayLike, segments: ArrayLike | None = None) -> FloatArray:
         """Run the lag freely over the inputs, each segment from equilibrium at its first row.
@@ -415,8 +405,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         one_of("style", style, ("text", "latex", "python"))
         if style == "python":
-            values = self._physical_model().values
-            return python_source(self._parts(), values, self.feature_range_)
+            return python_source(self._parts(), self._physical.values, self.feature_range_)
         return write_equation(self._parts(), style)
 
     def print(self) -> None:
@@ -460,7 +449,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         parts = self._parts()
         parts.rate_or_refuse()
-        return RateFunction(parts, self._physical_model().values)
+        return RateFunction(parts, self._physical.values)
 
     def _parts(self) -> EquationParts:
         return EquationParts(
@@ -475,9 +464,15 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             output_name=self.output_name,
         )
 
-    def _sheet(self) -> Sheet | None:
-        if not hasattr(self, "fit_state_"):
-            return None
+    def summary(self) -> ModelSummary:
+        """Return all that is known of the fit: equation, state, rivals, noise, structures tried.
+
+        Returns
+        -------
+        ModelSummary
+            Its ``sheet()`` is what a terminal and a notebook show.
+        """
+        check_is_fitted(self)
         searched = bool(self.path_) and self.fit_state_ is not FitState.MODEL_ERROR_DOMINATES
         known = self.inclusion_probability_
         return ModelSummary(
@@ -492,7 +487,10 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             path=self.path_,
             input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
-        ).sheet()
+        )
+
+    def _sheet(self) -> Sheet | None:
+        return self.summary().sheet() if hasattr(self, "fit_state_") else None
 
     def __sklearn_tags__(self) -> Any:
         """State that a free run over rows without time order fits them poorly."""

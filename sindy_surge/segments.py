@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surge_core.errors import InputError
+from surge_core.leave_out import block_edges
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IndexArray
 
@@ -26,9 +27,6 @@ _SHARE_NEAR = 0.75
 # With fewer rows within cycles, what was seen is flutter about the band.
 _LEAST_COVERED = 0.05
 _MOST_BLOCKS = 60
-# A long record is cut into twenty: enough to estimate a variance to a sixth.
-_BLOCKS = 20
-_FEWEST_BLOCKS = 4
 
 
 @dataclass(frozen=True)
@@ -109,40 +107,20 @@ class Segments:
 
 
 def block_slices(segments: Segments, shortest: int) -> list[slice]:
-    """Cut rows into blocks for leaving out: short segments whole, long ones in parts.
-
-    No part of a segment is shorter than `shortest` rows, unless fewer than four blocks were left.
-    """
-    total = segments.n_rows
-    least = max(min(max(total / _BLOCKS, shortest), total / _FEWEST_BLOCKS), 1.0)
+    """Cut rows into blocks for leaving out; see `surge_core.leave_out.block_edges`."""
     blocks = []
-    for rows in segments.slices():
-        parts = max(1, int((rows.stop - rows.start) // least))
-        edges = np.linspace(rows.start, rows.stop, parts + 1).astype(int)
-        blocks += [slice(low, high) for low, high in pairwise(edges.tolist()) if high > low]
+    inner = block_edges(segments.lengths, shortest)
+    for rows, cuts in zip(segments.slices(), inner, strict=True):
+        edges = [rows.start, *(rows.start + cuts).tolist(), rows.stop]
+        blocks += [slice(low, high) for low, high in pairwise(edges)]
     return blocks
 
 
 def surge_period_s(phi: FloatArray, segments: Segments, sample_period_s: float) -> float | None:
-    """Return the median period of the surge cycles that φ shows.
+    """Return the median period in seconds of the surge cycles that φ, of shape (n_rows,), shows.
 
     A cycle runs from one rise of φ through the middle third of its range to the next in the same
-    segment.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n_rows,)
-        φ.
-    segments : Segments
-        The runs of rows.
-    sample_period_s : float
-        Sample period in seconds.
-
-    Returns
-    -------
-    float or None
-        Period in seconds; None if no two cycles are seen, or what is seen does not repeat (a
-        random excitation).
+    segment. None if no two are seen, or what is seen does not repeat (a random excitation).
     """
     samples = _period(_rises(phi, segments), segments)
     return None if samples is None else samples * sample_period_s
@@ -152,23 +130,9 @@ def cycle_blocks(phi: FloatArray, segments: Segments, shortest: int) -> list[sli
     """Cut the rows at whole surge cycles, for resampling or leaving out.
 
     Segments without a whole cycle stay whole; what shows no cycle for longer than two periods is
-    cut evenly into about one period each. Beyond sixty blocks, adjacent ones of a segment are
-    joined.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n_rows,)
-        φ.
-    segments : Segments
-        The runs of rows.
-    shortest : int
-        A shorter piece is joined to its neighbour in the segment.
-
-    Returns
-    -------
-    list of slice
-        The blocks in order; together all rows, none across two segments. Without cycles those
-        of `block_slices`.
+    cut evenly into about one period each; a piece of fewer than `shortest` rows is joined to its
+    neighbour. Beyond sixty blocks, adjacent ones of a segment are joined. Without cycles the
+    blocks are those of `block_slices`.
     """
     rises = _rises(phi, segments)
     period = _period(rises, segments)

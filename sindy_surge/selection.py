@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sindy_surge.constraints import Constraints
-from sindy_surge.lag_fit import (
-    StructureFit,
-    fit_structure,
-    linearise,
-)
-from sindy_surge.lag_problem import LagProblem
+from sindy_surge.lag_fit import StructureFit, fit_structure, linearise
 from sindy_surge.linear_problem import LinearProblem, Support
 from sindy_surge.preparation import Prepared
 from sindy_surge.sparse_paths import beam_search, proposals
@@ -79,28 +74,16 @@ class PathRow:
 
 @dataclass(frozen=True)
 class Selection:
-    """The structure chosen, and everything looked at on the way.
+    """The structure chosen, and everything looked at on the way."""
 
-    Parameters
-    ----------
-    fit : StructureFit
-        The chosen structure.
-    path : tuple of PathRow
-        Every structure proposed or tested.
-    rivals : tuple of tuple of int
-        Structures that the data cannot tell from the chosen one: of the same size, χ² within 4,
-        or within 9 of a complete polynomial.
-    consistent : bool
-        False if every structure tested was refuted; the fit is then the best of them.
-    fits : dict
-        The fit of every structure that had one, by support.
-    """
-
-    fit: StructureFit
-    path: tuple[PathRow, ...]
+    fit: StructureFit  # The chosen structure
+    path: tuple[PathRow, ...]  # Every structure proposed or tested
+    # Structures that the data cannot tell from the chosen one: of the same size, χ² within 4, or
+    # within 9 of a complete polynomial
     rivals: tuple[Support, ...]
+    # False if every structure tested was refuted; the fit is then the best of them
     consistent: bool
-    fits: Mapping[Support, StructureFit]
+    fits: Mapping[Support, StructureFit]  # The fit of every structure that had one, by support
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:
@@ -108,97 +91,10 @@ def information_penalty(n_equations: int, n_terms: int) -> float:
     return float(np.log(max(n_equations, 2)) + 2 * _GAMMA * np.log(max(n_terms, 2)))
 
 
-@dataclass
-class _Search:
-    """The structures still to be tested, and what the tests said."""
-
-    problem: LagProblem
-    rich: StructureFit
-    max_terms: int
-    constraints: Constraints
-    degrees: Sequence[int | None]
-    queue: list[Support]
-    fits: dict[Support, StructureFit] = field(default_factory=dict)
-    scores: dict[Support, float] = field(default_factory=dict)
-    variances: dict[Support, float] = field(default_factory=dict)
-    consistent: list[Support] = field(default_factory=list)
-
-    def fit(self, support: Support, about: LinearProblem) -> StructureFit:
-        if support not in self.fits:
-            beta = about.coefficients(support)
-            start = self.rich
-            self.fits[support] = fit_structure(
-                self.problem, support, start.time_constant_s, beta, near=start
-            )
-        return self.fits[support]
-
-    def margin(self, support: Support) -> float:
-        """Return by how much χ² another structure of the same size must be less."""
-        known = sorted(self.degrees[i] or 0 for i in support if self.degrees[i] is not None)
-        return _TIE_POLYNOMIAL if known == list(range(len(support))) else _TIE
-
-    def signs_allowed(self, support: Support, coefficients: FloatArray) -> bool:
-        """Return whether no sign is against what is asked for."""
-        return _signs_allowed(self.problem, self.constraints, support, coefficients)
-
-    def admits(self, fit: StructureFit) -> bool:
-        """Return whether physics allows a fit: τ > 0, a ψ' that comes to rest, signs as asked."""
-        if not fit.settles or not self.signs_allowed(fit.support, fit.coefficients):
-            return False
-        if not self.problem.holds_state(fit.support):
-            return True
-        return _physical(self.problem, fit.support, fit.coefficients).time_constant_s > 0.0
-
-    def test(self, support: Support, fit: StructureFit) -> list[Support]:
-        """Return the structures that beat this one about its own fit, the best first."""
-        linear = linearise(self.problem, fit)
-        penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
-        variance, size = linear.variance, len(support)
-        own = linear.chi2(support) / variance + penalty * size
-        self.scores[support], self.variances[support] = own, variance
-        beaten: list[tuple[float, Support]] = []
-        required = self.constraints.required
-        for other_size, ranked in beam_search(
-            linear, self.max_terms + 1, required=required
-        ).items():
-            if other_size < size:
-                continue
-            margin = self.margin(support) if other_size == size else 0.0
-            for chi2, other in ranked[:_COMPARED]:
-                score = chi2 / variance + penalty * other_size
-                better = score < own - margin and other != support
-                if better and self.signs_allowed(other, linear.coefficients(other)):
-                    beaten.append((score, other))
-        return [other for _, other in sorted(beaten)]
-
-
-def _signs_allowed(
-    problem: LagProblem, constraints: Constraints, support: Support, coefficients: FloatArray
-) -> bool:
-    """Test signs on the coefficients that the user will read: those of the physical form."""
-    if not np.any(constraints.signs):
-        return True
-    if problem.holds_state(support):
-        form = _physical(problem, support, coefficients)
-        known = dict(zip(form.names, form.coefficients.tolist(), strict=True))
-        names = [problem.terms.names[i] for i in problem.columns[list(support)]]
-        coefficients = np.array([known.get(name, 0.0) for name in names])
-    return constraints.allow(support, coefficients)
-
-
-def _physical(problem: LagProblem, support: Support, coefficients: FloatArray) -> PhysicalForm:
-    """Return a structure as its user will read it, τ in units of its own."""
-    names = [problem.terms.names[i] for i in problem.columns[list(support)]]
-    none = np.zeros((len(names) + 1, len(names) + 1))
-    terms = problem.terms
-    return physical_form(names, coefficients, 1.0, none, terms.states, terms.input_names)
-
-
 def select_structure(
     prepared: Prepared,
     optimizer: Any,
     max_terms: int,
-    names: Sequence[str],
     degrees: Sequence[int | None],
     constraints: Constraints,
 ) -> Selection:
@@ -208,170 +104,205 @@ def select_structure(
     about the fit with all terms. From the smallest upwards each is fitted by itself, and the
     whole library is then regressed about *that* fit: the structure stands if no larger one
     beats its extended BIC and none of its own size does so by more than 4 (9 for a complete
-    polynomial). What refutes a
-    structure is proposed in its place. Of the smallest size that stands, the least χ² wins;
-    within those margins, the structure with fewer terms that are not polynomials.
+    polynomial). What refutes a structure is proposed in its place. Of the smallest size that
+    stands, the least χ² wins; within those margins, the structure with fewer terms that are not
+    polynomials.
 
     Parameters
     ----------
     degrees : sequence of int or None
-        Their degrees; None for those that are no polynomials of the inputs. For the tie rule.
+        Degrees of the usable terms; None for those that are no polynomials of the inputs. For the
+        tie rule.
     """
-    problem, rich = prepared.problem, prepared.rich
-    about = linearise(problem, rich)
-    penalty = information_penalty(about.n_equations, about.columns.shape[1])
-    proposed = _allowed(
-        problem,
-        about,
-        proposals(about, optimizer, max_terms, constraints.required),
-        max_terms,
-        constraints,
-    )
-    rough = {s: about.score(s, penalty) for s in proposed}
-    seeds = _seeds(problem, proposed, rough)
-    search = _Search(problem, rich, max_terms, constraints, degrees, seeds)
-    _run(search, about, rough)
-    chosen, rivals = _choose(search)
-    path = _table(search, rough, about, chosen, names)
-    return Selection(search.fits[chosen], path, rivals, bool(search.consistent), search.fits)
+    search = _Search(prepared, max_terms, degrees, constraints)
+    search.propose(optimizer)
+    search.run()
+    chosen, rivals = search.choose()
+    standing = bool(search.consistent)
+    return Selection(search.fits[chosen], search.table(chosen), rivals, standing, search.fits)
 
 
-def _allowed(
-    problem: LagProblem,
-    about: LinearProblem,
-    proposed: list[Support],
-    max_terms: int,
-    constraints: Constraints,
-) -> list[Support]:
-    """Keep the proposals whose signs are as asked for, and look further down where they are not."""
-    if not np.any(constraints.signs):
-        return proposed
+class _Search:
+    """The structures still to be tested, and what the tests said."""
 
-    def good(support: Support) -> bool:
-        return _signs_allowed(problem, constraints, support, about.coefficients(support))
+    def __init__(
+        self,
+        prepared: Prepared,
+        max_terms: int,
+        degrees: Sequence[int | None],
+        constraints: Constraints,
+    ) -> None:
+        self.problem, self.rich = prepared.problem, prepared.rich
+        self.max_terms, self.degrees, self.constraints = max_terms, degrees, constraints
+        self.about = linearise(self.problem, self.rich)
+        # The same for every linearisation: as many equations and terms.
+        self.penalty = information_penalty(self.about.n_equations, self.about.columns.shape[1])
+        self.rough: dict[Support, float] = {}
+        self.queue: list[Support] = []
+        self.fits: dict[Support, StructureFit] = {}
+        self.scores: dict[Support, float] = {}
+        self.variances: dict[Support, float] = {}
+        self.consistent: list[Support] = []
 
-    found = {s for s in proposed if good(s)}
-    for ranked in beam_search(about, max_terms, required=constraints.required).values():
-        found.update([s for _, s in ranked if good(s)][:4])
-    return sorted(found, key=lambda s: (len(s), s)) or proposed
+    def propose(self, optimizer: Any) -> None:
+        """Score the optimizer's structures about the fit with all terms, and queue the best."""
+        proposed = proposals(self.about, optimizer, self.max_terms, self.constraints.required)
+        if np.any(self.constraints.signs):
+            # Look further down where the signs are not as asked for.
+            found = {s for s in proposed if self._signed(s, self.about.coefficients(s))}
+            for ranked in self._beam(self.about, self.max_terms).values():
+                signed = [s for _, s in ranked if self._signed(s, self.about.coefficients(s))]
+                found.update(signed[:4])
+            proposed = sorted(found, key=lambda s: (len(s), s)) or proposed
+        self.rough = {s: self.about.score(s, self.penalty) for s in proposed}
+        self.queue = self._seeds(sorted(proposed, key=lambda s: self.rough[s]))
 
+    def _seeds(self, ranked: list[Support]) -> list[Support]:
+        """Take the four best proposals, two more of the best one's size and two of one less.
 
-def _seeds(
-    problem: LagProblem, proposed: list[Support], rough: dict[Support, float]
-) -> list[Support]:
-    """Take the four best proposals, two more of the best one's size and two of one less.
+        A score 60 above the best is no candidate: about the fit with all terms the scores were
+        found wrong by 25 at most. Of structures with ψ' terms only the two best are fitted: a fit
+        of all terms of φ, wild at the ends of the range, leaves much for them to explain.
+        """
+        with_state = [s for s in ranked if self.problem.holds_state(s)]
+        without = [s for s in ranked if not self.problem.holds_state(s)] or ranked
+        size, best = len(without[0]), self.rough[without[0]]
+        seeds = without[:4]
+        seeds += [s for s in without if len(s) == size][:3]
+        seeds += [s for s in without if len(s) == size - 1][:2]
+        seeds = [s for s in dict.fromkeys(seeds) if self.rough[s] < best + 60]
+        return seeds + [s for s in with_state[:2] if self.rough[s] < best]
 
-    A score 60 above the best is no candidate: about the fit with all terms the scores were
-    found wrong by 25 at most. Of structures with ψ' terms only the two best are fitted: a fit
-    of all terms of φ, wild at the ends of the range, leaves much for them to explain.
-    """
-    ranked = sorted(proposed, key=lambda s: rough[s])
-    with_state = [s for s in ranked if problem.holds_state(s)]
-    without = [s for s in ranked if not problem.holds_state(s)] or ranked
-    size, best = len(without[0]), rough[without[0]]
-    seeds = without[:4]
-    seeds += [s for s in without if len(s) == size][:3]
-    seeds += [s for s in without if len(s) == size - 1][:2]
-    seeds = [s for s in dict.fromkeys(seeds) if rough[s] < best + 60]
-    return seeds + [s for s in with_state[:2] if rough[s] < best]
+    def run(self) -> None:
+        """Test what is queued, the smallest first, until no smaller structure can stand."""
+        tested: set[Support] = set()
+        while len(tested) < _MOST_FITS:
+            waiting = [s for s in self.queue if s not in tested]
+            if self.consistent:
+                smallest = min(len(s) for s in self.consistent)
+                waiting = [s for s in waiting if len(s) <= smallest]
+            if not waiting:
+                return
+            support = min(waiting, key=lambda s: (len(s), self.rough.get(s, np.inf)))
+            tested.add(support)
+            self._test(support)
 
-
-def _run(search: _Search, about: LinearProblem, rough: dict[Support, float]) -> None:
-    tested: set[Support] = set()
-    while len(tested) < _MOST_FITS:
-        waiting = [s for s in search.queue if s not in tested]
-        if search.consistent:
-            smallest = min(len(s) for s in search.consistent)
-            waiting = [s for s in waiting if len(s) <= smallest]
-        if not waiting:
-            return
-        support = min(waiting, key=lambda s: (len(s), rough.get(s, np.inf)))
-        tested.add(support)
-        fit = search.fit(support, about)
-        beating = search.test(support, fit)
-        if not search.admits(fit):
-            continue
-        if not beating:
-            if all(len(support) < len(s) for s in search.consistent):
-                search.queue += _neighbours(search, support, fit)
-            search.consistent.append(support)
-            continue
-        for other in _next(search, beating):
-            if len(other) <= search.max_terms and other not in search.queue:
-                search.queue.append(other)
-
-
-def _next(search: _Search, beating: list[Support]) -> list[Support]:
-    """Take the three best structures of φ alone and the best of all."""
-    without = [s for s in beating if not search.problem.holds_state(s)][:4]
-    return list(dict.fromkeys((*beating[:1], *without)))
-
-
-def _neighbours(search: _Search, support: Support, fit: StructureFit) -> list[Support]:
-    """Return what should be tested beside a structure that stands.
-
-    Those are the smaller structures that score better about this fit, or little worse (about the
-    fit of another they may be misjudged), and the nearest rivals of its own size.
-    """
-    linear = linearise(search.problem, fit)
-    penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
-    own = linear.score(support, penalty)
-    smaller: list[tuple[float, Support]] = []
-    equal: list[tuple[float, Support]] = []
-    required = search.constraints.required
-    for size, ranked in beam_search(linear, len(support), required=required).items():
-        for chi2, other in ranked[:_COMPARED]:
-            if not search.signs_allowed(other, linear.coefficients(other)):
-                continue
-            score = chi2 / linear.variance + penalty * size
-            if size < len(support) and score < own + _MISJUDGED:
-                smaller.append((score, other))
-            elif size == len(support) and other != support and score < own + 2.5 * _TIE:
-                equal.append((score, other))
-    found = [other for _, other in sorted(smaller)[:3] + sorted(equal)[:4]]
-    return [other for other in found if other not in search.queue]
-
-
-def _choose(search: _Search) -> tuple[Support, tuple[Support, ...]]:
-    if not search.consistent:
-        allowed = [s for s, f in search.fits.items() if search.admits(f)]
-        best = min(allowed or search.fits, key=lambda s: search.scores[s])
-        return best, ()
-    size = min(len(s) for s in search.consistent)
-    level = [s for s in search.consistent if len(s) == size]
-    # In units of the variance that all terms leave, which colour raises above one.
-    chi2 = {s: search.fits[s].chi2 / search.variances[s] for s in level}
-    least = min(chi2.values())
-    tied = [s for s in level if chi2[s] < least + search.margin(s)]
-
-    def order(support: Support) -> tuple[int, float]:
-        special = sum(search.degrees[i] is None for i in support)
-        return special, search.fits[support].chi2
-
-    chosen = min(tied, key=order)
-    return chosen, tuple(s for s in tied if s != chosen)
-
-
-def _table(
-    search: _Search,
-    rough: dict[Support, float],
-    about: LinearProblem,
-    chosen: Support,
-    names: Sequence[str],
-) -> tuple[PathRow, ...]:
-    rows = []
-    for support in {*rough, *search.fits}:
-        fit = search.fits.get(support)
-        rows.append(
-            PathRow(
-                len(support),
-                tuple(names[i] for i in support),
-                search.scores[support] if fit else rough[support],
-                fit.chi2 if fit else about.chi2(support),
-                fit.time_constant_s if fit else float("nan"),
-                fit is not None,
-                support in search.consistent,
-                support == chosen,
-            )
+    def _test(self, support: Support) -> None:
+        """Fit a structure, compare it with others about its own fit, and queue what that asks."""
+        fit = fit_structure(
+            self.problem,
+            support,
+            self.rich.time_constant_s,
+            self.about.coefficients(support),
+            near=self.rich,
         )
-    return tuple(sorted(rows, key=lambda row: (row.size, row.score)))
+        self.fits[support] = fit
+        linear = linearise(self.problem, fit)
+        own = self.scores[support] = linear.score(support, self.penalty)
+        self.variances[support] = linear.variance
+        size, others = len(support), []
+        for ranked in self._beam(linear, self.max_terms + 1).values():
+            for chi2, other in ranked[:_COMPARED]:
+                score = chi2 / linear.variance + self.penalty * len(other)
+                if other != support and self._signed(other, linear.coefficients(other)):
+                    others.append((score, other))
+        margin = self.margin(support)
+        beating = [
+            other
+            for score, other in sorted(others)
+            if len(other) >= size and score < own - (margin if len(other) == size else 0.0)
+        ]
+        if not self._admits(fit):
+            return
+        if beating:
+            # The three best structures of φ alone and the best of all.
+            without = [s for s in beating if not self.problem.holds_state(s)][:4]
+            asked = [s for s in (beating[0], *without) if len(s) <= self.max_terms]
+        else:
+            first = all(size < len(s) for s in self.consistent)
+            asked = self._neighbours(own, size, sorted(others)) if first else []
+            self.consistent.append(support)
+        self.queue += [s for s in dict.fromkeys(asked) if s not in self.queue]
+
+    def _neighbours(
+        self, own: float, size: int, others: list[tuple[float, Support]]
+    ) -> list[Support]:
+        """Return what should be tested beside a structure that stands.
+
+        Those are the smaller structures that score better about this fit, or little worse (about
+        the fit of another they may be misjudged), and the nearest rivals of its own size.
+        """
+        smaller = [s for score, s in others if len(s) < size and score < own + _MISJUDGED]
+        equal = [s for score, s in others if len(s) == size and score < own + 2.5 * _TIE]
+        return smaller[:3] + equal[:4]
+
+    def _beam(self, linear: LinearProblem, most: int) -> dict[int, list[tuple[float, Support]]]:
+        return beam_search(linear, most, required=self.constraints.required)
+
+    def margin(self, support: Support) -> float:
+        """Return by how much χ² another structure of the same size must be less."""
+        known = sorted(self.degrees[i] or 0 for i in support if self.degrees[i] is not None)
+        return _TIE_POLYNOMIAL if known == list(range(len(support))) else _TIE
+
+    def _signed(self, support: Support, coefficients: FloatArray) -> bool:
+        """Test signs on the coefficients that the user will read: those of the physical form."""
+        if not np.any(self.constraints.signs):
+            return True
+        if self.problem.holds_state(support):
+            form = self._physical(support, coefficients)
+            known = dict(zip(form.names, form.coefficients.tolist(), strict=True))
+            names = self.problem.names(support)
+            coefficients = np.array([known.get(name, 0.0) for name in names])
+        return self.constraints.allow(support, coefficients)
+
+    def _admits(self, fit: StructureFit) -> bool:
+        """Return whether physics allows a fit: τ > 0, a ψ' that comes to rest, signs as asked."""
+        if not fit.settles or not self._signed(fit.support, fit.coefficients):
+            return False
+        if not self.problem.holds_state(fit.support):
+            return True
+        return self._physical(fit.support, fit.coefficients).time_constant_s > 0.0
+
+    def _physical(self, support: Support, coefficients: FloatArray) -> PhysicalForm:
+        """Return a structure as its user will read it, τ in units of its own."""
+        names, terms = self.problem.names(support), self.problem.terms
+        none = np.zeros((len(names) + 1, len(names) + 1))
+        return physical_form(names, coefficients, 1.0, none, terms.states, terms.input_names)
+
+    def choose(self) -> tuple[Support, tuple[Support, ...]]:
+        """Return the best structure of the smallest size that stands, and its rivals."""
+        if not self.consistent:
+            allowed = [s for s, f in self.fits.items() if self._admits(f)]
+            return min(allowed or self.fits, key=lambda s: self.scores[s]), ()
+        size = min(len(s) for s in self.consistent)
+        level = [s for s in self.consistent if len(s) == size]
+        # In units of the variance that all terms leave, which colour raises above one.
+        chi2 = {s: self.fits[s].chi2 / self.variances[s] for s in level}
+        least = min(chi2.values())
+        tied = [s for s in level if chi2[s] < least + self.margin(s)]
+
+        def order(support: Support) -> tuple[int, float]:
+            special = sum(self.degrees[i] is None for i in support)
+            return special, self.fits[support].chi2
+
+        chosen = min(tied, key=order)
+        return chosen, tuple(s for s in tied if s != chosen)
+
+    def table(self, chosen: Support) -> tuple[PathRow, ...]:
+        """Return every structure with its score."""
+        rows = []
+        for support in {*self.rough, *self.fits}:
+            fit = self.fits.get(support)
+            rows.append(
+                PathRow(
+                    len(support),
+                    tuple(self.problem.names(support)),
+                    self.scores[support] if fit else self.rough[support],
+                    fit.chi2 if fit else self.about.chi2(support),
+                    fit.time_constant_s if fit else float("nan"),
+                    fit is not None,
+                    support in self.consistent,
+                    support == chosen,
+                )
+            )
+        return tuple(sorted(rows, key=lambda row: (row.size, row.score)))

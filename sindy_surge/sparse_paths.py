@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -14,22 +12,14 @@ from sindy_surge.linear_problem import LinearProblem, Support
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = [
-    "OPTIMIZERS",
-    "beam_search",
-    "proposals",
-    "proposed_supports",
-    "without_required",
-]
+__all__ = ["OPTIMIZERS", "beam_search", "proposals", "proposed_supports", "without_required"]
 
-OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "ensemble", "best-subset")
+OPTIMIZERS = ("SSR", "STLSQ", "FROLS", "best-subset")
 
 # Dropping the term whose loss hurts least needs one regression for each term left: 0.2 s with
 # 20 terms, several seconds with 60.
 _MOST_TERMS_FOR_RESIDUAL_CRITERION = 30
 _STLSQ_THRESHOLDS = 40
-_ENSEMBLE_THRESHOLDS = 8
-_ENSEMBLE_MODELS = 20
 
 
 def proposed_supports(linear: LinearProblem, optimizer: Any, max_terms: int) -> list[Support]:
@@ -95,21 +85,13 @@ def without_required(
 def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
     from pysindy.optimizers import FROLS, SSR, STLSQ
 
-    n_terms = linear.columns.shape[1]
-    exact = {"solver": "svd"}
-    if not isinstance(optimizer, str):
-        if not hasattr(optimizer, "fit"):
-            raise InputError(
-                "optimizer",
-                expected=f"one of {', '.join(OPTIMIZERS)} or a pysindy optimizer",
-                found=type(optimizer).__name__,
-            )
+    if not isinstance(optimizer, str) and hasattr(optimizer, "fit"):
         # A copy: pysindy's optimizers carry state from one fit to the next.
         return [copy.deepcopy(optimizer)]
+    n_terms = linear.columns.shape[1]
+    exact = {"solver": "svd"}
     if optimizer == "best-subset":
         return []
-    if optimizer == "ensemble":
-        return _ensembles(linear)
     if optimizer == "SSR":
         few = n_terms <= _MOST_TERMS_FOR_RESIDUAL_CRITERION
         criteria = "model_residual" if few else "coefficient_value"
@@ -128,45 +110,13 @@ def _optimizers(optimizer: Any, linear: LinearProblem) -> list[Any]:
     )
 
 
-def _ensembles(linear: LinearProblem) -> list[Any]:
-    """Return STLSQ over libraries from which terms are left out by lot, at several thresholds.
-
-    Rows of a compressed problem cannot be drawn by lot: each stands for the whole record.
-    """
-    from pysindy.optimizers import STLSQ, EnsembleOptimizer
-
-    size = float(np.linalg.norm(linear.target)) or 1.0
-    n_terms = linear.columns.shape[1]
-    exact = {"solver": "svd"}
-    return [
-        EnsembleOptimizer(
-            STLSQ(threshold=level, alpha=0.0, max_iter=2 * n_terms, ridge_kw=exact),
-            library_ensemble=True,
-            n_models=_ENSEMBLE_MODELS,
-            n_candidates_to_drop=max(1, n_terms // 4),
-        )
-        for level in size * np.geomspace(3e-3, 0.3, _ENSEMBLE_THRESHOLDS)
-    ]
-
-
-@contextmanager
-def _global_seed(seed: int) -> Iterator[None]:
-    """Seed NumPy's global generator, which pysindy's ensemble draws from, and put it back."""
-    kept = np.random.get_state()  # noqa: NPY002
-    np.random.seed(seed)  # noqa: NPY002
-    try:
-        yield
-    finally:
-        np.random.set_state(kept)  # noqa: NPY002
-
-
 def _history(optimizer: Any, linear: LinearProblem) -> list[FloatArray]:
     """Fit and return every coefficient vector met on the way."""
     from sklearn import config_context
 
     # Hundreds of regressions on some twenty rows: checking the arrays would take most of the time.
     quick = config_context(assume_finite=True, skip_parameter_validation=True)
-    with warnings.catch_warnings(), _global_seed(0), quick:
+    with warnings.catch_warnings(), quick:
         # STLSQ warns whenever a threshold removes every term, which ends a sweep as it should.
         warnings.simplefilter("ignore")
         try:

@@ -2,37 +2,46 @@
 
 For columns that are ready-made, e.g. averaged after the terms were formed, and runs that are
 scored only where the model holds. What such runs leave is coloured by the average and has an
-error of the model in it, so that no likelihood tells the terms: cycles left out do.
+error of the model in it, so that no likelihood shows the terms: cycles left out do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from sindy_surge.candidate_terms import independent_columns
-from sindy_surge.free_run_equations import FreeRunEquations, FreeRunFit
-from sindy_surge.held_out import HeldOutFit, with_held_out
-from sindy_surge.leave_out import jackknife_covariance, leave_out_moves
-from sindy_surge.linear_problem import Support, least_squares
-from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import proposals
-from sindy_surge.trials import (
-    Block,
+from sindy_surge.free_run import simulate
+from sindy_surge.held_out import (
     Trials,
     best_of_each_size,
     climb,
     pays,
     polynomial_ladder,
     special_structures,
+    with_held_out,
 )
+from sindy_surge.linear_problem import (
+    LinearProblem,
+    Support,
+    least_squares,
+    leave_out_moves,
+    unit_norms,
+    without_nuisances,
+)
+from sindy_surge.segments import Segments, block_slices
+from sindy_surge.selection import PathRow
+from sindy_surge.sparse_paths import proposals
 from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag, Hold
+from surge_core.leave_out import scatter
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["SparseRun", "select_on_free_run"]
+__all__ = ["FreeRunEquations", "FreeRunFit", "SparseRun", "select_on_free_run"]
 
 
 # On 169 records of the simulated rig, whose truth is a parabola, the best of some 18 structures off
@@ -50,11 +59,252 @@ _START = 1
 _SIMPLEST = 3
 # Scored rows for each parameter; below it nothing is fitted.
 _ROWS_A_PARAMETER = 2
+_SHORTEST_SAMPLES = 0.1
+# A lag three times the longest run looks like an integrator.
+_LONGEST_RUNS = 3.0
+_SCAN_POINTS = 32
+_MOST_STEPS = 10
+# Two digits bring Gauss-Newton into its basin; its end is then far below any standard error.
+_BRACKETED, _CONVERGED = 1e-2, 1e-9
+_DIFFERENCE = 1e-4
+# Share of a column that the nuisances must leave.
+_ALIAS = 1e-9
+
+
+@dataclass(frozen=True)
+class FreeRunFit:
+    """One structure fitted to the scored rows."""
+
+    parameters: FloatArray  # (n_support + 1,): β, and last τ in seconds
+    nuisance: FloatArray  # (n_nuisances,): Coefficients of the columns that every structure has
+    # (n_scored, n_support + n_nuisances + 1): Derivatives of the fitted values with respect to β,
+    # the nuisances and τ; starts projected out
+    joint: FloatArray
+    residual: FloatArray  # (n_scored,): What is left, times the root of the weights
+
+
+@dataclass(frozen=True)
+class FreeRunEquations:
+    """The scored rows of free runs τ x' + x = Σ β_i s_i + Σ γ_j n_j, with s_i and n_j as columns.
+
+    What is not scored is simulated through. The start of each run is a parameter of its own,
+    and projected out; all that enters linearly is solved for at each τ (variable projection,
+    Golub & Pereyra 1973).
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n_rows, n_columns)
+        The candidate terms s_i.
+    nuisance : ndarray of shape (n_rows, n_nuisances)
+        Columns that are in every structure; may have none.
+    output : ndarray of shape (n_rows,)
+        ψ'.
+    weight : ndarray of shape (n_rows,)
+        Weight of each squared error; rows of weight 0 are simulated through.
+    runs : Segments
+        The runs of rows.
+    sample_period_s : float
+        Sample period in seconds.
+    hold : {"first", "zero"}
+        How the columns run between two samples.
+    """
+
+    columns: FloatArray
+    nuisance: FloatArray
+    output: FloatArray
+    weight: FloatArray
+    runs: Segments
+    sample_period_s: float
+    hold: Hold
+
+    @property
+    def longest_lag_s(self) -> float:
+        """The longest τ tried, in seconds."""
+        return _LONGEST_RUNS * float(self.runs.lengths.max()) * self.sample_period_s
+
+    @cached_property
+    def scored(self) -> IndexArray:
+        """Rows that are scored."""
+        return np.flatnonzero(self.weight > 0)
+
+    @cached_property
+    def run(self) -> IndexArray:
+        """Number of the run of each scored row."""
+        return np.repeat(np.arange(self.runs.starts.size), self.runs.lengths)[self.scored]
+
+    def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fit some terms and τ.
+
+        Returns
+        -------
+        parameters : ndarray of shape (n_support + 1,)
+            β, and last τ in seconds.
+        design : ndarray of shape (n_scored, n_support + 1)
+            Derivatives of the fitted values, nuisances and starts projected out.
+        residual : ndarray of shape (n_scored,)
+            What is left.
+        """
+        found = self.solve(support)
+        between = np.s_[len(support) : len(support) + self.nuisance.shape[1]]
+        own = np.delete(found.joint, between, axis=1)
+        return found.parameters, _projected(own, found.joint[:, between]), found.residual
+
+    def solve(self, support: Support) -> FreeRunFit:
+        """Fit some terms and τ, and keep all that goes with it."""
+        values = np.column_stack((self.columns[:, list(support)], self.nuisance))
+        tau = self._end(values, self._scanned(support))
+        solution, joint, residual = self._at(values, tau)
+        n = len(support)
+        return FreeRunFit(np.append(solution[:n], tau), solution[n:], joint, residual)
+
+    def simulated(self, time_constant_s: float) -> FloatArray:
+        """Return what each candidate contributes to the scored rows, for one τ in seconds.
+
+        Returns
+        -------
+        ndarray of shape (n_scored, n_columns)
+            Run through the lag, nuisances and starts projected out; zero where nuisances make up
+            the whole column.
+        """
+        n = self.nuisance.shape[1]
+        stacked = self._stacked(time_constant_s, self._all_values)
+        left = _projected(stacked[:, n:-1], stacked[:, :n])
+        own = np.linalg.norm(left, axis=0) > _ALIAS * np.linalg.norm(stacked[:, n:-1], axis=0)
+        return np.where(own, left, 0.0)
+
+    def linear(self, about: Support) -> LinearProblem:
+        """Return the regression on all terms about one fit, nuisances and τ projected out."""
+        fit = self.solve(about)
+        n = self.nuisance.shape[1]
+        stacked = self._stacked(float(fit.parameters[-1]), self._all_values)
+        target = fit.residual + fit.joint[:, : len(about)] @ fit.parameters[:-1]
+        nuisances = np.column_stack((fit.joint[:, -1], stacked[:, :n]))
+        return without_nuisances(nuisances, stacked[:, n:-1], target)
+
+    def blocks(self, cycles: IndexArray, time_constant_s: float) -> list[IndexArray]:
+        """Return the scored rows of each cycle, counted among the scored.
+
+        Parameters
+        ----------
+        cycles : ndarray of int of shape (n_rows,)
+            Number of the cycle of each row.
+        time_constant_s : float
+            τ in seconds: no cycle is cut into parts of fewer than two of it.
+        """
+        numbers = self.run * (int(np.ptp(cycles)) + 1) + (cycles - cycles.min())[self.scored]
+        within = Segments.from_labels(numbers, self.scored.size)
+        shortest = round(2.0 * time_constant_s / self.sample_period_s)
+        return [np.arange(b.start, b.stop) for b in block_slices(within, shortest)]
+
+    @property
+    def _all_values(self) -> FloatArray:
+        return np.column_stack((self.nuisance, self.columns))
+
+    def _lag(self, tau: float) -> FirstOrderLag:
+        return FirstOrderLag(tau, self.sample_period_s, self.hold)
+
+    def _decays(self, tau: float) -> FloatArray:
+        """Return what a start of one in each run leaves at the scored rows, (n_scored, n_runs)."""
+        decays = np.zeros((self.scored.size, self.runs.starts.size))
+        offsets = self.runs.offsets()[self.scored].astype(float)
+        decays[np.arange(self.scored.size), self.run] = self._lag(tau).a ** offsets
+        return decays * np.sqrt(self.weight[self.scored])[:, None]
+
+    def _stacked(self, tau: float, values: FloatArray) -> FloatArray:
+        """Return the columns behind the lag, and last ψ', at the scored rows without starts."""
+        every = np.column_stack((simulate(values, self.runs, self._lag(tau)), self.output))
+        return self._without_starts(every, tau)[0]
+
+    def _without_starts(self, columns: FloatArray, tau: float) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted scored rows of columns without starts, and these, (n_runs, n)."""
+        weighted = columns[self.scored] * np.sqrt(self.weight[self.scored])[:, None]
+        decays = self._decays(tau)
+        # Runs do not overlap: each start is a regression of its own.
+        starts = decays.T @ weighted / (unit_norms(decays) ** 2)[:, None]
+        return weighted - decays @ starts, starts
+
+    @cached_property
+    def _scan(self) -> tuple[FloatArray, list[FloatArray]]:
+        """Return a grid of τ with all columns and ψ' at each, compressed by QR."""
+        shortest = _SHORTEST_SAMPLES * self.sample_period_s
+        grid = np.geomspace(shortest, self.longest_lag_s, _SCAN_POINTS)
+        stacks = [self._stacked(float(tau), self._all_values) for tau in grid]
+        return grid, [np.asarray(np.linalg.qr(stack, mode="r")) for stack in stacks]
+
+    def _scanned(self, support: Support) -> tuple[float, float]:
+        """Return the neighbours of the best τ of the grid."""
+        grid, triangles = self._scan
+        n = self.nuisance.shape[1]
+        wanted = [*range(n), *(n + i for i in support)]
+        costs = [_cost(triangle[:, wanted], triangle[:, -1]) for triangle in triangles]
+        best = int(np.argmin(costs))
+        return float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
+
+    def _end(self, values: FloatArray, within: tuple[float, float]) -> float:
+        """Search log τ between two values, and end with Gauss-Newton steps."""
+        from scipy.optimize import minimize_scalar
+
+        def cost(log_tau: float) -> float:
+            stacked = self._stacked(float(np.exp(log_tau)), values)
+            return _cost(stacked[:, :-1], stacked[:, -1])
+
+        low, high = within
+        found = minimize_scalar(
+            cost,
+            bounds=(np.log(low), np.log(high)),
+            method="bounded",
+            options={"xatol": _BRACKETED},
+        )
+        tau, least = float(np.exp(found.x)), float(found.fun)
+        for _ in range(_MOST_STEPS):
+            _, joint, residual = self._at(values, tau)
+            moved = float(np.clip(tau + least_squares(joint, residual)[-1], low, high))
+            new = cost(float(np.log(moved)))
+            if not new < least:
+                break
+            small = abs(moved - tau) < _CONVERGED * tau
+            tau, least = moved, new
+            if small:
+                break
+        return tau
+
+    def _at(self, values: FloatArray, tau: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return coefficients, derivatives with τ last, and the residual for one τ."""
+        stacked = self._stacked(tau, values)
+        solution = least_squares(stacked[:, :-1], stacked[:, -1])
+        forcing = values @ solution
+        rest = self.output - simulate(forcing, self.runs, self._lag(tau))
+        initial = self._without_starts(rest[:, None], tau)[1][:, 0]
+        step = _DIFFERENCE * tau
+        above, below = (
+            simulate(forcing, self.runs, self._lag(tau + sign * step), initial)
+            for sign in (1.0, -1.0)
+        )
+        slope = self._without_starts((above - below)[:, None] / (2 * step), tau)[0]
+        joint = np.column_stack((stacked[:, :-1], slope))
+        return solution, joint, stacked[:, -1] - stacked[:, :-1] @ solution
+
+
+def _cost(columns: FloatArray, target: FloatArray) -> float:
+    rest = target - columns @ least_squares(columns, target)
+    return float(rest @ rest)
+
+
+def _projected(columns: FloatArray, others: FloatArray) -> FloatArray:
+    """Return columns without what other columns can stand in for."""
+    norms = np.linalg.norm(others, axis=0)
+    kept = others[:, norms > 0] / norms[norms > 0]
+    if not kept.shape[1]:
+        return columns
+    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
+    basis = basis[:, values > 1e-12 * values[0]]
+    result: FloatArray = columns - basis @ (basis.T @ columns)
+    return result
 
 
 @dataclass(frozen=True)
 class SparseRun:
-    """Terms, τ and β found on free runs.
+    """Terms, τ and β found on free runs; without terms where too few rows are scored.
 
     Parameters
     ----------
@@ -63,16 +313,12 @@ class SparseRun:
     terms : tuple of str
         Their names.
     time_constant_s : float
-        τ in seconds; NaN where too few rows are scored.
+        τ in seconds.
     coefficients : ndarray of shape (n_terms,)
         β in physical units.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
         Of β and, last, τ: a jackknife over cycles, what all cycles share and, off the ladder,
         what structures differ by that the data cannot separate from the chosen one.
-    initial : ndarray of shape (n_runs,)
-        State at the first row of each run.
-    residual_rms : float
-        Rms of what is left on the scored rows.
     n_blocks : int
         Cycles behind the jackknife.
     path : tuple of PathRow
@@ -81,16 +327,14 @@ class SparseRun:
         What became of the fit.
     """
 
-    support: Support
-    terms: tuple[str, ...]
-    time_constant_s: float
-    coefficients: FloatArray
-    covariance: FloatArray
-    initial: FloatArray
-    residual_rms: float
-    n_blocks: int
-    path: tuple[PathRow, ...]
-    state: FitState
+    support: Support = ()
+    terms: tuple[str, ...] = ()
+    time_constant_s: float = float("nan")
+    coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
+    covariance: FloatArray = field(default_factory=lambda: np.full((1, 1), np.nan))
+    n_blocks: int = 0
+    path: tuple[PathRow, ...] = ()
+    state: FitState = FitState.TOO_FEW_ROWS
 
     @property
     def time_constant_stderr_s(self) -> float:
@@ -125,7 +369,7 @@ def select_on_free_run(
         Total degree of each; None for a term that is no polynomial.
     cycles : ndarray of int of shape (n_rows,)
         Number of the cycle of each row: what is left out together.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes the structures off the ladder.
     max_terms : int
         Largest structure considered.
@@ -138,52 +382,44 @@ def select_on_free_run(
     SparseRun
         The terms with τ, β and their covariance.
     """
-    columns, starts = equations.columns, equations.runs.starts
+    columns = equations.columns
     most = min(max_terms, columns.shape[1])
-    needed = _ROWS_A_PARAMETER * (most + equations.nuisance.shape[1] + starts.size + 1)
-    if equations.scored.size < needed:
-        return _nothing(starts.size)
-    # τ of the simplest terms says what can be separated, and how long errors hang together.
-    pilot_s = float(equations.fit(tuple(range(min(_SIMPLEST, most))))[0][-1])
+    unknowns = most + equations.nuisance.shape[1] + equations.runs.starts.size + 1
+    if equations.scored.size < _ROWS_A_PARAMETER * unknowns:
+        return SparseRun()
+    # τ of the simplest terms shows what can be separated, and how long errors hang together.
+    pilot_s = float(equations.solve(tuple(range(min(_SIMPLEST, most)))).parameters[-1])
     usable = independent_columns(equations.simulated(pilot_s))
     if not usable.size:
-        return _nothing(starts.size)
+        return SparseRun()
     equations = replace(equations, columns=columns[:, usable])
     blocks = equations.blocks(cycles, pilot_s)
-    trials = Trials(equations, [Block(rows, rows) for rows in blocks], _MOST_LEVERAGE)
+    trials = Trials(equations, [(rows, rows) for rows in blocks], _MOST_LEVERAGE)
     chosen, rivals = _chosen(equations, trials, [degrees[i] for i in usable], optimizer, most)
     fit = equations.solve(chosen)
-    covariance = _scatter(fit, blocks) + _spread(equations, fit, chosen, rivals)
+    # The nuisances are estimated again without each cycle as well.
+    moves = leave_out_moves(fit.joint, fit.residual, blocks)
+    n = len(chosen)
+    covariance = scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
+    covariance += _spread(equations, fit, chosen, rivals)
     covariance += _shared(equations, fit, chosen, common_tau_share, common_curve_share)
     kept = [names[i] for i in usable]
-    tau, beta = float(fit.parameters[-1]), fit.parameters[:-1]
-    found = HeldOutFit(chosen, tau, beta, covariance, fit.initial, trials.tried())
+    tau, stderr = float(fit.parameters[-1]), float(np.sqrt(covariance[-1, -1]))
+    if tau < equations.sample_period_s / 2:
+        state = FitState.LAG_BELOW_RESOLUTION
+    elif not stderr < tau or tau > 0.99 * equations.longest_lag_s:
+        state = FitState.LAG_UNDETERMINED
+    else:
+        state = FitState.OK
     return SparseRun(
         tuple(int(usable[i]) for i in chosen),
         tuple(kept[i] for i in chosen),
         tau,
-        beta,
+        fit.parameters[:-1],
         covariance,
-        fit.initial,
-        float(np.sqrt(np.mean(fit.residual**2))),
         len(blocks),
-        with_held_out((), found, kept),
-        _state(equations, tau, float(np.sqrt(covariance[-1, -1]))),
-    )
-
-
-def _nothing(n_runs: int) -> SparseRun:
-    return SparseRun(
-        (),
-        (),
-        float("nan"),
-        np.zeros(0),
-        np.full((1, 1), np.nan),
-        np.zeros(n_runs),
-        float("nan"),
-        0,
-        (),
-        FitState.TOO_FEW_ROWS,
+        with_held_out((), trials, chosen, kept),
+        state,
     )
 
 
@@ -197,8 +433,7 @@ def _chosen(
     """Return the structure, and those off the ladder that the data cannot separate from it."""
     ladder, start = polynomial_ladder(degrees, max_terms), _START
     if not ladder:
-        about = tuple(range(min(_SIMPLEST, len(degrees))))
-        linear = equations.linear(about)
+        linear = equations.linear(tuple(range(min(_SIMPLEST, len(degrees)))))
         ladder, start = best_of_each_size(linear, proposals(linear, optimizer, max_terms)), 0
     rung = climb(trials, ladder, min(start, len(ladder) - 1))
     linear = equations.linear(rung)
@@ -208,13 +443,6 @@ def _chosen(
         return rung, []
     best = min(special, key=lambda s: special[s])
     return best, [s for s in special if s != best and not pays(trials, s, best)]
-
-
-def _scatter(fit: FreeRunFit, blocks: Sequence[IndexArray]) -> FloatArray:
-    """Return the jackknife over cycles, in which the nuisances are estimated again as well."""
-    moves = leave_out_moves(fit.joint, fit.residual, blocks)
-    n = fit.parameters.size - 1
-    return jackknife_covariance(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
 
 
 def _spread(
@@ -252,11 +480,3 @@ def _shared(
     result[:-1, :-1] = np.outer(level, level)
     result[-1, -1] = (tau_share * float(fit.parameters[-1])) ** 2
     return result
-
-
-def _state(equations: FreeRunEquations, tau: float, stderr: float) -> FitState:
-    if tau < equations.sample_period_s / 2:
-        return FitState.LAG_BELOW_RESOLUTION
-    if not stderr < tau or tau > 0.99 * equations.longest_lag_s:
-        return FitState.LAG_UNDETERMINED
-    return FitState.OK

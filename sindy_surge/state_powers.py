@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,19 +17,8 @@ __all__ = ["PowerChoice", "choose_power"]
 _TIE = 4.0
 
 
-@dataclass(frozen=True)
-class PowerChoice:
-    """The power of ψ' that fits best, and the other if it is as good.
-
-    Parameters
-    ----------
-    problem : LagProblem
-        The data, with the library in which the choice stands.
-    fit : StructureFit
-        The choice.
-    rival : tuple of int or None
-        The structure with the other power, where the data cannot tell.
-    """
+class PowerChoice(NamedTuple):
+    """The power of ψ' that fits best, in its library, and the other's structure if as good."""
 
     problem: LagProblem
     fit: StructureFit

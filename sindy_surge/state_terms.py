@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 
@@ -81,21 +82,8 @@ def _power(name: str, power: int) -> str:
     return name if power == 1 else f"{name}^{power}"
 
 
-@dataclass(frozen=True)
-class PhysicalForm:
-    """A model in physical terms: τ dψ'/dt + ψ' = Σ β_i s_i.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the terms.
-    coefficients : ndarray of shape (n_terms,)
-        β in physical units.
-    time_constant_s : float
-        τ in seconds.
-    covariance : ndarray of shape (n_terms + 1, n_terms + 1)
-        Of β and, last, τ.
-    """
+class PhysicalForm(NamedTuple):
+    """A model τ dψ'/dt + ψ' = Σ β_i s_i in physical units; the covariance of β and, last, τ."""
 
     names: tuple[str, ...]
     coefficients: FloatArray

@@ -10,7 +10,7 @@ import numpy as np
 from sindy_surge.lag_equations import free_run
 from sindy_surge.lag_fit import StructureFit, moved_point
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.leave_out import leave_out_moves, newey_west
+from sindy_surge.linear_problem import leave_out_moves
 from surge_core.types import FloatArray
 
 __all__ = ["held_out_rms", "sandwich"]
@@ -57,7 +57,7 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
         information = known[np.ix_(keep, keep)] / np.outer(norms[keep], norms[keep])
     reach = int(_LAG_IN_TAU * fit.time_constant_s / problem.sample_period_s)
     reach = min(max(reach, 1), max(int(_MOST_LAGS_SHARE * n), 1))
-    middle = newey_west(scaled * residual[:, None], fit.groups.slices(), reach) + prior
+    middle = _newey_west(scaled * residual[:, None], fit.groups.slices(), reach) + prior
     bread = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
     inner = bread @ middle @ bread * n / max(n - keep.size, 1)
     # Where the residual is white the sandwich is the inverse information with some scatter; it
@@ -72,6 +72,19 @@ def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = 
     return full[np.ix_(wanted, wanted)]
 
 
+def _newey_west(scores: FloatArray, runs: Sequence[slice], reach: int) -> FloatArray:
+    """Return Σ_l (1 - l/(reach + 1)) Σ_k s[k+l] s[k]' within each run (Newey & West 1987)."""
+    middle = scores.T @ scores
+    for lag in range(1, reach + 1):
+        weight = 1 - lag / (reach + 1)
+        for rows in runs:
+            if rows.stop - rows.start > lag:
+                later = scores[rows.start + lag : rows.stop]
+                cross = later.T @ scores[rows.start : rows.stop - lag]
+                middle += weight * (cross + cross.T)
+    return middle
+
+
 def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]) -> float:
     """Return the rms error of the free run over blocks, each by a fit that has not seen it.
 
@@ -84,12 +97,8 @@ def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]
     Parameters
     ----------
     blocks : sequence of slice
-        Rows of the record, none across two segments, from `segments.cycle_blocks`.
-
-    Returns
-    -------
-    float
-        In units of ψ'; nan with fewer than two blocks.
+        Rows of the record, none across two segments, from `segments.cycle_blocks`; fewer than two
+        give nan.
     """
     usable = problem.usable
     edges = [np.searchsorted(usable.rows, (block.start, block.stop)) for block in blocks]
@@ -102,11 +111,11 @@ def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]
     for number, block in enumerate(blocks):
         fold_of_row[block] = number % n_folds
     home = fold_of_row[fit.rows]
-    # The prior is information that no fold takes away; its own residual is in no block.
+    # The prior is information that no fold takes away.
     columns = np.vstack((fit.sensitivity, np.diag(np.sqrt(fit.prior))))
-    moves = leave_out_moves(
-        columns, fit.residual, [np.flatnonzero(home == k) for k in range(n_folds)]
-    )
+    errors = np.concatenate((fit.residual, np.sqrt(fit.prior) * fit.prior_pull))
+    folds = [np.flatnonzero(home == k) for k in range(n_folds)]
+    moves = leave_out_moves(columns, errors, folds)
     # At the measured inputs: a prediction has no others.
     silent = np.zeros_like(problem.inputs)
     total = 0.0
@@ -114,7 +123,7 @@ def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]
         point = moved_point(problem, fit.point, move)
         there = replace(point, input_noise=silent, blur=np.zeros(silent.shape[1]))
         rest = problem.output[usable.rows] - free_run(problem, fit.support, there)
-        pole = problem.hold_at(point.time_constant_s).a
+        pole = problem.lag(point.time_constant_s).a
         for rows in held[fold::n_folds]:
             if rows.size > 1:
                 decay = pole ** np.arange(rows.size, dtype=np.float64)

@@ -43,8 +43,6 @@ def check_target(path: Path, suffixes: tuple[str, ...] = ()) -> None:
         raise InputError(str(path), expected="an existing folder", found=f"no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise InputError(str(path), expected="a folder that can be written to", found="no right")
-    # The right alone does not tell a folder of the system, or a disk that can only be read.
-    _new_neighbour(path).unlink()
 
 
 def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
@@ -62,25 +60,16 @@ def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
     InputError
         Naming the file.
     """
-    taken = {_identity(path): "an input of this command" for path in inputs}
+    taken = {path.resolve(): "an input of this command" for path in inputs}
     for path in outputs:
-        if _identity(path) in taken:
+        if path.resolve() in taken:
             raise InputError(
                 str(path),
                 expected="a file of its own for each output",
-                found=taken[_identity(path)],
+                found=taken[path.resolve()],
                 remedy="nothing was written; choose another name",
             )
-        taken[_identity(path)] = "another output of this command"
-
-
-def _identity(path: Path) -> object:
-    """Return what two names of one file have in common, links of either kind among them."""
-    try:
-        found = path.stat()
-    except OSError:
-        return path.resolve()
-    return found.st_dev, found.st_ino
+        taken[path.resolve()] = "another output of this command"
 
 
 def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -94,7 +83,7 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
         ``write(temporary)`` fills the file; if it fails, nothing is left behind.
     """
     check_target(path)
-    temporary = _new_neighbour(path)
+    temporary = path.with_name(f".{path.stem}-{os.urandom(4).hex()}{path.suffix}")
     try:
         write(temporary)
         temporary.replace(path)
@@ -107,27 +96,6 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-
-
-def _new_neighbour(path: Path) -> Path:
-    """Make an empty file beside another, with the rights that any new file has.
-
-    The system takes the umask from them: it can be asked for only by setting another one, which
-    would hold for the files of all threads meanwhile.
-    """
-    while True:
-        name = path.with_name(f".{path.stem}-{os.urandom(4).hex()}{path.suffix}")
-        try:
-            os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise InputError(
-                str(path),
-                expected="a folder in which files can be made",
-                found=error.strerror or "none",
-            ) from None
-        return name
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -143,12 +111,12 @@ def write_whole(path: Path, text: str) -> None:
     replace_whole(path, lambda temporary: temporary.write_text(text, "utf-8"))
 
 
-def to_strict_json(document: dict[str, Any]) -> str:
+def to_strict_json(document: dict[str, Any] | list[Any]) -> str:
     """Return JSON in which a number that is not finite is null: JSON has no NaN.
 
     Parameters
     ----------
-    document : dict
+    document : dict or list
         Of plain types.
     """
     return json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False) + "\n"

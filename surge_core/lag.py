@@ -46,12 +46,12 @@ class FirstOrderLag:
     hold: Hold
     dead_time_s: float = 0.0
 
-    @property
+    @cached_property
     def ratio(self) -> float:
         """Sample period over time constant, h/τ."""
         return self.sample_period_s / self.tau_s
 
-    @property
+    @cached_property
     def a(self) -> float:
         """Pole of the discrete lag (paper, Eq 10)."""
         return float(np.exp(-self.ratio))

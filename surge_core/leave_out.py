@@ -23,7 +23,6 @@ __all__ = [
     "correlation_length",
     "eliminate",
     "leave_out",
-    "pseudo_inverse",
     "scatter",
     "slow_correlation_length",
 ]
@@ -34,8 +33,6 @@ BLOCKS = 20
 FEWEST_BLOCKS = 4
 BINS_A_BLOCK = 10
 MOST_LAGS = 4000
-# White errors are seen to be white within the first few lags, without a transform.
-FEW_LAGS = 24
 # Of a scaled eigenvalue: less is a copy of other columns within the rounding of inner products.
 NO_DIRECTION = 1e-13
 # Of its own diagonal, added to each local unknown: one that no row sees then stays where it is.
@@ -74,21 +71,8 @@ class Rest:
     inverse: FloatArray
 
 
-def pseudo_inverse(matrix: FloatArray) -> FloatArray:
-    """Invert normal matrices after scaling them, leaving out what is rounding.
-
-    Parameters
-    ----------
-    matrix : ndarray of shape (…, p, p)
-        Symmetric, positive semi-definite.
-    """
-    scale = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 0.0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    both = scale[..., :, None] * scale[..., None, :]
-    return np.asarray(_inverse(matrix / both) / both)
-
-
 def _inverse(matrix: FloatArray) -> FloatArray:
+    """Invert scaled normal matrices, leaving out what is rounding."""
     values, vectors = np.linalg.eigh(matrix)
     kept = values > NO_DIRECTION
     half = vectors * np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)[..., None, :]
@@ -267,19 +251,20 @@ def correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int:
         Twice the lag after which five autocorrelations in a row are insignificant (Politis
         2003), at least 1, at most the longest stretch.
     """
+    from scipy.fft import irfft, next_fast_len, rfft
+
     pieces = np.split(errors, np.cumsum(np.asarray(piece_lengths, dtype=np.int64))[:-1])
     longest = max(piece.size for piece in pieces)
     n_lags = min(longest - 1, MOST_LAGS)
     limit = 2.0 * np.sqrt(np.log10(max(errors.size, 10)) / errors.size)
-    few = min(FEW_LAGS, n_lags)
-    sums = np.zeros(few + 1)
+    products = np.zeros(n_lags + 1)
     for piece in pieces:
-        for lag in range(min(few, piece.size - 1) + 1):
-            sums[lag] += piece[lag:] @ piece[: piece.size - lag]
-    last = _first_quiet(sums, limit)
-    if last is None and n_lags > few:
-        last = _first_quiet(_many_lags(pieces, n_lags), limit)
-    return int(np.clip(2 * (n_lags if last is None else last), 1, longest))
+        size = next_fast_len(piece.size + n_lags, real=True)
+        products += irfft(np.abs(rfft(piece, size)) ** 2, size)[: n_lags + 1]
+    quiet = np.abs(products[1:]) <= limit * products[0]
+    run = np.convolve(quiet, np.ones(5), mode="valid") if quiet.size >= 5 else np.zeros(0)
+    found = np.flatnonzero(run > 4.5)
+    return int(np.clip(2 * (found[0] if found.size else n_lags), 1, longest))
 
 
 def slow_correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int:
@@ -311,25 +296,3 @@ def slow_correlation_length(errors: FloatArray, piece_lengths: ArrayLike) -> int
     if not bins or max(counts) < 8:
         return int(lengths.max())
     return n_bin * (1 + correlation_length(np.asarray(bins), counts))
-
-
-def _first_quiet(products: FloatArray, limit: float) -> int | None:
-    acf = products / products[0] if products[0] > 0.0 else products
-    quiet = np.abs(acf[1:]) < limit
-    run = np.convolve(quiet, np.ones(5), mode="valid") if quiet.size >= 5 else np.zeros(0)
-    found = np.flatnonzero(run > 4.5)
-    return int(found[0]) if found.size else None
-
-
-def _many_lags(pieces: list[FloatArray], n_lags: int) -> FloatArray:
-    """Sum e[k] e[k+lag] by transforms of a few thousand rows at a time."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(4 * n_lags + 64, real=True)
-    step = size - n_lags
-    spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
-    for piece in pieces:
-        for low in range(0, piece.size, step):
-            one = rfft(piece[low : low + step], size)
-            spectrum += np.conj(one) * rfft(piece[low : low + size], size)
-    return np.asarray(irfft(spectrum, size)[: n_lags + 1])

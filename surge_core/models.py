@@ -120,27 +120,24 @@ def _mistake(error: Mapping[str, Any], model: type[BaseModel], data: Any) -> _Mi
     keys = _keys(error["loc"], data, last=kind == "missing")
     at = _spelled(keys)
     if kind == "extra_forbidden":
-        names = _names(_model_at(model, error["loc"][:-1]))
+        names = list(_fields(model, error["loc"][:-1]))
         near = difflib.get_close_matches(str(keys[-1]), names, n=1)
         found = f"the key '{keys[-1]}'" + (f" (is '{near[0]}' meant?)" if near else "")
         return _Mistake(_spelled(keys[:-1]), "keys out of " + ", ".join(names), found, "")
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         tag = error["ctx"]["discriminator"].strip("'")
         found = repr(error["ctx"]["tag"]) if "tag" in error["ctx"] else "nothing"
-        return _Mistake(_spelled(keys, tag), _tags_of(error["ctx"]), found, "")
+        tags = error["ctx"].get("expected_tags")
+        return _Mistake(_spelled(keys, tag), f"one of {tags}" if tags else "a value", found, "")
     if isinstance(cause, InputError):
         inner = _spelled(keys, cause.where) if cause.where else at
         return _Mistake(inner, cause.expected, cause.found, cause.remedy)
-    field = _field_at(model, error["loc"])
+    field = next(map(_fields(model, error["loc"][:-1]).get, error["loc"][-1:]), None)
     expected = (field.description if field else None) or _expected(error["msg"])
     extra = field.json_schema_extra if field else None
     remedy = str(extra.get("remedy", "")) if isinstance(extra, dict) else ""
     found = "nothing" if kind == "missing" else _shown(error["input"])
     return _Mistake(at, expected, found, remedy)
-
-
-def _tags_of(context: Mapping[str, Any]) -> str:
-    return "one of " + context["expected_tags"] if "expected_tags" in context else "a value"
 
 
 def _expected(message: str) -> str:
@@ -186,39 +183,24 @@ def _spelled(keys: Sequence[str | int], *more: str) -> str:
     return text.removeprefix(".")
 
 
-def _names(model: type[BaseModel] | None) -> list[str]:
-    if model is None:
-        return []
-    return [field.alias or name for name, field in model.model_fields.items()]
-
-
-def _field_at(model: type[BaseModel], location: Sequence[str | int]) -> FieldInfo | None:
-    """Return the field that the last name of a location stands for."""
-    owner = _model_at(model, location[:-1]) if location else None
-    return None if owner is None else _field(owner, location[-1])
-
-
-def _field(model: type[BaseModel], key: str | int) -> FieldInfo | None:
-    for name, field in model.model_fields.items():
-        if key in (name, field.alias):
-            return field
-    return None
-
-
-def _model_at(model: type[BaseModel], location: Sequence[str | int]) -> type[BaseModel] | None:
-    """Follow a location through the models within a model.
+def _fields(model: type[BaseModel], location: Sequence[str | int]) -> dict[Any, FieldInfo]:
+    """Return the fields of the table at a location, by their keys.
 
     Keys of a mapping, numbers in a list and the tags of a union name no field: they are passed
     over, the tag of a union choosing among its models.
     """
     choices: list[type[BaseModel]] = [model]
     for part in location:
-        fields = [field for one in choices if (field := _field(one, part)) is not None]
+        fields = [_own(one)[part] for one in choices if part in _own(one)]
         if fields:
             choices = _models_in(fields[0].annotation)
-        elif named := [one for one in choices if part in (one.__name__, *_tags(one))]:
-            choices = named
-    return choices[0] if choices else None
+        else:
+            choices = [one for one in choices if part in (one.__name__, *_tags(one))] or choices
+    return _own(choices[0]) if choices else {}
+
+
+def _own(model: type[BaseModel]) -> dict[Any, FieldInfo]:
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

@@ -46,16 +46,10 @@ def round_to_error(value: float, error: float) -> str:
         return f"{significant(value)} ± ?"
     if error < SMALLEST_ERROR:
         return significant(value)
-    largest = max(abs(value), error)
-    low, high = PLAIN_RANGE
-    if low <= largest < high:
-        decimals = decimals_for(error)
-        return f"{_fixed(value, decimals)} ± {_fixed(_rounded_error(error), decimals)}"
-    exponent = math.floor(math.log10(largest))
-    scaled, scaled_error = value / 10.0**exponent, error / 10.0**exponent
-    decimals = decimals_for(scaled_error)
-    rounded = _fixed(_rounded_error(scaled_error), decimals)
-    return f"({_fixed(scaled, decimals)} ± {rounded})e{exponent:+03d}"
+    value, error, power = _scaled(value, error)
+    decimals = decimals_for(error)
+    text = f"{_fixed(value, decimals)} ± {_fixed(_rounded_error(error), decimals)}"
+    return f"({text}){power}" if power else text
 
 
 def bracketed(value: float, error: float) -> str:
@@ -74,15 +68,12 @@ def bracketed(value: float, error: float) -> str:
     """
     if not (math.isfinite(value) and math.isfinite(error) and error >= SMALLEST_ERROR):
         return significant(value)
-    largest = max(abs(value), error)
-    if not PLAIN_RANGE[0] <= largest < PLAIN_RANGE[1]:
-        exponent = math.floor(math.log10(largest))
-        return f"{bracketed(value / 10.0**exponent, error / 10.0**exponent)}e{exponent:+03d}"
+    value, error, power = _scaled(value, error)
     decimals = decimals_for(error)
     rounded = _rounded_error(error)
     last_digits = rounded * 10.0**decimals if 0.0 < rounded < 1.0 else rounded
     error_text = f"{last_digits:.0f}" if rounded < 1.0 else _fixed(rounded, decimals)
-    return f"{_fixed(value, decimals)}({error_text})"
+    return f"{_fixed(value, decimals)}({error_text}){power}"
 
 
 def round_like(value: float, error: float) -> str:
@@ -129,6 +120,15 @@ def decimals_for(error: float) -> int:
     if leading >= 9.5:
         return -exponent
     return 1 - exponent if leading < 3.55 else -exponent
+
+
+def _scaled(value: float, error: float) -> tuple[float, float, str]:
+    """Return a value and its error by a power of ten, and that power as text where one is due."""
+    largest = max(abs(value), error)
+    if PLAIN_RANGE[0] <= largest < PLAIN_RANGE[1]:
+        return value, error, ""
+    exponent = math.floor(math.log10(largest))
+    return value / 10.0**exponent, error / 10.0**exponent, f"e{exponent:+03d}"
 
 
 def _rounded_error(error: float) -> float:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -42,14 +41,6 @@ GAIN_REFUSED, APART_REFUSED = 2.0, 0.6
 ALL_KINDS = sum(MARK_WORDS)
 
 
-class _Verdict(NamedTuple):
-    """Why a channel is left out, and for how many rows."""
-
-    channel: str
-    rows: int
-    why: str
-
-
 def choose_channels(record: Record, test: TestDescription, window: slice) -> Record:
     """Leave out the channels that cannot be used in the window, a pressure with its mate.
 
@@ -62,12 +53,7 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
     InputError
         When an immersion of a plane, or the thermocouples of plane 25, would be left out whole.
     """
-    looked_at = {"in the window": window}
-    if not test.near_stall_shifts:
-        rows = near_stall_rows(record, test)
-        looked_at["at near stall, so that it cannot be matched"] = rows
-    verdicts = {n: _judge(record, test, n, window, looked_at) for n in test.channel_names}
-    bad = {name: verdict for name, verdict in verdicts.items() if verdict is not None}
+    bad = _marked_out(record, test, window)
     slow = slow_pressures(record, test, window)
     slow = {name: means for name, means in slow.items() if name not in bad}
     agreements = compare_probes(slow, test)
@@ -78,16 +64,13 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         out = [c.name for c in couples if c.name in bad]
         if plane == 25 and len(out) == len(couples):
             raise _refusal(record, bad[out[0]], "the last thermocouple of plane 25")
-        dropped += [Dropped(name, bad[name].rows, bad[name].why) for name in out]
+        dropped += [bad[name] for name in out]
         gone += out
         if couples and len(out) == len(couples):
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
     kept = record.without([*gone, *map(fault_name, gone)])
-    lines = [_bridged(kept, c.name, ALL_KINDS) for c in test.temperatures if c.name in kept]
-    lines += [_bridged(kept, p.name, SPIKED) for p in test.pressures if p.name in kept]
-    findings = _kept_faults(kept, test, window)
     used = {name: means for name, means in slow.items() if name not in gone}
-    findings += disagreements(used, test, agreements)
+    findings = [*_kept_faults(kept, test, window), *disagreements(used, test, agreements)]
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
@@ -95,53 +78,55 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         tuple(dropped),
         tuple(finding.sentence for finding in findings),
     )
-    return kept.after(entry, add=[line for line in lines if line is not None])
+    kept = with_faults_bridged(kept.after(entry), [c.name for c in test.temperatures])
+    return with_faults_bridged(kept, [p.name for p in test.pressures], SPIKED)
 
 
-def with_faults_bridged(record: Record, test: TestDescription) -> Record:
-    """Return a record with straight lines across all readings that do not count.
+def with_faults_bridged(record: Record, names: Iterable[str], kinds: int = ALL_KINDS) -> Record:
+    """Return a record with straight lines across readings that do not count, of some kinds."""
+    channels = dict(record.channels)
+    for name in names:
+        marks = marked_rows(record, name) if name in record else None
+        if marks is not None and np.any(marks & kinds):
+            values = bridged(record[name], marks & kinds == 0)
+            channels[name] = Channel.adopt(name, values, record.channel(name).unit)
+    return replace(record, channels=channels)
 
-    Only what a window is looked for with: a dropout must not end it.
-    """
-    lines = [_bridged(record, name, ALL_KINDS) for name in test.channel_names]
-    channels = {line.name: line for line in lines if line is not None}
-    return replace(record, channels={**record.channels, **channels})
 
-
-def _judge(
-    record: Record,
-    test: TestDescription,
-    name: str,
-    window: slice,
-    looked_at: Mapping[str, slice],
-) -> _Verdict | None:
-    n_rows = window.stop - window.start
-    readings = record[name][window]
-    if n_rows and np.all(readings == readings[0]):
-        return _Verdict(name, n_rows, f"the same in all {n_rows} rows in the window")
+def _marked_out(record: Record, test: TestDescription, window: slice) -> dict[str, Dropped]:
+    """Return the channels of which too many readings do not count, or that cannot be matched."""
+    looked_at = {"in the window": window}
+    if not test.near_stall_shifts:
+        rows = near_stall_rows(record, test)
+        looked_at["at near stall, so that it cannot be matched"] = rows
     aft = {probe.name for probe in test.pressures if probe.facing == "aft"}
-    if test.near_stall_shifts and name not in {*test.near_stall_shifts, *aft}:
-        why = f"not in {test.source} [near_stall_shifts], so that it cannot be matched"
-        return _Verdict(name, record.n_samples, why)
-    marks = marked_rows(record, name)
-    if marks is None:
-        return None
-    for where, rows in looked_at.items():
-        n = rows.stop - rows.start
-        for kind, word in MARK_WORDS.items():
-            count = int(np.count_nonzero(marks[rows] & kind))
-            if count > ALLOWED_SHARE[kind] * n:
-                return _Verdict(name, count, f"{word} in {count} of {n} rows {where}")
-    return None
-
-
-def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _Verdict]:
-    """Return the probes that do not take part in what those beside them show."""
     n_rows = window.stop - window.start
+    out: dict[str, Dropped] = {}
+    for name in test.channel_names:
+        readings, marks = record[name][window], marked_rows(record, name)
+        for where, rows in looked_at.items():
+            if marks is None:
+                break
+            n = rows.stop - rows.start
+            for kind, word in MARK_WORDS.items():
+                count = int(np.count_nonzero(marks[rows] & kind))
+                if count > ALLOWED_SHARE[kind] * n:
+                    why = f"{word} in {count} of {n} rows {where}"
+                    out.setdefault(name, Dropped(name, count, why))
+        if test.near_stall_shifts and name not in {*test.near_stall_shifts, *aft}:
+            why = f"not in {test.source} [near_stall_shifts], so that it cannot be matched"
+            out[name] = Dropped(name, record.n_samples, why)
+        if n_rows and np.all(readings == readings[0]):
+            out[name] = Dropped(name, n_rows, f"the same in all {n_rows} rows in the window")
+    return out
+
+
+def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, Dropped]:
+    """Return the probes that do not take part in what those beside them show."""
     return {
-        name: _Verdict(
+        name: Dropped(
             name,
-            n_rows,
+            window.stop - window.start,
             f"moving {found.gain:.2f} times as much as the probes beside it in the window, and "
             f"{found.apart:.0%} apart from them",
         )
@@ -151,7 +136,7 @@ def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, _
 
 
 def _drop_pairs(
-    record: Record, test: TestDescription, bad: Mapping[str, _Verdict]
+    record: Record, test: TestDescription, bad: Mapping[str, Dropped]
 ) -> tuple[list[Dropped], list[str]]:
     dropped: list[Dropped] = []
     gone: list[str] = []
@@ -167,14 +152,14 @@ def _drop_pairs(
                 last = f"the last {pair.immersion} pair of plane {plane}"
                 raise _refusal(record, verdict, last)
             gone += [pair.forward.name, pair.aft.name]
-            why = f"{verdict.channel} is {verdict.why}"
-            dropped.append(Dropped(f"pair {pair.name}", verdict.rows, why))
+            why = f"{verdict.what} is {verdict.why}"
+            dropped.append(Dropped(f"pair {pair.name}", verdict.count, why))
     return dropped, gone
 
 
-def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
+def _refusal(record: Record, verdict: Dropped, last: str) -> InputError:
     return InputError(
-        f"{record.source}: channel {verdict.channel}",
+        f"{record.source}: channel {verdict.what}",
         expected=f"readings that count, since {last} goes with it",
         found=f"it {verdict.why}",
         remedy="are its unit (psia or psig?), reference_Pa and [limits] right? else choose a "
@@ -182,25 +167,15 @@ def _refusal(record: Record, verdict: _Verdict, last: str) -> InputError:
     )
 
 
-def _bridged(record: Record, name: str, kinds: int) -> Channel | None:
-    """Return a channel with straight lines across its faults of some kinds, if it has any."""
-    marks = marked_rows(record, name)
-    if marks is None or not np.any(marks & kinds):
-        return None
-    channel = record.channel(name)
-    return Channel.adopt(name, bridged(channel.values, marks & kinds == 0), channel.unit)
-
-
 def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Finding]:
     """Return the channels that have faults and stay nevertheless."""
     findings = []
     for name in test.channel_names:
-        marks = marked_rows(kept, name) if name in kept else None
-        if marks is None:
-            continue
-        inside = int(np.count_nonzero(marks[window]))
-        words = f"{name}: faulty rows outside the window only"
-        if inside:
-            words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
-        findings.append(Finding("kept", words, name))
+        marks = marked_rows(kept, name)
+        if marks is not None:
+            inside = int(np.count_nonzero(marks[window]))
+            words = f"{name}: faulty rows outside the window only"
+            if inside:
+                words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
+            findings.append(Finding("kept", words, name))
     return findings

@@ -87,7 +87,14 @@ def check_near_stall(
             f"of [planes.25] and [planes.31] in {test.source}"
         )
         findings.append(Finding("planes differ", words))
-    phi = _steady_phi(steady, test)
+    columns = steady["Wc25_kg_s"], steady["T25_K"]
+    area_m2, speed_m_s = test.areas_m2[25], test.rotor_velocity_m_s
+    phi = float(np.mean(flow_coefficient(*columns, area_m2, speed_m_s, test.compressor)))
+    if not NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
+        # The area is not among the causes: it cancels between Eq 3 and its inverse.
+        causes = "rotor_speed_rpm, mean_radius_m, and the zero and calibrate readings"
+        expected = "{:g} to {:g}".format(*NEAR_STALL_PHI)
+        raise _implausible(steady, test, "φ", expected, f"{phi:.3g}", causes)
     return LedgerEntry(
         "near-stall flow",
         f"φ {phi:.3f}, W25 {inlet:.2f} kg/s, W31 {leaving:.2f} kg/s{how}",
@@ -162,19 +169,6 @@ def _check_pairs(steady: Record, test: TestDescription) -> None:
                     "the zero and calibrate readings, references and probe slope of "
                     f"{pair.forward.name} and {pair.aft.name}",
                 )
-
-
-def _steady_phi(steady: Record, test: TestDescription) -> float:
-    """Return the mean φ, or refuse one that no compressor has."""
-    columns = steady["Wc25_kg_s"], steady["T25_K"]
-    area_m2, speed_m_s = test.areas_m2[25], test.rotor_velocity_m_s
-    phi = float(np.mean(flow_coefficient(*columns, area_m2, speed_m_s, test.compressor)))
-    if NEAR_STALL_PHI[0] <= phi <= NEAR_STALL_PHI[1]:
-        return phi
-    # The area is not among them: it cancels between Eq 3 and its inverse.
-    causes = "rotor_speed_rpm, mean_radius_m, and the zero and calibrate readings"
-    expected = f"{NEAR_STALL_PHI[0]:g} to {NEAR_STALL_PHI[1]:g}"
-    raise _implausible(steady, test, "φ", expected, f"{phi:.3g}", causes)
 
 
 def _implausible(

@@ -57,7 +57,7 @@ ELSEWHERE = 0.5
 # white noise nearly, and makes less of all that is below a sixth of the sample rate.
 NOISE_ORDER = 8
 # Pieces of a record in which noise is looked for.
-MOST_PIECES = 4000
+MOST_PIECES = 1000
 
 
 @dataclass(frozen=True)

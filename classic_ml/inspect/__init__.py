@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from classic_ml.inspect.clock import ClockFacts
 from classic_ml.inspect.draft import draft_test_toml
-from classic_ml.inspect.facts import ChannelFacts, Inspection, inspect_file, is_still
+from classic_ml.inspect.facts import ChannelFacts, ClockFacts, Inspection, inspect_file
 from classic_ml.inspect.match import (
     ChannelMatch,
     TestMatch,
@@ -19,6 +18,5 @@ __all__ = [
     "TestMatch",
     "draft_test_toml",
     "inspect_file",
-    "is_still",
     "match_test",
 ]

@@ -7,9 +7,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from classic_ml.inspect.clock import ClockFacts
-from classic_ml.inspect.facts import ChannelFacts, Inspection
-from classic_ml.units import COUNT, kind_of_unit, pressure_reference
+from classic_ml.inspect.facts import ChannelFacts, ClockFacts, Inspection
+from classic_ml.units import COUNT, kind_of_unit, split_reference
 
 __all__ = ["draft_test_toml"]
 
@@ -102,7 +101,7 @@ def draft_test_toml(inspection: Inspection, *, group: str | None = None) -> str:
     if clock is not None and clock.rate_hz > 0.0:
         rate = f"sample_rate_hz = {float(f'{clock.rate_hz:.6g}')!r}"
     head = _HEAD.format(
-        source=_comment(inspection.source),
+        source=" ".join(inspection.source.split()),
         name=_text(Path(inspection.source).stem),
         rate=rate,
         layout=_layout(clock, group, bool(others)),
@@ -172,7 +171,7 @@ def _channel(channel: ChannelFacts, guessed: Mapping[str, str], taken: set[str])
         return text + _COUPLE_KEYS
     if _is_codes(channel, guessed):
         return text + _PROBE_KEYS + _COUNT_KEYS
-    is_absolute = pressure_reference(channel.unit) == "absolute"
+    is_absolute = split_reference(channel.unit)[1] == "absolute"
     return text + _PROBE_KEYS + ("" if is_absolute else _OPEN_REFERENCE)
 
 
@@ -197,7 +196,7 @@ def _is_codes(channel: ChannelFacts, guessed: Mapping[str, str]) -> bool:
 def _described(channel: ChannelFacts) -> str:
     unit = f" {channel.unit}" if channel.unit else ""
     name = " ".join(channel.name.split())
-    return _comment(f"{name}: {channel.minimum:.6g} to {channel.maximum:.6g}{unit}")
+    return f"{name}: {channel.minimum:.6g} to {channel.maximum:.6g}{unit}"
 
 
 def _without_unit(name: str) -> str:
@@ -207,13 +206,4 @@ def _without_unit(name: str) -> str:
 
 def _text(value: str) -> str:
     """Return a TOML string, whose escapes are those of JSON."""
-    text = value.encode("utf-8", "replace").decode("utf-8")
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _comment(text: str) -> str:
-    """Return a text in one line, with nothing in it but what is printed."""
-    return "".join(
-        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
-        for letter in text
-    )
+    return json.dumps(value, ensure_ascii=False)

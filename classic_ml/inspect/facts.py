@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from classic_ml.description import FileLayout
-from classic_ml.faults.held import held_rows
 from classic_ml.faults.plateaus import range_ends
-from classic_ml.inspect.clock import ClockFacts, ClockTally, clock_column
 from classic_ml.io.formats import open_stored
-from classic_ml.io.table import Columns
+from classic_ml.io.raw import CLOCK_NAMES
+from classic_ml.io.table import Columns, StoredTable
+from classic_ml.units import Conversion, conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["ChannelFacts", "Inspection", "inspect_file", "is_still"]
+__all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file"]
 
 # Rows that are looked at together: what is shorter than this is found whole.
 SEARCHED_ROWS = 1 << 20
-# A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
-# whatever the rate from so many rows on.
-STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
+# A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.
+GAP_STEPS = 1.5
 # A surge cycle lasts from a tenth of a second to some seconds: sections in which it shows, and
 # quiet ones between two cycles that do not end it.
 SECTION_S, BRIDGED_S = 0.25, 3.0
@@ -60,9 +59,6 @@ class ChannelFacts:
         Whether all values are whole, as codes are.
     plateaus : tuple of str
         Ends of its range at which it is cut off: ``"minimum"``, ``"maximum"``.
-    held_rows : float
-        Rows that each value stands for, on average where it is no whole number; 1 for a channel
-        that is not held, or moves too little to show it.
     """
 
     name: str
@@ -79,12 +75,44 @@ class ChannelFacts:
     longest_run_row: int
     whole_numbers: bool
     plateaus: tuple[str, ...] = ()
-    held_rows: float = 1.0
 
     @property
     def constant(self) -> bool:
         """Whether it has one value alone."""
         return self.minimum == self.maximum
+
+
+@dataclass(frozen=True)
+class ClockFacts:
+    """The column of times.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the file.
+    unit : str
+        Its unit; ``"s"`` where the file states none.
+    about : str
+        What its seconds count from where it is a column of dates.
+    first_s, last_s : float
+        Its ends.
+    rate_hz : float
+        Rows a second, over the steps that are neither gaps nor back; NaN without any.
+    jitter : float
+        The largest deviation of these from the usual step, in steps.
+    troubles : mapping of str to (int, int)
+        How often there is a ``"gap"``, a ``"repeat"`` or a ``"step back"``, and the row after the
+        first of them, counted from 1.
+    """
+
+    name: str
+    unit: str
+    about: str
+    first_s: float
+    last_s: float
+    rate_hz: float
+    jitter: float
+    troubles: Mapping[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -150,7 +178,7 @@ def inspect_file(
     chosen = layout if layout is not None else FileLayout(group=group)
     channels: list[ChannelFacts] = []
     sections: list[FloatArray] = []
-    clock: ClockTally | None = None
+    clock: _ClockTally | None = None
     rows, fault = 0, ""
     with open_stored(path, chosen, lenient=True) as stored:
         try:
@@ -160,8 +188,8 @@ def inspect_file(
                     for name, column in zip(stored.names, block, strict=True)
                 }
                 if rows == 0:
-                    name = clock_column(stored, values, chosen, named=layout is not None)
-                    clock = None if name is None else ClockTally(stored, name, chosen)
+                    name = _clock_column(stored, values, chosen, named=layout is not None)
+                    clock = None if name is None else _ClockTally(stored, name, chosen)
                 if clock is not None:
                     time_s = clock.add(values[clock.name], rows)
                     others = [v for name, v in values.items() if name != clock.name]
@@ -202,18 +230,68 @@ def _searched(blocks: Iterator[Columns]) -> Iterator[Columns]:
         raise fault
 
 
-def is_still(channel: ChannelFacts, rate_hz: float) -> bool:
-    """Return whether a channel repeats one value for longer than a surging machine lets any.
+def _clock_column(
+    stored: StoredTable, values: Mapping[str, FloatArray], layout: FileLayout, *, named: bool
+) -> str | None:
+    """Return which column is the clock; None where none looks like one."""
+    if layout.time in stored.names or named:
+        return layout.time if layout.time in stored.names else None
+    folded = {name.strip().lower(): name for name in stored.names}
+    known = [folded[name] for name in CLOCK_NAMES if name in folded]
+    rising = (name for name, column in values.items() if _rises_evenly(column))
+    return next(iter((*known, *stored.dates, *rising)), None)
 
-    Parameters
-    ----------
-    channel : ChannelFacts
-        The column.
-    rate_hz : float
-        Rows a second; NaN or 0 where it is not known.
-    """
-    rows = STILL_S * rate_hz if rate_hz > 0.0 else STILL_ROWS
-    return channel.longest_run >= max(STILL_LEAST_ROWS, rows)
+
+def _rises_evenly(values: FloatArray) -> bool:
+    """Return whether a column rises, and by the same step nearly always."""
+    steps = np.diff(values)
+    if steps.size < 2 or not np.all(steps > 0.0):
+        return False
+    usual = float(np.median(steps))
+    return bool(np.mean(np.abs(steps - usual) < 0.5 * usual) > 0.99)
+
+
+class _ClockTally:
+    """What is found of the clock from block to block."""
+
+    def __init__(self, stored: StoredTable, name: str, layout: FileLayout) -> None:
+        unit = (layout.time_unit if name == layout.time else None) or stored.unit(name)
+        self.name, self.unit, self._conversion = name, "s", Conversion()
+        if kind_of_unit(unit) == "time":
+            self.unit, self._conversion = unit, conversion_to_si(unit, "time", name)
+        self._about = stored.counts_from(name)
+        self.usual_s = self._first_s = self._last_s = np.nan
+        self._n_good, self._good_s, self._jitter = 0, 0.0, 0.0
+        self._troubles: dict[str, tuple[int, int]] = {}
+
+    def add(self, values: FloatArray, first_row: int) -> FloatArray:
+        """Take the next rows of the column into account, and return their times in s."""
+        time_s = self._conversion.to_si(values)
+        # What is no number makes no step.
+        steps = np.diff(time_s, prepend=self._last_s)
+        self._last_s = float(time_s[-1])
+        if first_row == 0:
+            self._first_s = float(time_s[0])
+            self.usual_s = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
+        is_gap = steps > GAP_STEPS * self.usual_s
+        for kind, where in (("gap", is_gap), ("repeat", steps == 0.0), ("step back", steps < 0.0)):
+            if where.any():
+                n, first = self._troubles.get(kind, (0, first_row + int(np.argmax(where)) + 1))
+                self._troubles[kind] = n + int(np.count_nonzero(where)), first
+        good = steps[(steps > 0.0) & ~is_gap]
+        self._n_good += good.size
+        self._good_s += float(np.sum(good))
+        off = np.abs(good - self.usual_s) / self.usual_s
+        self._jitter = max(self._jitter, float(np.max(off, initial=0.0)))
+        return time_s
+
+    def facts(self) -> ClockFacts:
+        """Return what was found."""
+        rate_hz = self._n_good / self._good_s if self._good_s > 0.0 else np.nan
+        ends_s = self._first_s, self._last_s
+        return ClockFacts(
+            self.name, self.unit, self._about, *ends_s, rate_hz, self._jitter, self._troubles
+        )
 
 
 def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelFacts:
@@ -227,15 +305,11 @@ def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelF
     longest = int(np.argmax(still))
     at_maximum, whole = int(np.count_nonzero(finite == high)), bool(np.all(finite % 1.0 == 0.0))
     plateaus: set[str] = set()
-    held = 1.0
     if low < high:
         # The rules are those of a reduction; beside them the top code of a converter is known.
         plateaus = {"maximum" if end.upper else "minimum" for end in range_ends(finite)}
         if whole and at_maximum > 1 and high >= 255.0 and np.log2(high + 1.0) % 1.0 == 0.0:
             plateaus.add("maximum")
-        # At least half of the values of a channel that is held stand for several rows.
-        if 2 * np.count_nonzero(lengths > 1) >= lengths.size:
-            held = held_rows(finite)
     with np.errstate(over="ignore"):
         mean = float(np.mean(finite)) if finite.size else np.nan
     return ChannelFacts(
@@ -253,7 +327,6 @@ def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelF
         first_row + int(starts[longest]) + 1,
         finite.size > 0 and whole,
         tuple(sorted(plateaus, reverse=True)),
-        held,
     )
 
 
@@ -283,8 +356,6 @@ def _joined(one: ChannelFacts, later: ChannelFacts) -> ChannelFacts:
             for end, ends in (("minimum", lowest), ("maximum", highest))
             if any(end in part.plateaus for part in ends)
         ),
-        # A channel that is held is so throughout.
-        held_rows=min(one.held_rows, later.held_rows),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from classic_ml.calibration import probe_pressure_Pa
 from classic_ml.description import AnyChannel, PressureChannel, TestDescription
 from classic_ml.inspect.facts import Inspection
-from classic_ml.io.raw import MOST_VALUES, nearest_name, read_raw
+from classic_ml.io.raw import MOST_VALUES, read_raw
 from classic_ml.records import LedgerEntry, Record
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
@@ -33,7 +33,7 @@ class ChannelMatch:
     present : bool
         Whether the file has it.
     why_not : str
-        Why not, where the file says more than that; else a column of a similar name.
+        Why not, where the file says more than that.
     unit : str
         Unit as test.toml says.
     si_unit : str
@@ -128,7 +128,7 @@ def match_test(
     left_over = tuple(c.name for c in inspection.channels if c.name not in fed)
     return TestMatch(
         test.name,
-        tuple(_match(channel, test, inspection, means, left_over) for channel in test.channels),
+        tuple(_match(channel, test, inspection, means) for channel in test.channels),
         left_over,
         dict(_pairs(test, means)),
         refusal,
@@ -162,7 +162,6 @@ def _match(
     test: TestDescription,
     inspection: Inspection,
     means: Mapping[str, float],
-    left_over: tuple[str, ...],
 ) -> ChannelMatch:
     facts = inspection.channel(channel.file_column)
     low = high = np.nan
@@ -171,8 +170,6 @@ def _match(
         ends = channel.conversion.to_si(np.array([facts.minimum, facts.maximum]))
         low, high = sorted(float(value) for value in _total(channel, ends, test))
     else:
-        near = nearest_name(channel.file_column, left_over)
-        why_not = f"perhaps {near}" if near else ""
         for name, why in inspection.left_aside.items():
             if name.split("/")[-1] == channel.file_column:
                 why_not = why

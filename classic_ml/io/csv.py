@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ import numpy as np
 
 from classic_ml.description import FileLayout
 from classic_ml.io.table import Columns, StoredTable
-from classic_ml.units import kind_of_unit, unit_in_brackets
+from classic_ml.units import kind_of_unit
 from surge_core.errors import InputError
 
 __all__ = ["open_csv"]
@@ -26,6 +27,7 @@ SEPARATORS = (",", ";", "\t")
 LOOKED_AT = 100
 LONGEST_LINE = 1 << 20
 BLOCK_BYTES = 8 << 20
+_BRACKETED = re.compile(r"[(\[{](?P<unit>[^()\[\]{}]+(?:\([a-z]+\))?)[)\]}]\s*$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def _layout_of(file: Path, lenient: bool) -> _Layout:
             for k, name in enumerate(names)
         ]
     cells = [_cells(line, separator) for line in lines[1:]]
-    labels = [unit_in_brackets(name) for name in names]
+    labels = [_unit_in_brackets(name) for name in names]
     skipped = numbered[0][0] + 1
     if cells and _are_units(cells[0], len(names)):
         labels, skipped = cells.pop(0), numbered[1][0] + 1
@@ -128,6 +130,14 @@ def _are_units(cells: list[str], n_columns: int) -> bool:
     return has_units and not any(map(_is_number, cells))
 
 
+def _unit_in_brackets(name: str) -> str:
+    """Return the unit that ends the name of a column: P25 (C) names a rake, T25 (C) a unit."""
+    match = _BRACKETED.search(name)
+    unit = match["unit"].strip() if match is not None else ""
+    is_rake = len(unit) == 1 and unit != "s" and not name.lower().startswith("t")
+    return unit if unit and not is_rake and kind_of_unit(unit) else ""
+
+
 def _date(cell: str) -> np.datetime64 | None:
     """Return a date with a time of day, in UTC if it has a zone. A day alone is no clock."""
     try:
@@ -166,17 +176,22 @@ def _blocks(file: Path, found: _Layout, lenient: bool, names: tuple[str, ...]) -
 
     def row_of_another_length(row: Any) -> str:
         short.append(row)
-        return "skip" if lenient else "error"
+        return "skip"
 
     n_rows = 0
     try:
         with arrow_csv.open_csv(
             file,
             read_options=arrow_csv.ReadOptions(
-                block_size=BLOCK_BYTES, column_names=list(found.names), skip_rows=found.skipped
+                block_size=BLOCK_BYTES,
+                column_names=list(found.names),
+                skip_rows=found.skipped,
+                # The handler below is given text, and bytes that are none must not stop it.
+                encoding="latin-1" if lenient else "utf8",
             ),
             parse_options=arrow_csv.ParseOptions(
-                delimiter=found.separator, invalid_row_handler=row_of_another_length
+                delimiter=found.separator,
+                invalid_row_handler=row_of_another_length if lenient else None,
             ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=types,

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from difflib import get_close_matches
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +19,7 @@ from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CLOCK_NAMES", "MOST_VALUES", "clock_unit", "nearest_name", "read_raw"]
+__all__ = ["CLOCK_NAMES", "MOST_VALUES", "read_raw"]
 
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
@@ -37,15 +35,8 @@ CLOCK_NAMES = ("time_s", "time", "t", "time (s)", "time [s]", "timestamp", "elap
 SAME_START = 0.01
 
 Window = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class _Readings:
-    """The columns of a part of a file, and the rows of the file before it."""
-
-    by_column: dict[str, NDArray[np.generic]]
-    time_s: FloatArray
-    rows_before: int
+# The columns of a part of a file, its clock in s, and the rows of the file before it.
+_Readings = tuple[dict[str, NDArray[np.generic]], FloatArray, int]
 
 
 def read_raw(
@@ -101,33 +92,10 @@ def read_raw(
     return _record(stored, test, read, window), test
 
 
-def clock_unit(stored: StoredTable, test: TestDescription) -> str:
-    """Return the unit of the clock: that of test.toml, else that of the file, else seconds.
-
-    Parameters
-    ----------
-    stored : StoredTable
-        The file as it is.
-    test : TestDescription
-        The description.
-    """
+def _clock_unit(stored: StoredTable, test: TestDescription) -> str:
+    """Return the unit of the clock: that of test.toml, else that of the file, else seconds."""
     stated = stored.unit(test.file.time) if test.file.units == "check" else ""
     return test.file.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
-
-
-def nearest_name(name: str, names: Iterable[str]) -> str:
-    """Return the name most like another, whatever stands between its letters; empty without one.
-
-    Parameters
-    ----------
-    name : str
-        The name that is not there.
-    names : iterable of str
-        Those that are.
-    """
-    folded = {"".join(filter(str.isalnum, other.lower())): other for other in names}
-    near = get_close_matches("".join(filter(str.isalnum, name.lower())), folded, 1)
-    return folded[near[0]] if near else ""
 
 
 def _title(channel: AnyChannel) -> str:
@@ -142,7 +110,7 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
     if layout.clock == "column":
         titles = {layout.time: f"column {layout.time}", **titles}
     missing = [column for column in titles if column not in stored.names]
-    extra = [name for name in stored.names if name not in titles]
+    extra = [name for name in stored.names if name not in {*titles, *_own_clock(stored, test)}]
     if missing:
         raise _missing(stored, test, titles[missing[0]], missing, extra)
     if extra and layout.other_columns == "refuse":
@@ -172,21 +140,19 @@ def _missing(
     stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
 ) -> InputError:
     """Return the refusal of a table that lacks columns, with what the file has instead."""
-    first, key = missing[0], "time" if title.startswith("column") else "column"
     others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
-    found = f"no such column{others} among {', '.join(stored.names)[:120]}"
+    found = f"no such column{others}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
     for name, why in stored.left_aside.items():
-        if name.split("/")[-1] == first:
+        if name.split("/")[-1] == missing[0]:
             found = f"'{name}': {why}"
-    remedy = "a dead probe is left out with its mate, in both files"
-    if key == "time":
+    remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
+    if title.startswith("column"):
         remedy = 'name it in [file], time = "...", or write clock = "from rate"'
-    near = nearest_name(first, spare)
     return InputError(
         f"{stored.source}: {title}",
         expected=f"it in the header of the table, as {test.source} describes it",
         found=found,
-        remedy=f"is '{near}' meant? then write {key} = \"{near}\"" if near else remedy,
+        remedy=remedy,
     )
 
 
@@ -196,7 +162,7 @@ def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, s
         channel.file_column: (channel.unit, getattr(channel, "reference_Pa", None))
         for channel in test.channels
     }
-    units.setdefault(test.file.time, (clock_unit(stored, test), None))
+    units.setdefault(test.file.time, (_clock_unit(stored, test), None))
     for column, title in titles.items():
         unit, reference_Pa = units[column]
         stated = stored.unit(column)
@@ -220,9 +186,10 @@ def _read(
     layout = test.file
     has_clock = layout.clock == "column"
     where = f"{test.source}: file.time_unit"
-    clock = conversion_to_si(clock_unit(stored, test), "time", where)
-    fed = [channel.file_column for channel in test.channels]
-    names = (layout.time, *fed) if has_clock else tuple(fed)
+    clock = conversion_to_si(_clock_unit(stored, test), "time", where)
+    watched = _own_clock(stored, test)
+    fed = (*(channel.file_column for channel in test.channels), *watched)
+    names = (layout.time, *fed) if has_clock else fed
     low_s, high_s = _span(test, window)
     kept: list[tuple[NDArray[np.generic], ...]] = []
     times: list[FloatArray] = []
@@ -259,7 +226,39 @@ def _read(
     joined = {
         name: np.concatenate([block[number] for block in kept]) for number, name in enumerate(names)
     }
-    return _Readings(joined, np.concatenate(times), rows_before)
+    for name in watched:
+        _check_own_clock(stored, test, name, np.asarray(joined[name], dtype=np.float64))
+    return joined, np.concatenate(times), rows_before
+
+
+def _own_clock(stored: StoredTable, test: TestDescription) -> tuple[str, ...]:
+    """Return the clock that a file has although its time is made from the rate, if there is one."""
+    if test.file.clock == "column":
+        return ()
+    fed = {channel.file_column for channel in test.channels}
+    named = (name for name in CLOCK_NAMES if name in stored.names)
+    return tuple(name for name in (*stored.dates, *named) if name not in fed)[:1]
+
+
+def _check_own_clock(
+    stored: StoredTable, test: TestDescription, name: str, values: FloatArray
+) -> None:
+    """Refuse a file whose own clock, in s, ms, us or ns, contradicts the one that is made."""
+    steps = np.diff(values)
+    usual = float(np.median(steps))
+    if not usual > 0.0:
+        # A clock that is too coarse to say when a row was taken.
+        return
+    ratio = float(np.mean(steps[np.abs(steps - usual) <= 0.5 * usual])) * test.sample_rate_hz
+    agreed = any(abs(ratio / unit - 1.0) <= RATE_TOLERANCE for unit in (1.0, 1e3, 1e6, 1e9))
+    if not agreed or steps.max() > 1.5 * usual:
+        raise InputError(
+            f"{stored.source}: column {name}",
+            expected=f"uniform steps at {test.sample_rate_hz:g} samples a second, as "
+            f"{test.source} [test] sample_rate_hz says",
+            found=f"steps of {usual:.6g}, and one of {steps.max():.6g}",
+            remedy="correct the one that is wrong, or take the column out of the file",
+        )
 
 
 def _span(test: TestDescription, window: Window | None) -> Window:
@@ -286,8 +285,9 @@ def _too_long(stored: StoredTable, test: TestDescription) -> InputError:
 def _record(
     stored: StoredTable, test: TestDescription, read: _Readings, window: Window | None
 ) -> Record:
-    time_s, part = read.time_s, ""
-    _check_readings(stored, test, None, time_s, read.rows_before)
+    columns, time_s, rows_before = read
+    part = ""
+    _check_readings(stored, test, None, time_s, rows_before)
     if window is not None:
         if window[1] < time_s[0] or window[0] > time_s[-1]:
             raise InputError(
@@ -301,9 +301,9 @@ def _record(
     _check_rate(time_s, stored.source, test)
     channels: dict[str, Channel] = {}
     for channel in test.channels:
-        values = np.asarray(read.by_column.pop(channel.file_column), dtype=np.float64)
+        values = np.asarray(columns.pop(channel.file_column), dtype=np.float64)
         values = channel.conversion.to_si(values)
-        _check_readings(stored, test, channel, values, read.rows_before)
+        _check_readings(stored, test, channel, values, rows_before)
         channels[channel.name] = Channel.adopt(channel.name, values, channel.record_unit)
     rate_hz = test.sample_rate_hz
     is_made = test.file.clock == "from rate"

@@ -23,7 +23,6 @@ __all__ = [
     "delivered_power",
     "exit_flow_at_inlet",
     "flat_average",
-    "psi_weight",
 ]
 
 # Weight κ of the exit in the mean pressure of the internal volume: a linear rise from 25 to 31.
@@ -107,31 +106,6 @@ def credit_of_storage(phi: FloatArray, mixing_phi: float = MIXING_PHI) -> FloatA
     forward = phi > 0.0
     power = np.where(forward, phi, 1.0) ** 4
     return np.asarray(np.where(forward, power / (power + mixing_phi**4), 0.0))
-
-
-def psi_weight(flow_kg_s: FloatArray, phi: FloatArray, minimum_phi: float = 0.01) -> FloatArray:
-    """Return the weight of each row of ψ in a fit: W25², and nothing near and below zero flow.
-
-    ψ is a power over W25, and the error of the power hardly depends on the flow, so that the
-    variance of ψ goes with 1/W25².
-
-    Parameters
-    ----------
-    flow_kg_s : ndarray of shape (n,)
-        W25.
-    phi : ndarray of shape (n,)
-        Flow coefficient.
-    minimum_phi : float
-        Rows below have weight 0; reversed rows always have.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Weights with mean 1 over the rows that have any; all 0 where no row qualifies.
-    """
-    known = (phi >= max(minimum_phi, 0.0)) & (flow_kg_s > 0.0)
-    weight = np.where(known, flow_kg_s**2, 0.0)
-    return np.asarray(weight / np.mean(weight[known]) if known.any() else weight)
 
 
 def _as_it_is(values: FloatArray) -> FloatArray:

@@ -142,31 +142,6 @@ class _Fit:
     at_bound: FitState
 
 
-@dataclass(frozen=True)
-class _Trio:
-    """The fits with the mean of the two readings of the flow, and with each alone."""
-
-    mean: _Fit
-    inlet: _Fit
-    other: _Fit
-
-    def theta(self, n_terms: int) -> FloatArray:
-        """Return log τ of the mean flow, and β extrapolated to no error of the flow."""
-        beta = self.extrapolated(self.mean.theta, self.inlet.theta, self.other.theta)
-        return np.concatenate([self.mean.theta[:1], beta[1 : 1 + n_terms]])
-
-    def moves(self, cycle: IntArray, cycles: IntArray) -> FloatArray:
-        """Return how all of this moves when a cycle is left out, one cycle a row."""
-        each = [_moves(fit, cycle, cycles) for fit in (self.mean, self.inlet, self.other)]
-        beta = self.extrapolated(*each)
-        return np.column_stack([each[0][:, :1], beta[:, 1:]])
-
-    @staticmethod
-    def extrapolated(mean: FloatArray, inlet: FloatArray, other: FloatArray) -> FloatArray:
-        """Return 2 mean − (inlet + other)/2."""
-        return np.asarray(2.0 * mean - 0.5 * (inlet + other))
-
-
 def fit_work_characteristic(
     record: Record,
     test: TestDescription,
@@ -174,7 +149,6 @@ def fit_work_characteristic(
     *,
     breakpoints: tuple[float, ...],
     time_constant_s: float | None = None,
-    pressure_delay_s: float | None = None,
     mixing_phi: float = MIXING_PHI,
 ) -> WorkCharacteristic:
     """Fit τ and the work characteristic of Fig 22 to a record with T31.
@@ -192,11 +166,6 @@ def fit_work_characteristic(
         Flow coefficients at which the slope changes, fixed beforehand as in the paper.
     time_constant_s : float, optional
         τ, where it is known (from ψ'); else it is fitted.
-    pressure_delay_s : float, optional
-        How much later than the thermocouples, their lag undone, the pressures come: the delay of
-        tubes and anti-alias filter. Where it is not known, none is taken out, and what one sample
-        would change enters the errors: a millisecond is worth 0.04 in the curve and 1.2 ms of τ;
-        with τ given 0.06 at φ = 0.02 and 0.1, and 0.09 at 0.05.
     mixing_phi : float
         Flow near which T31 stops showing what left the blading, see
         :func:`classic_ml.work.balance.credit_of_storage`. The errors do not contain it.
@@ -209,7 +178,8 @@ def fit_work_characteristic(
     Raises
     ------
     InputError
-        When there is no W31, the thermocouples' lag was not undone, or an argument is unusable.
+        When there is no W31, the thermocouples' lag was not undone, or τ is not positive or longer
+        than a surge cycle.
 
     Notes
     -----
@@ -223,13 +193,14 @@ def fit_work_characteristic(
     first order of the bias (simulation and extrapolation, Cook and Stefanski 1994, with a measured
     error). τ is that of the mean flow: corrected alike it comes out lower, 13 ms against 15 on
     24 records with a truth of 18.
+
+    The pressures may come a sample later or earlier than the thermocouples, their lag undone
+    (tubes, anti-alias filter). What one sample changes enters the errors: a millisecond is worth
+    0.04 in the curve and 1.2 ms of τ; with τ given 0.06 at φ = 0.02 and 0.1, and 0.09 at 0.05.
     """
     _check(record)
     if time_constant_s is not None:
         positive("time_constant_s", time_constant_s)
-    if pressure_delay_s is not None and pressure_delay_s != 0.0:
-        positive("pressure_delay_s", pressure_delay_s)
-        record = _delayed(record, pressure_delay_s)
     if mixing_phi != 0.0:
         positive("mixing_phi", mixing_phi)
     setup = _setup(record, test, window, breakpoints, mixing_phi)
@@ -237,15 +208,42 @@ def fit_work_characteristic(
     n_terms = len(breakpoints) + 2
     if cycles.size < FEWEST_CYCLES or np.count_nonzero(setup.scored) < 10 * n_terms:
         return _withheld(setup, int(cycles.size), math.nan, FitState.TOO_FEW_ROWS)
-    trio = _trio(setup, time_constant_s)
-    if trio.mean.at_bound is not FitState.CONVERGED:
-        scatter_of_psi = _residual_std(setup, trio)
-        return _withheld(setup, int(cycles.size), scatter_of_psi, trio.mean.at_bound)
-    misaligned = np.zeros(1 + n_terms)
-    if pressure_delay_s is None:
-        late = replace(setup, record=_delayed(record, record.sample_period_s))
-        misaligned = _trio(late, time_constant_s).theta(n_terms) - trio.theta(n_terms)
-    return _result(setup, trio, cycles, misaligned, given=time_constant_s is not None)
+    given = time_constant_s is not None
+    cycle_s = (setup.rows.stop - setup.rows.start) * record.sample_period_s / cycles.size
+    if time_constant_s is not None and time_constant_s > cycle_s:
+        raise InputError(
+            f"{record.source}: τ",
+            expected=f"a time constant shorter than a surge cycle of {cycle_s:.2g} s",
+            found=f"{time_constant_s:g} s",
+        )
+    fits = _fits(setup, time_constant_s)
+    flow = _flow(setup)[setup.scored]
+    std = float(np.sqrt(np.mean(fits[0].residual ** 2)) / np.mean(flow))
+    blank = _withheld(setup, int(cycles.size), std, fits[0].at_bound)
+    if blank.fit_state is not FitState.CONVERGED:
+        return blank
+    theta = _corrected(*(fit.theta for fit in fits))[: 1 + n_terms]
+    late = replace(setup, record=_delayed(record, record.sample_period_s))
+    misaligned = _corrected(*(fit.theta for fit in _fits(late, time_constant_s)))
+    blocks = [np.flatnonzero(setup.cycle[setup.scored] == number) for number in cycles]
+    moves = [leave_out(-fit.jacobian, fit.residual, blocks).moves.T for fit in fits]
+    errors = (
+        0.5 * (fits[1].theta - fits[2].theta)[: theta.size],
+        misaligned[: theta.size] - theta,
+    )
+    covariance = scatter(_corrected(*moves)[: theta.size].T)
+    covariance += sum(np.outer(error, error) for error in errors)
+    tau_s = float(np.exp(theta[0]))
+    low, high = np.percentile(_phi(setup, _flow(setup))[setup.scored], (5.0, 95.0))
+    return replace(
+        blank,
+        time_constant_s=tau_s,
+        time_constant_stderr_s=0.0 if given else tau_s * float(np.sqrt(covariance[0, 0])),
+        coef=theta[1:],
+        covariance=covariance[1:, 1:],
+        valid_phi=(float(low), float(high)),
+        entry=_entry(setup, cycles.size, tau_s, std, given=given),
+    )
 
 
 def _check(record: Record) -> None:
@@ -315,10 +313,16 @@ def _flow(setup: _Setup) -> FloatArray:
     return np.asarray(0.5 * (record["W25_kg_s"] + exit_flow_at_inlet(record, setup.test)))
 
 
-def _trio(setup: _Setup, time_constant_s: float | None) -> _Trio:
+def _fits(setup: _Setup, time_constant_s: float | None) -> list[_Fit]:
+    """Return the fits with the mean of both readings of the flow, and with each alone."""
     inlet, other = setup.record["W25_kg_s"], exit_flow_at_inlet(setup.record, setup.test)
-    flows = (_flow(setup), inlet, other)
-    return _Trio(*(_fit(setup, flow, time_constant_s) for flow in flows))
+    return [_fit(setup, flow, time_constant_s) for flow in (_flow(setup), inlet, other)]
+
+
+def _corrected(mean: FloatArray, inlet: FloatArray, other: FloatArray) -> FloatArray:
+    """Return log τ of the mean flow, and β extrapolated to no error of the flow."""
+    beta = 2.0 * mean - 0.5 * (inlet + other)
+    return np.concatenate([mean[:1], beta[1:]])
 
 
 def _near_a_switch(state: BoolArray, margin: int) -> BoolArray:
@@ -403,52 +407,6 @@ def _responses(setup: _Setup, inputs: FloatArray, flow: FloatArray, log_tau: flo
     powers = np.zeros((flow.size, states.shape[1]))
     powers[setup.rows] = flow[setup.rows, None] * states
     return setup.average(powers)[setup.scored]
-
-
-def _moves(fit: _Fit, cycle: IntArray, cycles: IntArray) -> FloatArray:
-    """Return by how much θ moves when each cycle's rows are left out, one cycle a row."""
-    blocks = [np.flatnonzero(cycle == number) for number in cycles]
-    return leave_out(-fit.jacobian, fit.residual, blocks).moves
-
-
-def _result(
-    setup: _Setup,
-    trio: _Trio,
-    cycles: IntArray,
-    misaligned: FloatArray,
-    *,
-    given: bool,
-) -> WorkCharacteristic:
-    n_terms = len(setup.breakpoints) + 2
-    keep = slice(0, 1 + n_terms)
-    moves = trio.moves(setup.cycle[setup.scored], cycles)[:, keep]
-    planes = 0.5 * (trio.inlet.theta - trio.other.theta)[keep]
-    covariance = scatter(moves)
-    covariance += np.outer(planes, planes) + np.outer(misaligned, misaligned)
-    flow = _flow(setup)
-    phi = _phi(setup, flow)[setup.scored]
-    theta = trio.theta(n_terms)
-    tau_s = float(np.exp(theta[0]))
-    std = _residual_std(setup, trio)
-    return WorkCharacteristic(
-        tau_s,
-        0.0 if given else tau_s * float(np.sqrt(covariance[0, 0])),
-        _terms(np.zeros(2), setup.breakpoints)[1],
-        theta[1:],
-        covariance[1:, 1:],
-        setup.breakpoints,
-        (float(np.percentile(phi, 5.0)), float(np.percentile(phi, 95.0))),
-        int(np.count_nonzero(setup.scored)),
-        int(cycles.size),
-        std,
-        trio.mean.at_bound,
-        _entry(setup, cycles.size, tau_s, std, given=given),
-    )
-
-
-def _residual_std(setup: _Setup, trio: _Trio) -> float:
-    mean_flow = np.mean(_flow(setup)[setup.scored])
-    return float(np.sqrt(np.mean(trio.mean.residual**2)) / mean_flow)
 
 
 def _withheld(setup: _Setup, n_cycles: int, std: float, state: FitState) -> WorkCharacteristic:

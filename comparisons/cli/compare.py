@@ -4,95 +4,44 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.shared import (
-    Commands,
-    add_series,
-    add_targets,
-    check_files,
+    HOLD,
+    JSON,
+    REPORT,
+    SERIES,
+    Command,
+    argument,
     command_line,
     drawing,
     fitting,
     read_records,
+    reads,
     time_constant,
     whole,
-    write_all,
+    write_asked,
+    writes,
 )
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
     from comparisons.harness.estimators import EstimatorSpec
     from comparisons.results import Comparison
 
-__all__ = ["add_parser", "models_to_save", "print_comparison", "run"]
+__all__ = ["COMMAND", "comparison_lines", "models_to_save"]
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "compare",
-        help="fit the estimators to the same series and set them side by side",
-        description="Fit the paper's maximum-likelihood lag model and the sparse regression to "
-        "the same rows: characteristics, time constants, reconstructions, held-out errors.",
-    )
-    add_series(parser)
-    add_targets(parser, "json", "report")
-    parser.add_argument("--save", type=Path, metavar="MODEL", help="save the fitted models")
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="FILE",
-        help="set a lag model with effects, saved by diagnose, beside the estimators: its numbers "
-        "are fitted again, its structure stays",
-    )
-    parser.add_argument(
-        "--degree",
-        type=whole(1, 12),
-        default=2,
-        metavar="N",
-        help="degree of the classical characteristic (default: 2)",
-    )
-    parser.add_argument(
-        "--hold",
-        choices=("first", "zero"),
-        default="first",
-        help="φ between its samples: joined by lines, or held as in Eq 9 (default: first)",
-    )
-    parser.add_argument(
-        "--tau",
-        type=time_constant,
-        metavar="TAU",
-        help="hold τ of the classical estimators, as 18ms or 0.018 (seconds); else it is fitted",
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Fit the estimators to series files and set them side by side.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-    """
+def _run(given: argparse.Namespace) -> Iterable[str]:
     from comparisons.harness.saved_models import save_models
     from comparisons.show.json_output import comparison_document
     from comparisons.show.report import ReportSection, render_report
-    from surge_core.files import to_strict_json
 
-    targets = {name: getattr(arguments, name) for name in ("json", "report", "save")}
-    check_files([*arguments.series, arguments.model], **targets)
-    records = read_records(arguments.series)
-    comparison, work = _compare(records, arguments)
+    records = read_records(given.series)
+    comparison, work = _compare(records, given)
     title = ", ".join(Path(record.source).name for record in records)
 
     def page() -> str:
@@ -103,26 +52,15 @@ def run(arguments: argparse.Namespace) -> None:
             progress=drawing,
         )
 
-    written = write_all(
-        [
-            (
-                "numbers",
-                arguments.json,
-                lambda: to_strict_json(comparison_document(comparison, work)),
-            ),
-            ("report", arguments.report, page),
-        ]
-    )
-    if arguments.save:
-        save_models(models_to_save(comparison, work), arguments.save)
-        written.insert(1 if arguments.json else 0, f"models: {arguments.save}")
-    print_comparison(comparison, work)
-    for line in written:
-        print(line)
+    written = write_asked(given, json=lambda: comparison_document(comparison, work), report=page)
+    if given.save:
+        save_models(models_to_save(comparison, work), given.save)
+        written.append(f"models: {given.save}")
+    return *comparison_lines(comparison, work), *written
 
 
-def print_comparison(comparison: Comparison, work: Comparison | None) -> None:
-    """Print the tables of both coefficients.
+def comparison_lines(comparison: Comparison, work: Comparison | None) -> Iterator[str]:
+    """Return the tables of both coefficients.
 
     Parameters
     ----------
@@ -134,9 +72,9 @@ def print_comparison(comparison: Comparison, work: Comparison | None) -> None:
     from comparisons.show.table import comparison_table
 
     names = ", ".join(Path(record.source).name for record in comparison.records)
-    print(f"Pressure coefficient ψ' of {names}\n\n{comparison_table(comparison)}\n")
+    yield f"Pressure coefficient ψ' of {names}\n\n{comparison_table(comparison)}\n"
     if work is not None:
-        print(f"Work coefficient ψ of {names}\n\n{comparison_table(work)}\n")
+        yield f"Work coefficient ψ of {names}\n\n{comparison_table(work)}\n"
 
 
 def models_to_save(comparison: Comparison, work: Comparison | None = None) -> dict[str, Any]:
@@ -160,42 +98,93 @@ def models_to_save(comparison: Comparison, work: Comparison | None = None) -> di
 
 
 def _compare(
-    records: Sequence[CoefficientSeries], arguments: argparse.Namespace
+    records: Sequence[CoefficientSeries], given: argparse.Namespace
 ) -> tuple[Comparison, Comparison | None]:
     from comparisons.harness.compare import compare_records
-    from surge_core.errors import InputError
 
-    given: dict[str, Any] = {
-        "hold": arguments.hold,
-        "time_constant_s": arguments.tau,
+    _check_tau(records, given.tau)
+    options: dict[str, Any] = {
+        "hold": given.hold,
+        "time_constant_s": given.tau,
         "progress": fitting,
     }
     comparison = compare_records(
-        records, degree=arguments.degree, estimators=_with_model(arguments), **given
+        records, degree=given.degree, estimators=_with_model(given), **options
     )
     if any(record.psi is None for record in records):
         return comparison, None
     try:
-        return comparison, compare_records(records, target="psi", **given)
+        return comparison, compare_records(records, target="psi", **options)
     except InputError as error:
         print(f"ψ was not fitted: {error}", file=sys.stderr)
         return comparison, None
 
 
-def _with_model(arguments: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
+def _check_tau(records: Sequence[CoefficientSeries], tau_s: float | None) -> None:
+    """Refuse a τ to be held that is longer than any segment: no row could show it."""
+    from comparisons.harness.rows import stack_rows
+
+    if tau_s is None:
+        return
+    rows = stack_rows(records)
+    longest_s = max(run.stop - run.start for run in rows.runs) * rows.sample_period_s
+    if tau_s > longest_s:
+        raise InputError(
+            "--tau",
+            expected=f"a time constant shorter than the longest segment, of {longest_s:.2g} s",
+            found=f"{tau_s:g} s",
+        )
+
+
+def _with_model(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
     """Return the default estimators and those of --model; None without the option."""
-    if arguments.model is None:
+    if given.model is None:
         return None
     from comparisons.harness.estimators import default_estimators
     from comparisons.missing_effect.extended_estimator import extended_specs
     from comparisons.missing_effect.extended_file import load_extended
-    from surge_core.errors import InputError
 
-    if arguments.hold != "first":
+    if given.hold != "first":
         raise InputError(
             "--model",
             expected="--hold first: a model with effects joins the samples of φ",
-            found=f"--hold {arguments.hold}",
+            found=f"--hold {given.hold}",
         )
-    own = default_estimators(degree=arguments.degree, hold="first", time_constant_s=arguments.tau)
-    return (*own, *extended_specs(load_extended(arguments.model), [spec.name for spec in own]))
+    own = default_estimators(degree=given.degree, hold="first", time_constant_s=given.tau)
+    return (*own, *extended_specs(load_extended(given.model), [spec.name for spec in own]))
+
+
+COMMAND = Command(
+    "compare",
+    help="fit the estimators to the same series and set them side by side",
+    description="Fit the paper's maximum-likelihood lag model and the sparse regression to the "
+    "same rows: characteristics, time constants, reconstructions, held-out errors.",
+    arguments=(
+        SERIES,
+        JSON,
+        REPORT,
+        writes("--save", metavar="MODEL", help="save the fitted models"),
+        reads(
+            "--model",
+            metavar="FILE",
+            help="set a lag model with effects, saved by diagnose, beside the estimators: its "
+            "numbers are fitted again, its structure stays",
+        ),
+        argument(
+            "--degree",
+            type=whole(1, 12),
+            default=2,
+            metavar="N",
+            help="degree of the classical characteristic (default: 2)",
+        ),
+        HOLD,
+        argument(
+            "--tau",
+            type=time_constant,
+            metavar="TAU",
+            help="hold τ of the classical estimators, as 18ms or 0.018 (seconds); else it is "
+            "fitted",
+        ),
+    ),
+    run=_run,
+)

@@ -3,206 +3,158 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.shared import (
-    Commands,
-    add_series,
-    add_targets,
-    check_files,
+    JSON,
+    REPORT,
+    Command,
+    argument,
     command_line,
     read_records,
+    reads,
     whole,
-    write_all,
+    write_asked,
+    writes,
 )
 from surge_core.errors import InputError
-from surge_core.files import to_strict_json
+from surge_core.files import write_whole
 from surge_core.progress import shown_over, shown_steps
 
 if TYPE_CHECKING:
+    from classic_ml.series import CoefficientSeries
     from comparisons.missing_effect.diagnosis import Diagnosis
     from comparisons.missing_effect.where import Where
 
-__all__ = ["add_parser", "run"]
+__all__ = ["COMMAND"]
 
 HIGHEST_DEGREE, DEFAULT_DEGREE = 8, 2
 # More is no missing effect any more but another model.
 MOST_EFFECTS = 3
 DEFAULT_MODEL_EFFECTS, MOST_MODEL_EFFECTS = 4, 6
-# Options that only the compressor's diagnosis knows.
-COMPRESSOR_OPTIONS = ("degree", "base", "limits", "separate", "save")
+# Arguments that only the diagnosis of a compressor knows, and only that of a user's own model.
+OF_COMPRESSOR = ("series", "degree", "base", "limits", "separate", "save")
+OF_MODEL = ("fit", "check")
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "diagnose",
-        help="find where a model and the records part, and name what is missing",
-        description="Fit the lag model, find where its free run and the measurement part, name the "
-        "physical effect that is missing, add it, and show on rows that were held out how far the "
-        "gap shrinks; or say that nothing is missing, that several names fit alike, or that "
-        "something is there without a name. Several records show more than one: the last is never "
-        "fitted. With --model the same is asked of a simulation model of your own, of any system: "
-        "the file is executed, the records of --fit are fitted, and those of --check are only "
-        "simulated.",
-    )
-    add_series(parser, nargs="*")
-    add = parser.add_argument
-    add("--model", type=Path, metavar="model.py", help="your own model, a Python file; executed")
-    record: dict[str, Any] = {"type": Path, "nargs": "+", "default": [], "metavar": "RECORD"}
-    add("--fit", help="records for --model (.csv, .mat, .npz, .nc) that are fitted", **record)
-    add("--check", help="records for --model that are only simulated", **record)
-    add_targets(parser, "json", "report")
-    add("--save", type=Path, metavar="MODEL", help="save the model with what was added")
-    add(
-        "--degree",
-        type=whole(1, HIGHEST_DEGREE),
-        metavar="N",
-        help=f"degree of the base characteristic (default: {DEFAULT_DEGREE})",
-    )
-    add(
-        "--base",
-        choices=("polynomial", "sindy"),
-        help="base terms: powers of φ up to --degree, or those that the sparse regression "
-        "discovers on the fitted rows (default: polynomial)",
-    )
-    add(
-        "--limits",
-        action="store_true",
-        help="plant each effect into these records and say how small it may be and still be named; "
-        "takes minutes",
-    )
-    add(
-        "--separate",
-        action="store_true",
-        help="say which further measurement would separate the names of an alias set",
-    )
-    add(
-        "--max-effects",
-        type=whole(1, MOST_MODEL_EFFECTS),
-        metavar="N",
-        help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model "
-        f"{DEFAULT_MODEL_EFFECTS}, at most {MOST_MODEL_EFFECTS})",
-    )
-    parser.set_defaults(run=run)
+def _run(given: argparse.Namespace) -> Iterable[str]:
+    _check_options(given)
+    return _compressor(given) if given.model is None else _model(given)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Diagnose series of a compressor, or the records of a user's own model.
+def _check_options(given: argparse.Namespace) -> None:
+    """Refuse options that do not go together, and an input that is given twice or not at all."""
+    own = given.model is not None
+    for name in OF_COMPRESSOR if own else OF_MODEL:
+        if getattr(given, name):
+            where = "SERIES" if name == "series" else f"--{name}"
+            raise InputError(
+                where,
+                expected=f"it only {'without' if own else 'with'} --model",
+                found=f"{where} {'beside' if own else 'without'} --model",
+                remedy="records of a model go behind --fit or --check" if name == "series" else "",
+            )
+    if not (given.fit if own else given.series):
+        raise InputError(
+            "diagnose",
+            expected="SERIES of a compressor, or --model model.py --fit RECORD…",
+            found="no record",
+        )
+    most = MOST_MODEL_EFFECTS if own else MOST_EFFECTS
+    if (given.max_effects or 0) > most:
+        raise InputError(
+            "--max-effects",
+            expected=f"a whole number from 1 to {most}",
+            found=f"{given.max_effects}",
+        )
+    if given.base == "sindy" and given.degree is not None:
+        raise InputError(
+            "--degree",
+            expected="no degree with --base sindy, which finds the terms itself",
+            found=f"{given.degree}",
+        )
+    records = [*given.fit, *given.check]
+    for number, path in enumerate(records):
+        # A check record that is fitted checks nothing.
+        if path.resolve() in [other.resolve() for other in records[:number]]:
+            raise InputError(str(path), expected="each record once", found="twice")
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
 
-    Raises
-    ------
-    InputError
-        When an input or an option cannot be used; nothing is written then.
-    """
-    if arguments.model is None:
-        _check_compressor(arguments)
-        lines = _compressor(arguments)
-    else:
-        _check_model(arguments)
-        lines = _model(arguments)
-    print("\n".join(lines))
-
-
-@dataclass(frozen=True)
-class _Found:
-    """All that one run of the command found."""
-
-    diagnosis: Diagnosis
-    before: Where | None
-    after: Where | None
-    limits: Any
-    separation: Any
-    base: dict[str, Any]
-    remarks: tuple[str, ...]
-
-
-def _compressor(arguments: argparse.Namespace) -> list[str]:
+def _compressor(given: argparse.Namespace) -> list[str]:
     """Diagnose series and return what is printed."""
+    from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
     from comparisons.missing_effect.terminal import diagnosis_text
     from comparisons.show.diagnose_report import diagnosis_report
 
-    steps = 4 + (arguments.base == "sindy") + arguments.limits + arguments.separate
+    steps = 4 + (given.base == "sindy") + given.limits + given.separate
     with shown_steps(steps) as begin:
-        found = _diagnosed(arguments, begin)
-        more = {"limits": found.limits, "separation": found.separation}
-        begin("writing")
-
-        def document() -> str:
-            return to_strict_json(
-                diagnosis_document(
-                    found.diagnosis, found.before, found.limits, found.separation, base=found.base
-                )
-            )
-
-        def page() -> str:
-            ends = found.before, found.after
-            return diagnosis_report(found.diagnosis, *ends, **more, command=command_line())
-
-        written = write_all(
-            [("numbers", arguments.json, document), ("report", arguments.report, page)]
+        begin("reading")
+        # Each once: the last record is held out whole, and its double would be fitted.
+        records = read_records(given.series)
+        terms, base, remarks = _base(given, records, begin)
+        begin("trying effects")
+        d = diagnose(
+            records,
+            given.degree or DEFAULT_DEGREE,
+            terms=terms,
+            most_effects=given.max_effects or MOST_EFFECTS,
         )
-        if arguments.save:
-            written.append(f"model: {_saved(found.diagnosis, arguments.save)}")
-    text = diagnosis_text(found.diagnosis, found.before, **more)
-    return [text, *found.remarks, *([""] if written else []), *written]
+        begin("looking where")
+        before, why = _where(d, d.before)
+        after, _ = _where(d, d.after) if d.missing else (before, "")
+        remarks += [f"Where was not looked at: {why}."] if why else []
+        more = _asked_beyond(given, d, begin)
+        begin("writing")
+        written = write_asked(
+            given,
+            json=lambda: diagnosis_document(d, before, **more, base=base),
+            report=lambda: diagnosis_report(d, before, after, **more, command=command_line()),
+        )
+        if given.save:
+            written.append(f"model: {_saved(d, given.save)}")
+    return [diagnosis_text(d, before, **more), *remarks, *([""] if written else []), *written]
 
 
-def _diagnosed(arguments: argparse.Namespace, begin: Callable[[str], None]) -> _Found:
-    from comparisons.missing_effect import diagnose
+def _base(
+    given: argparse.Namespace,
+    records: Sequence[CoefficientSeries],
+    begin: Callable[[str], None],
+) -> tuple[Any, dict[str, Any], list[str]]:
+    """Return the base terms, what the document says of them, and what is printed of them."""
+    if given.base != "sindy":
+        degree = given.degree or DEFAULT_DEGREE
+        return None, {"source": "polynomial", "degree": degree}, []
+    from comparisons.missing_effect.base_terms import discovered_terms
 
-    begin("reading")
-    # Each once: the last record is held out whole, and its double would be fitted.
-    records = read_records(arguments.series)
-    remarks, terms = [], None
-    degree = arguments.degree or DEFAULT_DEGREE
-    base: dict[str, Any] = {"source": "polynomial", "degree": degree}
-    if arguments.base == "sindy":
-        from comparisons.missing_effect.base_terms import discovered_terms
+    begin("discovering terms")
+    found = discovered_terms(records)
+    names = ", ".join(found.dropped)
+    words = f"Left out of the base, since their form is not known here: {names}."
+    base = {"source": "sindy", "dropped": list(found.dropped)}
+    return found.terms, base, [words] if names else []
 
-        begin("discovering terms")
-        discovered = discovered_terms(records)
-        terms = discovered.terms
-        base = {"source": "sindy", "dropped": list(discovered.dropped)}
-        if discovered.dropped:
-            names = ", ".join(discovered.dropped)
-            remarks.append(f"Left out of the base, since their form is not known here: {names}.")
-    begin("trying effects")
-    most = arguments.max_effects or MOST_EFFECTS
-    d = diagnose(records, degree, terms=terms, most_effects=most)
-    begin("looking where")
-    before, why = _where(d, d.before)
-    after, _ = _where(d, d.after) if d.missing else (before, "")
-    remarks += [f"Where was not looked at: {why}."] if why else []
+
+def _asked_beyond(
+    given: argparse.Namespace, d: Diagnosis, begin: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return what --limits and --separate found; None for what was not asked for."""
     limits = separation = None
-    if arguments.limits:
+    if given.limits:
         from comparisons.missing_effect.catalogue import CATALOGUE
         from comparisons.missing_effect.limits import planted_limits
 
         begin("planting effects")
         n = len(CATALOGUE)
         limits = planted_limits(d, progress=lambda r: shown_over(r, unit="effect", total=n))
-    if arguments.separate:
+    if given.separate:
         from comparisons.missing_effect.separate import separating_measurements
 
         begin("simulating measurements")
         separation = separating_measurements(d)
-    return _Found(d, before, after, limits, separation, base, tuple(remarks))
+    return {"limits": limits, "separation": separation}
 
 
 def _where(d: Diagnosis, fit: Any) -> tuple[Where | None, str]:
@@ -228,77 +180,79 @@ def _saved(d: Diagnosis, path: Path) -> str:
     return str(path)
 
 
-def _model(arguments: argparse.Namespace) -> list[str]:
+def _model(given: argparse.Namespace) -> list[str]:
     """Diagnose a user's own model, whose file is executed, and return what is printed."""
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.files import load_model, read_experiment
     from comparisons.missing_effect.systems.script import contents_of, steps_of
     from comparisons.missing_effect.systems.terminal import system_text
-    from surge_core.files import write_whole
 
-    most = arguments.max_effects or DEFAULT_MODEL_EFFECTS
+    most = given.max_effects or DEFAULT_MODEL_EFFECTS
     with shown_steps(steps_of(most) + 2) as begin:
         begin("reading")
-        model = load_model(arguments.model)
-        fit = [read_experiment(path, model) for path in arguments.fit]
-        check = [read_experiment(path, model) for path in arguments.check]
+        model = load_model(given.model)
+        fit = [read_experiment(path, model) for path in given.fit]
+        check = [read_experiment(path, model) for path in given.check]
         found = diagnose_model(model, fit, check, most_effects=most, progress=begin)
         begin("writing")
-        contents = contents_of(
-            {model.name: found}, command_line(), arguments.json, arguments.report
-        )
+        contents = contents_of({model.name: found}, command_line(), given.json, given.report)
         for _, path, content in contents:
             write_whole(path, content)
     written = [f"{label}: {path}" for label, path, _ in contents]
     return [system_text(found), *([""] if written else []), *written]
 
 
-def _check_compressor(arguments: argparse.Namespace) -> None:
-    for option in ("fit", "check"):
-        if getattr(arguments, option):
-            raise InputError(f"--{option}", expected="a --model that it is for", found="no --model")
-    if not arguments.series:
-        raise InputError(
-            "diagnose",
-            expected="SERIES of a compressor, or --model model.py --fit RECORD…",
-            found="neither",
-        )
-    if arguments.base == "sindy" and arguments.degree is not None:
-        raise InputError(
+_RECORDS: dict[str, Any] = {"nargs": "+", "default": [], "metavar": "RECORD"}
+COMMAND = Command(
+    "diagnose",
+    help="find where a model and the records part, and name what is missing",
+    description="Fit the lag model, find where its free run and the measurement part, name the "
+    "physical effect that is missing, add it, and show on rows that were held out how far the "
+    "gap shrinks; or say that nothing is missing, that several names fit alike, or that "
+    "something is there without a name. Several records show more than one: the last is never "
+    "fitted. With --model the same is asked of a simulation model of your own, of any system: "
+    "the file is executed, the records of --fit are fitted, and those of --check are only "
+    "simulated.",
+    arguments=(
+        reads("series", nargs="*", metavar="SERIES", help="series (.csv or .nc)"),
+        reads("--model", metavar="model.py", help="your own model, a Python file; executed"),
+        reads(
+            "--fit", help="records for --model (.csv, .mat, .npz, .nc) that are fitted", **_RECORDS
+        ),
+        reads("--check", help="records for --model that are only simulated", **_RECORDS),
+        JSON,
+        REPORT,
+        writes("--save", metavar="MODEL", help="save the model with what was added"),
+        argument(
             "--degree",
-            expected="no degree with --base sindy, which finds the terms itself",
-            found=f"{arguments.degree}",
-        )
-    if (arguments.max_effects or 0) > MOST_EFFECTS:
-        raise InputError(
+            type=whole(1, HIGHEST_DEGREE),
+            metavar="N",
+            help=f"degree of the base characteristic (default: {DEFAULT_DEGREE})",
+        ),
+        argument(
+            "--base",
+            choices=("polynomial", "sindy"),
+            help="base terms: powers of φ up to --degree, or those that the sparse regression "
+            "discovers on the fitted rows (default: polynomial)",
+        ),
+        argument(
+            "--limits",
+            action="store_true",
+            help="plant each effect into these records and say how small it may be and still be "
+            "named; takes minutes",
+        ),
+        argument(
+            "--separate",
+            action="store_true",
+            help="say which further measurement would separate the names of an alias set",
+        ),
+        argument(
             "--max-effects",
-            expected=f"a whole number from 1 to {MOST_EFFECTS}",
-            found=f"{arguments.max_effects}",
-        )
-    targets = {name: getattr(arguments, name) for name in ("json", "report", "save")}
-    check_files(arguments.series, **targets)
-
-
-def _check_model(arguments: argparse.Namespace) -> None:
-    if arguments.series:
-        raise InputError(
-            str(arguments.series[0]),
-            expected="records after --fit or --check with --model",
-            found="a record without an option",
-        )
-    for option in COMPRESSOR_OPTIONS:
-        if getattr(arguments, option):
-            raise InputError(
-                f"--{option}",
-                expected="no option of the compressor's diagnosis with --model",
-                found=f"--{option}",
-            )
-    if not arguments.fit:
-        raise InputError("--fit", expected="at least one record with --model", found="none")
-    records = [*arguments.fit, *arguments.check]
-    resolved = [path.resolve() for path in records]
-    for number, path in enumerate(resolved):
-        if path in resolved[:number]:
-            # A check record that is fitted checks nothing.
-            raise InputError(str(records[number]), expected="each record once", found="twice")
-    check_files([arguments.model, *records], json=arguments.json, report=arguments.report)
+            type=whole(1),
+            metavar="N",
+            help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model "
+            f"{DEFAULT_MODEL_EFFECTS}, at most {MOST_MODEL_EFFECTS})",
+        ),
+    ),
+    run=_run,
+)

@@ -3,114 +3,60 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from comparisons.cli.shared import Commands, check_files, write_all
+from comparisons.cli.shared import Command, argument, reads, write_asked, writes
 from surge_core.errors import InputError
-from surge_core.files import to_strict_json
 from surge_core.progress import shown_steps
 
-__all__ = ["add_parser", "run"]
+__all__ = ["COMMAND"]
 
 SERIES_COLUMNS = frozenset(("time_s", "phi", "psi_p"))
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "inspect",
-        help="show what is in a raw record or a series, and draft its test.toml",
-        description="Show the channels of a file (CSV, MAT, netCDF, HDF5, TDMS, Parquet) with "
-        "units, rate, gaps, ranges and saturation; with --test also which column feeds which "
-        "channel, the ranges in SI and what reduce would make of the record. A file that is "
-        "broken is shown as far as it goes.",
-    )
-    parser.add_argument("file", type=Path, metavar="FILE", help="raw record or series")
-    parser.add_argument("--test", type=Path, metavar="TEST.toml", help="description of its test")
-    parser.add_argument(
-        "--group", metavar="NAME", help="group, struct or table to look into, without --test"
-    )
-    parser.add_argument(
-        "--draft",
-        type=Path,
-        metavar="TEST.toml",
-        help="write a test.toml to begin with; a file that exists is left alone",
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the findings as JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Look through a file and print what is in it.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-
-    Raises
-    ------
-    InputError
-        When the file or its test.toml cannot be used, or an option contradicts another.
-    """
+def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.inspect import draft_test_toml, inspect_file, match_test
     from classic_ml.io import read_test_description
     from comparisons.show.inspection import inspect_document, inspect_text
 
-    _check_draft(arguments)
-    check_files([arguments.file, arguments.test], json=arguments.json, draft=arguments.draft)
-    test = None if arguments.test is None else read_test_description(arguments.test)
+    _check_options(given)
+    test = None if given.test is None else read_test_description(given.test)
     match, remarks = None, tuple[str, ...]()
     with shown_steps(1 if test is None else 2) as begin:
         begin("looking through the file")
         layout = None if test is None else test.file
-        inspection = inspect_file(arguments.file, layout, group=arguments.group)
+        inspection = inspect_file(given.file, layout, group=given.group)
         if test is not None:
             begin("setting it beside the test and reducing it")
-            match = match_test(arguments.file, test, inspection)
+            match = match_test(given.file, test, inspection)
     if test is None and {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
-        remarks = (_series_remark(arguments.file),)
+        remarks = (_series_remark(given.file),)
     found: dict[str, Any] = {"match": match, "remarks": remarks}
     # The files first: a reader of the text may go away after its first lines.
-    written = write_all(
-        [
-            (
-                "findings",
-                arguments.json,
-                lambda: to_strict_json(inspect_document(inspection, **found)),
-            ),
-            (
-                "draft",
-                arguments.draft,
-                lambda: draft_test_toml(inspection, group=arguments.group),
-            ),
-        ]
+    written = write_asked(
+        given,
+        json=lambda: inspect_document(inspection, **found),
+        draft=lambda: draft_test_toml(inspection, group=given.group),
     )
-    print("\n\n".join([inspect_text(inspection, **found), *written]))
+    return ["\n\n".join([inspect_text(inspection, **found), *written])]
 
 
-def _check_draft(arguments: argparse.Namespace) -> None:
-
-    if arguments.draft is not None and arguments.draft.exists():
+def _check_options(given: argparse.Namespace) -> None:
+    if given.draft is not None and given.draft.exists():
         raise InputError(
-            str(arguments.draft),
+            str(given.draft),
             expected="a new file for the draft",
             found="a file",
             remedy="nothing was overwritten; choose another name",
         )
-    if arguments.group is not None and arguments.test is not None:
+    if given.group is not None and given.test is not None:
         raise InputError(
             "--group",
             expected="it without --test",
             found="both",
-            remedy=f'write group = "{arguments.group}" in [file] of {arguments.test}',
+            remedy=f'write group = "{given.group}" in [file] of {given.test}',
         )
 
 
@@ -126,3 +72,27 @@ def _series_remark(file: Path) -> str:
         f"a series of φ and ψ', ready for compare: {n} segment{'' if n == 1 else 's'}, "
         f"{int((series.segment > 0).sum())} of {series.segment.size} rows in them"
     )
+
+
+COMMAND = Command(
+    "inspect",
+    help="show what is in a raw record or a series, and draft its test.toml",
+    description="Show the channels of a file (CSV, MAT, netCDF, HDF5, TDMS, Parquet) with units, "
+    "rate, gaps, ranges and saturation; with --test also which column feeds which channel, the "
+    "ranges in SI and what reduce would make of the record. A file that is broken is shown as far "
+    "as it goes.",
+    arguments=(
+        reads("file", metavar="FILE", help="raw record or series"),
+        reads("--test", metavar="TEST.toml", help="description of its test"),
+        argument(
+            "--group", metavar="NAME", help="group, struct or table to look into, without --test"
+        ),
+        writes(
+            "--draft",
+            metavar="TEST.toml",
+            help="write a test.toml to begin with; a file that exists is left alone",
+        ),
+        writes("--json", metavar="FILE", help="write the findings as JSON"),
+    ),
+    run=_run,
+)

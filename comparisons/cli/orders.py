@@ -3,70 +3,51 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.shared import (
-    Commands,
-    add_series,
-    add_targets,
-    check_files,
+    JSON,
+    SERIES,
+    Command,
+    argument,
     read_records,
     whole,
-    write_all,
+    write_asked,
 )
-from surge_core.files import to_strict_json
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.orders import OrderTable
 
-__all__ = ["ORDERS_SCHEMA", "add_parser", "orders_document", "orders_text", "run"]
+__all__ = ["COMMAND"]
 
 ORDERS_SCHEMA = "sindy-surge/orders/1"
 ROWS_SHOWN = 12
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
+def _run(given: argparse.Namespace) -> Iterable[str]:
+    from classic_ml.orders import select_order
+    from comparisons.harness.rows import stack_rows
 
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "orders",
-        help="choose noise model, order of C, input lag and degree",
-        description="Fit every combination of noise model (arx, armax, output error), order of C, "
-        "whole-sample lag of φ and degree of the characteristic to the rows of a series, and rank "
-        "them by BIC and by the later cycles.",
+    rows = stack_rows(read_records(given.series))
+    table = select_order(
+        rows.X,
+        rows.measured,
+        rows.labels,
+        sample_period_s=rows.sample_period_s,
+        input_lags=tuple(given.lags),
+        degrees=tuple(given.degrees),
+        progress=lambda candidates: shown_over(candidates, unit="model", words="fitting"),
     )
-    add_series(parser)
-    for option, metavar, highest, default in (
-        ("--degrees", "N", 12, [1, 2, 3]),
-        ("--lags", "K", 10_000, [0, 1, 2]),
-    ):
-        parser.add_argument(
-            option,
-            type=whole(0, highest),
-            nargs="+",
-            default=default,
-            metavar=metavar,
-            help=f"(default: {' '.join(map(str, default))})",
-        )
-    add_targets(parser, "json")
-    parser.set_defaults(run=run)
+    sources = [str(path) for path in given.series]
+    written = write_asked(given, json=lambda: _document(table, sources))
+    return *_lines(table), *written
 
 
-def orders_text(table: OrderTable) -> str:
-    """Return the best rows as text, the recommended one marked.
-
-    Parameters
-    ----------
-    table : OrderTable
-        From :func:`classic_ml.orders.select_order`.
-    """
+def _lines(table: OrderTable) -> list[str]:
+    """Return the best rows as text, the recommended one marked."""
     from surge_core.rounding import round_to_error
 
     lines = [f"{'model':28s}{'BIC':>9s}{'AICc':>9s}{'held-out':>10s}{'τ [ms]':>14s}  white  state"]
@@ -82,19 +63,10 @@ def orders_text(table: OrderTable) -> str:
     lines.append(f"recommended: {table.recommended.name}: {table.reason}")
     if len(table.ties) > 1:
         lines.append("no worse within an error: " + "; ".join(row.name for row in table.ties[1:]))
-    return "\n".join(lines)
+    return lines
 
 
-def orders_document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
-    """Return the table as plain JSON types.
-
-    Parameters
-    ----------
-    table : OrderTable
-        The table.
-    sources : list of str
-        The records.
-    """
+def _document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
     return {
         "schema": ORDERS_SCHEMA,
         "records": sources,
@@ -105,31 +77,31 @@ def orders_document(table: OrderTable, sources: list[str]) -> dict[str, Any]:
     }
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Fit every combination and rank them.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-    """
-    from classic_ml.orders import select_order
-    from comparisons.harness.rows import stack_rows
-
-    check_files(arguments.series, json=arguments.json)
-    rows = stack_rows(read_records(arguments.series))
-    table = select_order(
-        rows.X,
-        rows.measured,
-        rows.labels,
-        sample_period_s=rows.sample_period_s,
-        input_lags=tuple(arguments.lags),
-        degrees=tuple(arguments.degrees),
-        progress=lambda candidates: shown_over(candidates, unit="model", words="fitting"),
-    )
-    sources = [str(path) for path in arguments.series]
-    written = write_all(
-        [("numbers", arguments.json, lambda: to_strict_json(orders_document(table, sources)))]
-    )
-    for line in (orders_text(table), *written):
-        print(line)
+COMMAND = Command(
+    "orders",
+    help="choose noise model, order of C, input lag and degree",
+    description="Fit every combination of noise model (arx, armax, output error), order of C, "
+    "whole-sample lag of φ and degree of the characteristic to the rows of a series, and rank "
+    "them by BIC and by the later cycles.",
+    arguments=(
+        SERIES,
+        argument(
+            "--degrees",
+            type=whole(0, 12),
+            nargs="+",
+            default=[1, 2, 3],
+            metavar="N",
+            help="(default: 1 2 3)",
+        ),
+        argument(
+            "--lags",
+            type=whole(0, 10_000),
+            nargs="+",
+            default=[0, 1, 2],
+            metavar="K",
+            help="(default: 0 1 2)",
+        ),
+        JSON,
+    ),
+    run=_run,
+)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
+from typing import Any, NoReturn
 
 from comparisons.cli import (
     compare,
@@ -23,7 +25,6 @@ from comparisons.cli import (
     total_system,
     work,
 )
-from comparisons.cli.one_sentence import OneLineParser, one_line
 from surge_core.errors import InputError
 
 __all__ = ["build_parser", "main"]
@@ -32,23 +33,25 @@ EXIT_DONE = 0
 EXIT_UNUSABLE = 2
 # 128 + SIGINT, as a shell reports a process that was interrupted.
 EXIT_INTERRUPTED = 130
+# No sentence of ours is longer: beyond it, something out of a file is in it.
+LONGEST = 500
 
-# Each module adds one command, in the order of `--help`.
+# In the order of `--help`.
 COMMANDS = (
-    demo,
-    simulate,
-    inspect,
-    reduce,
-    live,
-    compare,
-    reconstruct,
-    diagnose,
-    work,
-    orders,
-    structure,
-    reproduce,
-    study,
-    total_system,
+    demo.COMMAND,
+    simulate.COMMAND,
+    inspect.COMMAND,
+    reduce.COMMAND,
+    live.COMMAND,
+    compare.COMMAND,
+    reconstruct.COMMAND,
+    diagnose.COMMAND,
+    work.COMMAND,
+    orders.COMMAND,
+    structure.COMMAND,
+    reproduce.COMMAND,
+    study.COMMAND,
+    total_system.COMMAND,
 )
 
 
@@ -71,11 +74,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        arguments = build_parser().parse_args(argv)
-        arguments.run(arguments)
+        given = build_parser().parse_args(argv)
+        given.command.carry_out(given)
         sys.stdout.flush()
     except InputError as error:
-        words = one_line(str(error))
+        words = _one_line(str(error))
     except MemoryError:
         words = "input: expected data that fit into memory, found more"
     except BrokenPipeError:
@@ -83,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return EXIT_DONE
     except OSError as error:
-        words = one_line(f"{error.filename or 'output'}: {error.strerror}")
+        words = _one_line(f"{error.filename or 'output'}: {error.strerror}")
     except KeyboardInterrupt:
         print("sindy-surge: interrupted; files that were finished are whole", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -95,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all commands; nothing heavy is imported for it."""
-    parser: argparse.ArgumentParser = OneLineParser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="sindy-surge",
         description="Post-stall characteristics and the time constant of a compressor from its "
         "surge records, by two rival estimators side by side.",
@@ -103,8 +106,32 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in COMMANDS:
-        command.add_parser(commands)
+        command.add_to(commands)
     return parser
+
+
+def _one_line(text: str) -> str:
+    r"""Return a text as one printable line, its middle left out where it is too long."""
+    line = "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
+    if len(line) <= LONGEST:
+        return line
+    return f"{line[: LONGEST // 2]}…{line[1 - LONGEST // 2 :]}"
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that refuses in one line, without the whole usage above it."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # "-5ms" is a value like "-5": what is wrong with it, its option says.
+        self._negative_number_matcher = re.compile(r"-\.?\d.*")
+
+    def error(self, message: str) -> NoReturn:
+        words = _one_line(message.removeprefix("argument "))
+        self.exit(2, f"{self.prog}: {words}; what is expected: {self.prog} --help\n")
 
 
 class _Version(argparse.Action):

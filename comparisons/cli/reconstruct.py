@@ -3,87 +3,39 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comparisons.cli.shared import (
-    Commands,
-    add_series,
-    add_targets,
-    check_files,
+    JSON,
+    REPORT,
+    SERIES,
+    Command,
+    argument,
     command_line,
     drawing,
-    write_all,
+    reads,
+    write_asked,
+    writes,
 )
+from surge_core.errors import InputError
+from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from comparisons.results import Reconstruction
 
-__all__ = ["add_parser", "run"]
+__all__ = ["COMMAND"]
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "reconstruct",
-        help="run a saved model over another record",
-        description="Run models saved by `compare --save` or `diagnose --save` over other records, "
-        "with nothing refitted, and score the reconstruction.",
-    )
-    parser.add_argument(
-        "model", type=Path, metavar="MODEL", help="saved by compare --save or diagnose --save"
-    )
-    add_series(parser)
-    parser.add_argument(
-        "--estimator",
-        default=None,
-        metavar="NAME",
-        help="classic_ml, paper, classic_ml_arx, classic_ml_output_error or sindy; all without it",
-    )
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        metavar="FILE.csv",
-        help="write the reconstruction (of one record by one estimator)",
-    )
-    add_targets(parser, "json", "report")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Run saved models over other records.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-    """
+def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import read_series
     from comparisons.cli.saved_models import load_any_models
-    from comparisons.harness.reconstruction import (
-        reconstruct_record,
-        reconstruction_csv,
-        reconstruction_document,
-    )
+    from comparisons.harness.reconstruction import reconstruct_record
     from comparisons.show.table import reconstruction_table
-    from surge_core.errors import InputError
-    from surge_core.files import check_target, to_strict_json
-    from surge_core.progress import shown_over
 
-    targets = {name: getattr(arguments, name) for name in ("json", "report", "out")}
-    check_files([arguments.model, *arguments.series], **targets)
-    if arguments.out:
-        check_target(arguments.out, (".csv",))
-    models = _chosen(load_any_models(arguments.model), arguments.estimator)
-    records = [read_series(path) for path in arguments.series]
+    models = _chosen(load_any_models(given.model), given.estimator)
+    records = [read_series(path) for path in given.series]
     runs = [
         reconstruct_record(model, record)
         for record in shown_over(records, unit="record")
@@ -96,31 +48,33 @@ def run(arguments: argparse.Namespace) -> None:
             expected="the coefficient that the model gives (psi)",
             found="none",
         )
-    if arguments.out and len(runs) > 1:
+    if given.out and len(runs) > 1:
         raise InputError(
             "--out",
             expected="one reconstruction",
             found=f"{len(runs)}",
             remedy="name one record and one --estimator of " + ", ".join(models),
         )
-    write_all(
-        [
-            ("reconstruction", arguments.out, lambda: reconstruction_csv(runs[0])),
-            ("scores", arguments.json, lambda: to_strict_json(reconstruction_document(runs))),
-            ("report", arguments.report, lambda: _page(runs)),
-        ]
+    written = write_asked(
+        given,
+        out=runs[0].to_csv,
+        json=lambda: _document(runs),
+        report=lambda: _page(runs),
     )
-    print(reconstruction_table(runs))
+    return reconstruction_table(runs), *written
 
 
 def _chosen(models: dict[str, Any], name: str | None) -> dict[str, Any]:
-    from surge_core.errors import InputError
-
     if name is None:
         return models
     if name not in models:
         raise InputError("--estimator", expected="one of " + ", ".join(models), found=name)
     return {name: models[name]}
+
+
+def _document(runs: Sequence[Reconstruction]) -> dict[str, Any]:
+    reconstructions = [run.to_json() for run in runs]
+    return {"schema": "sindy-surge/reconstruct/1", "reconstructions": reconstructions}
 
 
 def _page(runs: Sequence[Reconstruction]) -> str:
@@ -134,3 +88,31 @@ def _page(runs: Sequence[Reconstruction]) -> str:
         for source, group in by_record.items()
     ]
     return render_report(sections, title="Reconstruction", command=command_line(), progress=drawing)
+
+
+COMMAND = Command(
+    "reconstruct",
+    help="run a saved model over another record",
+    description="Run models saved by `compare --save` or `diagnose --save` over other records, "
+    "with nothing refitted, and score the reconstruction.",
+    arguments=(
+        reads("model", metavar="MODEL", help="saved by compare --save or diagnose --save"),
+        SERIES,
+        argument(
+            "--estimator",
+            metavar="NAME",
+            help="classic_ml, paper, classic_ml_arx, classic_ml_output_error or sindy; all "
+            "without it",
+        ),
+        writes(
+            "-o",
+            "--out",
+            metavar="FILE.csv",
+            suffixes=(".csv",),
+            help="write the reconstruction (of one record by one estimator)",
+        ),
+        JSON,
+        REPORT,
+    ),
+    run=_run,
+)

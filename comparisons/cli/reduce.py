@@ -3,87 +3,55 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from comparisons.cli.reduction_options import (
-    add_read_window,
-    add_reduction_options,
-    options_named,
-    read_window,
-    reduction_settings,
-)
+from comparisons.cli.reduction_options import REDUCTION, options_named, reduction_settings
 from comparisons.cli.shared import (
-    Commands,
-    add_raw,
-    check_files,
+    RAW,
+    Command,
+    argument,
     command_line,
     drawing,
-    write_all,
+    write_asked,
+    writes,
 )
-from surge_core.files import check_target
+from surge_core.errors import InputError
 from surge_core.progress import shown_count
 
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["add_parser", "print_reduction", "run"]
+__all__ = ["COMMAND", "SERIES_SUFFIXES", "reduction_lines"]
 
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
 REPORT_ROWS = 100_000
 
 
-def add_parser(commands: Commands) -> None:
-    """Add the command.
-
-    Parameters
-    ----------
-    commands : argparse sub-parsers
-        Those of `sindy-surge`.
-    """
-    parser = commands.add_parser(
-        "reduce",
-        help="raw counts to φ, ψ' and ψ",
-        description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ "
-        "and the intervals to be fitted.",
-    )
-    add_raw(parser)
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="SERIES", help="series (.csv or .nc)"
-    )
-    add_read_window(parser)
-    add_reduction_options(parser)
-    parser.add_argument(
-        "--report",
-        type=Path,
-        metavar="FILE.html",
-        help=f"report of the reduction; its pictures show at most {REPORT_ROWS} rows",
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Reduce a raw record to a series file.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        Of the command.
-    """
+def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import write_series
 
-    check_files([arguments.raw, arguments.test], report=arguments.report, out=arguments.out)
-    check_target(arguments.out, SERIES_SUFFIXES)
     with options_named():
-        settings, window = reduction_settings(arguments), read_window(arguments)
-        reduction = _reduced(arguments.raw, arguments.test, settings, window)
-    write_series(reduction.series, arguments.out)
-    written = write_all([("report", arguments.report, lambda: _page(reduction))])
-    print_reduction(reduction)
-    for line in (f"series: {arguments.out}", *written):
-        print(line)
+        settings = reduction_settings(given)
+        reduction = _reduced(given.raw, given.test, settings, _part(given))
+    write_series(reduction.series, given.out)
+    written = write_asked(given, report=lambda: _page(reduction))
+    return *reduction_lines(reduction), f"series: {given.out}", *written
+
+
+def _part(given: argparse.Namespace) -> tuple[float, float] | None:
+    """Return the part of the file that is to be read; None for all of it."""
+    if given.from_s is None and given.to_s is None:
+        return None
+    from_s = -math.inf if given.from_s is None else given.from_s
+    to_s = math.inf if given.to_s is None else given.to_s
+    if not from_s < to_s:
+        raise InputError("--to-s", expected=f"a time after {from_s:g} s", found=f"{to_s:g}")
+    return from_s, to_s
 
 
 def _reduced(
@@ -100,8 +68,8 @@ def _reduced(
         return reduce_record(records.pop(), description, settings, keep_probes=False, progress=done)
 
 
-def print_reduction(reduction: Reduction) -> None:
-    """Print the ledger of a reduction.
+def reduction_lines(reduction: Reduction) -> Iterator[str]:
+    """Return the ledger of a reduction as lines.
 
     Parameters
     ----------
@@ -109,11 +77,11 @@ def print_reduction(reduction: Reduction) -> None:
         A reduced record.
     """
     for entry in reduction.record.history:
-        print(f"{entry.step}: {entry.did}")
+        yield f"{entry.step}: {entry.did}"
         for dropped in entry.dropped:
-            print(f"  left out {dropped.what} ({dropped.count}): {dropped.why}")
+            yield f"  left out {dropped.what} ({dropped.count}): {dropped.why}"
         for flag in entry.flags:
-            print(f"  note: {flag}")
+            yield f"  note: {flag}"
 
 
 def _page(reduction: Reduction) -> str:
@@ -141,3 +109,35 @@ def _excerpt(reduction: Reduction) -> tuple[Reduction, str]:
     columns = {name: values[rows] for name, values in series.columns().items()}
     shown = replace(reduction, record=part, series=replace(series, **columns))  # type: ignore[arg-type]
     return shown, f", {part.start_s:.3f} to {part.time_at_s(REPORT_ROWS - 1):.3f} s of the record"
+
+
+_PART = "of the part of the file that is read, on its clock; the near-stall reading is read with it"
+COMMAND = Command(
+    "reduce",
+    help="raw counts to φ, ψ' and ψ",
+    description="Reduce a raw record: counts to pressures, the airflow equations, φ, ψ', ψ and "
+    "the intervals to be fitted.",
+    arguments=(
+        *RAW,
+        writes(
+            "-o",
+            "--out",
+            required=True,
+            metavar="SERIES",
+            suffixes=SERIES_SUFFIXES,
+            help="series (.csv or .nc)",
+        ),
+        argument(
+            "--from-s", type=float, metavar="SECONDS", help=f"start {_PART} (default: all of it)"
+        ),
+        argument("--to-s", type=float, metavar="SECONDS", help=f"end {_PART} (default: all of it)"),
+        *REDUCTION,
+        writes(
+            "--report",
+            metavar="FILE.html",
+            suffixes=(".html", ".htm"),
+            help=f"report of the reduction; its pictures show at most {REPORT_ROWS} rows",
+        ),
+    ),
+    run=_run,
+)

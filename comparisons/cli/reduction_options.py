@@ -3,151 +3,88 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from comparisons.cli.shared import number, whole
+from comparisons.cli.shared import argument, number, whole
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from classic_ml.reduction import ReductionSettings
 
-__all__ = [
-    "add_read_window",
-    "add_reduction_options",
-    "options_named",
-    "read_window",
-    "reduction_settings",
-]
+__all__ = ["REDUCTION", "options_named", "reduction_settings"]
 
-# Option, the field of the settings behind it, and what argparse has to know.
-OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    (
+# Each is stored under the name of the field of the settings behind it.
+REDUCTION = (
+    argument(
         "--filter-order",
-        "filter_order",
-        {"type": whole(1, 99), "metavar": "N", "help": "Butterworth order, 3 or 5 (default: 3)"},
+        type=whole(1, 99),
+        metavar="N",
+        help="Butterworth order, 3 or 5 (default: 3)",
     ),
-    (
+    argument(
         "--cutoff",
-        "cutoff_hz",
-        {"type": number, "metavar": "HZ", "help": "filter cut-off (default: 48)"},
+        dest="cutoff_hz",
+        type=number,
+        metavar="HZ",
+        help="filter cut-off (default: 48)",
     ),
-    (
+    argument(
         "--phase",
-        "phase",
-        {"choices": ("zero", "causal", "none"), "help": "filter direction (default: zero)"},
+        choices=("zero", "causal", "none"),
+        help="filter direction (default: zero)",
     ),
-    (
+    argument(
         "--probes",
-        "probes",
-        {"choices": ("all", "tip", "hub"), "help": "probes that are averaged (default: all)"},
+        choices=("all", "tip", "hub"),
+        help="probes that are averaged (default: all)",
     ),
-    (
+    argument(
         "--invert-thermocouples",
-        "thermocouple_inversion",
-        {
-            "action": "store_const",
-            "const": True,
-            "help": "undo the lag of the thermocouples",
-        },
+        dest="thermocouple_inversion",
+        action="store_const",
+        const=True,
+        help="undo the lag of the thermocouples",
     ),
-    (
+    argument(
         "--work-form",
-        "work_form",
-        {
-            "choices": ("auto", "exit-flow", "mass-balance", "temperature-rise"),
-            "help": "ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
-        },
+        choices=("auto", "exit-flow", "mass-balance", "temperature-rise"),
+        help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
     ),
-    (
+    argument(
         "--threshold",
-        "threshold_lbm_s",
-        {
-            "type": number,
-            "metavar": "LBM_S",
-            "help": "corrected flow below which the machine is in stall (default: test.toml's, "
-            "else estimated from the record)",
-        },
+        dest="threshold_lbm_s",
+        type=number,
+        metavar="LBM_S",
+        help="corrected flow below which the machine is in stall (default: test.toml's, else "
+        "estimated from the record)",
     ),
-    (
+    argument(
         "--hysteresis",
-        "hysteresis_lbm_s",
-        {
-            "type": number,
-            "metavar": "LBM_S",
-            "help": "half width of a band around the threshold (default: test.toml's, else 0)",
-        },
+        dest="hysteresis_lbm_s",
+        type=number,
+        metavar="LBM_S",
+        help="half width of a band around the threshold (default: test.toml's, else 0)",
     ),
-    (
+    argument(
         "--window",
-        "window_s",
-        {
-            "type": number,
-            "nargs": 2,
-            "metavar": ("FROM_S", "TO_S"),
-            "help": "window of the quasi-steady cycles, else from test.toml, else found",
-        },
+        dest="window_s",
+        type=number,
+        nargs=2,
+        metavar=("FROM_S", "TO_S"),
+        help="window of the quasi-steady cycles, else from test.toml, else found",
     ),
 )
 
 
-def add_reduction_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Add the options.
-
-    Parameters
-    ----------
-    parser : argparse parser or group
-        Where they go.
-    """
-    for option, _, details in OPTIONS:
-        parser.add_argument(option, default=None, **details)
-
-
-def add_read_window(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Add the options that read a part of a file.
-
-    Parameters
-    ----------
-    parser : argparse parser or group
-        Where they go.
-    """
-    for option, end in (("--from-s", "start"), ("--to-s", "end")):
-        parser.add_argument(
-            option,
-            type=float,
-            default=None,
-            metavar="SECONDS",
-            help=f"{end} of the part of the file that is read, on its clock; the near-stall "
-            "reading is read with it (default: all of it)",
-        )
-
-
-def read_window(arguments: argparse.Namespace) -> tuple[float, float] | None:
-    """Return the part of the file that is to be read; None for all of it.
-
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With the options of :func:`add_read_window`.
-    """
-    if arguments.from_s is None and arguments.to_s is None:
-        return None
-    from_s = -math.inf if arguments.from_s is None else arguments.from_s
-    to_s = math.inf if arguments.to_s is None else arguments.to_s
-    if not from_s < to_s:
-        raise InputError("--to-s", expected=f"a time after {from_s:g} s", found=f"{to_s:g}")
-    return from_s, to_s
-
-
-def reduction_settings(arguments: argparse.Namespace) -> ReductionSettings:
+def reduction_settings(given: argparse.Namespace) -> ReductionSettings:
     """Take over what was given; the rest keeps the defaults of the reduction.
 
     Parameters
     ----------
-    arguments : argparse.Namespace
-        With the options of :func:`add_reduction_options`.
+    given : argparse.Namespace
+        With the arguments of ``REDUCTION``.
 
     Raises
     ------
@@ -156,12 +93,10 @@ def reduction_settings(arguments: argparse.Namespace) -> ReductionSettings:
     """
     from classic_ml.reduction import ReductionSettings
 
-    given: dict[str, Any] = {}
-    for option, field, _ in OPTIONS:
-        value = getattr(arguments, option.removeprefix("--").replace("-", "_"))
-        if value is not None:
-            given[field] = tuple(value) if isinstance(value, list) else value
-    return ReductionSettings(**given)
+    fields = {each.name: getattr(given, each.name) for each in REDUCTION}
+    if given.window_s is not None:
+        fields["window_s"] = tuple(given.window_s)
+    return ReductionSettings(**{name: value for name, value in fields.items() if value is not None})
 
 
 @contextmanager
@@ -172,11 +107,9 @@ def options_named() -> Iterator[None]:
     except InputError as error:
         # A key of test.toml that has the name of a setting is no option.
         table, _, field = error.where.rpartition(": ")[2].rpartition(".")
-        named = {name: option for option, name, _ in OPTIONS}
-        if field not in named or table not in ("", "ReductionSettings"):
+        options = {each.name: each.flags[0] for each in REDUCTION}
+        if field not in options or table not in ("", "ReductionSettings"):
             raise
-        # An option that is not given is what None is in Python.
-        expected = error.expected.replace(", 'none' or None", "").replace(", or None", "")
         raise InputError(
-            named[field], expected=expected, found=error.found, remedy=error.remedy
+            options[field], expected=error.expected, found=error.found, remedy=error.remedy
         ) from None

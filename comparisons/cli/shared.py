@@ -1,4 +1,4 @@
-"""What the commands share: options, files that are checked before any work, what was typed."""
+"""What a command is, and what the commands share: options, files, what was typed."""
 
 from __future__ import annotations
 
@@ -6,106 +6,211 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
-from surge_core.files import check_apart, check_target, write_whole
+from surge_core.errors import InputError
+from surge_core.files import check_apart, check_target, to_strict_json, write_whole
 from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
 
 __all__ = [
-    "Commands",
-    "add_raw",
-    "add_series",
-    "add_targets",
-    "check_files",
+    "HOLD",
+    "JSON",
+    "RAW",
+    "REPORT",
+    "SERIES",
+    "Argument",
+    "Command",
+    "argument",
     "command_line",
+    "drawing",
     "fitting",
     "number",
     "read_records",
+    "reads",
+    "seed",
     "time_constant",
     "whole",
-    "write_all",
+    "write_asked",
+    "writes",
 ]
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-
-# Suffixes that a target may have; any where none are listed.
-SUFFIXES = {"report": (".html", ".htm")}
-TARGETS: dict[str, tuple[str, str]] = {
-    "json": ("FILE", "write the numbers as JSON"),
-    "report": ("FILE.html", "write the report"),
+# What the line on a written file calls it, by the option.
+LABELS = {
+    "json": "numbers",
+    "python": "equation",
+    "out": "reconstruction",
+    "save_facility": "facility",
 }
 
 
-def add_series(parser: argparse.ArgumentParser, *, nargs: str = "+") -> None:
-    """Add the argument for series files.
+@dataclass(frozen=True)
+class Argument:
+    """One argument of a command, as argparse takes it, and whether it is a file.
 
     Parameters
     ----------
-    parser : argparse parser
-        Of a command.
-    nargs : str
-        How many there are.
+    flags : tuple of str
+        Its names.
+    details : dict
+        Further arguments of ``add_argument``.
+    read : bool
+        A file that must exist.
+    written : bool
+        A file that is written.
+    suffixes : tuple of str
+        Those that a written file may have; any where none are listed.
     """
-    parser.add_argument(
-        "series", type=Path, nargs=nargs, metavar="SERIES", help="series (.csv or .nc)"
-    )
+
+    flags: tuple[str, ...]
+    details: dict[str, Any]
+    read: bool = False
+    written: bool = False
+    suffixes: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Where argparse puts the value."""
+        long = next((flag for flag in self.flags if flag.startswith("--")), self.flags[0])
+        return str(self.details.get("dest", long.lstrip("-").replace("-", "_")))
+
+    def add_to(self, parser: argparse._ActionsContainer) -> None:
+        """Add the argument to a parser, or to a group of one."""
+        parser.add_argument(*self.flags, **self.details)
 
 
-def add_raw(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments for a raw record and the description of its test.
+def argument(*flags: str, **details: Any) -> Argument:
+    """Return an argument that is no file, or a file that its command checks."""
+    return Argument(flags, details)
+
+
+def reads(*flags: str, metavar: str, **details: Any) -> Argument:
+    """Return an argument for files that are read."""
+    return Argument(flags, {"type": Path, "metavar": metavar, **details}, read=True)
+
+
+def writes(*flags: str, metavar: str, suffixes: tuple[str, ...] = (), **details: Any) -> Argument:
+    """Return an argument for a file that is written."""
+    details = {"type": Path, "metavar": metavar, **details}
+    return Argument(flags, details, written=True, suffixes=suffixes)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of `sindy-surge`.
 
     Parameters
     ----------
-    parser : argparse parser
-        Of a command.
+    name, help, description : str
+        As in the help.
+    arguments : tuple of Argument
+        In the order of the help.
+    run : callable
+        Does the work and gives the lines that are printed.
+    add : callable, optional
+        Adds to the parser what is no plain argument, ahead of the others.
+    formatter : type
+        How argparse sets the help.
     """
-    formats = "raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet)"
-    parser.add_argument("raw", type=Path, metavar="RAW", help=formats)
-    words = "description of the test"
-    parser.add_argument("--test", type=Path, required=True, metavar="TEST.toml", help=words)
+
+    name: str
+    help: str
+    description: str
+    arguments: tuple[Argument, ...]
+    run: Callable[[argparse.Namespace], Iterable[str]]
+    add: Callable[[argparse.ArgumentParser], None] | None = None
+    formatter: type[argparse.HelpFormatter] = argparse.HelpFormatter
+
+    def add_to(self, commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+        """Add the command to those of the parser."""
+        parser = commands.add_parser(
+            self.name,
+            help=self.help,
+            description=self.description,
+            formatter_class=self.formatter,
+        )
+        if self.add is not None:
+            self.add(parser)
+        for each in self.arguments:
+            each.add_to(parser)
+        parser.set_defaults(command=self)
+
+    def carry_out(self, given: argparse.Namespace) -> None:
+        """Check the files, do the work and print what it gives.
+
+        Parameters
+        ----------
+        given : argparse.Namespace
+            What was typed.
+
+        Raises
+        ------
+        InputError
+            When an input or an option cannot be used; nothing is written then.
+        """
+        self.check_files(given)
+        for line in self.run(given):
+            print(line)
+
+    def check_files(self, given: argparse.Namespace) -> None:
+        """Refuse, before any work is done, a missing input and a target that must not be written.
+
+        Parameters
+        ----------
+        given : argparse.Namespace
+            What was typed.
+
+        Raises
+        ------
+        InputError
+            Naming the file.
+        """
+        read: list[Path] = []
+        for each in self.arguments:
+            value = getattr(given, each.name)
+            if each.read and value is not None:
+                read += value if isinstance(value, list) else [value]
+        for path in read:
+            if not path.exists():
+                raise InputError(str(path), expected="a file that exists", found="no such file")
+        written = []
+        for each in self.arguments:
+            path = getattr(given, each.name)
+            if each.written and path is not None:
+                check_target(path, each.suffixes)
+                written.append(path)
+        if written:
+            from classic_ml.io.series import ledger_path
+
+            # The ledger beside a series is read too.
+            check_apart([*read, *(ledger_path(path) for path in read if path.name)], written)
 
 
-def add_targets(parser: argparse.ArgumentParser, *names: str) -> None:
-    """Add options for files that are written: ``json``, ``report``.
+SERIES = reads("series", nargs="+", metavar="SERIES", help="series (.csv or .nc)")
+RAW = (
+    reads("raw", metavar="RAW", help="raw record (CSV, MAT, netCDF, HDF5, TDMS, Parquet)"),
+    reads("--test", required=True, metavar="TEST.toml", help="description of the test"),
+)
+JSON = writes("--json", metavar="FILE", help="write the numbers as JSON")
+REPORT = writes(
+    "--report", metavar="FILE.html", suffixes=(".html", ".htm"), help="write the report"
+)
+HOLD = argument(
+    "--hold",
+    choices=("first", "zero"),
+    default="first",
+    help="φ between its samples: joined by lines, or held as in Eq 9 (default: first)",
+)
 
-    Parameters
-    ----------
-    parser : argparse parser
-        Of a command.
-    *names : str
-        Which of them.
-    """
-    for name in names:
-        metavar, words = TARGETS[name]
-        parser.add_argument(f"--{name}", type=Path, metavar=metavar, help=words)
 
-
-def check_files(inputs: Iterable[Path | None], **targets: Path | None) -> None:
-    """Refuse, before any work is done, a target that cannot or must not be written.
-
-    Parameters
-    ----------
-    inputs : iterable of path or None
-        Files that are read; the ledger beside a series is one too.
-    **targets : path or None
-        Files that are to be written, by the name of their option.
-
-    Raises
-    ------
-    InputError
-        Naming the file.
-    """
-    from classic_ml.io.series import ledger_path
-
-    read = [path for path in inputs if path is not None]
-    written = {name: path for name, path in targets.items() if path is not None}
-    for name, path in written.items():
-        check_target(path, SUFFIXES.get(name, ()))
-    check_apart([*read, *(ledger_path(path) for path in read if path.name)], written.values())
+def seed(what: str = "sensors", highest: int = 2**32 - 1) -> Argument:
+    """Return the argument for the seed of something random."""
+    words = f"seed of the {what} (default: 0)"
+    return argument("--seed", type=whole(0, highest), default=0, metavar="N", help=words)
 
 
 def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
@@ -119,25 +224,38 @@ def read_records(paths: Sequence[Path]) -> list[CoefficientSeries]:
     Raises
     ------
     InputError
-        When one cannot be used.
+        When one cannot be used, or is given twice.
     """
     from classic_ml.io.series import read_series
+    from comparisons.harness.rows import check_once
 
-    return [read_series(path) for path in paths]
+    records = [read_series(path) for path in paths]
+    check_once(records)
+    return records
 
 
-def write_all(contents: Iterable[tuple[str, Path | None, Callable[[], str]]]) -> list[str]:
-    """Write texts once all are made, and return a line on each.
+def write_asked(
+    given: argparse.Namespace, **contents: Callable[[], str | dict[str, Any] | list[Any]]
+) -> list[str]:
+    """Write the texts that were asked for once all are made, and return a line on each.
 
     Parameters
     ----------
-    contents : iterable of (str, path or None, callable)
-        What it is, where it goes (nowhere with None) and what makes it.
+    given : argparse.Namespace
+        What was typed.
+    **contents : callable
+        By the name of the option, what makes its text, or the document that becomes JSON.
     """
-    made = [(label, path, make()) for label, path, make in contents if path is not None]
+    made = []
+    for name, make in contents.items():
+        path = getattr(given, name)
+        if path is not None:
+            content = make()
+            text = content if isinstance(content, str) else to_strict_json(content)
+            made.append((name, path, text))
     for _, path, text in made:
         write_whole(path, text)
-    return [f"{label}: {path}" for label, path, _ in made]
+    return [f"{LABELS.get(name, name)}: {path}" for name, path, _ in made]
 
 
 def command_line() -> str:
@@ -167,23 +285,23 @@ def drawing(items: Iterable[Any]) -> Iterable[Any]:
     return shown_over(items, unit="picture", words="drawing")
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     """Return a type of options: whole numbers within limits.
 
     Parameters
     ----------
     low, high : int
-        The least and the greatest that is taken.
+        The least and the greatest that is taken; no greatest without it.
     """
+    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
 
     def read(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = low - 1
-        if not low <= value <= high:
-            words = f"expected a whole number from {low} to {high}, found '{text}'"
-            raise argparse.ArgumentTypeError(words)
+        if value < low or (high is not None and value > high):
+            raise argparse.ArgumentTypeError(f"expected a whole number {limits}, found '{text}'")
         return value
 
     return read
@@ -215,7 +333,6 @@ def time_constant(text: str) -> float:
         What was typed.
     """
     from comparisons.harness.tau_trial import parse_tau
-    from surge_core.errors import InputError
 
     try:
         return parse_tau(text)

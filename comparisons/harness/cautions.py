@@ -70,14 +70,7 @@ def comparison_cautions(
     held : bool
         τ was held: then the noise models cannot disagree on it.
     """
-    cautions = [*_of_rows(records, rows, results), *_of_records(records)]
-    cautions += [
-        Caution("ledger", record.source, entry.step, {"finding": flag})
-        for record in records
-        for entry in record.history
-        for flag in entry.flags
-    ]
-    cautions += _taus_apart(results)
+    cautions = [*_of_rows(records, rows, results), *_of_records(records), *_taus_apart(results)]
     noise_kinds = [r.estimate for r in results if r.name in NOISE_KINDS and r.whole_run is None]
     if rows.target == "psi_p" and noise_kinds:
         if not held:
@@ -85,14 +78,9 @@ def comparison_cautions(
             cautions += drift_cautions(noise_kinds, drift_of(rows, degree=degree, hold=hold))
         histories = [record.history for record in records]
         cautions += filter_cautions(rows, histories, misalignment(rows, degree=degree, hold=hold))
-    return (
-        *cautions,
-        *(
-            Caution("estimator", r.name, "", {"remark": text})
-            for r in results
-            for text in r.remarks
-        ),
-    )
+    for result in results:
+        cautions += [Caution.of("estimator", result.name, remark=text) for text in result.remarks]
+    return tuple(cautions)
 
 
 def tau_caution(
@@ -136,36 +124,31 @@ def unknown_work(history: Sequence[LedgerEntry]) -> Caution | None:
     history : sequence of LedgerEntry
         Ledger of a record.
     """
-    why = [
-        dropped.why
-        for entry in history
-        if entry.step == "work coefficient" and entry.did == "ψ is not known"
-        for dropped in entry.dropped
-        if dropped.what == "ψ"
-    ]
+    dropped = [(entry, dropped) for entry in history for dropped in entry.dropped]
+    why = [d.why for entry, d in dropped if entry.did == "ψ is not known" and d.what == "ψ"]
     if not why:
         return None
     lost = [
-        f"{dropped.what}: {dropped.why}"
-        for entry in history
-        if entry.step == "choose channels"
-        for dropped in entry.dropped
-        if dropped.what.startswith("T31")
+        f"{d.what}: {d.why}"
+        for entry, d in dropped
+        if entry.step == "choose channels" and d.what.startswith("T31")
     ]
-    words = f"{why[0]} ({'; '.join(lost)})" if lost else why[0]
-    return Caution.of("psi_unknown", why=words)
+    return Caution.of("psi_unknown", why=why[0] + (f" ({'; '.join(lost)})" if lost else ""))
 
 
-def spread_speeds(records: Sequence[CoefficientSeries]) -> list[float]:
-    """Return the corrected speeds of records that are too far apart for one curve, else none.
+def spread_speeds(records: Sequence[CoefficientSeries]) -> list[tuple[str, float]]:
+    """Return each record's median corrected speed where they are too far apart for one curve.
 
     Parameters
     ----------
     records : sequence of CoefficientSeries
         The records.
     """
-    speeds = [float(np.median(r.Nc_frac[r.scored])) for r in records if r.Nc_frac is not None]
-    return speeds if len(speeds) > 1 and max(speeds) - min(speeds) > SPEED_SPREAD else []
+    known = [
+        (r.source, float(np.median(r.Nc_frac[r.scored]))) for r in records if r.Nc_frac is not None
+    ]
+    speeds = [speed for _, speed in known] or [0.0]
+    return known if max(speeds) - min(speeds) > SPEED_SPREAD else []
 
 
 def noise_model_cautions(estimates: Sequence[TauEstimate]) -> tuple[Caution, ...]:
@@ -187,27 +170,19 @@ def noise_model_cautions(estimates: Sequence[TauEstimate]) -> tuple[Caution, ...
     the two stem from the same rows and mostly cancel in the difference, so that false alarms are
     rarer than that.
     """
-    known = [estimate for estimate in estimates if math.isfinite(estimate.stderr_s)]
-    pairs = list(combinations(known, 2))
+    pairs = list(combinations((e for e in estimates if math.isfinite(e.stderr_s)), 2))
     limit = _beyond(len(pairs))
-    apart = [
-        (abs(one.tau_s - two.tau_s), one, two)
+    apart = {
+        abs(one.tau_s - two.tau_s): (one, two)
         for one, two in pairs
         if abs(one.tau_s - two.tau_s) > limit * math.hypot(one.stderr_s, two.stderr_s)
-    ]
+    }
     if not apart:
         return ()
-    _, one, two = max(apart, key=lambda found: found[0])
-    return (
-        Caution.of(
-            "noise_models_disagree",
-            one=one.label,
-            one_ms=1e3 * one.tau_s,
-            two=two.label,
-            two_ms=1e3 * two.tau_s,
-            pairs=len(apart),
-        ),
-    )
+    one, two = apart[max(apart)]
+    labels = {"one": one.label, "two": two.label}
+    taus = {"one_ms": 1e3 * one.tau_s, "two_ms": 1e3 * two.tau_s}
+    return (Caution.of("noise_models_disagree", **labels, **taus, pairs=len(apart)),)
 
 
 def drift_cautions(estimates: Sequence[TauEstimate], drift: Drift | None) -> tuple[Caution, ...]:
@@ -224,37 +199,19 @@ def drift_cautions(estimates: Sequence[TauEstimate], drift: Drift | None) -> tup
         return ()
     cautions = []
     if (drift.tau_s + 2.0 * drift.stderr_s) * TAUS_A_KNOT > drift.knot_spacing_s:
-        cautions.append(
-            Caution.of(
-                "knots_too_close",
-                tau_ms=1e3 * drift.tau_s,
-                knots_s=drift.knot_spacing_s,
-                taus_a_knot=TAUS_A_KNOT,
-            )
-        )
-    if not drift.dominates:
-        return tuple(cautions)
+        knots = {"knots_s": drift.knot_spacing_s, "taus_a_knot": TAUS_A_KNOT}
+        cautions.append(Caution.of("knots_too_close", tau_ms=1e3 * drift.tau_s, **knots))
     # The error of a fit without the drift is blown up by the drift: that of the fit with it counts.
     moved = max(LONGER * drift.tau_s, drift.tau_s + _beyond(1) * drift.stderr_s)
-    for estimate in estimates:
-        tau_s = estimate.tau_s
-        if tau_s * LEAST_DRIFT_S > drift.time_s:
-            cautions.append(
-                Caution.of(
-                    "tau_near_drift", estimate.label, tau_ms=1e3 * tau_s, drift_s=drift.time_s
-                )
-            )
-        elif tau_s > moved:
-            cautions.append(
-                Caution.of(
-                    "drift_read_as_lag",
-                    estimate.label,
-                    tau_ms=1e3 * tau_s,
-                    with_drift_ms=1e3 * drift.tau_s,
-                    drift_rms=drift.rms,
-                    error_rms=drift.error_rms,
-                )
-            )
+    for estimate in estimates if drift.dominates else ():
+        numbers = {"tau_ms": 1e3 * estimate.tau_s}
+        if estimate.tau_s * LEAST_DRIFT_S > drift.time_s:
+            numbers |= {"drift_s": drift.time_s}
+            cautions.append(Caution.of("tau_near_drift", estimate.label, **numbers))
+        elif estimate.tau_s > moved:
+            numbers |= {"with_drift_ms": 1e3 * drift.tau_s}
+            numbers |= {"drift_rms": drift.rms, "error_rms": drift.error_rms}
+            cautions.append(Caution.of("drift_read_as_lag", estimate.label, **numbers))
     return tuple(cautions)
 
 
@@ -286,15 +243,8 @@ def filter_cautions(
     cautions += _unlike_corners(rows)
     if found is not None and found.significant:
         late, early = ("ψ'", "φ") if found.delay_s > 0.0 else ("φ", "ψ'")
-        cautions.append(
-            Caution.of(
-                "misaligned",
-                late=late,
-                early=early,
-                delay_ms=1e3 * abs(found.delay_s),
-                stderr_ms=1e3 * found.stderr_s,
-            )
-        )
+        numbers = {"delay_ms": 1e3 * abs(found.delay_s), "stderr_ms": 1e3 * found.stderr_s}
+        cautions.append(Caution.of("misaligned", late=late, early=early, **numbers))
     return tuple(cautions)
 
 
@@ -338,7 +288,7 @@ def _of_rows(
 
 
 def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
-    """Name what is odd about the records themselves."""
+    """Name what is odd about the records themselves, and what their ledgers found."""
     cautions = []
     for record in records:
         if not record.history:
@@ -348,11 +298,15 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
         rate_hz = record.sample_rate_hz
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             cautions.append(Caution.of("odd_rate", record.source, rate_hz=rate_hz))
-    speeds = spread_speeds(records)
-    if speeds:
-        low, high = 100.0 * min(speeds), 100.0 * max(speeds)
-        cautions.append(Caution.of("speeds_apart", low_percent=low, high_percent=high))
-    return cautions
+    each = ", ".join(f"{name} {100.0 * speed:.0f} %" for name, speed in spread_speeds(records))
+    if each:
+        cautions.append(Caution.of("speeds_apart", each=each))
+    return cautions + [
+        Caution("ledger", record.source, entry.step, {"finding": flag})
+        for record in records
+        for entry in record.history
+        for flag in entry.flags
+    ]
 
 
 def _taus_apart(results: tuple[EstimatorResult, ...]) -> list[Caution]:

@@ -44,8 +44,8 @@ from comparisons.results import (
     ComparisonRow,
     EstimatorResult,
     FitRows,
-    FitScore,
     FittedLag,
+    LagModel,
 )
 from surge_core.lag import Hold
 from surge_core.types import BoolArray, FloatArray
@@ -96,19 +96,19 @@ def compare_records(
     specs = estimators or default_estimators(
         degree=degree, hold=hold, breakpoints=breakpoints, time_constant_s=time_constant_s
     )
-    valid_phi = trusted_range(rows.phi)
-    results = tuple(_run(spec, rows, records, hold, valid_phi) for spec in progress(specs))
+    results = tuple(_run(spec, rows, records, hold) for spec in progress(specs))
     quotable = _quotable(records, results)
     table = _table(results, quotable)
     histories = [record.history for record in records]
-    first = (
-        _held_out_caution(table, results, target),
-        tau_caution(histories, target=target, quotable=quotable),
+    biased = tau_caution(histories, target=target, quotable=quotable)
+    cautions = (
+        *_held_out_caution(table, results, target),
+        *([biased] if biased else []),
+        *comparison_cautions(
+            records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
+        ),
     )
-    others = comparison_cautions(
-        records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
-    )
-    cautions = (*(caution for caution in first if caution is not None), *others)
+    valid_phi = trusted_range(rows.phi)
     return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
 
 
@@ -147,21 +147,21 @@ def _is_clean_run(record: CoefficientSeries) -> bool:
 
 
 def _run(
-    spec: EstimatorSpec,
-    rows: FitRows,
-    records: Sequence[CoefficientSeries],
-    hold: Hold,
-    valid_phi: tuple[float, float],
+    spec: EstimatorSpec, rows: FitRows, records: Sequence[CoefficientSeries], hold: Hold
 ) -> EstimatorResult:
     begin = time.perf_counter()
     estimator = spec.fitted(rows, records, None)
     seconds = time.perf_counter() - begin
-    model = _value(estimator, spec, rows, hold, valid_phi)
+    model = _value(estimator, spec, rows, hold)
     extended = getattr(estimator, "extended_", None)
     reconstruction = (extended or model).free_run_over(rows, records)
     predicted, known = _one_step(estimator, model, rows, records)
-    trained = _trained(spec, rows, records, hold, valid_phi)
-    held_out, blocks = _held_out(rows, trained)
+    trained = _trained(spec, rows, records, hold)
+    held_out, blocks = None, np.zeros((0, 2))
+    if trained is not None:
+        test, free_run = rows.part(~rows.train), trained[~rows.train]
+        held_out = score_fit(test.measured, free_run)
+        blocks = block_errors(test.measured - free_run, test.runs)
     state, advice = _state(estimator)
     errors = np.where(known, rows.measured - predicted, 0.0)
     return EstimatorResult(
@@ -178,7 +178,7 @@ def _run(
         trained=reconstruction if trained is None else trained,
         errors_one_step=errors,
         held_out_blocks=blocks,
-        checks=_checks(estimator, errors, rows, valid_phi),
+        checks=_checks(estimator, errors, rows, model.valid_phi),
         seconds=seconds,
         whole_run=estimator if isinstance(estimator, WholeRunFit) else None,
         structure=structure_of(estimator),
@@ -187,15 +187,17 @@ def _run(
     )
 
 
-def _value(
-    estimator: Any,
-    spec: EstimatorSpec,
-    rows: FitRows,
-    hold: Hold,
-    valid_phi: tuple[float, float],
-) -> FittedLag:
+def _value(estimator: Any, spec: EstimatorSpec, rows: FitRows, hold: Hold) -> FittedLag:
     grid = np.linspace(float(rows.phi.min()), float(rows.phi.max()), CURVE_POINTS)
-    return FittedLag.from_estimator(estimator, spec.name, rows.target, hold, grid, valid_phi)
+    phi = rows.phi
+    if isinstance(estimator, WholeRunFit):
+        # It scores rows in forward flow alone: those in reversed flow, which the others fit, it
+        # simulates through.
+        inputs, scored = estimator.stacked()
+        phi = inputs.phi[scored] if scored.any() else phi
+    return FittedLag.from_estimator(
+        estimator, spec.name, rows.target, hold, grid, trusted_range(phi)
+    )
 
 
 def _one_step(
@@ -215,11 +217,7 @@ def _one_step(
 
 
 def _trained(
-    spec: EstimatorSpec,
-    rows: FitRows,
-    records: Sequence[CoefficientSeries],
-    hold: Hold,
-    valid_phi: tuple[float, float],
+    spec: EstimatorSpec, rows: FitRows, records: Sequence[CoefficientSeries], hold: Hold
 ) -> FloatArray | None:
     """Return the free run over all rows of a fit to the training rows, or None without both."""
     if rows.train.all() or not rows.train.any():
@@ -229,21 +227,9 @@ def _trained(
         float(train.time_s[train.record == i].max(initial=-np.inf)) for i in range(len(records))
     ]
     estimator = spec.fitted(train, records, until_s)
-    model = _value(estimator, spec, train, hold, valid_phi)
+    model: LagModel = getattr(estimator, "extended_", None) or _value(estimator, spec, train, hold)
     # Where the one segment is cut in two, the held-out part has a measured start of its own.
-    labels = 2 * rows.labels + ~rows.train
-    run: FloatArray = (getattr(estimator, "extended_", None) or model).free_run_over(
-        rows, records, labels
-    )
-    return run
-
-
-def _held_out(rows: FitRows, trained: FloatArray | None) -> tuple[FitScore | None, FloatArray]:
-    if trained is None:
-        return None, np.zeros((0, 2))
-    test = rows.part(~rows.train)
-    free_run = trained[~rows.train]
-    return score_fit(test.measured, free_run), block_errors(test.measured - free_run, test.runs)
+    return model.free_run_over(rows, records, 2 * rows.labels + ~rows.train)
 
 
 def _checks(
@@ -251,11 +237,7 @@ def _checks(
 ) -> tuple[CheckRow, ...]:
     """Check each estimator on the rows that it scores."""
     if isinstance(estimator, WholeRunFit):
-        inputs, scored = estimator.stacked()
-        # It scores rows in forward flow alone: those in reversed flow, which the others fit, it
-        # simulates through, and it cannot be asked to sweep them.
-        own = trusted_range(inputs.phi[scored]) if scored.any() else valid_phi
-        return estimator.checks(own)
+        return estimator.checks(valid_phi)
     if isinstance(estimator, LagRegressor):
         return residual_checks(estimator, rows.X, rows.measured, rows.labels, stated_phi=valid_phi)
     # The plain lag's prediction from a noisy row before it is never white: no noise model, no test
@@ -279,13 +261,13 @@ def _table(
     results: tuple[EstimatorResult, ...], quotable: tuple[str, ...]
 ) -> tuple[ComparisonRow, ...]:
     """Set the estimator whose τ is to be quoted first, then order by trust."""
-    scores = [block_rms(result.held_out_blocks) for result in results]
-    known = [i for i, (error, _) in enumerate(scores) if math.isfinite(error)]
-    least = min(known, key=lambda i: scores[i][0], default=None)
+    errors = {result.name: block_rms(result.held_out_blocks) for result in results}
+    known = [result for result in results if math.isfinite(errors[result.name][0])]
+    least = min(known, key=lambda result: errors[result.name][0], default=None)
     median_tau = _median_tau(results)
 
-    def distrust(i: int) -> tuple[int, bool, bool, int, float]:
-        result, error = results[i], scores[i][0]
+    def distrust(result: EstimatorResult) -> tuple[int, bool, bool, int, float]:
+        error = errors[result.name][0]
         return (
             quotable.index(result.name) if result.name in quotable else len(quotable),
             not result.converged,
@@ -295,26 +277,16 @@ def _table(
         )
 
     rows = []
-    for rank, i in enumerate(sorted(range(len(results)), key=distrust), start=1):
-        result = results[i]
-        difference, paired_error = 0.0, 0.0
-        if least is not None and i != least and i in known:
-            difference, paired_error = paired_difference(
-                result.held_out_blocks, results[least].held_out_blocks
-            )
-        rows.append(
-            ComparisonRow(
-                result.name,
-                result.label,
-                rank,
-                *scores[i],
-                difference,
-                paired_error,
-                result.model.time_constant_s,
-                result.model.time_constant_stderr_s,
-                _trust(result, median_tau, difference, paired_error),
-            )
+    for rank, result in enumerate(sorted(results, key=distrust), start=1):
+        paired = (0.0, 0.0)
+        if least is not None and result is not least and math.isfinite(errors[result.name][0]):
+            paired = paired_difference(result.held_out_blocks, least.held_out_blocks)
+        tau = result.model.time_constant_s, result.model.time_constant_stderr_s
+        trust = _trust(result, median_tau, *paired)
+        row = ComparisonRow(
+            result.name, result.label, rank, *errors[result.name], *paired, *tau, trust
         )
+        rows.append(row)
     return tuple(rows)
 
 
@@ -350,16 +322,14 @@ def _trust(
 
 def _held_out_caution(
     table: tuple[ComparisonRow, ...], results: tuple[EstimatorResult, ...], target: str
-) -> Caution | None:
+) -> list[Caution]:
     """Say what the held-out error is not, where the least belongs to a fit that failed a check.
 
     What a model lacks repeats in every cycle: a flexible curve learns it, and is rewarded on
     held-out cycles too.
     """
     known = [row for row in table if math.isfinite(row.held_out_rms)]
-    if not known:
-        return None
-    least = min(known, key=lambda row: row.held_out_rms).estimator
-    if not next(result for result in results if result.name == least).failed:
-        return None
-    return Caution.of("held_out_is_prediction", symbol=SYMBOLS[target])
+    least = min(known, key=lambda row: row.held_out_rms).estimator if known else None
+    if not any(result.failed for result in results if result.name == least):
+        return []
+    return [Caution.of("held_out_is_prediction", symbol=SYMBOLS[target])]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -64,24 +65,13 @@ class Misalignment:
     ----------
     delay_s, stderr_s : float
         Dead time and its standard error, in seconds; negative where ψ' comes first.
-    threshold : float
-        Standard errors beyond which it is significant.
-    sample_period_s : float
-        Sample period, in seconds.
+    significant : bool
+        Whether it is more than chance, and more than the hold of φ is worth.
     """
 
     delay_s: float
     stderr_s: float
-    threshold: float
-    sample_period_s: float
-
-    @property
-    def significant(self) -> bool:
-        """Whether it is more than chance, and more than the hold of φ is worth."""
-        return (
-            abs(self.delay_s) > self.threshold * self.stderr_s
-            and abs(self.delay_s) > LEAST_DELAY_SAMPLES * self.sample_period_s
-        )
+    significant: bool
 
 
 def drift_of(
@@ -105,14 +95,7 @@ def drift_of(
     Drift or None
         None where that fit did not end well.
     """
-    model = LagRegressor(
-        rows.sample_period_s,
-        noise="output-error",
-        drift="spline",
-        degree=degree,
-        hold=hold,
-        knot_spacing_s=knot_spacing_s,
-    ).fit(rows.X, rows.measured, rows.labels)
+    model = _with_drift(rows, degree=degree, hold=hold, knot_spacing_s=knot_spacing_s)
     if model.fit_state_ is not FitState.CONVERGED:
         return None
     fit = model.linearised(rows.X, rows.measured, rows.labels)
@@ -152,25 +135,20 @@ def misalignment(rows: FitRows, *, degree: int = 2, hold: Hold = "first") -> Mis
     margin = min(MARGIN_ROWS, shortest // 25)
     if margin < 1 or rows.phi.size < FEWEST_ROWS:
         return None
-    late = _late(rows, margin)
-    model = LagRegressor(
-        late.sample_period_s,
-        noise="output-error",
-        drift="spline",
-        degree=degree,
-        hold=hold,
-        dead_time_s="fit",
-    ).fit(late.X, late.measured, late.labels)
+    model = _with_drift(_late(rows, margin), degree=degree, hold=hold, dead_time_s="fit")
     if model.fit_state_ is not FitState.CONVERGED:
         return None
-    n = model.n_blocks_
-    tail = 0.5 * FALSE_ALARM
-    return Misalignment(
-        float(model.dead_time_s_) - margin * rows.sample_period_s,
-        float(model.dead_time_stderr_s_),
-        float(t.isf(tail, n - 1) if n > 1 else norm.isf(tail)),
-        rows.sample_period_s,
-    )
+    n, tail = model.n_blocks_, 0.5 * FALSE_ALARM
+    threshold = t.isf(tail, n - 1) if n > 1 else norm.isf(tail)
+    delay_s = float(model.dead_time_s_) - margin * rows.sample_period_s
+    stderr_s = float(model.dead_time_stderr_s_)
+    least_s = max(threshold * stderr_s, LEAST_DELAY_SAMPLES * rows.sample_period_s)
+    return Misalignment(delay_s, stderr_s, abs(delay_s) > least_s)
+
+
+def _with_drift(rows: FitRows, **options: Any) -> LagRegressor:
+    model = LagRegressor(rows.sample_period_s, noise="output-error", drift="spline", **options)
+    return model.fit(rows.X, rows.measured, rows.labels)
 
 
 def _late(rows: FitRows, margin: int) -> FitRows:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs, has_whole_run
-from comparisons.results import ESTIMATOR_LABELS, FitRows, StructureChoice
+from comparisons.results import ESTIMATOR_LABELS, FitRows
 from surge_core.lag import Hold
 
 __all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints", "structure_of"]
@@ -30,22 +31,18 @@ class EstimatorSpec:
         Key in the JSON.
     label : str
         What people call it.
-    build : callable
-        ``build(rows) -> estimator``, unfitted, following scikit-learn's contract;
-        ``fit(X, y, segments)`` is called on it.
+    fit_rows : callable
+        ``fit_rows(rows, records) -> fitted`` takes the rows, and the records that they come from
+        for a model that needs more channels than φ.
     fit_records : callable, optional
         ``fit_records(records, until_s) -> fitted`` takes whole records in place of the rows, each
         scored up to a time of its own (None: all of it), where they carry what it needs.
-    fit_rows : callable, optional
-        ``fit_rows(rows, records) -> fitted`` takes the rows and the records they come from, in
-        place of ``build``, for a model that needs more channels than φ.
     """
 
     name: str
     label: str
-    build: Callable[[FitRows], Any]
+    fit_rows: Callable[[FitRows, Sequence[CoefficientSeries]], Any]
     fit_records: Callable[[Sequence[CoefficientSeries], Sequence[float] | None], Any] | None = None
-    fit_rows: Callable[[FitRows, Sequence[CoefficientSeries]], Any] | None = None
 
     def fitted(
         self, rows: FitRows, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
@@ -64,9 +61,7 @@ class EstimatorSpec:
         whole = rows.target == "psi_p" and all(map(has_whole_run, records))
         if self.fit_records is not None and whole:
             return self.fit_records(records, until_s)
-        if self.fit_rows is not None:
-            return self.fit_rows(rows, records)
-        return self.build(rows).fit(rows.X, rows.measured, segments=rows.labels)
+        return self.fit_rows(rows, records)
 
 
 def default_estimators(
@@ -95,40 +90,36 @@ def default_estimators(
         Hold τ of the classical estimators at this value, as the paper had to.
     """
 
-    def classical(noise: Literal["arx", "armax", "output-error"]) -> Callable[[FitRows], Any]:
-        def build(rows: FitRows) -> Any:
-            # The classical recursion, as in the paper's program. On data low-passed at 48 Hz C has
-            # a root near the unit circle and remembers the start through a whole segment, so that
-            # the two starts give different curves.
-            return LagRegressor(
-                rows.sample_period_s,
-                noise=noise,
-                degree=degree,
-                hold=hold,
-                basis=PiecewiseLinear(breakpoints) if breakpoints else None,
-                exact_start=False,
-                time_constant_s=time_constant_s,
-            )
+    def classical(
+        noise: Literal["arx", "armax", "output-error"], rows: FitRows, _: Any
+    ) -> LagRegressor:
+        # The classical recursion, as in the paper's program. On data low-passed at 48 Hz C has a
+        # root near the unit circle and remembers the start through a whole segment, so that the
+        # two starts give different curves.
+        model = LagRegressor(
+            rows.sample_period_s,
+            noise=noise,
+            degree=degree,
+            hold=hold,
+            basis=PiecewiseLinear(breakpoints) if breakpoints else None,
+            exact_start=False,
+            time_constant_s=time_constant_s,
+        )
+        return model.fit(rows.X, rows.measured, segments=rows.labels)
 
-        return build
-
-    def sparse(rows: FitRows) -> Any:
+    def sparse(rows: FitRows, _: Any) -> Any:
         from sindy_surge import SparseLagRegressor
         from sindy_surge.library import piecewise_linear_library
 
         # Terms with ψ' are not what a characteristic over φ is; `SparseLagRegressor` alone looks
         # for them.
-        plain: dict[str, Any] = {"hold": hold, "psi_terms": False, "output_name": rows.target}
-        if rows.target == "psi_p":
-            return SparseLagRegressor(rows.sample_period_s, **plain)
-        # A line and two breakpoints, as in Fig 22; here the data choose where.
-        return SparseLagRegressor(
-            rows.sample_period_s,
-            library=piecewise_linear_library(rows.X),
-            max_terms=4,
-            constraints={"1": "required"},
-            **plain,
-        )
+        options: dict[str, Any] = {"hold": hold, "psi_terms": False, "output_name": rows.target}
+        if rows.target == "psi":
+            # A line and two breakpoints, as in Fig 22; here the data choose where.
+            options |= {"library": piecewise_linear_library(rows.X), "max_terms": 4}
+            options["constraints"] = {"1": "required"}
+        model = SparseLagRegressor(rows.sample_period_s, **options)
+        return model.fit(rows.X, rows.measured, segments=rows.labels)
 
     def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
         return fit_whole_runs(
@@ -140,20 +131,18 @@ def default_estimators(
 
         return fit_sparse_whole_runs(records, hold=hold, until_s=until_s)
 
-    builds: dict[str, Callable[[FitRows], Any]] = {
-        "classic_ml": classical("armax"),
-        "paper": classical("armax"),
-        "classic_ml_arx": classical("arx"),
-        "classic_ml_output_error": classical("output-error"),
-        "sindy": sparse,
+    specs: dict[str, tuple[Any, Any]] = {
+        "classic_ml": (partial(classical, "armax"), whole),
+        "paper": (partial(classical, "armax"), None),
+        "classic_ml_arx": (partial(classical, "arx"), None),
+        "classic_ml_output_error": (partial(classical, "output-error"), None),
+        "sindy": (sparse, sparse_whole),
     }
-    if breakpoints:
-        # The paper has no way of its own to the work coefficient beside that of classic_ml.
-        del builds["paper"]
-    on_records = {"classic_ml": whole, "sindy": sparse_whole}
     return tuple(
-        EstimatorSpec(name, ESTIMATOR_LABELS[name], build, on_records.get(name))
-        for name, build in builds.items()
+        EstimatorSpec(name, ESTIMATOR_LABELS[name], *fits)
+        for name, fits in specs.items()
+        # The paper has no way of its own to the work coefficient beside that of classic_ml.
+        if not (breakpoints and name == "paper")
     )
 
 
@@ -172,32 +161,34 @@ def psi_breakpoints(rows: FitRows, hold: Hold = "first") -> tuple[float, float]:
     """
     deciles = np.percentile(rows.phi, np.arange(10, 100, 10))
     apart = 0.1 * float(np.ptp(rows.phi))
-    pairs = [(a, b) for a, b in combinations(deciles, 2) if b - a > apart]
-    if not pairs:
-        low, high = np.percentile(rows.phi, [30.0, 70.0])
-        return float(low), float(max(high, low + max(apart, 1e-6)))
-    costs = []
-    for pair in pairs:
-        model = LagRegressor(
-            rows.sample_period_s, noise="arx", hold=hold, basis=PiecewiseLinear(pair)
-        ).fit(rows.X, rows.measured, rows.labels)
-        costs.append(model.residual_std_)
-    return _rounded(pairs[int(np.argmin(costs))])
+    pairs = [(float(a), float(b)) for a, b in combinations(deciles, 2) if b - a > apart]
 
+    def cost(pair: tuple[float, float]) -> float:
+        basis = PiecewiseLinear(pair)
+        model = LagRegressor(rows.sample_period_s, noise="arx", hold=hold, basis=basis)
+        return float(model.fit(rows.X, rows.measured, rows.labels).residual_std_)
 
-def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
+    # A φ that hardly ever moves has no pair of deciles that far apart.
+    low, high = min(pairs or [(float(deciles[0]), float(rows.phi.max()))], key=cost)
     # Three decimals of φ are what a characteristic can be read to; names stay short.
-    low, high = round(float(pair[0]), 3), round(float(pair[1]), 3)
-    return (low, high) if low < high else (float(pair[0]), float(pair[1]))
+    return (round(low, 3), round(high, 3)) if high - low > 1e-3 else (low, high)
 
 
-def structure_of(estimator: Any) -> StructureChoice | None:
-    """Take the choice of terms out of a fitted estimator; None of one whose terms were given.
+def structure_of(estimator: Any) -> dict[str, Any] | None:
+    """Return how sure a choice of terms is, as plain JSON types; None where they were given.
 
     Parameters
     ----------
     estimator : object
         Fitted; one that searches has ``candidate_terms_`` and ``path_``.
+
+    Returns
+    -------
+    dict or None
+        ``n_candidates``, the terms that were searched; ``rivals``, structures that the data do not
+        separate from the chosen one; ``aliases``, terms left out because they are sums of others
+        on this record; ``inclusion_probability``, share of resampled records that hold a term;
+        ``path``, the best structure of each size with its held-out rms (NaN where unknown).
     """
     if not hasattr(estimator, "candidate_terms_"):
         return None
@@ -205,13 +196,20 @@ def structure_of(estimator: Any) -> StructureChoice | None:
     # Of each size the chosen structure, else that of the least error; unknown errors last.
     for row in sorted(estimator.path_, key=_by_merit, reverse=True):
         best[row.size] = row
-    return StructureChoice(
-        len(estimator.candidate_terms_),
-        tuple(tuple(terms) for terms in getattr(estimator, "rivals_", ())),
-        dict(getattr(estimator, "aliases_", {})),
-        dict(getattr(estimator, "inclusion_probability_", {})),
-        tuple((n, tuple(best[n].terms), float(best[n].held_out_rms)) for n in sorted(best)),
-    )
+    return {
+        "n_candidates": len(estimator.candidate_terms_),
+        "rivals": [list(terms) for terms in getattr(estimator, "rivals_", ())],
+        "aliases": dict(getattr(estimator, "aliases_", {})),
+        "inclusion_probability": dict(getattr(estimator, "inclusion_probability_", {})),
+        "path": [
+            {
+                "size": size,
+                "terms": list(best[size].terms),
+                "held_out_rms": float(best[size].held_out_rms),
+            }
+            for size in sorted(best)
+        ],
+    }
 
 
 def _by_merit(row: Any) -> tuple[bool, float]:

@@ -73,13 +73,9 @@ def block_errors(
     """
     keep = np.ones(error.size, dtype=np.bool_) if scored is None else scored
     pieces = max(1, math.ceil(MINIMUM_BLOCKS / max(len(runs), 1)))
-    rows = []
-    for run in runs:
-        edges = np.linspace(run.start, run.stop, pieces + 1).astype(int)
-        for low, high in pairwise(edges):
-            squares = error[low:high][keep[low:high]] ** 2
-            if squares.size:
-                rows.append((float(squares.sum()), float(squares.size)))
+    edges = [np.linspace(run.start, run.stop, pieces + 1).astype(int) for run in runs]
+    blocks = [slice(*ends) for own in edges for ends in pairwise(own)]
+    rows = [(np.sum(error[b][keep[b]] ** 2), np.sum(keep[b])) for b in blocks if keep[b].any()]
     return np.asarray(rows, dtype=np.float64).reshape(-1, 2)
 
 

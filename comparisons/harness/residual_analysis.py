@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.whitening import bartlett_widening, lagged_correlation
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = [
     "Correlation",
@@ -22,7 +21,6 @@ __all__ = [
 
 CONFIDENCE = 0.99
 LONGEST_PIECE = 512
-SHORTEST_PIECE = 8
 # From the stall point to reversed flow a high-speed compressor takes some tens of milliseconds.
 INCEPTION_S = 0.25
 NEARBY_SHARE = 0.02
@@ -41,15 +39,12 @@ class Spectrum:
         Frequencies, without zero.
     density : ndarray of shape (n,)
         Power per hertz, in the unit of the signal squared.
-    degrees_of_freedom : float
-        Of the χ² law that each value follows.
     band99 : tuple of float
         Factors on a true density between which 99 % of the estimates lie.
     """
 
     frequency_hz: FloatArray
     density: FloatArray
-    degrees_of_freedom: float
     band99: tuple[float, float]
 
 
@@ -72,13 +67,7 @@ class Correlation:
     limit99: float
 
 
-def segment_spectrum(
-    values: FloatArray,
-    runs: list[slice],
-    sample_period_s: float,
-    *,
-    piece_rows: int | None = None,
-) -> Spectrum:
+def segment_spectrum(values: FloatArray, runs: list[slice], sample_period_s: float) -> Spectrum:
     """Return the power spectrum of a signal that is known in segments.
 
     Each segment is cut into Hann-windowed pieces that overlap by half, the first-order trend is
@@ -90,29 +79,33 @@ def segment_spectrum(
     values : ndarray of shape (n,)
         The signal.
     runs : list of slice
-        Its segments.
+        Its segments; shorter ones than a piece, which three quarters of them reach, do not count.
     sample_period_s : float
         Sample period, in seconds.
-    piece_rows : int, optional
-        Rows of a piece; else a length that at least three quarters of the segments reach.
 
     Returns
     -------
     Spectrum
-        From the first frequency a piece can tell to half the sample rate. A segment shorter than
-        a piece counts where no segment reaches it, and not otherwise.
+        From the first frequency that a piece resolves to half the sample rate.
     """
     from scipy.signal import detrend, periodogram
     from scipy.stats import chi2
 
-    rows = _piece_rows(runs) if piece_rows is None else piece_rows
-    pieces = np.stack([values[piece] for piece in _pieces(runs, rows)])
+    lengths = np.sort([run.stop - run.start for run in runs])
+    rows = min(int(lengths[lengths.size // 4]), LONGEST_PIECE)
+    pieces = np.concatenate(
+        [
+            np.lib.stride_tricks.sliding_window_view(values[run], rows)[:: rows // 2]
+            for run in runs
+            if run.stop - run.start >= rows
+        ]
+    )
     frequency, density = periodogram(pieces, 1.0 / sample_period_s, "hann", detrend=detrend)
     n = len(pieces)
     freedom = 2.0 * n / (1.0 + 2.0 * (1.0 - 1.0 / n) * OVERLAP_CORRELATION)
     tail = 0.5 * (1.0 - CONFIDENCE)
     band = (float(chi2.ppf(tail, freedom) / freedom), float(chi2.isf(tail, freedom) / freedom))
-    return Spectrum(frequency[1:], np.mean(density, axis=0)[1:], freedom, band)
+    return Spectrum(frequency[1:], np.mean(density, axis=0)[1:], band)
 
 
 def error_correlation(
@@ -144,17 +137,19 @@ def error_correlation(
         With the band of white errors, ± 2.58/√n; with φ it is wider by Bartlett's
         √(1 + 2 Σ ρ_e ρ_φ), which allows for the memory of both.
     """
+    from scipy.stats import norm
+
     other = errors if phi is None else phi - np.mean(phi)
     value = lagged_correlation(errors, other, runs, n_lags)
-    limit = _normal_limit() / math.sqrt(max(errors.size, 1))
+    limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE))) / math.sqrt(max(errors.size, 1))
     lags = sample_period_s * np.arange(-n_lags, n_lags + 1, dtype=np.float64)
     if phi is None:
         return Correlation(lags[n_lags + 1 :], value[n_lags + 1 :], limit)
     return Correlation(lags, value, limit * bartlett_widening(errors, other, runs, n_lags))
 
 
-def dwelt_on(grid: FloatArray, phi: FloatArray) -> NDArray[np.bool_]:
-    """Tell where on a grid there are rows nearby, within 2 % of the range of φ.
+def dwelt_on(grid: FloatArray, phi: FloatArray) -> BoolArray:
+    """Return where on a grid there are rows nearby, within 2 % of the range of φ.
 
     Parameters
     ----------
@@ -170,7 +165,7 @@ def dwelt_on(grid: FloatArray, phi: FloatArray) -> NDArray[np.bool_]:
 
 
 def stall_inception(
-    pressure_ratio: FloatArray, in_stall: NDArray[np.bool_], sample_rate_hz: float
+    pressure_ratio: FloatArray, in_stall: BoolArray, sample_rate_hz: float
 ) -> int | None:
     """Return the row from which the machine fell into its first stall.
 
@@ -194,27 +189,3 @@ def stall_inception(
     first = int(np.argmax(in_stall))
     start = max(0, first - int(INCEPTION_S * sample_rate_hz))
     return start + int(np.argmax(pressure_ratio[start : first + 1]))
-
-
-def _piece_rows(runs: list[slice]) -> int:
-    lengths = np.sort([run.stop - run.start for run in runs])
-    reached = int(lengths[lengths.size // 4])
-    return max(min(reached, LONGEST_PIECE), SHORTEST_PIECE)
-
-
-def _pieces(runs: list[slice], rows: int) -> list[slice]:
-    step = max(rows // 2, 1)
-    pieces = [
-        slice(start, start + rows)
-        for run in runs
-        for start in range(run.start, run.stop - rows + 1, step)
-    ]
-    if not pieces:
-        raise ValueError(f"no segment is {rows} rows long")
-    return pieces
-
-
-def _normal_limit() -> float:
-    from scipy.stats import norm
-
-    return float(norm.isf(0.5 * (1.0 - CONFIDENCE)))

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from classic_ml.coefficients import psi_is_known
 from classic_ml.series import CoefficientSeries
 from comparisons.results import FitRows
 from surge_core.errors import InputError
 from surge_core.segments import runs_of
-from surge_core.types import BoolArray, IntArray
+from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["MINIMUM_SEGMENT_ROWS", "stack_rows"]
+__all__ = ["MINIMUM_SEGMENT_ROWS", "check_once", "stack_rows"]
 
 TRAIN_SHARE = 2.0 / 3.0
 # An interval shorter than this says nothing about a lag of tens of milliseconds and costs a
@@ -48,45 +48,39 @@ def stack_rows(records: Sequence[CoefficientSeries], target: str = "psi_p") -> F
             found=" and ".join(f"{1.0 / period:g} Hz" for period in periods),
             remedy="compare them one at a time",
         )
-    _check_once(records)
-    columns: list[tuple[NDArray[np.generic], ...]] = []
+    check_once(records)
+    parts: list[tuple[Any, ...]] = []
     n_labels = 0
     for index, record in enumerate(records):
         values = getattr(record, target)
         if values is None:
             raise InputError(record.source, expected=f"a column {target}", found="none")
-        keep = record.scored & _known(record, target)
-        labels, n_labels = _labels(record.segment, keep, n_labels)
+        known = psi_is_known(record.phi) if target == "psi" else True
+        labels, n_labels = _labels(record.segment, record.scored & known, n_labels)
         rows = np.flatnonzero(labels)
-        columns.append(
-            (
-                record.phi[rows],
-                values[rows],
-                record.time_s[rows],
-                labels[rows],
-                np.full(rows.size, index),
-            )
-        )
-    phi, measured, time_s, labels, record_index = (
-        np.concatenate(parts) for parts in zip(*columns, strict=True)
+        own = labels[rows]
+        signals = record.phi[rows], values[rows], record.time_s[rows]
+        parts.append((*signals, own, np.full(rows.size, index), _train(own)))
+    phi, measured, time_s, labels, record_index, train = map(
+        np.concatenate, zip(*parts, strict=True)
     )
     _check_rows(records, phi, measured, target)
-    labels = labels.astype(np.int64)
-    train = np.concatenate([_train(labels[record_index == i]) for i in range(len(records))])
-    return FitRows(
-        phi.astype(np.float64),
-        measured.astype(np.float64),
-        time_s.astype(np.float64),
-        labels,
-        record_index.astype(np.int64),
-        periods[0],
-        target,
-        train,
-    )
+    return FitRows(phi, measured, time_s, labels, record_index, periods[0], target, train)
 
 
-def _check_once(records: Sequence[CoefficientSeries]) -> None:
-    """Refuse rows that are given twice: they would count as two, and errors come out too small."""
+def check_once(records: Sequence[CoefficientSeries]) -> None:
+    """Refuse rows that are given twice: they would count as two, or be held out and fitted too.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        The records.
+
+    Raises
+    ------
+    InputError
+        Naming the record whose rows are those of another.
+    """
     for one, other in combinations(records, 2):
         if np.array_equal(one.phi, other.phi) and np.array_equal(one.psi_p, other.psi_p):
             raise InputError(
@@ -99,8 +93,8 @@ def _check_once(records: Sequence[CoefficientSeries]) -> None:
 
 def _check_rows(
     records: Sequence[CoefficientSeries],
-    phi: NDArray[np.generic],
-    measured: NDArray[np.generic],
+    phi: FloatArray,
+    measured: FloatArray,
     target: str,
 ) -> None:
     """Refuse rows that cannot be fitted, with the reason that holds."""
@@ -110,25 +104,17 @@ def _check_rows(
         raise InputError(
             where,
             expected=f"a segment of at least {MINIMUM_SEGMENT_ROWS} rows to be fitted",
-            found="none: every row has segment 0"
-            if marked == 0
-            else f"{marked} rows, all in shorter ones",
+            found=f"{marked} rows in segments that are numbered",
             remedy="number the intervals to be fitted 1, 2, … in the column segment",
         )
     for name, values in (("phi", phi), (target, measured)):
-        if np.ptp(values.astype(np.float64)) == 0.0:
+        if np.ptp(values) == 0.0:
             raise InputError(
                 f"{where}: column {name}",
                 expected="a signal that moves in the rows to be fitted",
                 found=f"the constant {values[0]:g}",
                 remedy="a lag cannot be identified without excitation",
             )
-
-
-def _known(record: CoefficientSeries, target: str) -> BoolArray:
-    if target != "psi":
-        return np.ones(record.n_samples, dtype=np.bool_)
-    return psi_is_known(record.phi)
 
 
 def _labels(segment: IntArray, keep: BoolArray, n_before: int) -> tuple[IntArray, int]:

@@ -7,11 +7,11 @@ import math
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, WrapValidator, model_validator
 
-from comparisons.results import FittedLag, is_known_term
+from comparisons.results import FittedLag, LagModel, is_known_term
 from surge_core.errors import InputError
 from surge_core.files import write_whole
 from surge_core.models import Table, validated
@@ -31,8 +31,6 @@ __all__ = [
 ]
 
 MODEL_SCHEMA = "sindy-surge/model/1"
-# More than any record has.
-MOST_BLOCKS = 10**9
 
 
 class ModelFormat(NamedTuple):
@@ -96,7 +94,7 @@ class SavedModel(Saved):
     time_constant_stderr_s: StandardError = Field(description="a standard error in s, or null")
     terms: list[SavedTerm] = Field(description="a list of terms")
     valid_phi: Span
-    n_blocks: int = Field(ge=0, le=MOST_BLOCKS, description="a whole number of blocks from 0 on")
+    n_blocks: int = Field(ge=0, description="a whole number of blocks from 0 on")
     characteristic: list[Point] = Field(description="rows of φ, value and standard error")
 
     def common(self) -> dict[str, Any]:
@@ -155,18 +153,13 @@ class _Document(Saved, Generic[M]):
     models: dict[str, M] = Field(min_length=1, description="a table of models")
 
 
-class _Writable(Protocol):
-    def to_json(self) -> dict[str, Any]:
-        """Return its table."""
-
-
-def write_models(models: Mapping[str, _Writable], path: str | Path, form: ModelFormat) -> None:
+def write_models(models: Mapping[str, LagModel], path: str | Path, form: ModelFormat) -> None:
     """Write models as JSON that :func:`read_models` reads, whole or not at all.
 
     Parameters
     ----------
-    models : mapping of str to model
-        By name; each has a method ``to_json``.
+    models : mapping of str to LagModel
+        By name.
     path : str or path
         Target.
     form : ModelFormat
@@ -203,14 +196,13 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
     expected = f"{form.what} written by `{form.writer}`"
     try:
         document = json.loads(file.read_text("utf-8"))
-        schema = document["schema"]
+        found = f"the schema '{document['schema']}'"
     except FileNotFoundError:
-        raise InputError(str(file), expected=expected, found="no such file") from None
+        document, found = {}, "no such file"
     except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
-        found = f"no JSON of this kind ({error})"
-        raise InputError(str(file), expected=expected, found=found) from None
-    if schema != form.schema:
-        raise InputError(str(file), expected=expected, found=f"the schema '{schema}'")
+        document, found = {}, f"no JSON of this kind ({error})"
+    if not document or document["schema"] != form.schema:
+        raise InputError(str(file), expected=expected, found=found)
     try:
         return validated(_Document[kind], document, str(file)).models  # type: ignore[valid-type]
     except InputError as error:

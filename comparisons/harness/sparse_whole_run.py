@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,7 @@ from surge_core.types import FloatArray
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
     from sindy_surge.sparse_run import SparseRun
+    from sindy_surge.summary import ModelSummary
 
 __all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
 
@@ -55,11 +56,57 @@ class SparseWholeRunFit(WholeRunFit):
     candidate_terms_: tuple[str, ...]
     path_: tuple[PathRow, ...]
 
+    @property
+    def _phi_range(self) -> FloatArray:
+        """Least and greatest φ that was scored, of shape (2, 1); NaN where none was."""
+        inputs, scored = self.stacked()
+        phi = inputs.phi[scored] if scored.any() else np.array([math.nan])
+        return np.array([[phi.min()], [phi.max()]])
+
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
         values = evaluate_terms(self.terms_, np.ravel(np.asarray(phi, dtype=np.float64)))
         variance: FloatArray = np.einsum("ij,jk,ik->i", values, self.covariance_, values)
         return values @ self.coef_, np.sqrt(np.maximum(variance, 0.0))
+
+    def summary(self) -> ModelSummary:
+        """Return what is known of the fit; of a refused one no terms."""
+        from sindy_surge.summary import ModelSummary
+        from sindy_surge.text import EquationParts
+
+        terms = () if math.isnan(self.time_constant_s_) else tuple(self.terms_)
+        parts = EquationParts(
+            terms,
+            tuple(self.coef_[: len(terms)].tolist()),
+            tuple(np.sqrt(np.diag(self.covariance_))[: len(terms)].tolist()),
+            self.time_constant_s_,
+            self.time_constant_stderr_s_,
+        )
+        return ModelSummary(
+            parts,
+            self.fit_state_,
+            n_candidates=len(self.candidate_terms_),
+            path=self.path_,
+            input_ranges=self._phi_range,
+        )
+
+    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
+        """Write the equation, rounded to its uncertainty.
+
+        Parameters
+        ----------
+        style : {"text", "latex", "python"}
+            "python" gives the source of a function that returns ψ'_QS.
+        """
+        from sindy_surge.export import python_source
+        from sindy_surge.text import write_equation
+
+        parts = self.summary().parts
+        if style != "python":
+            return write_equation(parts, style)
+        return python_source(
+            parts, lambda phi, _: evaluate_terms(self.terms_, phi[:, 0]), self._phi_range
+        )
 
 
 def fit_sparse_whole_runs(
@@ -80,7 +127,7 @@ def fit_sparse_whole_runs(
         How φ acts between samples.
     until_s : sequence of float, optional
         Score each record up to this time only; the rest is held out.
-    optimizer : {"SSR", "STLSQ", "FROLS"} or pysindy optimizer
+    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes structures.
     max_terms : int
         Largest structure considered.
@@ -96,15 +143,17 @@ def fit_sparse_whole_runs(
         When a series lacks the unfiltered columns.
     """
     from sindy_surge.candidate_terms import CandidateTerms, polynomial_degree
-    from sindy_surge.free_run_equations import FreeRunEquations
     from sindy_surge.segments import Segments
-    from sindy_surge.sparse_run import select_on_free_run
+    from sindy_surge.sparse_run import FreeRunEquations, select_on_free_run
 
     check_rates(records)
     plain = scored_until([whole_run_rows(record) for record in records], until_s)
+    period_s = records[0].sample_period_s
     scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
     if not scored_phi.size:
-        return _refusal(records[0].sample_period_s, hold, plain)
+        nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, 0, FitState.BLOWDOWN
+        model = _output_error(period_s, hold)
+        return SparseWholeRunFit(math.nan, math.nan, [], *nothing, model, plain, (), (), ())
     # Knots and scales where the curve is asked for, not where φ is only simulated through.
     library = CandidateTerms(None, scored_phi[:, None], ["phi"])
     rows = scored_until(
@@ -119,7 +168,7 @@ def fit_sparse_whole_runs(
         psi_p,
         weight,
         Segments.from_labels(runs, psi_p.size),
-        records[0].sample_period_s,
+        period_s,
         hold,
     )
     found = select_on_free_run(
@@ -132,7 +181,7 @@ def fit_sparse_whole_runs(
         common_tau_share=COMMON_TAU_SHARE,
         common_curve_share=COMMON_CURVE_SHARE,
     )
-    return _result(found, records[0].sample_period_s, hold, rows, library.names)
+    return _result(found, period_s, hold, rows, library.names)
 
 
 def _output_error(sample_period_s: float, hold: Hold) -> LagRegressor:
@@ -140,28 +189,6 @@ def _output_error(sample_period_s: float, hold: Hold) -> LagRegressor:
 
     return LagRegressor(
         sample_period_s, noise="output-error", hold=hold, basis=FunctionTransformer()
-    )
-
-
-def _refusal(
-    sample_period_s: float, hold: Hold, rows: tuple[WholeRunRows, ...]
-) -> SparseWholeRunFit:
-    """Without a row to score nothing is chosen."""
-    return SparseWholeRunFit(
-        math.nan,
-        math.nan,
-        [],
-        np.zeros(0),
-        np.zeros((0, 0)),
-        0,
-        0,
-        0,
-        FitState.BLOWDOWN,
-        _output_error(sample_period_s, hold),
-        rows,
-        (),
-        (),
-        (),
     )
 
 

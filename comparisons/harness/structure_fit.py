@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -14,13 +14,11 @@ from classic_ml.whole_run import has_whole_run
 from comparisons.harness.cautions import tau_caution
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, stack_rows
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
-from comparisons.results import FitRows
-from surge_core.display import Field, Sheet
+from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from sindy_surge.summary import ModelSummary
-    from sindy_surge.text import EquationParts
     from surge_core.types import FloatArray
 
 __all__ = ["FoundStructure", "find_structure"]
@@ -38,13 +36,13 @@ OPTIONS = ROWS_ONLY | {"max_terms": "--max-terms", "optimizer": "--optimizer"}
 
 
 @dataclass(frozen=True)
-class FoundStructure:
+class FoundStructure(Displayed):
     """Terms, lag and errors found by the sparse regression alone.
 
     Parameters
     ----------
     fit : SparseLagRegressor or SparseWholeRunFit
-        The fitted estimator.
+        The fitted estimator: both have a summary, an equation and a characteristic.
     records : tuple of CoefficientSeries
         What was fitted.
     target : {"psi_p", "psi"}
@@ -79,8 +77,7 @@ class FoundStructure:
     @property
     def state(self) -> tuple[str, str]:
         """Code of how the fit ended, and the advice that goes with it."""
-        state = self.fit.fit_state_
-        return str(getattr(state, "code", state)), str(state.advice)
+        return str(self.fit.fit_state_), self.fit.fit_state_.advice
 
     @property
     def inclusion(self) -> dict[str, float]:
@@ -88,57 +85,17 @@ class FoundStructure:
         return dict(getattr(self.fit, "inclusion_probability_", {}))
 
     @property
-    def cautions(self) -> tuple[str, ...]:
-        """What to know before the numbers are used, but for the advice of the state."""
-        own = [c for c in getattr(self.fit, "cautions_", ()) if c != self.state[1]]
-        histories = [record.history for record in self.records]
-        filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
-        return (*own, *([filtered.text] if filtered else []))
-
-    @property
-    def parts(self) -> EquationParts:
-        """The equation with its errors; of a refused fit without terms."""
-        from sindy_surge.text import EquationParts
-
-        fit = self.fit
-        dead_stderr = getattr(fit, "dead_time_stderr_s_", 0.0)
-        terms = () if self.refused else fit.terms_
-        return EquationParts(
-            tuple(terms),
-            tuple(fit.coef_[: len(terms)].tolist()),
-            tuple(np.sqrt(np.diag(fit.covariance_))[: len(terms)].tolist()),
-            float(fit.time_constant_s_),
-            float(fit.time_constant_stderr_s_),
-            dead_time_s=float(getattr(fit, "dead_time_s_", 0.0)),
-            dead_time_stderr_s=float(dead_stderr) or math.nan,
-            output_name=self.target,
-        )
-
-    @property
     def summary(self) -> ModelSummary:
-        """All fields and tables of the fit."""
-        from sindy_surge.summary import ModelSummary
-        from surge_core.fit_state import FitState
+        """All fields and tables of the fit, with what its records make doubtful."""
         from surge_core.terms import pretty_term
 
-        fit, known = self.fit, self.inclusion
-        rows = self.fitted_to == "rows"
-        noise = getattr(fit, "noise_", None)
-        # Where the error of the model dominates only degrees of a polynomial were on trial.
-        searched = rows and bool(fit.path_) and fit.fit_state_ != FitState.MODEL_ERROR_DOMINATES
-        return ModelSummary(
-            self.parts,
-            fit.fit_state_,
+        own: ModelSummary = self.fit.summary()
+        histories = [record.history for record in self.records]
+        filtered = tau_caution(histories, target=self.target) if self.fitted_to == "rows" else None
+        return replace(
+            own,
             name=f"Structure of {pretty_term(self.target)}_QS(φ)",
-            n_candidates=len(fit.candidate_terms_),
-            inclusion=[known.get(term, math.nan) for term in fit.terms_] if known else None,
-            rivals=fit.rivals_ if searched else None,
-            aliases=tuple(fit.aliases_.items()) if rows else None,
-            noise=None if noise is None else (noise[0], np.asarray(noise[1]).tolist()),
-            weak=getattr(fit, "weak_form_", None),
-            path=fit.path_,
-            input_ranges=np.array([[self.phi.min()], [self.phi.max()]]) if self.phi.size else None,
-            cautions=self.cautions,
+            cautions=(*own.cautions, *([filtered.text] if filtered else [])),
         )
 
     def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
@@ -149,31 +106,18 @@ class FoundStructure:
         style : {"text", "latex", "python"}
             "python" gives the source of a function that returns ψ'_QS.
         """
-        if style != "python":
-            from sindy_surge.text import write_equation
-
-            return write_equation(self.parts, style)
-        if self.fitted_to == "rows":
-            return str(self.fit.equation("python"))
-        from sindy_surge.candidate_terms import CandidateTerms
-        from sindy_surge.export import python_source
-
-        # The library that the whole runs were fitted with, over the φ that they were scored at.
-        library = CandidateTerms(None, self.phi[:, None], ["phi"])
-        columns = [library.names.index(term) for term in self.fit.terms_]
-        ends = np.array([[self.phi.min()], [self.phi.max()]])
-        return python_source(self.parts, lambda phi, _: library(phi)[:, columns], ends)
-
-    def _repr_html_(self) -> str:
-        if self.refused:
-            code, advice = self.state
-            return Sheet("No structure", (Field("state", f"{code}: {advice}", "advice"),)).html()
-        return self.summary.sheet().html()
+        return str(self.fit.equation(style))
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""
         phi = np.linspace(self.phi.min(), self.phi.max(), CURVE_POINTS)
         return (phi, *self.fit.characteristic(phi))
+
+    def _sheet(self) -> Sheet:
+        if self.refused:
+            state = ": ".join(self.state)
+            return Sheet("No structure", (Field("state", state, "advice"),))
+        return self.summary.sheet()
 
 
 def find_structure(
@@ -231,7 +175,11 @@ def find_structure(
 
     settings |= {"psi_terms": psi_terms, "random_state": seed, **given}
     stacked = stack_rows(records, target)
-    _check_dead_time(given.get("dead_time_s"), stacked)
+    longest = max(run.stop - run.start for run in stacked.runs) - MINIMUM_SEGMENT_ROWS
+    dead_time_s, most_s = given.get("dead_time_s"), longest * stacked.sample_period_s
+    if isinstance(dead_time_s, float) and abs(dead_time_s) > most_s:
+        expected = f"at most {most_s:.3g} s, less than the longest segment"
+        raise InputError("--dead-time", expected=expected, found=f"{dead_time_s:g} s")
     fit = SparseLagRegressor(stacked.sample_period_s, output_name=target, **settings)
     try:
         fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
@@ -253,19 +201,6 @@ def find_structure(
         stacked.n_segments,
         settings,
     )
-
-
-def _check_dead_time(dead_time_s: Any, stacked: FitRows) -> None:
-    """Refuse a dead time that leaves no segment with rows enough."""
-    longest = max(run.stop - run.start for run in stacked.runs)
-    most_s = (longest - MINIMUM_SEGMENT_ROWS) * stacked.sample_period_s
-    if isinstance(dead_time_s, float) and abs(dead_time_s) > most_s:
-        raise InputError(
-            "--dead-time",
-            expected=f"at most {most_s:.3g} s, which leaves {MINIMUM_SEGMENT_ROWS} rows of the "
-            "longest segment",
-            found=f"{dead_time_s:g} s",
-        )
 
 
 def _whole_or_rows(

@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from classic_ml.characteristics import polynomial_basis
 from classic_ml.emptied_band import emptied_above_hz
 from comparisons.harness.fit_quality import block_errors, paired_difference, rms
-from comparisons.results import Comparison, FitRows, TauEstimate, TauTrial
+from comparisons.results import Comparison, FitRows, TauTrial
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = [
-    "estimates_of",
-    "parse_tau",
-    "reconstruction_error_over_tau",
-    "trial_of",
-    "trial_taus",
-]
+__all__ = ["parse_tau", "reconstruction_error_over_tau", "trial_of", "trial_taus"]
 
 N_TAUS = 61
 # Half a decade and more to either side shows both arms of the curve.
@@ -32,7 +23,7 @@ REACH = 4.0
 LONGEST_TAU_S = 10.0
 RUN_AWAY_S = 1.0
 _TAU = re.compile(r"([0-9.eE+-]+)\s*(s|ms|us|µs)?")
-_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 
 
 def parse_tau(text: str) -> float:
@@ -54,50 +45,44 @@ def parse_tau(text: str) -> float:
         When it is no number, has another unit, or no compressor has such a τ: a plain ``18`` is
         18 ms without its unit, not 18 s.
     """
-    expected = "a time constant such as 18ms or 0.018 (seconds)"
     match = _TAU.fullmatch(text.strip())
+    number, unit = match.groups() if match else ("nan", None)
     try:
-        value = float(match.group(1)) if match else math.nan
+        seconds = float(number) * _UNITS[unit]
     except ValueError:
-        value = math.nan
-    if match is None or not math.isfinite(value):
-        raise InputError("--tau", expected=expected, found=repr(text))
-    seconds = value * _UNITS[match.group(2) or "s"]
+        seconds = math.nan
     if not 0.0 < seconds <= LONGEST_TAU_S:
-        remedy = f"write {text.strip()}ms if milliseconds are meant" if value > 0.0 else ""
+        expected = "a time constant such as 18ms or 0.018 (seconds), above 0 and up to"
+        remedy = f"write {text.strip()}ms if milliseconds are meant"
         raise InputError(
             "--tau",
-            expected=f"{expected}, above 0 and up to {LONGEST_TAU_S:g} s",
-            found=f"{seconds:g} s",
-            remedy="" if match.group(2) else remedy,
+            expected=f"{expected} {LONGEST_TAU_S:g} s",
+            found=f"{seconds:g} s" if math.isfinite(seconds) else repr(text),
+            remedy=remedy if seconds > LONGEST_TAU_S and unit is None else "",
         )
     return seconds
 
 
-def trial_taus(*around_s: float, n: int = N_TAUS) -> FloatArray:
+def trial_taus(*around_s: float) -> FloatArray:
     """Return values of τ spaced evenly on a log scale around some estimates.
 
     Parameters
     ----------
     around_s : float
         Estimates; those that are not finite or longer than a second do not count.
-    n : int
-        How many values.
     """
     # A τ of many seconds is a fit that ran away; it must not stretch the axis.
     known = [tau for tau in around_s if 0.0 < tau <= RUN_AWAY_S] or [0.018]
-    return np.geomspace(min(known) / REACH, max(known) * REACH, n)
+    return np.geomspace(min(known) / REACH, max(known) * REACH, N_TAUS)
 
 
 def reconstruction_error_over_tau(
     rows: FitRows,
-    taus_s: ArrayLike | None = None,
+    terms: FloatArray,
+    taus_s: FloatArray,
     *,
-    degree: int = 2,
     hold: Hold = "first",
     scored: BoolArray | None = None,
-    terms: FloatArray | None = None,
-    estimates: Sequence[TauEstimate] = (),
 ) -> TauTrial:
     """Reconstruct with each τ in turn and score the free run.
 
@@ -105,27 +90,18 @@ def reconstruction_error_over_tau(
     ----------
     rows : FitRows
         The rows, e.g. ``comparison.rows``.
-    taus_s : array-like of shape (n,), optional
-        Values of τ, in seconds and increasing; without them, around the estimates.
-    degree : int
-        Degree of the characteristic that is refitted.
+    terms : ndarray of shape (n_rows, q)
+        Inputs s_i(φ) of the lag, whose curve is refitted to each τ.
+    taus_s : ndarray of shape (n,)
+        Values of τ, in seconds and increasing.
     hold : {"zero", "first"}
         How φ acts between samples.
     scored : ndarray of bool, shape (n_rows,), optional
         Rows that count; the others are simulated through. All without it.
-    terms : ndarray of shape (n_rows, q), optional
-        Inputs of the lag in place of the powers of φ.
-    estimates : sequence of TauEstimate
-        What estimators found, see :func:`estimates_of`.
 
     Returns
     -------
     TauTrial
-
-    Raises
-    ------
-    InputError
-        When the values of τ do not increase from above zero, or nothing is scored.
 
     Notes
     -----
@@ -133,44 +109,32 @@ def reconstruction_error_over_tau(
     segment, and least squares gives both at once (the paper set τ by trial, after its fit had
     given 243 ms where 18 ms reconstructs).
     """
-    taus = trial_taus(*(e.tau_s for e in estimates)) if taus_s is None else _increasing(taus_s)
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
-    inputs = polynomial_basis(degree).fit_transform(rows.X) if terms is None else terms
-    if np.count_nonzero(keep) <= inputs.shape[1] + 1:
-        raise InputError(
-            "τ by trial",
-            expected=f"more than {inputs.shape[1] + 1} scored rows",
-            found=str(np.count_nonzero(keep)),
-        )
 
     def refitted_at(tau_s: float) -> tuple[FloatArray, FloatArray]:
         """Return the curve's coefficients by least squares, and the errors."""
-        measured, answers = _scored(rows, inputs, keep, tau_s, hold)
+        measured, answers = _scored(rows, terms, keep, tau_s, hold)
         coef = np.asarray(np.linalg.lstsq(answers, measured)[0])
         return coef, measured - answers @ coef
 
-    fits = [refitted_at(tau_s) for tau_s in taus]
+    fits = [refitted_at(tau_s) for tau_s in taus_s]
     errors = [error for _, error in fits]
     refitted = np.array([rms(error) for error in errors])
     best = int(np.argmin(refitted))
-    curve = (inputs @ fits[best][0])[:, None]
     held = []
-    for tau_s in taus:
-        measured, answers = _scored(rows, curve, keep, tau_s, hold)
-        held.append(rms(measured - answers[:, 0]))
-    best_tau = _vertex(taus, refitted, best)
+    for tau_s in taus_s:
+        measured, answers = _scored(rows, terms, keep, tau_s, hold)
+        held.append(rms(measured - answers @ fits[best][0]))
+    best_tau = _vertex(taus_s, refitted, best)
     return TauTrial(
-        taus,
+        taus_s,
         refitted,
         np.array(held),
         best_tau,
-        _interval(taus, best_tau, errors, best, rows, keep),
+        _interval(taus_s, best_tau, errors, best, rows, keep),
         min(rms(refitted_at(best_tau)[1]), float(refitted[best])),
-        # With inputs of another kind the rows are averages, whose noise is no longer white.
-        _noise(rows) if terms is None else math.nan,
-        int(np.count_nonzero(keep)),
+        _noise(rows),
         rows.target,
-        tuple(estimates),
     )
 
 
@@ -188,52 +152,28 @@ def trial_of(comparison: Comparison) -> TauTrial:
         Of whole runs, on averaged unfiltered signals with the estimate from them alone: the other
         estimators saw other rows.
     """
-    hold = comparison.results[0].model.hold
-    for result in comparison.results:
-        whole = result.whole_run
-        if whole is None or not math.isfinite(result.model.time_constant_s):
+    hold, rows = comparison.results[0].model.hold, comparison.rows
+    fitted = [r for r in comparison.results if math.isfinite(r.model.time_constant_s)]
+    for result in fitted:
+        if result.whole_run is None:
             continue
-        inputs, scored = whole.stacked()
-        estimate = replace(result.estimate, rms=whole.model_.residual_std_)
-        rows = FitRows(
-            inputs.phi,
-            inputs.psi_p,
-            inputs.time_s,
-            inputs.run,
-            inputs.run,
-            comparison.rows.sample_period_s,
-            "psi_p",
-            np.ones(inputs.phi.size, dtype=np.bool_),
+        inputs, scored = result.whole_run.stacked()
+        every = np.ones(inputs.phi.size, dtype=np.bool_)
+        signals = inputs.phi, inputs.psi_p, inputs.time_s, inputs.run, inputs.run
+        averaged = FitRows(*signals, rows.sample_period_s, "psi_p", every)
+        estimate = replace(result.estimate, rms=result.whole_run.model_.residual_std_)
+        taus = trial_taus(estimate.tau_s)
+        trial = reconstruction_error_over_tau(
+            averaged, inputs.terms, taus, hold=hold, scored=scored
         )
-        return reconstruction_error_over_tau(
-            rows, hold=hold, scored=scored, terms=inputs.terms, estimates=(estimate,)
-        )
+        # The noise of averages is no longer white.
+        return replace(trial, noise_rms=math.nan, estimates=(estimate,))
+    estimates = tuple(result.estimate for result in fitted)
     powers = [term for term in comparison.results[0].model.terms if term.startswith("phi")]
-    return reconstruction_error_over_tau(
-        comparison.rows,
-        degree=max(len(powers), 1),
-        hold=hold,
-        estimates=estimates_of(comparison),
-    )
-
-
-def estimates_of(comparison: Comparison) -> tuple[TauEstimate, ...]:
-    """Return the τ of each estimator of a comparison that found one."""
-    return tuple(
-        result.estimate
-        for result in comparison.results
-        if math.isfinite(result.model.time_constant_s)
-    )
-
-
-def _increasing(taus_s: ArrayLike) -> FloatArray:
-    taus = np.atleast_1d(np.asarray(taus_s, dtype=np.float64))
-    steps = np.diff(np.concatenate([[0.0], taus.ravel()]))
-    if taus.ndim != 1 or not np.all(np.isfinite(steps) & (steps > 0.0)):
-        raise InputError(
-            "taus_s", expected="values above 0 that increase, in s", found=repr(taus_s)
-        )
-    return taus
+    terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
+    taus = trial_taus(*(estimate.tau_s for estimate in estimates))
+    trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)
+    return replace(trial, estimates=estimates)
 
 
 def _scored(
@@ -278,11 +218,8 @@ def _interval(
     for error in errors:
         whole[keep] = error
         blocks.append(block_errors(whole, rows.runs, keep))
-    near = []
-    for own in blocks:
-        difference, paired = paired_difference(own, blocks[best])
-        near.append(difference <= 2.0 * paired)
-    far = np.flatnonzero(~np.array([*near[:best], True, *near[best + 1 :]]))
+    paired = [paired_difference(own, blocks[best]) for own in blocks]
+    far = np.flatnonzero([not worse <= 2.0 * error for worse, error in paired])
     low = int(far[far < best].max(initial=-1)) + 1
     high = int(far[far > best].min(initial=taus.size)) - 1
     return min(float(taus[low]), best_tau), max(float(taus[high]), best_tau)

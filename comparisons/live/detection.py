@@ -1,4 +1,4 @@
-"""Surge and stall as they happen, from the causal operating points, row by row.
+"""Surge and stall as they happen, from the causal operating points.
 
 Surge is detected by its one certain sign: the flow at plane 25 runs backwards. A cycle is a fall
 and a rise of P31 by at least 15 % of its mean, as in the reduction, and is counted when the rise
@@ -56,11 +56,6 @@ class Sighting:
     seen_s: float
     number: int = 0
     period_s: float = float("nan")
-
-    @property
-    def delay_s(self) -> float:
-        """How much later than it happened it was detected, transmission of the rows not counted."""
-        return self.seen_s - self.at_s
 
 
 class CycleCounter:
@@ -126,21 +121,19 @@ class SurgeDetector:
     Attributes
     ----------
     surging, in_stall : bool
-        The state now.
+        The state now; in stall before a surge only where the test states a threshold.
     n_cycles : int
         Complete cycles, from trough to trough of P31.
     """
 
     def __init__(self, test: TestDescription) -> None:
-        rate_hz = test.sample_rate_hz
-        self._rate_hz = rate_hz
+        self._rate_hz = test.sample_rate_hz
         threshold = test.threshold_lbm_s
         stated = isinstance(threshold, int | float)
-        self._threshold_kg_s = float(threshold or 0.0) * LBM_KG if stated else None
-        self._band_kg_s = test.hysteresis_lbm_s * LBM_KG
-        self._late_s = low_pass_delay_s(rate_hz)
-        self._least_reversed = max(1, round(REVERSED_S * rate_hz))
-        self._least_stalled = max(1, round(SHORTEST_S * rate_hz))
+        self._threshold_kg_s = float(threshold or 0.0) * LBM_KG if stated else -np.inf
+        self._late_s = low_pass_delay_s(self._rate_hz)
+        self._least_reversed = max(1, round(REVERSED_S * self._rate_hz))
+        self._least_stalled = max(1, round(SHORTEST_S * self._rate_hz))
         self._last_reversal_s = -np.inf
         self.surging = self.in_stall = False
         self.n_cycles = 0
@@ -149,13 +142,12 @@ class SurgeDetector:
     def restart(self) -> None:
         """Begin again behind a gap; what was counted stays."""
         self._reversed_rows = self._stalled_rows = 0
-        self._decided = False
-        self._cycles = CycleCounter(self._rate_hz)
+        self._counter = CycleCounter(self._rate_hz)
 
     @property
     def period_s(self) -> float:
         """Median period of the last cycles; NaN before there is one."""
-        return self._cycles.period_s
+        return self._counter.period_s
 
     def take(self, points: OperatingPoints) -> list[Sighting]:
         """Return what the next operating points show; rows without one are passed over.
@@ -181,50 +173,29 @@ class SurgeDetector:
         if self._reversed_rows >= self._least_reversed:
             self._last_reversal_s = time_s
             if not self.surging:
-                self.surging = True
-                self._cycles = CycleCounter(self._rate_hz)
-                return [self._sighting("surge", self._began_s(time_s, self._reversed_rows), time_s)]
-        elif self.surging and self._is_over(time_s - self._last_reversal_s):
+                self.surging, self._counter = True, CycleCounter(self._rate_hz)
+                return [self._begun("surge", time_s, self._reversed_rows)]
+        elif self.surging and time_s - self._last_reversal_s > self._quiet_s():
             self.surging = False
-            return [self._sighting("recovered", self._last_reversal_s, time_s)]
+            return [Sighting("recovered", self._last_reversal_s - self._late_s, time_s)]
         return []
 
-    def _is_over(self, quiet_s: float) -> bool:
-        if quiet_s <= QUIET_S:
-            return False
-        period_s = self.period_s
-        return bool(np.isnan(period_s) or quiet_s > QUIET_PERIODS * period_s)
+    def _quiet_s(self) -> float:
+        return float(np.fmax(QUIET_S, QUIET_PERIODS * self.period_s))
 
     def _cycle(self, time_s: float, pressure_Pa: float) -> list[Sighting]:
-        trough_s = self._cycles.take(time_s, pressure_Pa)
-        period_s = float("nan") if trough_s is None else self._cycles.period_s
-        if trough_s is None or np.isnan(period_s):
+        trough_s = self._counter.take(time_s, pressure_Pa)
+        if trough_s is None or np.isnan(self.period_s):
             return []
         self.n_cycles += 1
-        at_s = trough_s - self._late_s
-        return [Sighting("cycle", at_s, time_s, self.n_cycles, period_s)]
+        return [Sighting("cycle", trough_s - self._late_s, time_s, self.n_cycles, self.period_s)]
 
     def _stall(self, time_s: float, flow_kg_s: float) -> list[Sighting]:
-        """Find the state as :func:`classic_ml.segments.in_stall_by_threshold` does."""
-        threshold, band = self._threshold_kg_s, self._band_kg_s
-        if threshold is None:
-            # Without a stated threshold all that follows the reversal is in stall.
-            self.in_stall = self.surging
-            return []
-        if flow_kg_s < threshold - band:
-            self.in_stall = True
-        elif flow_kg_s >= threshold + band:
-            self.in_stall = False
-        elif not self._decided:
-            self.in_stall = flow_kg_s < threshold
-        self._decided = True
-        self._stalled_rows = self._stalled_rows + 1 if self.in_stall else 0
+        self._stalled_rows = self._stalled_rows + 1 if flow_kg_s < self._threshold_kg_s else 0
+        self.in_stall = self._stalled_rows >= self._least_stalled
         if self._stalled_rows == self._least_stalled and not self.surging:
-            return [self._sighting("stall", self._began_s(time_s, self._stalled_rows), time_s)]
+            return [self._begun("stall", time_s, self._stalled_rows)]
         return []
 
-    def _began_s(self, time_s: float, n_rows: int) -> float:
-        return time_s - (n_rows - 1) / self._rate_hz
-
-    def _sighting(self, kind: str, shown_s: float, seen_s: float) -> Sighting:
-        return Sighting(kind, shown_s - self._late_s, seen_s)
+    def _begun(self, kind: str, time_s: float, n_rows: int) -> Sighting:
+        return Sighting(kind, time_s - (n_rows - 1) / self._rate_hz - self._late_s, time_s)

@@ -1,4 +1,4 @@
-"""Where the bytes come from: the standard input, a TCP or a Unix socket; a thread reads them."""
+"""Where the lines come from: the standard input, a TCP or a Unix socket; a thread reads them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from surge_core.errors import InputError
 
-__all__ = ["Closed", "Feed", "Opened", "calling", "listening", "parse_address", "piped"]
+__all__ = ["Closed", "Feed", "Opened", "listening", "parse_address", "piped"]
 
 CHUNK = 65_536
+# 2,000 columns of 30 characters: more than any test has, and nothing beside the memory.
+LONGEST_LINE = 65_536
 # At most so many chunks wait to be worked on; then the sender is made to wait.
 WAITING_CHUNKS = 128
-# How long a blocked call lasts before it is asked whether the run is over; how long a caller rests.
-POLL_S, REST_S = 0.2, 1.0
 
 
 @dataclass(frozen=True)
@@ -42,19 +43,19 @@ class Closed:
     for_good: bool = False
 
 
-Arrival = Opened | bytes | Closed
+Arrival = Opened | list[bytes] | Closed
 
 
 @dataclass
 class Feed:
-    """Bytes of one connection after another, as they come.
+    """Lines of one connection after another, as they come.
 
     Parameters
     ----------
     waiting : str
         What is waited for while there is no connection.
     read : callable
-        Puts arrivals into the feed until it is stopped; run in a thread of its own.
+        Puts arrivals into the feed; run in a thread that ends with the process.
     comes_back : bool
         Whether another sender may come where one was no good.
     """
@@ -62,9 +63,8 @@ class Feed:
     waiting: str
     read: Callable[[Feed], None]
     comes_back: bool = True
-    stopped: threading.Event = field(default_factory=threading.Event)
-    # Set by the session to refuse the present connection.
-    dropped: threading.Event = field(default_factory=threading.Event)
+    # Ends the present connection.
+    refuse: Callable[[], object] = lambda: None
     arrivals: queue.Queue[Arrival] = field(default_factory=lambda: queue.Queue(WAITING_CHUNKS))
 
     def start(self) -> None:
@@ -78,31 +78,21 @@ class Feed:
         except queue.Empty:
             return None
 
-    def put(self, arrival: Arrival) -> None:
-        """Hand an arrival over, waiting while too many wait."""
-        while not self.stopped.is_set():
-            try:
-                return self.arrivals.put(arrival, timeout=POLL_S)
-            except queue.Full:
-                continue
+    def pass_on(self, receive: Callable[[int], bytes]) -> bytes:
+        """Read a connection to its end, and return what stood behind its last line feed.
 
-    def pass_on(self, connection: socket.socket) -> None:
-        """Read a connection to its end."""
-        self.dropped.clear()
-        self.put(Opened())
-        connection.settimeout(POLL_S)
-        with connection:
-            while not (self.stopped.is_set() or self.dropped.is_set()):
-                try:
-                    data = connection.recv(CHUNK)
-                except TimeoutError:
-                    continue
-                except OSError as error:
-                    return self.put(Closed(error.strerror or str(error)))
-                if not data:
-                    return self.put(Closed("the sender closed it"))
-                self.put(data)
-        self.put(Closed("refused"))
+        Parameters
+        ----------
+        receive : callable
+            Gives the next bytes, at most so many; none at the end.
+        """
+        self.arrivals.put(Opened())
+        rest = b""
+        while data := receive(CHUNK):
+            *lines, rest = (rest + data).split(b"\n")
+            rest = rest[:LONGEST_LINE]
+            self.arrivals.put(lines)
+        return rest
 
 
 def piped(handle: int) -> Feed:
@@ -115,15 +105,9 @@ def piped(handle: int) -> Feed:
     """
 
     def read(feed: Feed) -> None:
-        feed.put(Opened())
-        while not feed.stopped.is_set():
-            try:
-                data = os.read(handle, CHUNK)
-            except OSError as error:
-                return feed.put(Closed(error.strerror or str(error), for_good=True))
-            if not data:
-                return feed.put(Closed("the input ended", for_good=True))
-            feed.put(data)
+        # The last line of a file may lack its end.
+        feed.arrivals.put([feed.pass_on(partial(os.read, handle))])
+        feed.arrivals.put(Closed("the input ended", for_good=True))
 
     return Feed("waiting for the input", read, comes_back=False)
 
@@ -149,50 +133,27 @@ def listening(address: tuple[str, int] | Path) -> Feed:
             place = str(address)
         else:
             server = socket.create_server(address)
-            host, port = server.getsockname()[:2]
-            place = f"{host}:{port}"
+            place = "{}:{}".format(*server.getsockname()[:2])
     except OSError as error:
-        option = "--unix" if isinstance(address, Path) else "--listen"
         raise InputError(
-            option,
+            "--unix" if isinstance(address, Path) else "--listen",
             expected="an address that is free",
             found=f"{address}: {error.strerror or error}",
         ) from error
-    server.settimeout(POLL_S)
 
     def read(feed: Feed) -> None:
-        with server:
-            while not feed.stopped.is_set():
+        while True:
+            connection, _ = server.accept()
+            feed.refuse = partial(connection.shutdown, socket.SHUT_RDWR)
+            why = "the sender closed it"
+            with connection:
                 try:
-                    connection, _ = server.accept()
-                except TimeoutError:
-                    continue
-                feed.pass_on(connection)
-        if isinstance(address, Path):
-            address.unlink(missing_ok=True)
+                    feed.pass_on(connection.recv)
+                except OSError as error:
+                    why = error.strerror or str(error)
+            feed.arrivals.put(Closed(why))
 
     return Feed(f"waiting for a sender at {place}", read)
-
-
-def calling(host: str, port: int) -> Feed:
-    """Return the feed of a server that sends, called again while it does not answer.
-
-    Parameters
-    ----------
-    host, port : str, int
-        Its address.
-    """
-
-    def read(feed: Feed) -> None:
-        while not feed.stopped.is_set():
-            try:
-                connection = socket.create_connection((host, port), timeout=REST_S)
-            except OSError:
-                feed.stopped.wait(REST_S)
-                continue
-            feed.pass_on(connection)
-
-    return Feed(f"calling {host}:{port}", read)
 
 
 def parse_address(text: str) -> tuple[str, int]:

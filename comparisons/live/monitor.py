@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from classic_ml.io import TestDescription
+from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, near_stall_shifts
 from comparisons.live.detection import Sighting, SurgeDetector
+from comparisons.live.display import tau_words
 from comparisons.live.estimate import Estimate, estimate_of
 from comparisons.live.operating_point import (
     CUTOFF_HZ,
@@ -23,20 +24,18 @@ from comparisons.live.operating_point import (
     low_pass_delay_s,
     points_of,
 )
-from comparisons.live.pieces import read_rows
-from comparisons.live.state import Point, tau_words
 from surge_core.errors import InputError
 
-__all__ = ["Monitor", "Note"]
+__all__ = ["FEED", "Monitor"]
 
-# The map and the traces: six seconds, at most 200 points a second.
+# What the feed is called in messages.
+FEED = "the feed"
+# What the map shows: six seconds, at most 200 points a second.
 TRAIL_S, TRAIL_HZ = 6.0, 200.0
 # What the provisional estimate is made of: the last half minute.
 WINDOW_S = 30.0
 # Fewer rows no reader takes for a record.
 LEAST_ROWS = 100
-
-Note = tuple[str, str]
 
 
 class Monitor:
@@ -50,46 +49,50 @@ class Monitor:
         The switches of the running estimate.
     scratch : path
         Folder for rows that are read like files.
-    estimates : bool
-        Whether there is to be a running estimate.
+
+    Attributes
+    ----------
+    head : bytes
+        Header and units of the rows.
+    point : OperatingPoints or None
+        The newest one.
+    trail : deque of tuple of float
+        Time, φ and ψ' of the last seconds, thinned out.
+    estimate : Estimate or None
+        The newest one.
+    detector : SurgeDetector
+        With the state of the machine.
     """
 
-    def __init__(
-        self,
-        test: TestDescription,
-        settings: ReductionSettings,
-        scratch: Path,
-        *,
-        estimates: bool = True,
-    ) -> None:
+    def __init__(self, test: TestDescription, settings: ReductionSettings, scratch: Path) -> None:
         rate_hz = test.sample_rate_hz
         self._test, self._settings, self._scratch = test, settings, scratch
-        self._worker = ThreadPoolExecutor(1, "estimate") if estimates else None
+        self._worker = ThreadPoolExecutor(1, "estimate")
         self._future: Future[Estimate] | None = None
         self._wanted = False
-        self._detector = SurgeDetector(test)
         self._recent: deque[bytes] = deque(maxlen=max(6 * LEAST_ROWS, round(WINDOW_S * rate_hz)))
         self._batch = max(LEAST_ROWS, round(rate_hz))
         self._before = max(LEAST_ROWS, round(SETTLED_S * rate_hz))
         self._stride = max(1, round(rate_hz / TRAIL_HZ))
-        self.trail: deque[tuple[float, ...]] = deque(maxlen=round(TRAIL_S * rate_hz / self._stride))
         # Whether rows of this feed could be read at all.
         self._read = False
         self._problem = ""
         self._match = "matched as test.toml says" if test.near_stall_shifts else ""
+        self.detector = SurgeDetector(test)
+        self.trail: deque[tuple[float, ...]] = deque(maxlen=round(TRAIL_S * rate_hz / self._stride))
         self.head = b""
-        self.point: Point | None = None
+        self.point: OperatingPoints | None = None
         self.estimate: Estimate | None = None
         self.restart()
 
     def restart(self) -> None:
         """Begin again behind a gap; what was found so far stays."""
         self._recent.clear()
-        self._detector.restart()
+        self.detector.restart()
         # Rows of this piece, and those whose operating point is known.
         self._n_rows = self._n_points = 0
 
-    def take(self, lines: Sequence[bytes]) -> list[Note]:
+    def take(self, lines: Sequence[bytes]) -> list[str]:
         """Take rows that follow on those before; they are looked at by the next `update`.
 
         Parameters
@@ -99,10 +102,10 @@ class Monitor:
 
         Returns
         -------
-        list of tuple of str
+        list of str
             What was shown by rows beyond those that are looked at together.
         """
-        notes: list[Note] = []
+        notes: list[str] = []
         for start in range(0, len(lines), self._batch):
             some = lines[start : start + self._batch]
             self._recent.extend(some)
@@ -111,13 +114,13 @@ class Monitor:
                 notes += self.update()
         return notes
 
-    def update(self) -> list[Note]:
+    def update(self) -> list[str]:
         """Look at the rows that have come since the last time.
 
         Returns
         -------
-        list of tuple of str
-            Kind and sentence of each thing worth saying.
+        list of str
+            A sentence on each thing worth saying.
 
         Raises
         ------
@@ -127,7 +130,7 @@ class Monitor:
         if self._n_rows < LEAST_ROWS or self._n_rows - self._n_points < 2:
             return []
         n = min(len(self._recent), self._n_rows - self._n_points + self._before)
-        notes: list[Note] = []
+        notes: list[str] = []
         try:
             record = self._record(list(islice(self._recent, len(self._recent) - n, None)))
             self._read = True
@@ -138,59 +141,46 @@ class Monitor:
             if not self._read:
                 raise
             if not self._problem:
-                notes.append(("record", f"no operating point: {error}"))
+                notes.append(f"no operating point: {error}")
             self._problem = str(error)
         else:
-            for sighting in self._detector.take(points):
-                notes.append((sighting.kind, _said(sighting)))
+            for sighting in self.detector.take(points):
+                notes.append(_said(sighting))
                 self._wanted = self._wanted or sighting.kind == "cycle"
             self._remember(points)
         self._n_points = self._n_rows - 1
         return notes
 
-    def poll(self) -> list[Note]:
+    def poll(self) -> list[str]:
         """Look for a new running estimate, and begin the next one behind a cycle."""
-        notes: list[Note] = []
+        notes: list[str] = []
         if self._future is not None and self._future.done():
             notes = self._estimated(self._future.result())
             self._future = None
-        if self._worker is not None and self._wanted and self._future is None:
-            lines, n, test = list(self._recent), self._n_rows, self._test
+        if self._wanted and self._future is None:
             self._wanted = False
-            self._future = self._worker.submit(
-                estimate_of,
-                lambda: self._record(lines, n, "estimate.csv"),
-                test,
-                self._settings,
-            )
+            # Read here: the rows change, and the scratch file is one.
+            try:
+                record = self._record(list(self._recent))
+            except InputError as error:
+                return notes + self._estimated(Estimate(str(error)))
+            self._future = self._worker.submit(estimate_of, record, self._test, self._settings)
         return notes
 
-    def close(self) -> list[Note]:
+    def close(self) -> list[str]:
         """End the estimates; return what the last one showed."""
         self._wanted = False
-        if self._worker is not None:
-            self._worker.shutdown()
+        self._worker.shutdown()
         return self.poll()
 
     @property
     def machine(self) -> str:
-        """State of the machine, in words."""
+        """``"surge"``, ``"in stall"``, ``"stable"`` or ``"not known"``."""
         if self.point is None:
             return "not known"
-        stall = "in stall" if self._detector.in_stall else "unstalled"
-        if self._detector.surging:
-            return f"surge, {stall}"
-        return stall if self._detector.in_stall else "stable"
-
-    @property
-    def n_cycles(self) -> int:
-        """Complete surge cycles."""
-        return self._detector.n_cycles
-
-    @property
-    def period_s(self) -> float:
-        """Their median period."""
-        return self._detector.period_s
+        if self.detector.surging:
+            return "surge"
+        return "in stall" if self.detector.in_stall else "stable"
 
     @property
     def shown(self) -> str:
@@ -200,17 +190,24 @@ class Monitor:
         matched = self._match or "not yet matched at near stall"
         return f"{low_pass if delay_ms else 'as is'}; {matched}"
 
-    def _record(self, lines: list[bytes], n_rows: int = 0, name: str = "rows.csv") -> Record:
-        """Return the last rows of the first ``n_rows`` of this piece as a record."""
-        record = read_rows(self.head, lines, self._test, self._scratch / name)
-        start_s = self._test.file.start_s
-        if start_s is None:
-            return record
-        # The clock is set at the first row of all, not at that of these rows.
-        begun = (n_rows or self._n_rows) - len(lines)
-        return replace(record, start_s=start_s + begun / self._test.sample_rate_hz)
+    def _record(self, lines: list[bytes]) -> Record:
+        """Return the last rows of this piece as the record that they are read as from a file."""
+        file = self._scratch / "rows.csv"
+        file.write_bytes(self.head + b"\n".join(lines) + b"\n")
+        try:
+            record, _ = read_raw(file, self._test)
+        except InputError as error:
+            where = error.where.replace(str(file), FEED)
+            raise InputError(
+                where, expected=error.expected, found=error.found, remedy=error.remedy
+            ) from None
+        start_s = record.start_s
+        if self._test.file.start_s is not None:
+            # The clock is set at the first row of all, not at that of these rows.
+            start_s += (self._n_rows - len(lines)) / record.sample_rate_hz
+        return replace(record, start_s=start_s, source=FEED)
 
-    def _matched(self, newest: Record) -> list[Note]:
+    def _matched(self, newest: Record) -> list[str]:
         """Match at near stall once the reading of the facility has passed."""
         reading, rate_hz = self._test.near_stall, self._test.sample_rate_hz
         last_s = newest.time_at_s(newest.n_samples - 1)
@@ -220,34 +217,30 @@ class Monitor:
             shifts = near_stall_shifts(self._record(list(self._recent)), self._test)
         except InputError as error:
             self._match = f"not matched at near stall: {error}"
-            return [("record", f"the near-stall match failed: {error}")]
+            return [f"the near-stall match failed: {error}"]
         self._test = replace(self._test, near_stall_shifts=shifts)
         self._match = "matched at near stall"
-        return [("record", "matched to the near-stall reading of the facility")]
+        return ["matched to the near-stall reading of the facility"]
 
     def _remember(self, points: OperatingPoints) -> None:
         if not points.time_s.size:
             return
-        shown = ("time_s", "Wc25_kg_s", "pressure_ratio", "phi", "psi_p", "Nc_frac")
-        self.point = Point(*(float(getattr(points, name)[-1]) for name in shown))
+        self.point = points.part(slice(-1, None))
         rows = slice(-self._n_points % self._stride, None, self._stride)
-        drawn = ("time_s", "phi", "psi_p", "Wc25_kg_s", "pressure_ratio")
-        kept = np.column_stack([getattr(points, name)[rows] for name in drawn])
+        kept = np.column_stack([points.time_s, points.phi, points.psi_p])[rows]
         self.trail.extend(map(tuple, kept.tolist()))
 
-    def _estimated(self, estimate: Estimate) -> list[Note]:
+    def _estimated(self, estimate: Estimate) -> list[str]:
         known = self.estimate is not None and not self.estimate.why_not
-        if estimate.why_not and known:
+        if known and estimate.why_not:
             # The estimate before it stays.
             return []
         self.estimate = estimate
-        if known or estimate.why_not:
-            return []
-        return [("estimate", f"first estimate of τ: {tau_words(estimate)}")]
+        return [] if known or estimate.why_not else [f"first estimate of τ: {tau_words(estimate)}"]
 
 
 def _said(sighting: Sighting) -> str:
-    late = f", reported {1e3 * sighting.delay_s:.0f} ms later"
+    late = f", reported {1e3 * (sighting.seen_s - sighting.at_s):.0f} ms later"
     if sighting.kind == "surge":
         return f"surge: the flow runs backwards from {sighting.at_s:.3f} s on{late}"
     if sighting.kind == "cycle":

@@ -7,7 +7,7 @@ same calibration, one pass of the same low-pass over every channel, the same ave
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -51,6 +51,10 @@ class OperatingPoints:
     phi: FloatArray
     psi_p: FloatArray
     Nc_frac: FloatArray
+
+    def part(self, rows: slice) -> OperatingPoints:
+        """Return some of the rows."""
+        return OperatingPoints(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def low_pass_delay_s(rate_hz: float) -> float:
@@ -101,8 +105,13 @@ def points_of(record: Record, test: TestDescription, first: int) -> OperatingPoi
     averages = plane_averages(local_flows(matched, test), test)
     needed = replace(averages, channels={name: averages.channel(name) for name in NEEDED})
     found = coefficients(needed, test)
-    rows = slice(first, record.n_samples - 1)
-    time_s = record.start_s + np.arange(record.n_samples) / record.sample_rate_hz
-    ratio = found["P31_Pa"] / found["P25_Pa"]
-    columns = (found["Wc25_kg_s"], found["P31_Pa"], ratio, found["phi"], found["psi_p"])
-    return OperatingPoints(*(values[rows] for values in (time_s, *columns, found["Nc_frac"])))
+    points = OperatingPoints(
+        record.start_s + np.arange(record.n_samples) / record.sample_rate_hz,
+        found["Wc25_kg_s"],
+        found["P31_Pa"],
+        found["P31_Pa"] / found["P25_Pa"],
+        found["phi"],
+        found["psi_p"],
+        found["Nc_frac"],
+    )
+    return points.part(slice(first, record.n_samples - 1))

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from typing import Any
 
-from comparisons.live.state import LiveState, page_document
+from comparisons.live.display import LiveState, page_document
 from surge_core.errors import InputError
+from surge_core.files import to_strict_json
 
 __all__ = ["Page"]
 
 HOST = "127.0.0.1"
 # A browser that asks four times a second gets the last state.
 LINGER_S = 0.6
-_FILES = {
-    "/": ("page.html", "text/html; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-}
 
 
 class Page:
-    """Serve the newest state on 127.0.0.1.
+    """Serve the newest state on 127.0.0.1: ``/`` is the page, ``/state.json`` its numbers.
 
     Parameters
     ----------
     port : int
         Port; 0 for any that is free.
+
+    Attributes
+    ----------
+    port : int
+        The port that it has.
 
     Raises
     ------
@@ -38,10 +38,7 @@ class Page:
     """
 
     def __init__(self, port: int) -> None:
-        folder = resources.files(__package__) / "web"
-        self._files = {
-            path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()
-        }
+        self._page = (resources.files(__package__) / "web" / "page.html").read_bytes()
         self._state: LiveState | None = None
         self._asked = threading.Event()
         page = self
@@ -49,15 +46,18 @@ class Page:
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
                 # Another name may have been bound to this machine by a page elsewhere.
-                if self.headers.get("Host") not in page.names:
+                if self.headers.get("Host") not in (
+                    f"{HOST}:{page.port}",
+                    f"localhost:{page.port}",
+                ):
                     return self.send_error(421)
-                content, kind = page.answer(self.path.partition("?")[0])
-                if not kind:
+                answers = {"/": page.whole, "/state.json": page.numbers}
+                if self.path not in answers:
                     return self.send_error(404)
+                content, kind = answers[self.path]()
                 self.send_response(200)
-                self.send_header("Content-Type", kind)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
                 self.send_header("Content-Length", str(len(content)))
-                self.send_header("Content-Security-Policy", "default-src 'self'")
                 self.send_header("Cache-Control", "no-store")
                 self.end_headers()
                 self.wfile.write(content)
@@ -76,15 +76,8 @@ class Page:
         self.port = int(self._server.server_address[1])
         threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
 
-    @property
-    def address(self) -> str:
-        """What to type into a browser."""
-        return f"http://{HOST}:{self.port}/"
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """Names under which a browser may ask."""
-        return f"{HOST}:{self.port}", f"localhost:{self.port}"
+    def say(self, event: str) -> None:
+        """Do nothing: events come with the states."""
 
     def show(self, state: LiveState) -> None:
         """Serve another state from now on."""
@@ -98,17 +91,12 @@ class Page:
         self._server.shutdown()
         self._server.server_close()
 
-    def answer(self, path: str) -> tuple[bytes, str]:
-        """Return content and type of a path; an empty type where there is nothing.
+    def whole(self) -> tuple[bytes, str]:
+        """Return the page and its type."""
+        return self._page, "text/html"
 
-        Parameters
-        ----------
-        path : str
-            Without its query.
-        """
-        if path != "/state.json":
-            return self._files.get(path, (b"", ""))
+    def numbers(self) -> tuple[bytes, str]:
+        """Return the newest state as JSON, and its type."""
         self._asked.set()
         document = {} if self._state is None else page_document(self._state)
-        text = json.dumps(document, ensure_ascii=False, allow_nan=False)
-        return text.encode("utf-8"), "application/json"
+        return to_strict_json(document).encode("utf-8"), "application/json"

@@ -1,38 +1,42 @@
-"""One session: from the bytes of a feed to the pieces of a record on disk, shown as they come."""
+"""One session: from the lines of a feed to the pieces of a record on disk, shown as they come."""
 
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Protocol
 
 from classic_ml.io import TestDescription
 from classic_ml.records import Dropped, LedgerEntry
+from comparisons.live.display import LiveState
 from comparisons.live.feeds import Closed, Feed, Opened
-from comparisons.live.lines import Lines, RowOrder, Run
-from comparisons.live.monitor import Monitor
-from comparisons.live.pieces import FEED, Pieces
-from comparisons.live.state import Event, LiveState
+from comparisons.live.monitor import FEED, Monitor
+from comparisons.live.pieces import Pieces
+from comparisons.live.rows import Lines, RowOrder
 from surge_core.errors import InputError
 
 __all__ = ["Screen", "Session"]
 
 # The display moves this often, and no wait is longer.
 TICK_S = 0.1
-# No rows for so long, and the feed is reported as silent.
+# No rows for so long, and the feed is shown as silent.
 SILENT_S = 1.0
 EVENTS_KEPT = 200
 
 
 class Screen(Protocol):
-    """Something that shows a state."""
+    """Something that shows events and states."""
+
+    def say(self, event: str) -> None:
+        """Show an event."""
 
     def show(self, state: LiveState) -> None:
-        """Show it."""
+        """Show a state."""
 
 
 @dataclass
@@ -51,8 +55,6 @@ class Session:
         What is known of the machine.
     screens : sequence of Screen
         What shows it.
-    tell : callable
-        Takes each event.
     timeout_s : float
         How long to wait without a row.
     """
@@ -62,24 +64,23 @@ class Session:
     pieces: Pieces
     monitor: Monitor
     screens: Sequence[Screen] = ()
-    tell: Callable[[Event], object] = lambda event: None
     timeout_s: float = math.inf
 
     def __post_init__(self) -> None:
         self.refused: Counter[str] = Counter()
-        self.order = RowOrder(self.test.sample_rate_hz, self.refused)
-        self.n_connections = self.n_silences = 0
+        self.order = RowOrder(self.refused)
+        self._n_connections = 0
+        # Those of the present connection.
         self._lines: Lines | None = None
-        self._welcome = False
         self._why_stopped = ""
         self._heard_s = time.monotonic()
-        self._silent = False
         self._shown_s = 0.0
-        self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._events: deque[str] = deque(maxlen=EVENTS_KEPT)
 
-    def stop(self, why: str) -> None:
-        """End the session in order, from any thread or a signal handler."""
-        self._why_stopped = self._why_stopped or why
+    def stop(self, why: str | int) -> None:
+        """End the session in order: why in words, or by the number of a signal."""
+        words = why if isinstance(why, str) else signal.Signals(why).name
+        self._why_stopped = self._why_stopped or words
 
     def run(self) -> None:
         """Follow the feed until it ends, is silent for too long, or the session is stopped.
@@ -96,215 +97,155 @@ class Session:
                 found=f'"{self.test.file.clock}"',
             )
         self.feed.start()
-        self.say("feed", self.feed.waiting)
+        self.say(self.feed.waiting)
         try:
             while not self._why_stopped:
                 self._step()
-            if self._lines is not None:
-                self._lines.close()
-            self._place(self.order.close())
+            self.order.close()
             self._say_all(self.monitor.update())
         except InputError:
             # The first rows were refused: there is no record.
             self.pieces.discard()
             raise
         finally:
-            self.feed.stopped.set()
-            self.pieces.close()
             notes = self.monitor.close()
-        self._say_all(notes)
-        for why, count in sorted(self.refused.items()):
-            self.say("feed", f"left out: {count} x {why}")
-        self.say("feed", f"ended: {self._why_stopped}")
+        left_out = [f"{count} x {why}" for why, count in sorted(self.refused.items())]
+        self._say_all([*notes, *(f"left out: {words}" for words in left_out)])
+        self.say(f"ended: {self._why_stopped}")
         self.show("reducing")
         if not self.pieces.pieces:
-            left_out = "".join(f", {count} x {why}" for why, count in self.refused.items())
-            raise InputError(FEED, expected="rows", found=f"none{left_out}")
+            raise InputError(FEED, expected="rows", found=", ".join(["none", *left_out]))
 
     def entry(self) -> LedgerEntry:
         """Return what is to be said of the feed in the ledger of the series."""
         pieces = self.pieces.pieces
-        n_rows = sum(piece.n_rows for piece in pieces)
-        repeated = self.order.repeated
-        dropped = [Dropped("rows", repeated, "had already")] if repeated else []
-        dropped += [Dropped("lines", count, why) for why, count in sorted(self.refused.items())]
+        counts = {"rows": self.pieces.n_rows, "pieces": len(pieces)}
+        counts["connections"] = self._n_connections
+        dropped = [Dropped("lines", count, why) for why, count in sorted(self.refused.items())]
+        if self.order.repeated:
+            dropped.insert(0, Dropped("rows", self.order.repeated, "had already"))
         return LedgerEntry(
             "live feed",
-            f"{n_rows} rows, {len(pieces)} pieces, {self.n_connections} connections",
-            {
-                "rows": n_rows,
-                "pieces": len(pieces),
-                "connections": self.n_connections,
-                "silences": self.n_silences,
-            },
+            ", ".join(f"{count} {name}" for name, count in counts.items()),
+            counts,
             tuple(dropped),
-            tuple(f"piece {piece.number} begins: {piece.why}" for piece in pieces if piece.why),
+            tuple(f"piece {piece.number} begins: {piece.gap}" for piece in pieces if piece.gap),
         )
 
-    def state(self, phase: str) -> LiveState:
-        """Return what is known now.
+    def show(self, phase: str) -> None:
+        """Show what is known now.
 
         Parameters
         ----------
-        phase : str
-            ``"waiting"``, ``"running"``, ``"reducing"`` or ``"done"``.
+        phase : {"waiting", "running", "reducing", "done"}
+            How far the session is.
         """
-        monitor, pieces = self.monitor, self.pieces.pieces
-        return LiveState(
+        monitor = self.monitor
+        record = f"{self.pieces.n_rows} rows"
+        if len(self.pieces.pieces) > 1:
+            record += f", in {len(self.pieces.pieces)} pieces"
+        if self.refused.total() + self.order.repeated:
+            record += f", {self.refused.total() + self.order.repeated} lines left out"
+        state = LiveState(
             test=self.test.name,
             phase=phase,
             feed=self._feed_words(),
-            feed_silent=self._silent and not self._why_stopped,
-            n_rows=sum(piece.n_rows for piece in pieces),
-            n_pieces=len(pieces),
-            n_refused=self.refused.total(),
-            n_repeated=self.order.repeated,
-            point=monitor.point,
-            shown=monitor.shown,
+            record=record,
             machine=monitor.machine,
-            n_cycles=monitor.n_cycles,
-            period_s=monitor.period_s,
+            signals=monitor.shown,
+            point=monitor.point,
+            n_cycles=monitor.detector.n_cycles,
+            period_s=monitor.detector.period_s,
             estimate=monitor.estimate,
             trail=tuple(monitor.trail),
             events=tuple(self._events),
         )
-
-    def show(self, phase: str) -> None:
-        """Show what is known now."""
-        state = self.state(phase)
         for screen in self.screens:
             screen.show(state)
 
-    def say(self, kind: str, text: str) -> None:
-        """Add to the log.
-
-        Parameters
-        ----------
-        kind : str
-            One word.
-        text : str
-            One sentence.
-        """
-        event = Event(datetime.now().strftime("%H:%M:%S"), kind, text)
+    def say(self, text: str) -> None:
+        """Add a sentence to the log, with the time of day."""
+        event = f"{datetime.now():%H:%M:%S} {text}"
         self._events.append(event)
-        self.tell(event)
+        for screen in self.screens:
+            screen.say(event)
+
+    def _say_all(self, notes: Sequence[str]) -> None:
+        for text in notes:
+            self.say(text)
 
     def _step(self) -> None:
         """Work on what has come by now, and update the display when it is time."""
         arrival = self.feed.next(TICK_S)
-        if isinstance(arrival, bytes):
-            self._take(arrival)
-        elif isinstance(arrival, Opened):
-            self.n_connections += 1
-            self._lines = Lines(self._clock, self.refused)
-            self._welcome = False
-            if self.n_connections > 1:
-                self.say("feed", "connected again")
+        if isinstance(arrival, Opened):
+            self._n_connections += 1
+            self._lines = Lines(self.test.file.time, self.refused)
         elif isinstance(arrival, Closed):
-            self._closed(arrival)
+            self._lines = None
+            if arrival.for_good:
+                self.stop(arrival.why)
+            else:
+                self.say(f"connection lost: {arrival.why}; {self.feed.waiting}")
+        elif arrival is not None and self._lines is not None:
+            self._take(self._lines, arrival)
         self._say_all(self.monitor.poll())
-        self._watch_silence()
+        if self._quiet_s > self.timeout_s:
+            self.stop(f"no data for {self.timeout_s:g} s")
         if time.monotonic() - self._shown_s > TICK_S:
             self._say_all(self.monitor.update())
             self._shown_s = time.monotonic()
             self.show("running" if self.pieces.pieces else "waiting")
 
-    @property
-    def _clock(self) -> str:
-        return self.test.file.time
-
-    def _closed(self, arrival: Closed) -> None:
-        if self._lines is not None:
-            self._lines.close()
+    def _take(self, lines: Lines, arrived: list[bytes]) -> None:
+        rows = lines.take(arrived)
+        if lines.header and not self._is_accepted(lines):
             self._lines = None
-        if arrival.for_good:
-            self.stop(arrival.why)
-        else:
-            self.say("feed", f"connection lost: {arrival.why}; {self.feed.waiting}")
-
-    def _take(self, data: bytes) -> None:
-        lines = self._lines
-        if lines is None:
+            self.feed.refuse()
             return
-        rows = lines.take(data)
-        if not self._welcome and lines.header and not self._accepted(lines):
-            self._lines = None
-            self.feed.dropped.set()
-            return
-        if rows and self._same_units(lines.units):
-            self._place(self.order.take(rows))
-            # Behind the work on them, which is no silence of the feed.
-            self._heard_s = time.monotonic()
-        if lines.ended and self._welcome:
-            self.stop("the sender says that the run is over")
-
-    def _accepted(self, lines: Lines) -> bool:
-        """Return whether a connection begins with the header of this test."""
-        head = self.pieces.head
-        if not head and self._clock in lines.names:
-            self.pieces.head = lines.header + b"\n"
-            self.say("feed", f"receiving {len(lines.names)} columns")
-        elif not head and not self.feed.comes_back:
-            names = ", ".join(lines.names)
-            raise InputError(
-                FEED,
-                expected=f"a table with a header and a column {self._clock}",
-                found=f"the columns {names[:200]}",
-            )
-        elif lines.header + b"\n" != head[: len(lines.header) + 1]:
-            self.say("feed", "a connection was refused: it began with another header")
-            return False
-        self._welcome = True
-        return True
-
-    def _same_units(self, units: bytes) -> bool:
-        """Take the units that the first connection states; refuse one that states others."""
-        if not units or units + b"\n" in self.pieces.head:
-            return True
-        if self.pieces.pieces:
-            self.say("feed", "a connection was refused: it states other units")
-            self._lines = None
-            self.feed.dropped.set()
-            return False
-        self.pieces.head += units + b"\n"
-        return True
-
-    def _place(self, runs: Sequence[Run]) -> None:
-        for run in runs:
-            if run.begins:
-                if run.why_new:
-                    self._say_all(self.monitor.update())
-                    self.say("record", f"a new piece of the record begins: {run.why_new}")
-                self.pieces.begin(run.why_new)
+        for gap, kept in self.order.take(rows):
+            if gap or not self.pieces.pieces:
+                self._say_all(self.monitor.update())
+                if gap:
+                    self.say(f"a new piece of the record begins: {gap}")
+                self.pieces.begin(gap)
                 self.monitor.head = self.pieces.head
                 self.monitor.restart()
-            self.pieces.append(run.lines)
-            self._say_all(self.monitor.take(run.lines))
+            self.pieces.append(kept)
+            self._say_all(self.monitor.take(kept))
+        if rows:
+            # Behind the work on them, which is no silence of the feed.
+            self._heard_s = time.monotonic()
+        if lines.ended:
+            self.stop("the sender says that the run is over")
 
-    def _say_all(self, notes: Sequence[tuple[str, str]]) -> None:
-        for kind, text in notes:
-            self.say(kind, text)
+    def _is_accepted(self, lines: Lines) -> bool:
+        """Take the header of the first connection, and refuse one that begins with another."""
+        head = b"\n".join(filter(None, [lines.header, lines.units])) + b"\n"
+        if self.pieces.pieces:
+            if self.pieces.head.startswith(head):
+                return True
+        elif self.test.file.time in lines.names:
+            if not self.pieces.head:
+                self.say(f"receiving {len(lines.names)} columns")
+            self.pieces.head = head
+            return True
+        elif not self.feed.comes_back:
+            raise InputError(
+                FEED,
+                expected=f"a table with a header and a column {self.test.file.time}",
+                found=f"the columns {', '.join(lines.names)[:200]}",
+            )
+        self.say("a connection was refused: it began with another header")
+        return False
 
     @property
     def _quiet_s(self) -> float:
         return time.monotonic() - self._heard_s
-
-    def _watch_silence(self) -> None:
-        silent = bool(self.pieces.pieces) and self._quiet_s > SILENT_S
-        if silent and not self._silent:
-            self.n_silences += 1
-            self.say("feed", f"silent: no data for {self._quiet_s:.1f} s")
-        elif self._silent and not silent:
-            self.say("feed", "data come again")
-        self._silent = silent
-        if self._quiet_s > self.timeout_s:
-            self.stop(f"no data for {self.timeout_s:g} s")
 
     def _feed_words(self) -> str:
         if self._why_stopped:
             return f"ended: {self._why_stopped}"
         if self._lines is None:
             return self.feed.waiting
-        if not self.pieces.pieces:
-            return "connected, no rows yet"
-        return f"no data for {self._quiet_s:.1f} s" if self._silent else "receiving"
+        silent = self._quiet_s > SILENT_S
+        return f"no data for {self._quiet_s:.0f} s" if silent else "receiving"

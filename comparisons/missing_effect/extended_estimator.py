@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -122,9 +122,8 @@ def extended_specs(
             EstimatorSpec(
                 name,
                 model.label,
-                _needs_records,
-                partial(_fit_records, named),
                 partial(_fit_rows, named),
+                partial(_fit_records, named),
             )
         )
     return tuple(specs)
@@ -159,7 +158,3 @@ def _on_rows(record: CoefficientSeries, labels: Any) -> CoefficientSeries:
         stalled=None,
         free_run=None,
     )
-
-
-def _needs_records(rows: FitRows) -> NoReturn:
-    raise TypeError("a lag model with effects is fitted to records: rows of φ alone are not enough")

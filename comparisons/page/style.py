@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LineStyle",
-    "axes_of",
     "broken",
     "coefficient_symbol",
     "dress",
@@ -104,12 +103,6 @@ def new_figure(width_in: float = WIDTH_IN, height_in: float = 5.0) -> Figure:
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
-
-
-def axes_of(ax: Axes | None, height_in: float = 5.0) -> Axes:
-    """Return the axes given, or those of a new figure, dressed."""
-    chosen = new_figure(height_in=height_in).add_subplot() if ax is None else ax
-    return dress(chosen)
 
 
 def dress(ax: Axes) -> Axes:

@@ -157,7 +157,7 @@ def claim_37(runs: Instabilities) -> Finding:
 
 def claim_38(runs: Instabilities) -> Finding:
     """Check: a time constant that is far too long."""
-    rig = simulate("blowdown", seed=runs.seed)
+    rig = simulate("blowdown", seed=runs[MAIN].seed)
     fit = fit_paper(reduce_run(rig).series)
     found_ms, true_ms = 1e3 * fit.time_constant_s, 1e3 * rig.truth_parameters["tau_s"]
     a = float(np.exp(-1e-3 / WRONG_TIME_CONSTANT_S))
@@ -290,7 +290,7 @@ def claim_46(runs: Instabilities) -> Finding:
     """Check: the curve hardly moves under disturbances that move the time constant."""
     main = runs[MAIN]
     fits = [main.fits["psi_p"]]
-    for seed in range(runs.seed + 1, runs.seed + SEEDS):
+    for seed in range(main.seed + 1, main.seed + SEEDS):
         fits.append(fit_paper(reduce_run(simulate(MAIN, seed=seed), main.paper.settings).series))
     curves = [fit.quasi_steady(CURVE_PHI) for fit in fits]
     taus = [fit.time_constant_s for fit in fits]
@@ -350,7 +350,7 @@ def claim_48(runs: Instabilities) -> Finding:
     }
     changes = {}
     for name, case in others.items():
-        series = reduce_run(simulate(case, seed=runs.seed), main.paper.settings).series
+        series = reduce_run(simulate(case, seed=main.seed), main.paper.settings).series
         changes[name] = curve_change(fit_paper(series), main.fits["psi_p"])
     return Finding(
         round(100.0 * max(changes.values()), 1),

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -98,6 +98,11 @@ class InstabilityRun:
         return float(self.rig.truth_parameters["tau_s"])
 
     @property
+    def seed(self) -> int:
+        """The seed of the rig's sensors."""
+        return int(self.rig.truth_parameters["seed"])
+
+    @property
     def sensors(self) -> SensorSettings:
         """The settings of the sensors that the run was made with."""
         return SensorSettings(**self.rig.truth_parameters["sensor_settings"])
@@ -109,24 +114,8 @@ class InstabilityRun:
         return float(np.mean(self.paper.record[channel][rows]))
 
 
-@dataclass(frozen=True)
-class Instabilities:
-    """All runs behind the claims.
-
-    Parameters
-    ----------
-    runs : mapping of str to InstabilityRun
-        ``"90"``, ``"95"``, ``"985"``, ``"985-second"`` and ``"75-stall"``.
-    seed : int
-        Seed of the rig's sensors.
-    """
-
-    runs: Mapping[str, InstabilityRun]
-    seed: int = 0
-
-    def __getitem__(self, case: str) -> InstabilityRun:
-        """Return the run of one case."""
-        return self.runs[case]
+# All runs behind the claims, by the names of their cases.
+Instabilities: TypeAlias = Mapping[str, InstabilityRun]
 
 
 def run_instabilities(
@@ -142,7 +131,7 @@ def run_instabilities(
         Wraps the iteration over the cases, to show how far it is.
     """
     cases = (*INSTABILITIES, STEADY_STALL)
-    return Instabilities({case: run_case(case, seed) for case in progress(cases)}, seed)
+    return {case: run_case(case, seed) for case in progress(cases)}
 
 
 def run_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:

@@ -6,28 +6,26 @@ that the harness, the pages and the command line can all stand on them.
 
 from comparisons.results.caution import Caution, texts_of
 from comparisons.results.comparison import (
-    FIELDS,
+    COLUMNS,
     Comparison,
     ComparisonRow,
     EstimatorResult,
-    StructureChoice,
-    comparison_cells,
 )
 from comparisons.results.lag import FittedLag, LagModel
+from comparisons.results.names import ESTIMATOR_LABELS, SYMBOLS, estimator_label
 from comparisons.results.reconstruction import (
-    RECONSTRUCTION_FIELDS,
+    RECONSTRUCTION_COLUMNS,
     Reconstruction,
-    reconstruction_cells,
+    reconstruction_grid,
 )
 from comparisons.results.rows import FitRows, FitScore
-from comparisons.results.tables import ESTIMATOR_LABELS, SYMBOLS, TableField, estimator_label
 from comparisons.results.tau import TauEstimate, TauTrial, Truth
 from comparisons.results.terms import evaluate_terms, is_known_term
 
 __all__ = [
+    "COLUMNS",
     "ESTIMATOR_LABELS",
-    "FIELDS",
-    "RECONSTRUCTION_FIELDS",
+    "RECONSTRUCTION_COLUMNS",
     "SYMBOLS",
     "Caution",
     "Comparison",
@@ -38,15 +36,12 @@ __all__ = [
     "FittedLag",
     "LagModel",
     "Reconstruction",
-    "StructureChoice",
-    "TableField",
     "TauEstimate",
     "TauTrial",
     "Truth",
-    "comparison_cells",
     "estimator_label",
     "evaluate_terms",
     "is_known_term",
-    "reconstruction_cells",
+    "reconstruction_grid",
     "texts_of",
 ]

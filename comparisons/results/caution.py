@@ -31,8 +31,8 @@ SENTENCES: Mapping[str, str] = {
     "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
     "in-stall",
     "odd_rate": "{rate_hz:g} rows a second: is time_s in seconds?",
-    "speeds_apart": "the records lie between {low_percent:.0f} and {high_percent:.0f} % corrected "
-    "speed: one curve is fitted to all of them",
+    "speeds_apart": "one curve and one τ are fitted to records of different corrected speeds "
+    "(medians of their fitted rows: {each}), and are those of none of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "
     "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
     "rows_left_out": "{rows} rows in a stretch of fewer than {fewest} were not fitted",
@@ -89,7 +89,7 @@ class Caution:
     numbers: Mapping[str, float | int | str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, code: str, where: str = "", **numbers: float | int | str) -> Caution:
+    def of(cls, code: str, where: str = "", /, **numbers: float | int | str) -> Caution:
         """Return a caution with its numbers by name."""
         return cls(code, where, "", numbers)
 
@@ -118,18 +118,16 @@ def texts_of(cautions: Iterable[Caution]) -> tuple[str, ...]:
     """
     groups: dict[tuple[str, ...], list[str]] = {}
     for caution in cautions:
-        together = caution.code == "ledger"
-        key = (caution.where, caution.step) if together else (caution.text,)
-        said = str(caution.numbers["finding"]) if together else caution.text
+        key: tuple[str, ...] = (caution.text,)
+        said = caution.text
+        if caution.code == "ledger":
+            key, said = (caution.where, caution.step), str(caution.numbers["finding"])
         known = groups.setdefault(key, [])
         if said not in known:
             known.append(said)
-    return tuple(_joined(key, said) for key, said in groups.items())
-
-
-def _joined(key: tuple[str, ...], said: list[str]) -> str:
-    if len(key) == 1:
-        return said[0]
-    more = len(said) - FINDINGS_SHOWN
-    rest = [f"and {more} more of the step “{key[1]}” in the ledger"] if more > 0 else []
-    return f"{key[0]}: {'; '.join([*said[:FINDINGS_SHOWN], *rest])}"
+    texts = []
+    for (where, *step), found in groups.items():
+        more = len(found) - FINDINGS_SHOWN
+        rest = [f"and {more} more of the step “{step[0]}” in the ledger"] if more > 0 else []
+        texts.append(f"{where}: {'; '.join(found[:FINDINGS_SHOWN] + rest)}" if step else where)
+    return tuple(texts)

@@ -12,61 +12,27 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
 from comparisons.results.caution import Caution, texts_of
 from comparisons.results.lag import FittedLag, LagModel
+from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows, FitScore
-from comparisons.results.tables import SYMBOLS, TableField
 from comparisons.results.tau import TauEstimate
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from surge_core.types import FloatArray
 
-__all__ = [
-    "FIELDS",
-    "Comparison",
-    "ComparisonRow",
-    "EstimatorResult",
-    "StructureChoice",
-    "comparison_cells",
-]
+__all__ = ["COLUMNS", "Comparison", "ComparisonRow", "EstimatorResult"]
 
 ONE_SIDED_95 = 1.645
-
-
-@dataclass(frozen=True)
-class StructureChoice:
-    """How sure a choice of terms is.
-
-    Parameters
-    ----------
-    n_candidates : int
-        Terms that were searched.
-    rivals : tuple of tuple of str
-        Structures that the data do not separate from the chosen one.
-    aliases : dict of str to str
-        Terms left out because they are sums of others on this record, and what they equal.
-    inclusion_probability : dict of str to float
-        Share of resampled records whose structure holds a term; empty where it was not asked.
-    path : tuple of (int, tuple of str, float)
-        The best structure of each size: size, terms and held-out rms (NaN where unknown).
-    """
-
-    n_candidates: int
-    rivals: tuple[tuple[str, ...], ...]
-    aliases: dict[str, str]
-    inclusion_probability: dict[str, float]
-    path: tuple[tuple[int, tuple[str, ...], float], ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the choice as plain JSON types."""
-        return {
-            "n_candidates": self.n_candidates,
-            "rivals": [list(terms) for terms in self.rivals],
-            "aliases": dict(self.aliases),
-            "inclusion_probability": dict(self.inclusion_probability),
-            "path": [
-                {"size": size, "terms": list(terms), "held_out_rms": rms}
-                for size, terms, rms in self.path
-            ],
-        }
+# Heading of each column of the table, and what it says.
+COLUMNS = {
+    "#": "the estimator whose τ is to be quoted first, then by trust",
+    "estimator": "how τ and the characteristic were estimated",
+    "τ [ms]": "time constant ± standard error",
+    "95 % [ms]": "95 % interval of τ: on log τ where τ is well separated from zero, symmetric and "
+    "cut at zero where it is less so, an upper bound where it is not separated from zero",
+    "held-out rms": "root mean square of measurement minus free run on the rows held out",
+    "Δ to least": "difference of that rms to the least ± paired jackknife error",
+    "trust": "what in this line should not be relied on",
+}
 
 
 @dataclass(frozen=True)
@@ -101,8 +67,8 @@ class EstimatorResult:
         Time of the fit.
     whole_run : WholeRunFit or None
         The free run through whole records behind it; None where it was fitted to the rows.
-    structure : StructureChoice or None
-        How sure the choice of terms is; None where they were given.
+    structure : dict or None
+        How sure the choice of terms is, as the JSON has it; None where they were given.
     remarks : tuple of str
         What the estimator itself warns of.
     extended : LagModel or None
@@ -125,7 +91,7 @@ class EstimatorResult:
     checks: tuple[CheckRow, ...]
     seconds: float
     whole_run: WholeRunFit | None = None
-    structure: StructureChoice | None = None
+    structure: dict[str, Any] | None = None
     remarks: tuple[str, ...] = ()
     extended: LagModel | None = None
 
@@ -242,6 +208,16 @@ class Comparison(Displayed):
         """Return the result of one estimator."""
         return next(result for result in self.results if result.name == name)
 
+    def grid(self) -> Grid:
+        """Return the table as terminal, page and notebook show it, a column for each heading."""
+        return Grid(
+            f"Estimators of {SYMBOLS[self.rows.target]}",
+            tuple(COLUMNS),
+            tuple(_cells(row, self.result(row.estimator)) for row in self.table),
+            frozenset({1, len(COLUMNS) - 1}),
+            marked=None if self.recommended is None else 0,
+        )
+
     def _sheet(self) -> Sheet:
         rows = self.rows
         low, high = self.valid_phi
@@ -256,14 +232,7 @@ class Comparison(Displayed):
             Field("τ to quote", _quoted(self)),
             *((Field("cautions", cautions, "advice"),) if cautions else ()),
         )
-        grid = Grid(
-            f"Estimators of {SYMBOLS[rows.target]}",
-            tuple(column.heading for column in FIELDS),
-            tuple(map(tuple, comparison_cells(self))),
-            frozenset(i for i, column in enumerate(FIELDS) if not column.numeric),
-            marked=None if self.recommended is None else 0,
-        )
-        return Sheet(f"Comparison of {len(self.results)} estimators", fields, (grid,))
+        return Sheet(f"Comparison of {len(self.results)} estimators", fields, (self.grid(),))
 
 
 def _quoted(comparison: Comparison) -> str:
@@ -274,77 +243,26 @@ def _quoted(comparison: Comparison) -> str:
     return f"{tau} ms by {comparison.recommended}"
 
 
-def _held_out(row: ComparisonRow, _: EstimatorResult) -> str:
-    known = math.isfinite(row.held_out_rms)
-    return round_to_error(row.held_out_rms, row.held_out_stderr) if known else NOT_KNOWN
+def _cells(row: ComparisonRow, result: EstimatorResult) -> tuple[str, ...]:
+    held_out = difference = NOT_KNOWN
+    if math.isfinite(row.held_out_rms):
+        held_out = round_to_error(row.held_out_rms, row.held_out_stderr)
+        difference = "least"
+        if row.difference != 0.0:
+            difference = round_to_error(row.difference, row.paired_error)
+    tau = round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
+    interval = _interval(result.model)
+    return (str(row.rank), row.label, tau, interval, held_out, difference, row.trust)
 
 
-def _difference(row: ComparisonRow, _: EstimatorResult) -> str:
-    if not math.isfinite(row.held_out_rms):
-        return NOT_KNOWN
-    return "least" if row.difference == 0.0 else round_to_error(row.difference, row.paired_error)
-
-
-def _tau(row: ComparisonRow, _: EstimatorResult) -> str:
-    return round_to_error(1e3 * row.time_constant_s, 1e3 * row.time_constant_stderr_s)
-
-
-def _interval(row: ComparisonRow, result: EstimatorResult) -> str:
-    low, high = result.model.ci95_s
-    if row.time_constant_stderr_s == 0.0:
+def _interval(model: FittedLag) -> str:
+    low, high = (1e3 * end for end in model.ci95_s)
+    tau, error = 1e3 * model.time_constant_s, 1e3 * model.time_constant_stderr_s
+    if error == 0.0:
         return "held"
     if not (math.isfinite(low) and math.isfinite(high)):
         return NOT_KNOWN
-    if not row.time_constant_stderr_s < row.time_constant_s:
+    if not error < tau:
         # The lower end of so wide an interval says nothing: the bound from above does.
-        bound_s = row.time_constant_s + ONE_SIDED_95 * row.time_constant_stderr_s
-        return f"< {significant(1e3 * bound_s, 2)}"
-    error = 1e3 * row.time_constant_stderr_s
-    return f"{round_like(1e3 * low, error)} … {round_like(1e3 * high, error)}"
-
-
-FIELDS: tuple[TableField, ...] = (
-    TableField(
-        "#",
-        "the estimator whose τ is to be quoted first, then by trust",
-        lambda row, _: str(row.rank),
-    ),
-    TableField(
-        "estimator",
-        "how τ and the characteristic were estimated",
-        lambda row, _: row.label,
-        False,
-    ),
-    TableField("τ [ms]", "time constant ± standard error", _tau),
-    TableField(
-        "95 % [ms]",
-        "95 % interval of τ: on log τ where τ is well separated from zero, symmetric and cut at "
-        "zero where it is less so, an upper bound where it is not separated from zero",
-        _interval,
-    ),
-    TableField(
-        "held-out rms",
-        "root mean square of measurement minus free run on the rows held out",
-        _held_out,
-    ),
-    TableField(
-        "Δ to least", "difference of that rms to the least ± paired jackknife error", _difference
-    ),
-    TableField(
-        "trust", "what in this line should not be relied on", lambda row, _: row.trust, False
-    ),
-)
-
-
-def comparison_cells(comparison: Comparison) -> list[list[str]]:
-    """Return the text of every cell, one list a row, in the order of the table.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Estimators side by side.
-    """
-    return [
-        [field.text(row, comparison.result(row.estimator)) for field in FIELDS]
-        for row in comparison.table
-    ]
+        return f"< {significant(tau + ONE_SIDED_95 * error, 2)}"
+    return f"{round_like(low, error)} … {round_like(high, error)}"

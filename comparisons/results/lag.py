@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.series import CoefficientSeries
+from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows
-from comparisons.results.tables import SYMBOLS
 from comparisons.results.terms import evaluate_terms, is_known_term
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.lag import FirstOrderLag, Hold
@@ -44,9 +44,6 @@ class LagModel(Protocol):
 
     def equation(self) -> str:
         """Return the model in one line."""
-
-    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
-        """Return the characteristic at φ, of shape (n,)."""
 
     def free_run_over(
         self,
@@ -145,6 +142,10 @@ class FittedLag(Displayed):
         )
 
     @property
+    def _rows(self) -> list[tuple[str, float, float]]:
+        return list(zip(self.terms, self.coefficients, self.stderr, strict=True))
+
+    @property
     def measured(self) -> bool:
         """Whether τ was measured: fitted, and two standard errors or more above zero."""
         return 0.0 < 2.0 * self.time_constant_stderr_s < self.time_constant_s < math.inf
@@ -152,21 +153,19 @@ class FittedLag(Displayed):
     @property
     def ci95_s(self) -> tuple[float, float]:
         """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
-        if not math.isfinite(self.time_constant_stderr_s):
-            return (math.nan, math.nan)
-        reach = self._quantile * self.time_constant_stderr_s
-        if reach > 0.5 * self.time_constant_s:
-            # So wide, log τ is no longer normal either: a bound from above is what is known.
-            return (max(0.0, self.time_constant_s - reach), self.time_constant_s + reach)
-        factor = math.exp(reach / self.time_constant_s)
-        return (self.time_constant_s / factor, self.time_constant_s * factor)
-
-    @property
-    def _quantile(self) -> float:
-        """97.5 % quantile of Student's t: a variance from few blocks is itself uncertain."""
         from scipy.stats import norm, t
 
-        return float(t.isf(0.025, self.n_blocks - 1) if self.n_blocks > 1 else norm.isf(0.025))
+        tau_s, n = self.time_constant_s, self.n_blocks
+        # A variance from few blocks is itself uncertain.
+        quantile = float(t.isf(0.025, n - 1) if n > 1 else norm.isf(0.025))
+        reach = quantile * self.time_constant_stderr_s
+        if not math.isfinite(reach):
+            return (math.nan, math.nan)
+        if reach > 0.5 * tau_s:
+            # So wide, log τ is no longer normal either: a bound from above is what is known.
+            return (max(0.0, tau_s - reach), tau_s + reach)
+        factor = math.exp(reach / tau_s)
+        return (tau_s / factor, tau_s * factor)
 
     def quasi_steady(self, phi: ArrayLike) -> FloatArray:
         """Return the characteristic at φ, of shape (n,)."""
@@ -196,15 +195,13 @@ class FittedLag(Displayed):
         start : ndarray of shape (n,), optional
             Measured coefficient; only the first row of each segment is used.
         """
-        quasi_steady = self.quasi_steady(phi)
+        out = self._as_it_acts(phi, sample_period_s, labels)
         if not math.isfinite(self.time_constant_s):
-            return quasi_steady
-        begin = quasi_steady if start is None else start
-        lag = self.lag(sample_period_s)
-        out = np.empty_like(quasi_steady)
-        for run in runs_of(labels, quasi_steady.size):
-            forcing = self._late(quasi_steady[run], sample_period_s)
-            out[run] = lag.respond(forcing, begin[run.start])
+            return out
+        begin = self.quasi_steady(phi) if start is None else start
+        lag = FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
+        for run in runs_of(labels, out.size):
+            out[run] = lag.respond(out[run], begin[run.start])
         return out
 
     def free_run_over(
@@ -235,35 +232,30 @@ class FittedLag(Displayed):
         labels: ArrayLike | None = None,
     ) -> FloatArray:
         """Predict each row from the measured row before it; first rows predict themselves."""
-        quasi_steady = self.quasi_steady(phi)
+        out = self._as_it_acts(phi, sample_period_s, labels)
         if not math.isfinite(self.time_constant_s):
-            return quasi_steady
-        lag = self.lag(sample_period_s)
-        out = target.copy()
-        for run in runs_of(labels, target.size):
-            before = target[run][:-1]
-            forcing = self._late(quasi_steady[run], sample_period_s)
-            out[run.start + 1 : run.stop] = lag.a * before + lag.drive(forcing)
+            return out
+        lag = FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
+        for run in runs_of(labels, out.size):
+            out[run][1:] = lag.a * target[run][:-1] + lag.drive(out[run])
+            out[run.start] = target[run.start]
         return out
 
-    def lag(self, sample_period_s: float) -> FirstOrderLag:
-        """Return the discrete lag for a sample period."""
-        return FirstOrderLag(self.time_constant_s, sample_period_s, self.hold)
-
-    def _late(self, forcing: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the forcing of one segment as it acts, dead_time_s later, its ends prolonged."""
-        if self.dead_time_s == 0.0:
-            return forcing
-        rows = np.arange(forcing.size, dtype=np.float64)
-        return np.interp(rows - self.dead_time_s / sample_period_s, rows, forcing)
+    def _as_it_acts(
+        self, phi: FloatArray, sample_period_s: float, labels: ArrayLike | None
+    ) -> FloatArray:
+        """Return the characteristic dead_time_s later, the ends of each segment prolonged."""
+        out = self.quasi_steady(phi)
+        late = self.dead_time_s / sample_period_s
+        for run in runs_of(labels, out.size) if late else ():
+            rows = np.arange(run.stop - run.start, dtype=np.float64)
+            out[run] = np.interp(rows - late, rows, out[run])
+        return out
 
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
         symbol = SYMBOLS.get(self.target, self.target)
-        terms = [
-            _term(name, value, stderr)
-            for name, value, stderr in zip(self.terms, self.coefficients, self.stderr, strict=True)
-        ]
+        terms = [_term(*row) for row in self._rows]
         right = " ".join(terms).removeprefix("+ ") or "0"
         if not math.isfinite(self.time_constant_s):
             return f"{symbol} = {right}"
@@ -280,9 +272,7 @@ class FittedLag(Displayed):
             "time_constant_stderr_s": _finite(self.time_constant_stderr_s),
             "terms": [
                 {"name": name, "coefficient": value, "stderr": _finite(stderr)}
-                for name, value, stderr in zip(
-                    self.terms, self.coefficients, self.stderr, strict=True
-                )
+                for name, value, stderr in self._rows
             ],
             "hold": self.hold,
             "valid_phi": list(self.valid_phi),
@@ -304,10 +294,7 @@ class FittedLag(Displayed):
             Field("hold", self.hold),
             Field("φ dwells", f"{self.valid_phi[0]:.3f} to {self.valid_phi[1]:.3f}"),
         ]
-        rows = tuple(
-            (name, round_to_error(value, error))
-            for name, value, error in zip(self.terms, self.coefficients, self.stderr, strict=True)
-        )
+        rows = tuple((name, round_to_error(value, error)) for name, value, error in self._rows)
         terms = Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
         title = f"Lag model of {SYMBOLS[self.target]} by {self.estimator}"
         return Sheet(title, tuple(fields), (terms,))

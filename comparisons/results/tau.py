@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from surge_core.types import FloatArray
 
@@ -55,8 +52,6 @@ class TauTrial:
     noise_rms : float
         Standard deviation of the white noise on the measurement: below it no model gets. nan
         where a low-pass has taken the noise out of the band from which it is read.
-    n_rows : int
-        Rows that were scored.
     target : {"psi_p", "psi"}
         Which coefficient it is.
     estimates : tuple of TauEstimate
@@ -70,13 +65,8 @@ class TauTrial:
     interval_s: tuple[float, float]
     least_rms: float
     noise_rms: float
-    n_rows: int
     target: str
     estimates: tuple[TauEstimate, ...] = ()
-
-    def at(self, tau_s: float) -> float:
-        """Return the error with a refitted curve at one τ, between the values by straight lines."""
-        return float(np.interp(math.log(tau_s), np.log(self.tau_s), self.refitted_rms))
 
 
 @dataclass(frozen=True)

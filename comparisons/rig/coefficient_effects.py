@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import pi
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,8 @@ from comparisons.rig.coefficient_plant import Plant, Points
 from surge_core.types import FloatArray
 
 __all__ = [
-    "CHARACTERISTIC",
     "EFFECTS",
     "FORMS",
-    "LAG",
-    "OUTPUT",
     "OUTSIDE",
     "PAIRS",
     "Form",
@@ -30,34 +28,9 @@ __all__ = [
     "stall_state",
 ]
 
-Parameters = Mapping[str, float]
+Parameters: TypeAlias = Mapping[str, float]
+Change: TypeAlias = "Callable[[Parameters, Points, FloatArray], FloatArray]"
 
-EFFECTS = (
-    "transport_delay",
-    "facility_heating",
-    "speed_droop",
-    "hysteresis",
-    "reverse_flow_branch",
-    "characteristic_shape",
-    "second_order_lag",
-    "amplitude_dependent_lag",
-    "asymmetric_lag",
-    "flow_dependent_lag",
-    "flow_inertia",
-    "thermocouple_lag",
-    "sensitivity_drift",
-    "bias_drift",
-    "rotating_stall_ripple",
-)
-OUTSIDE = (
-    "nonlinear_relaxation",
-    "second_slow_mode",
-    "speed_dependent_lag",
-    "amplitude_memory",
-    "sensor_quadratic",
-    "sensor_saturation",
-    "sensor_backlash",
-)
 PAIRS = (
     ("amplitude_dependent_lag", "transport_delay"),
     ("transport_delay", "facility_heating"),
@@ -95,6 +68,9 @@ class Form:
         Plant and generator to its other parameters.
     signed : bool
         Whether the size may be negative as well.
+    curve, lag, output : callable, optional
+        What it makes of ψ'_QS, of τ as a factor, or of ψ' as sensors and reduction show it; an
+        effect that has none of them acts in the integration itself.
     """
 
     size: str
@@ -102,6 +78,9 @@ class Form:
     limit: Callable[[Plant], float]
     draw: Callable[[Plant, np.random.Generator], dict[str, float]] = _none
     signed: bool = False
+    curve: Change | None = None
+    lag: Callable[[Parameters, Points], FloatArray] | None = None
+    output: Change | None = None
 
 
 def _draw_hysteresis(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
@@ -132,103 +111,6 @@ def _draw_ripple(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
 def _longest_thermocouple_lag_s(plant: Plant) -> float:
     swings = [c.cyclic[0] * 2.0 * pi * c.flow.surge_hz for c in plant.temperatures]
     return _DEEPEST_CORRECTION / max(swings)
-
-
-FORMS: Mapping[str, Form] = {
-    "transport_delay": Form("delay_s", lambda p: 0.03 * p.tau_s, lambda p: p.tau_s),
-    "facility_heating": Form(
-        "loss_frac",
-        lambda p: 0.01,
-        lambda p: 0.9,
-        lambda p, rng: {"heating_time_s": rng.uniform(0.5, 3.0) * p.duration_s},
-    ),
-    "speed_droop": Form(
-        "exponent",
-        lambda p: 0.5,
-        lambda p: 60.0,
-        lambda p, rng: {"reference_frac": p.mean_speed},
-    ),
-    "hysteresis": Form(
-        "step", lambda p: 0.05 * p.psi_std, lambda p: 5.0 * p.psi_std, _draw_hysteresis
-    ),
-    "reverse_flow_branch": Form(
-        "coefficient",
-        lambda p: 0.02 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
-        lambda p: 10.0 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
-        lambda p, rng: {"lagged": float(rng.random() < 0.5)},
-    ),
-    "characteristic_shape": Form(
-        "height", lambda p: 0.05 * p.psi_std, lambda p: 20.0 * p.psi_std, _draw_bump, signed=True
-    ),
-    "second_order_lag": Form("a2_s2", lambda p: 0.02 * p.tau_s**2, lambda p: p.tau_s**2),
-    "amplitude_dependent_lag": Form(
-        "slope",
-        lambda p: 0.1,
-        lambda p: 3.0,
-        lambda p, rng: {"mean_amplitude": p.mean_amplitude},
-        signed=True,
-    ),
-    "asymmetric_lag": Form("slope", lambda p: 0.03, lambda p: _LIMIT_OF_TAU, signed=True),
-    "flow_dependent_lag": Form(
-        "slope",
-        lambda p: 0.05,
-        lambda p: _LIMIT_OF_TAU,
-        lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
-        signed=True,
-    ),
-    "flow_inertia": Form("length_s", lambda p: 0.01 * p.psi_std, lambda p: 0.5, signed=True),
-    "thermocouple_lag": Form("lag_s", lambda p: 0.2, _longest_thermocouple_lag_s),
-    "sensitivity_drift": Form(
-        "rate_per_s", lambda p: 0.01 / p.duration_s, lambda p: 1.0 / p.duration_s, signed=True
-    ),
-    "bias_drift": Form(
-        "rate_per_s",
-        lambda p: 0.02 * p.psi_std / p.duration_s,
-        lambda p: 5.0 * p.psi_std / p.duration_s,
-        signed=True,
-    ),
-    "rotating_stall_ripple": Form(
-        "amplitude", lambda p: 0.02 * p.psi_std, lambda p: 5.0 * p.psi_std, _draw_ripple
-    ),
-    "nonlinear_relaxation": Form("kappa", lambda p: 0.2 / p.psi_std, lambda p: 50.0 / p.psi_std),
-    "second_slow_mode": Form(
-        "share",
-        lambda p: 0.05,
-        lambda p: 0.6,
-        lambda p, rng: {"slow_tau_s": p.tau_s * rng.uniform(8.0, 15.0)},
-    ),
-    "speed_dependent_lag": Form(
-        "exponent",
-        lambda p: 3.0,
-        lambda p: 60.0,
-        lambda p, rng: {"reference_frac": p.mean_speed},
-        signed=True,
-    ),
-    "amplitude_memory": Form(
-        "slope",
-        lambda p: 0.1,
-        lambda p: 5.0,
-        lambda p, rng: {"mean_depth": p.phi_at(0.5) - p.phi_at(0.02), "phi_mean": p.phi_at(0.5)},
-        signed=True,
-    ),
-    "sensor_quadratic": Form(
-        "curvature",
-        lambda p: 0.1 / p.psi_std,
-        lambda p: 2.0 / p.psi_std,
-        lambda p, rng: {"centre": float(np.mean(p.quasi_steady(p.all_phi)))},
-        signed=True,
-    ),
-    "sensor_saturation": Form(
-        "share",
-        lambda p: 0.2,
-        lambda p: 0.9,
-        lambda p, rng: {
-            "knee": float(np.mean(p.quasi_steady(p.all_phi))) + rng.uniform(0.3, 0.8) * p.psi_std,
-            "softness": 0.1 * p.psi_std,
-        },
-    ),
-    "sensor_backlash": Form("half_width", lambda p: 0.01 * p.psi_std, lambda p: 0.5 * p.psi_std),
-}
 
 
 def crossed_levels(name: str, parameters: Parameters) -> tuple[float, ...]:
@@ -300,16 +182,6 @@ def _memory(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
     return np.asarray(curve * gain[cycle])
 
 
-CHARACTERISTIC: Mapping[str, Callable[[Parameters, Points, FloatArray], FloatArray]] = {
-    "facility_heating": _heating,
-    "speed_droop": _droop,
-    "hysteresis": _hysteresis,
-    "reverse_flow_branch": _lagged_reverse,
-    "characteristic_shape": _bump,
-    "amplitude_memory": _memory,
-}
-
-
 def _amplitude_lag(p: Parameters, at: Points) -> FloatArray:
     amplitude = at.plant.amplitudes[at.record](at.time_s)
     return np.asarray(1.0 + p["slope"] * (amplitude / p["mean_amplitude"] - 1.0))
@@ -326,15 +198,6 @@ def _flow_lag(p: Parameters, at: Points) -> FloatArray:
 
 def _speed_lag(p: Parameters, at: Points) -> FloatArray:
     return np.asarray(_speed_ratio(p, at) ** p["exponent"])
-
-
-# What τ is multiplied by.
-LAG: Mapping[str, Callable[[Parameters, Points], FloatArray]] = {
-    "amplitude_dependent_lag": _amplitude_lag,
-    "asymmetric_lag": _asymmetric_lag,
-    "flow_dependent_lag": _flow_lag,
-    "speed_dependent_lag": _speed_lag,
-}
 
 
 def _inertia(p: Parameters, at: Points, psi: FloatArray) -> FloatArray:
@@ -373,14 +236,136 @@ def _saturating_sensor(p: Parameters, _at: Points, psi: FloatArray) -> FloatArra
     return np.asarray(psi - p["share"] * beyond)
 
 
-# What the sensors and the reduction make of ψ' at the samples.
-OUTPUT: Mapping[str, Callable[[Parameters, Points, FloatArray], FloatArray]] = {
-    "reverse_flow_branch": _unlagged_reverse,
-    "flow_inertia": _inertia,
-    "thermocouple_lag": _thermocouple,
-    "sensitivity_drift": _sensitivity,
-    "bias_drift": _bias,
-    "rotating_stall_ripple": _ripple,
-    "sensor_quadratic": _quadratic_sensor,
-    "sensor_saturation": _saturating_sensor,
+_CATALOGUE: Mapping[str, Form] = {
+    "transport_delay": Form("delay_s", lambda p: 0.03 * p.tau_s, lambda p: p.tau_s),
+    "facility_heating": Form(
+        "loss_frac",
+        lambda p: 0.01,
+        lambda p: 0.9,
+        lambda p, rng: {"heating_time_s": rng.uniform(0.5, 3.0) * p.duration_s},
+        curve=_heating,
+    ),
+    "speed_droop": Form(
+        "exponent",
+        lambda p: 0.5,
+        lambda p: 60.0,
+        lambda p, rng: {"reference_frac": p.mean_speed},
+        curve=_droop,
+    ),
+    "hysteresis": Form(
+        "step",
+        lambda p: 0.05 * p.psi_std,
+        lambda p: 5.0 * p.psi_std,
+        _draw_hysteresis,
+        curve=_hysteresis,
+    ),
+    "reverse_flow_branch": Form(
+        "coefficient",
+        lambda p: 0.02 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
+        lambda p: 10.0 * p.psi_std / max(p.all_phi[0] ** 2, 1e-4),
+        lambda p, rng: {"lagged": float(rng.random() < 0.5)},
+        curve=_lagged_reverse,
+        output=_unlagged_reverse,
+    ),
+    "characteristic_shape": Form(
+        "height",
+        lambda p: 0.05 * p.psi_std,
+        lambda p: 20.0 * p.psi_std,
+        _draw_bump,
+        signed=True,
+        curve=_bump,
+    ),
+    "second_order_lag": Form("a2_s2", lambda p: 0.02 * p.tau_s**2, lambda p: p.tau_s**2),
+    "amplitude_dependent_lag": Form(
+        "slope",
+        lambda p: 0.1,
+        lambda p: 3.0,
+        lambda p, rng: {"mean_amplitude": p.mean_amplitude},
+        signed=True,
+        lag=_amplitude_lag,
+    ),
+    "asymmetric_lag": Form(
+        "slope", lambda p: 0.03, lambda p: _LIMIT_OF_TAU, signed=True, lag=_asymmetric_lag
+    ),
+    "flow_dependent_lag": Form(
+        "slope",
+        lambda p: 0.05,
+        lambda p: _LIMIT_OF_TAU,
+        lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
+        signed=True,
+        lag=_flow_lag,
+    ),
+    "flow_inertia": Form(
+        "length_s", lambda p: 0.01 * p.psi_std, lambda p: 0.5, signed=True, output=_inertia
+    ),
+    "thermocouple_lag": Form(
+        "lag_s", lambda p: 0.2, _longest_thermocouple_lag_s, output=_thermocouple
+    ),
+    "sensitivity_drift": Form(
+        "rate_per_s",
+        lambda p: 0.01 / p.duration_s,
+        lambda p: 1.0 / p.duration_s,
+        signed=True,
+        output=_sensitivity,
+    ),
+    "bias_drift": Form(
+        "rate_per_s",
+        lambda p: 0.02 * p.psi_std / p.duration_s,
+        lambda p: 5.0 * p.psi_std / p.duration_s,
+        signed=True,
+        output=_bias,
+    ),
+    "rotating_stall_ripple": Form(
+        "amplitude",
+        lambda p: 0.02 * p.psi_std,
+        lambda p: 5.0 * p.psi_std,
+        _draw_ripple,
+        output=_ripple,
+    ),
 }
+_OTHERS: Mapping[str, Form] = {
+    "nonlinear_relaxation": Form("kappa", lambda p: 0.2 / p.psi_std, lambda p: 50.0 / p.psi_std),
+    "second_slow_mode": Form(
+        "share",
+        lambda p: 0.05,
+        lambda p: 0.6,
+        lambda p, rng: {"slow_tau_s": p.tau_s * rng.uniform(8.0, 15.0)},
+    ),
+    "speed_dependent_lag": Form(
+        "exponent",
+        lambda p: 3.0,
+        lambda p: 60.0,
+        lambda p, rng: {"reference_frac": p.mean_speed},
+        signed=True,
+        lag=_speed_lag,
+    ),
+    "amplitude_memory": Form(
+        "slope",
+        lambda p: 0.1,
+        lambda p: 5.0,
+        lambda p, rng: {"mean_depth": p.phi_at(0.5) - p.phi_at(0.02), "phi_mean": p.phi_at(0.5)},
+        signed=True,
+        curve=_memory,
+    ),
+    "sensor_quadratic": Form(
+        "curvature",
+        lambda p: 0.1 / p.psi_std,
+        lambda p: 2.0 / p.psi_std,
+        lambda p, rng: {"centre": float(np.mean(p.quasi_steady(p.all_phi)))},
+        signed=True,
+        output=_quadratic_sensor,
+    ),
+    "sensor_saturation": Form(
+        "share",
+        lambda p: 0.2,
+        lambda p: 0.9,
+        lambda p, rng: {
+            "knee": float(np.mean(p.quasi_steady(p.all_phi))) + rng.uniform(0.3, 0.8) * p.psi_std,
+            "softness": 0.1 * p.psi_std,
+        },
+        output=_saturating_sensor,
+    ),
+    "sensor_backlash": Form("half_width", lambda p: 0.01 * p.psi_std, lambda p: 0.5 * p.psi_std),
+}
+FORMS = {**_CATALOGUE, **_OTHERS}
+EFFECTS, OUTSIDE = tuple(_CATALOGUE), tuple(_OTHERS)

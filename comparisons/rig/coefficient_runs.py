@@ -12,13 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from comparisons.rig.coefficient_effects import (
-    CHARACTERISTIC,
-    LAG,
-    OUTPUT,
-    Parameters,
-    crossed_levels,
-)
+from comparisons.rig.coefficient_effects import FORMS, Parameters, crossed_levels
 from comparisons.rig.coefficient_plant import Plant, Points, lay_grid, sample_points
 from surge_core.types import FloatArray
 
@@ -75,8 +69,9 @@ def run_record(
     )
     curve = plant.quasi_steady(grid.phi)
     for name, parameters in planted.items():
-        if name in CHARACTERISTIC:
-            curve = CHARACTERISTIC[name](parameters, grid, curve)
+        change = FORMS[name].curve
+        if change is not None:
+            curve = change(parameters, grid, curve)
     if curve_offset is not None:
         place = np.clip(np.searchsorted(time_s, grid.time_s[1]) - 1, 0, time_s.size - 1)
         curve = curve + curve_offset[place]
@@ -86,8 +81,9 @@ def run_record(
     shown = psi[grid.samples]
     at = sample_points(plant, record, time_s)
     for name, parameters in planted.items():
-        if name in OUTPUT:
-            shown = OUTPUT[name](parameters, at, shown)
+        change = FORMS[name].output
+        if change is not None:
+            shown = change(parameters, at, shown)
     return shown
 
 
@@ -96,7 +92,7 @@ def _lagged(grid: Points, curve: FloatArray, planted: Planted) -> FloatArray:
     tau, start = grid.plant.tau_s, float(curve[0, 0])
     if "second_order_lag" in planted:
         return _second_order(grid, curve, planted["second_order_lag"]["a2_s2"])
-    factors = [LAG[name](p, grid) for name, p in planted.items() if name in LAG]
+    factors = [f(p, grid) for name, p in planted.items() if (f := FORMS[name].lag) is not None]
     kappa = planted.get("nonlinear_relaxation", {}).get("kappa", 0.0)
     psi: FloatArray
     if factors or kappa:

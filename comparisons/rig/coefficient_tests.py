@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from comparisons.rig.coefficient_effects import EFFECTS, FORMS, LAG, OUTSIDE, PAIRS
+from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
 from comparisons.rig.coefficient_plant import Plant, draw_plant, lay_grid
 from comparisons.rig.coefficient_runs import constant_lag, run_record
 from surge_core.errors import InputError
@@ -221,7 +221,8 @@ def _check(
             raise InputError(
                 "effect", expected="one of " + ", ".join(EFFECTS + OUTSIDE), found=f"{name!r}"
             )
-    others = [n for n in names if n in LAG or n in ("nonlinear_relaxation", "second_slow_mode")]
+    lags = ("nonlinear_relaxation", "second_slow_mode")
+    others = [n for n in names if FORMS[n].lag is not None or n in lags]
     if len(set(names)) < len(names) or ("second_order_lag" in names and others):
         raise InputError(
             "effect",

@@ -29,11 +29,7 @@ from comparisons.missing_effect.words import (
 )
 from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
-from comparisons.show.plots_added_effect import (
-    characteristics_before_and_after,
-    contributions_in_time,
-    residual_spectra,
-)
+from comparisons.show.plots_contributions import contributions_in_time
 from comparisons.show.plots_missing_effect import diagnosis_picture
 from comparisons.show.plots_where import where_picture
 from surge_core.rounding import significant
@@ -46,6 +42,14 @@ if TYPE_CHECKING:
 __all__ = ["diagnosis_parts", "diagnosis_report"]
 
 _WORDS_COLUMNS = ("candidate", "fate")
+LIMITS_HINT = (
+    "Not looked for. `sindy-surge diagnose --limits` plants each effect into these records and "
+    "says how small it may be and still be named in nine trials of ten."
+)
+SEPARATION_HINT = (
+    "Not looked for. `sindy-surge diagnose --separate` says, from simulation, which further "
+    "measurement would separate the names."
+)
 
 
 def diagnosis_parts(
@@ -69,19 +73,23 @@ def diagnosis_parts(
         With ``lines``: what would have been named, and what would separate an alias set.
     """
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
+    several = any(len(item.alias_set) > 1 for item in d.missing)
     tone = "plain" if d.verdict in ("named", "nothing_missing", "alias_set") else "caution"
     parts = (
         Part(
             f"What is missing: {d.verdict.replace('_', ' ')}",
             (Words(words, tone), diagnosis_picture(d, before, after), _gap_table(d)),
         ),
-        Part("Where the model and the measurement part", _where(d, before)),
+        Part("Where the model and the measurement part", _where(d, before, after)),
         Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
-        Part("What it changes", _shown(d, before, after)),
+        Part("What it changes", (contributions_in_time(d),) if contributions(d) else ()),
         Part("Noise and what is left", _left(d, after)),
-        Part("Limits", _lines(limits, _limits_hint(d))),
-        Part("What would separate an alias set", _lines(separation, _separation_hint(d))),
+        Part("Limits", _lines(limits, LIMITS_HINT if not d.missing else "")),
+        Part(
+            "What would separate an alias set",
+            _lines(separation, SEPARATION_HINT if several else ""),
+        ),
         Part("Effects that could not be tried", (_ledger(d),)),
     )
     return tuple(part for part in parts if part.blocks)
@@ -149,13 +157,13 @@ def _rms_cells(rms: float, floor: float) -> tuple[str, str]:
     return significant(rms, 3), f"{rms / floor:.2f}"
 
 
-def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
+def _where(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Block, ...]:
     if before is None:
         return (Words(TOO_SHORT),)
     return (
         Words(opening_words(d), "quiet"),
         Bullets(before.words),
-        where_picture(residual_runs(d, d.before), before),
+        where_picture(residual_runs(d, d.before), before, after if d.missing else None),
     )
 
 
@@ -223,22 +231,20 @@ def _added(d: Diagnosis) -> tuple[Block, ...]:
                     bounds.get(p.name, ""),
                 )
             )
-    confirm = tuple(
-        f"{name}: {effect_of(d, name).confirm}"
-        for item in d.missing
-        for name in item.alias_set
-        if not effect_of(d, name).unnamed
-    )
-    suffers = tuple(
-        f"{item.effect}: {effect_of(d, item.effect).on_tau}"
-        for item in d.missing
-        if not effect_of(d, item.effect).unnamed
+    names = [name for item in d.missing for name in item.alias_set]
+    named = [each for each in (effect_of(d, name) for name in names) if not each.unnamed]
+    added = {item.effect for item in d.missing}
+    lists = (
+        Bullets(tuple(f"{e.name}: {e.confirm}" for e in named), heading="What would confirm it"),
+        Bullets(
+            tuple(f"{e.name}: {e.on_tau}" for e in named if e.name in added),
+            heading="What τ suffers without it",
+        ),
     )
     return (
         Words("\n".join(models), "code"),
         Table("What was added, fitted to all rows", heads, tuple(rows)),
-        *((Bullets(confirm, heading="What would confirm it"),) if confirm else ()),
-        *((Bullets(suffers, heading="What τ suffers without it"),) if suffers else ()),
+        *(each for each in lists if each.items),
     )
 
 
@@ -247,15 +253,6 @@ def _bounds(parameter: Parameter) -> str:
         return "none"
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     return f"{parameter.low:g} to {parameter.high:g}{unit}"
-
-
-def _shown(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Block, ...]:
-    blocks: list[Block] = []
-    if contributions(d):
-        blocks += [characteristics_before_and_after(d), contributions_in_time(d)]
-    if before is not None:
-        blocks.append(residual_spectra(before, after if d.missing else None))
-    return tuple(blocks)
 
 
 def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
@@ -270,24 +267,6 @@ def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
     if d.missing and after is not None:
         blocks.append(Bullets(after.words, heading="Where the model after still stands out"))
     return tuple(blocks)
-
-
-def _limits_hint(d: Diagnosis) -> str:
-    if d.missing:
-        return ""
-    return (
-        "Not looked for. `sindy-surge diagnose --limits` plants each effect into these records and "
-        "says how small it may be and still be named in nine trials of ten."
-    )
-
-
-def _separation_hint(d: Diagnosis) -> str:
-    if all(len(item.alias_set) < 2 for item in d.missing):
-        return ""
-    return (
-        "Not looked for. `sindy-surge diagnose --separate` says, from simulation, which further "
-        "measurement would separate the names."
-    )
 
 
 def _lines(found: Any, hint: str) -> tuple[Block, ...]:

@@ -22,6 +22,9 @@ INSPECT_SCHEMA = "sindy-surge/inspect/1"
 # Beyond this share of the facility's reading the near-stall match refuses a channel.
 FAR_OFF = 0.2
 MOST_LEFT_ASIDE = 12
+# A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
+# whatever the rate from so many rows on.
+STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
 # Where the machine surges is shown if it is less than so much of the record.
 SURGING_SHARE = 0.8
 
@@ -135,9 +138,6 @@ def _surge_text(inspection: Inspection) -> Iterator[str]:
 
 
 def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
-    from classic_ml.faults.held import times_held
-    from classic_ml.inspect import is_still
-
     notes = []
     if channel.not_finite == channel.rows:
         return ("no number in it",)
@@ -150,9 +150,8 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
         rows = channel.at_minimum if end == "minimum" else channel.at_maximum
         share = rows / max(1, channel.rows - channel.not_finite)
         notes.append(f"{rows} rows ({share:.2%}) at its {end}: saturated?")
-    if channel.held_rows > 1.0:
-        notes.append(f"each value {times_held(channel.held_rows)}: held from a lower rate?")
-    if is_still(channel, rate_hz):
+    still_rows = STILL_S * rate_hz if rate_hz > 0.0 else STILL_ROWS
+    if channel.longest_run >= max(STILL_LEAST_ROWS, still_rows):
         notes.append(f"{channel.longest_run} rows alike from row {channel.longest_run_row}: stuck?")
     return tuple(notes)
 

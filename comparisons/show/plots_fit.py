@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     MEASURED,
     SHADE,
+    LineStyle,
     broken,
     coefficient_symbol,
     dress,
@@ -173,16 +174,10 @@ def validation(runs: Sequence[Reconstruction]) -> Picture:
     low, high = best.model.valid_phi
     outside = (rows.phi < low) | (rows.phi > high)
     shade(dress(lower), time_s, outside, r"$\varphi$ beyond where it dwelt in the fit")
-    for ax, shown, width in ((dress(upper), (best,), 0.8), (lower, runs, 1.2)):
-        measured = broken(time_s, rows.measured, rows.runs)
-        ax.plot(*measured, color=MEASURED, lw=2.2 * width, label="measured")
-        for run in shown:
-            style = styles[run.model.estimator]
-            dashes = "-" if ax is upper else style.dashes
-            look: dict[str, Any] = {"color": style.colour, "linestyle": dashes, "lw": width}
-            label = printable(estimator_label(run.model.estimator))
-            ax.plot(*broken(time_s, run.reconstructed, rows.runs), **look, label=label)
-        ax.set_ylim(*robust_limits(rows.measured, margin=0.15))
+    signals = [(run.model.estimator, run.reconstructed) for run in runs]
+    first_only = [(best.model.estimator, best.reconstructed)]
+    for ax, shown in ((dress(upper), first_only), (lower, signals)):
+        _draw_runs(ax, time_s, rows.measured, rows.runs, shown, styles)
         ax.set_ylabel(f"{coefficient_symbol(rows.target)} [-]")
     first, last = float(time_s[0]), float(time_s[-1])
     middle = 0.5 * (first + last)
@@ -294,26 +289,37 @@ def _run_panel(
     ax: Axes, comparison: Comparison, keep: BoolArray, results: Sequence[EstimatorResult]
 ) -> None:
     rows = comparison.rows
-    time_s, measured = rows.time_s[keep], rows.measured[keep]
-    runs = runs_of(rows.labels[keep], time_s.size)
-    styles = estimator_styles(result.name for result in comparison.results)
-    alone = len(results) == 1
-    width = 0.8 if alone else 1.2
+    time_s = rows.time_s[keep]
     shade(dress(ax), time_s, ~rows.train[keep], "held-out cycles")
-    # Thick and pale below the thin lines: where they part is seen, where they agree too.
-    ax.plot(*broken(time_s, measured, runs), color=MEASURED, lw=2.2 * width, label="measured")
-    for result in results:
-        style = styles[result.name]
-        look: dict[str, Any] = {
-            "color": style.colour,
-            "linestyle": "-" if alone else style.dashes,
-            "lw": width,
-        }
-        line = broken(time_s, result.trained[keep], runs)
-        ax.plot(*line, **look, label=printable(result.label))
-    ax.set_ylim(*robust_limits(measured, margin=0.15))
+    signals = [(result.name, result.trained[keep]) for result in results]
+    labels = {result.name: result.label for result in results}
+    styles = estimator_styles(result.name for result in comparison.results)
+    runs = runs_of(rows.labels[keep], time_s.size)
+    _draw_runs(ax, time_s, rows.measured[keep], runs, signals, styles, labels)
     if time_s.size:
         ax.set_xlim(float(time_s[0]), float(time_s[-1]))
+
+
+def _draw_runs(
+    ax: Axes,
+    time_s: FloatArray,
+    measured: FloatArray,
+    runs: list[slice],
+    signals: Sequence[tuple[str, FloatArray]],
+    styles: Mapping[str, LineStyle],
+    labels: Mapping[str, str] | None = None,
+) -> None:
+    """Draw free runs over the measurement; one alone is drawn thin and full."""
+    alone = len(signals) == 1
+    width = 0.8 if alone else 1.2
+    # Thick and pale below the thin lines: where they part is seen, where they agree too.
+    ax.plot(*broken(time_s, measured, runs), color=MEASURED, lw=2.2 * width, label="measured")
+    for name, values in signals:
+        style, label = styles[name], (labels or {}).get(name) or estimator_label(name)
+        dashes = "-" if alone else style.dashes
+        line = broken(time_s, values, runs)
+        ax.plot(*line, color=style.colour, ls=dashes, lw=width, label=printable(label))
+    ax.set_ylim(*robust_limits(measured, margin=0.15))
 
 
 def _worst_words(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from textwrap import shorten
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,8 +18,10 @@ from comparisons.missing_effect.shown import (
 )
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
+    ACCENT,
     FAINT,
     INK,
+    MARK,
     MEASURED,
     QUIET,
     SHADE,
@@ -29,7 +32,6 @@ from comparisons.page.style import (
     printable,
     robust_limits,
 )
-from comparisons.show.plots_added_effect import AFTER, BEFORE, plot_curves
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:
@@ -41,7 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = ["diagnosis_picture", "title"]
 
-PALE = "#d3e5f1"
+BEFORE, AFTER, PALE = MARK, ACCENT, "#d3e5f1"
+DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 SMALL = 8.5
 TINY = 7.5
 CANDIDATES_SHOWN = 6
@@ -49,8 +52,7 @@ BAND_FLOORS = 2.0
 LONGEST_LINE = 130
 # A heading longer than this is set smaller.
 HEADING_LETTERS, HEADING_SIZE = 72, 14.0
-# Height of the heading, of a line below it, and of what constrained layout leaves between panels.
-HEADING_PT, LINE_PT, MARGINS_PT = 26.0, 15.5, 60.0
+LEFT: dict[str, Any] = {"fontsize": 9, "color": INK, "loc": "left"}
 VIEWS = ("time", "frequency", "flow", "phase", "regime")
 
 
@@ -94,20 +96,21 @@ def diagnosis_picture(d: Diagnosis, before: Where | None, after: Where | None = 
         below, how far the residual stands out in each view, the candidates by score with τ, and
         the characteristic before and after.
     """
-    figure = new_figure(height_in=8.2)
-    lines = _lines(d)
-    room_pt = HEADING_PT + LINE_PT * len(lines)
-    heights = [1.15, 0.8, 1.45]
-    heading = sum(heights) * room_pt / (72.0 * 8.2 - MARGINS_PT - room_pt)
-    grid = figure.add_gridspec(4, 1, height_ratios=[heading, *heights])
-    _headline(figure.add_subplot(grid[0]), title(d), lines)
+    heading, lines = title(d), _lines(d)
+    figure = new_figure(height_in=8.2 + 0.2 * len(lines))
+    size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
+    look: dict[str, Any] = {"x": 0.02, "ha": "left", "color": INK}
+    figure.suptitle(_plain(heading), fontsize=size, fontweight="bold", **look)
+    grid = figure.add_gridspec(3, 1, height_ratios=[1.15, 0.8, 1.45])
     run = held_out_run(d)
     shown = stretch(d, run)
-    upper = dress(figure.add_subplot(grid[1]))
-    lower = dress(figure.add_subplot(grid[2], sharex=upper))
+    upper = dress(figure.add_subplot(grid[0]))
+    lower = dress(figure.add_subplot(grid[1], sharex=upper))
     _over_time(upper, d, run, shown)
+    below = [shorten(_plain(line), LONGEST_LINE, placeholder=" …") for line in lines]
+    upper.set_title("\n".join([*below, str(upper.get_title(loc="left"))]), **LEFT)
     _residuals(lower, d, run, shown)
-    bottom = grid[3].subgridspec(1, 3, width_ratios=[0.8, 1.15, 1.15], wspace=0.04)
+    bottom = grid[2].subgridspec(1, 3, width_ratios=[0.8, 1.15, 1.15], wspace=0.04)
     _views(dress(figure.add_subplot(bottom[0])), before, after if d.missing else None)
     _candidates(figure.add_subplot(bottom[1]), d)
     _curves(dress(figure.add_subplot(bottom[2])), d)
@@ -133,28 +136,6 @@ def _shown_words(d: Diagnosis, time_s: FloatArray) -> str:
         f"{words}; noise {significant(gap.floor_rms, 3)}. Drawn over time: {time_s[0]:.4g} to "
         f"{time_s[-1]:.4g} s, where the model before is worst."
     )
-
-
-def _headline(ax: Axes, heading: str, lines: list[str]) -> None:
-    ax.set_axis_off()
-    below_it = "\n".join(shorten(_plain(line), LONGEST_LINE, placeholder=" …") for line in lines)
-    size = HEADING_SIZE * min(1.0, HEADING_LETTERS / len(heading))
-    for words, below, style in (
-        (_plain(heading), 2.0, {"fontsize": size, "fontweight": "bold"}),
-        (below_it, HEADING_PT, {"fontsize": 9.5, "linespacing": 1.35}),
-    ):
-        text = ax.annotate(
-            words,
-            (0.0, 1.0),
-            xycoords="axes fraction",
-            xytext=(0, -below),
-            textcoords="offset points",
-            va="top",
-            color=INK,
-            **style,
-        )
-        # It may be wider than the panels: these keep their place.
-        text.set_in_layout(False)
 
 
 def _lines(d: Diagnosis) -> list[str]:
@@ -189,7 +170,7 @@ def _over_time(ax: Axes, d: Diagnosis, run: HeldOutRun, shown: slice) -> None:
     ax.tick_params(labelbottom=False)
     source = d.data.sources[int(d.data.record[shown.start])].rsplit("/", 1)[-1]
     how = "cycles left out in turn" if d.whole_runs else "held out"
-    ax.set_title(f"{how}: {printable(source, 40)}", fontsize=9, color=INK, loc="left")
+    ax.set_title(f"{how}: {printable(source, 40)}", **LEFT)
     _legend_over(ax)
 
 
@@ -199,17 +180,12 @@ def _residuals(ax: Axes, d: Diagnosis, run: HeldOutRun, shown: slice) -> None:
         -BAND_FLOORS, BAND_FLOORS, color=SHADE, lw=0, label=f"± {BAND_FLOORS:.0f} times the noise"
     )
     ax.axhline(0.0, color=INK, lw=0.7)
-    values = [(run.measured - run.after)[shown] / floor]
-    if d.missing:
-        values.append((run.measured - run.before)[shown] / floor)
-        ax.plot(run.time_s[shown], values[1], color=BEFORE, lw=1.2, label="before")
-    ax.plot(
-        run.time_s[shown],
-        values[0],
-        color=AFTER,
-        lw=0.9,
-        label="after" if d.missing else "residual",
-    )
+    lines = [(run.before, BEFORE, 1.2, "before"), (run.after, AFTER, 0.9, "after")]
+    values = []
+    for simulated, colour, width, word in lines[0 if d.missing else 1 :]:
+        values.append((run.measured - simulated)[shown] / floor)
+        label = word if d.missing else "residual"
+        ax.plot(run.time_s[shown], values[-1], color=colour, lw=width, label=label)
     low, high = robust_limits(*values, margin=0.1)
     ax.set_ylim(min(low, -1.3 * BAND_FLOORS), max(high, 1.3 * BAND_FLOORS))
     ax.set_xlim(run.time_s[shown][0], run.time_s[shown][-1])
@@ -231,7 +207,7 @@ def _legend_over(ax: Axes) -> None:
 
 
 def _views(ax: Axes, before: Where | None, after: Where | None) -> None:
-    ax.set_title("where the residual stands out", fontsize=9, color=INK, loc="left")
+    ax.set_title("where the residual stands out", **LEFT)
     if before is None:
         ax.set_axis_off()
         ax.text(0.0, 0.6, "records too short to tell", fontsize=SMALL, color=QUIET)
@@ -257,52 +233,29 @@ def _views(ax: Axes, before: Where | None, after: Where | None) -> None:
 
 
 def _candidates(ax: Axes, d: Diagnosis) -> None:
-    ax.spines[:].set_visible(False)
-    ax.tick_params(left=False, labelleft=False, colors=INK, labelsize=SMALL)
-    unit = " %" if d.whole_runs else ""
+    """Draw bars of the scores, the name above each and τ beside it."""
+    ax.set_axis_off()
     what = "squared errors explained" if d.whole_runs else "score in log-units"
-    ax.set_title(f"who: {what}, and τ with it", fontsize=9, color=INK, loc="left")
+    ax.set_title(f"who: {what}, and τ with it", **LEFT)
     rows = _rows_drawn(d)
     if not rows:
-        ax.set_axis_off()
         ax.text(0.0, 0.6, "no effect promised enough\nto be worth a fit", fontsize=SMALL)
         return
     sizes = [100.0 * row.share if d.whole_runs else row.score for row in rows]
     largest = max(*sizes, 1.0)
-    colours = {"added": AFTER, "alias": PALE, "accepted": FAINT, "refused": "white"}
     for place, (row, size) in enumerate(zip(rows, sizes, strict=True)):
-        fate = _fate(row)
-        ax.barh(
-            place + 0.18,
-            max(size, 0.004 * largest),
-            height=0.36,
-            color=colours[fate],
-            edgecolor=AFTER if fate in ("added", "alias") else QUIET,
-            linewidth=0.7,
-            hatch="////" if fate == "alias" else None,
-            alpha=0.95,
-        )
-        word = {"added": "", "alias": " (alias)", "accepted": "", "refused": " (refused)"}[fate]
-        ax.text(
-            0.0,
-            place - 0.04,
-            f"{_plain(_name(row))}{word}",
-            va="bottom",
-            fontsize=SMALL,
-            color=INK,
-            fontweight="bold" if fate == "added" else "normal",
-        )
-        ax.text(
-            max(size, 0.0) + 0.02 * largest,
-            place + 0.18,
-            f"{size:.0f}{unit}, τ {1e3 * row.time_constant_s:.4g} ms",
-            va="center",
-            fontsize=TINY,
-            color=QUIET,
-        )
+        colour, edge, word = _fate(row)
+        hatch = "////" if row.alias and not row.chosen else None
+        box: dict[str, Any] = {"color": colour, "edgecolor": edge, "hatch": hatch, "lw": 0.7}
+        ax.barh(place + 0.18, max(size, 0.004 * largest), height=0.36, **box)
+        weight = "bold" if row.chosen else "normal"
+        name = _plain(_name(row)) + word
+        ax.text(0.0, place - 0.04, name, va="bottom", fontsize=SMALL, fontweight=weight)
+        words = f"{size:.0f}{' %' if d.whole_runs else ''}, τ {1e3 * row.time_constant_s:.4g} ms"
+        beside = max(size, 0.0) + 0.02 * largest
+        ax.text(beside, place + 0.18, words, va="center", fontsize=TINY, color=QUIET)
     ax.set_xlim(0.0, 1.5 * largest)
     ax.set_ylim(max(len(rows), 4) - 0.45, -0.55)
-    ax.set_xticks([])
 
 
 def _rows_drawn(d: Diagnosis) -> list[CandidateRow]:
@@ -320,17 +273,24 @@ def _name(row: CandidateRow) -> str:
     return open_words(row.name) if row.kind == "unnamed_term" else row.name
 
 
-def _fate(row: CandidateRow) -> str:
+def _fate(row: CandidateRow) -> tuple[str, str, str]:
+    """Return colour and edge of a candidate's bar, and the word behind its name."""
     if row.chosen:
-        return "added"
+        return AFTER, AFTER, ""
     if row.alias:
-        return "alias"
-    return "accepted" if row.accepted else "refused"
+        return PALE, AFTER, " (alias)"
+    return (FAINT, QUIET, "") if row.accepted else ("white", QUIET, " (refused)")
 
 
 def _curves(ax: Axes, d: Diagnosis) -> None:
+    """Draw the characteristic as a slow sweep would, two branches where there is hysteresis."""
+    old = steady_curves(d.before, d.data)
     new = steady_curves(d.after, d.data) if d.missing else ()
-    plot_curves(ax, steady_curves(d.before, d.data), new)
+    models = [(old, BEFORE, "before"), (new, AFTER, "after")] if new else [(old, AFTER, "model")]
+    for curves, colour, word in models:
+        for curve, dashes in zip(curves, cycle(DASHES), strict=False):
+            label = ", ".join(filter(None, (word, curve.label)))
+            ax.plot(curve.phi, curve.value, color=colour, lw=1.7, ls=dashes, label=label)
     ax.set_xlabel(r"flow coefficient $\varphi$ [-]", fontsize=9)
     ax.set_title(
         r"quasi-steady characteristic $\psi'_{\mathrm{QS}}$", fontsize=9, color=INK, loc="left"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,13 +102,9 @@ def residual_structure(comparison: Comparison) -> Picture:
     figure = new_figure(height_in=7.0)
     grid = figure.add_gridspec(2, 2)
     spectra = dress(figure.add_subplot(grid[0, :]))
-    peaks_hz = _error_spectra(spectra, comparison)
-    shown = _correlations(
-        dress(figure.add_subplot(grid[1, 0])),
-        dress(figure.add_subplot(grid[1, 1])),
-        comparison,
-        peaks_hz,
-    )
+    _error_spectra(spectra, comparison)
+    own, with_phi = (dress(figure.add_subplot(grid[1, column])) for column in (0, 1))
+    shown = _correlations(own, with_phi, comparison)
     legend_above(figure, spectra)
     return Picture.of(
         f"Structure of the residuals, {NAMES[comparison.rows.target]}",
@@ -126,14 +121,12 @@ def residual_structure(comparison: Comparison) -> Picture:
     )
 
 
-def _error_spectra(ax: Axes, comparison: Comparison) -> list[float]:
-    """Draw the spectra and return where each error is strongest, in Hz."""
+def _error_spectra(ax: Axes, comparison: Comparison) -> None:
     rows = comparison.rows
     whole = segment_spectrum(rows.measured, rows.runs, rows.sample_period_s)
     hertz, (low, high) = whole.frequency_hz, whole.band99
     ax.loglog(hertz, whole.density, color=FAINT, lw=1.4, label="measured signal")
     styles = estimator_styles(result.name for result in comparison.results)
-    peaks_hz = []
     for result in comparison.results:
         error = rows.measured - result.reconstruction
         spectrum = segment_spectrum(error, rows.runs, rows.sample_period_s)
@@ -143,7 +136,6 @@ def _error_spectra(ax: Axes, comparison: Comparison) -> list[float]:
         }
         label = printable(result.label)
         ax.loglog(spectrum.frequency_hz, spectrum.density, **look, lw=1.1, label=label)
-        peaks_hz.append(float(spectrum.frequency_hz[int(np.argmax(spectrum.density))]))
     band = whole.density / high, whole.density / low
     label = "99 % band of the measured signal"
     ax.fill_between(hertz, *band, color=FAINT, alpha=0.3, lw=0, label=label)
@@ -151,16 +143,13 @@ def _error_spectra(ax: Axes, comparison: Comparison) -> list[float]:
     plain_numbers(ax.xaxis)
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel(f"density of {coefficient_symbol(rows.target)} [1/Hz]")
-    return peaks_hz
 
 
-def _correlations(
-    own: Axes, with_phi: Axes, comparison: Comparison, peaks_hz: list[float]
-) -> list[str]:
+def _correlations(own: Axes, with_phi: Axes, comparison: Comparison) -> list[str]:
     """Draw both correlations and return what they show."""
     styles = estimator_styles(result.name for result in comparison.results)
     limits, shown = [], []
-    for result, peak_hz in zip(comparison.results, peaks_hz, strict=True):
+    for result in comparison.results:
         itself, cross = _correlations_of(comparison, result)
         limits.append((itself.limit99, cross.limit99))
         look: dict[str, Any] = {
@@ -171,7 +160,8 @@ def _correlations(
         }
         for ax, correlation in ((own, itself), (with_phi, cross)):
             ax.plot(1e3 * correlation.lag_s, correlation.value, **look)
-        shown.append(f"{result.label} {_correlation_words(itself, cross, peak_hz)}")
+        outside = 100.0 * float(np.mean(np.abs(itself.value) > itself.limit99))
+        shown.append(f"{result.label} {outside:.0f} % of its lags outside the band")
     for ax, limit in zip((own, with_phi), np.max(limits, axis=0), strict=True):
         ax.axhspan(-limit, limit, color="#dddddd", alpha=0.6, lw=0, zorder=0)
         ax.axhline(0.0, color=INK, lw=0.6)
@@ -193,17 +183,4 @@ def _correlations_of(
     return (
         error_correlation(errors, rows.runs, rows.sample_period_s, n_lags),
         error_correlation(errors, rows.runs, rows.sample_period_s, n_lags, phi=rows.phi),
-    )
-
-
-def _correlation_words(itself: Correlation, cross: Correlation, peak_hz: float) -> str:
-    at = largest(cross.value)
-    if not math.isfinite(cross.value[at]):
-        return "not known"
-    outside = 100.0 * float(np.mean(np.abs(itself.value) > itself.limit99))
-    # Without the 0.0 a lag of zero may be written with a minus.
-    lag_ms = 1e3 * float(cross.lag_s[at]) + 0.0
-    return (
-        f"strongest at {significant(peak_hz, 2)} Hz, {outside:.0f} % of its lags outside the band, "
-        f"correlation with φ at most {cross.value[at]:+.2f} at {lag_ms:g} ms"
     )

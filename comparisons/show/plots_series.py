@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from classic_ml.coefficients import psi_is_known
@@ -18,20 +16,15 @@ from comparisons.page.style import (
     new_figure,
     robust_limits,
 )
-from comparisons.show.plots_record import DIGITS, cycle_words, span
+from comparisons.show.plots_record import cycle_words, span
 from surge_core.errors import InputError
-from surge_core.rounding import significant
-from surge_core.types import BoolArray, FloatArray
+from surge_core.types import FloatArray
 
 __all__ = ["loops", "series_in_time"]
 
 # Of a longer record more would only blacken the paper.
 LOOP_ROWS = 20_000
 LONGEST_S = 4.0
-# Bins of equal counts over which a loop's two branches are compared, and rows that a mean needs.
-LOOP_BINS, FEWEST_ROWS = 16, 8
-# Share of the coefficient's range below which its two branches are one line in the picture.
-SHUT = 0.005
 
 
 def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
@@ -70,7 +63,8 @@ def loops(series: CoefficientSeries, target: str = "psi_p") -> Picture:
     return Picture.of(
         f"{symbol} over φ, {series.source}",
         figure,
-        _loop_words(series.source, symbol, phi, shown, scored),
+        f"{symbol} of {series.source} over φ: φ {span(phi[scored])}, {symbol} "
+        f"{span(shown[scored])} in the intervals to be fitted.",
         "The record came as coefficients, so that pressure ratio and flow are not known. A loop "
         "that is open is lag: at one φ the coefficient is higher on the way down than on the way "
         "up, or the other way round. Blue: intervals that are fitted.",
@@ -129,48 +123,3 @@ def _where_defined(series: CoefficientSeries) -> FloatArray | None:
     if series.psi is None:
         return None
     return np.where(psi_is_known(series.phi), series.psi, np.nan)
-
-
-def _loop_words(
-    source: str, symbol: str, phi: FloatArray, values: FloatArray, scored: BoolArray
-) -> str:
-    """Say over which range the loop goes and where it is open widest."""
-    known = scored & np.isfinite(values)
-    low, high = robust_limits(values[known], margin=0.0)
-    words = (
-        f"{symbol} of {source} over φ: φ {span(phi[known])}, {symbol} {significant(low, DIGITS)} "
-        f"to {significant(high, DIGITS)} in the intervals to be fitted"
-    )
-    rising = np.gradient(phi) > 0.0
-    opened = _widest(phi[known], values[known], rising[known])
-    if opened is None or abs(opened[1]) < SHUT * (high - low):
-        return f"{words}. No loop is open."
-    at, apart = opened
-    return (
-        f"{words}. The loop is widest at φ = {significant(at, 2)}: {symbol} is "
-        f"{significant(abs(apart), 2)} higher there while φ {'falls' if apart < 0.0 else 'rises'}."
-    )
-
-
-def _widest(phi: FloatArray, values: FloatArray, rising: BoolArray) -> tuple[float, float] | None:
-    """Return where the branch while φ rises lies furthest from that while it falls, and by what."""
-    if not phi.size:
-        return None
-    edges = np.unique(np.quantile(phi, np.linspace(0.0, 1.0, LOOP_BINS + 1)))
-    up, down = (_branch(phi[way], values[way], edges) for way in (rising, ~rising))
-    if min(up.shape[1], down.shape[1]) < 2:
-        return None
-    # Both at the same φ: within a bin the two branches do not dwell at the same place.
-    shared = up[:, (up[0] >= down[0, 0]) & (up[0] <= down[0, -1])]
-    apart = shared[1] - np.interp(shared[0], *down)
-    if not apart.size:
-        return None
-    at = int(np.argmax(np.abs(apart)))
-    return float(shared[0, at]), float(apart[at])
-
-
-def _branch(phi: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
-    """Return mean φ and mean value of the rows in each bin that holds enough of them."""
-    inside = [(phi >= low) & (phi <= high) for low, high in pairwise(edges.tolist())]
-    means = [(phi[i].mean(), values[i].mean()) for i in inside if i.sum() >= FEWEST_ROWS]
-    return np.array(means, dtype=np.float64).reshape(-1, 2).T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,16 +26,15 @@ from surge_core.rounding import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-__all__ = ["plot_tau_trial", "tau_trial"]
+__all__ = ["tau_trial"]
 
 BAND = 2.0
 HEADROOM = 0.08
 
 
 def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: bool) -> Picture:
-    """Return the picture of the error over the τ that is held, with what it shows.
+    """Draw the reconstruction error over τ with what the estimators found.
 
     Parameters
     ----------
@@ -45,8 +44,41 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
         Truth of a simulated record, in seconds.
     whole_runs : bool
         Whether the error is that of the free run through the unfiltered signals.
+
+    Returns
+    -------
+    Picture
+        Error of the free run with the curve refitted to each τ (full) and with the best τ's
+        curve (dashed); shaded, the values of τ that are no worse within two paired errors; each
+        estimator as a ring at its τ and the error of its own reconstruction, and below with ± 2
+        standard errors; the noise of the measurement as the floor.
     """
+    n = len(trial.estimates)
+    figure = new_figure(height_in=4.3 + (0.45 + 0.24 * n if n else 0.0))
+    grid = figure.add_gridspec(2 if n else 1, 1, height_ratios=[13, 1 + n] if n else None)
+    ax = dress(figure.add_subplot(grid[0]))
+    panels = [ax]
+    if n:
+        panels.append(dress(figure.add_subplot(grid[1], sharex=ax)))
+        ax.tick_params(labelbottom=False)
+    _errors(ax, trial)
     low, high = (1e3 * edge for edge in trial.interval_s)
+    for panel in panels:
+        label = "no worse within two paired errors" if panel is ax else None
+        panel.axvspan(low, high, color=SHADE, lw=0, zorder=0, label=label)
+        if true_tau_s is not None:
+            panel.axvline(1e3 * true_tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
+    if n:
+        _estimates(ax, panels[1], trial)
+    if true_tau_s is not None:
+        title = f"dotted: truth, {1e3 * true_tau_s:.3g} ms"
+        ax.set_title(title, fontsize=8.5, color=QUIET, loc="right")
+    ax.set_xscale("log")
+    ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
+    plain_numbers(ax.xaxis)
+    panels[-1].set_xlabel(r"time constant $\tau$ [ms]")
+    ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")
+    legend_above(figure, ax, columns=2)
     noise = ""
     if math.isfinite(trial.noise_rms):
         noise = f"; the noise of the measurement is {significant(trial.noise_rms, 2)}"
@@ -58,7 +90,7 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     )
     return Picture.of(
         "Reconstruction error over τ",
-        plot_tau_trial(trial, true_tau_s, marked_as="truth"),
+        figure,
         f"Error of the free run of {SYMBOLS[trial.target]} over the τ that is held, "
         f"{1e3 * trial.tau_s[0]:.3g} to {1e3 * trial.tau_s[-1]:.3g} ms: least, "
         f"{significant(trial.least_rms, 3)}, at {1e3 * trial.best_tau_s:.3g} ms, no worse from "
@@ -69,150 +101,41 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     )
 
 
-def plot_tau_trial(
-    trial: TauTrial, marked_tau_s: float | None = None, *, marked_as: str = "held by trial"
-) -> Figure:
-    """Draw the reconstruction error over τ with what the estimators found.
-
-    Parameters
-    ----------
-    trial : TauTrial
-        From :func:`comparisons.harness.tau_trial.reconstruction_error_over_tau`.
-    marked_tau_s : float, optional
-        A τ to be marked, in seconds: one held by trial as the paper held 18 ms, or a known truth.
-    marked_as : str
-        What the mark is called.
-
-    Returns
-    -------
-    Figure
-        Error of the free run with the curve refitted to each τ (full) and with the best τ's
-        curve (dashed); shaded, the values of τ that are no worse within two paired errors; each
-        estimator as a ring at its τ and the error of its own reconstruction, and below with ± 2
-        standard errors; the noise of the measurement as the floor.
-    """
-    n = len(trial.estimates)
-    figure = new_figure(height_in=4.3 + (0.45 + 0.24 * n if n else 0.0))
-    grid = figure.add_gridspec(2 if n else 1, 1, height_ratios=[13, 1 + n] if n else None)
-    ax = dress(figure.add_subplot(grid[0]))
-    tau_ms = 1e3 * trial.tau_s
-    low, high = (1e3 * edge for edge in trial.interval_s)
-    ax.axvspan(low, high, color=SHADE, lw=0, label="no worse within two paired errors")
-    ax.plot(
-        tau_ms,
-        trial.held_rms,
-        color=MEASURED,
-        lw=1.4,
-        ls=(0, (4, 2)),
-        label=r"curve held at that of the best $\tau$",
-    )
+def _errors(ax: Axes, trial: TauTrial) -> None:
+    tau_ms, best_ms = 1e3 * trial.tau_s, 1e3 * trial.best_tau_s
+    held: dict[str, Any] = {"color": MEASURED, "lw": 1.4, "ls": (0, (4, 2))}
+    ax.plot(tau_ms, trial.held_rms, **held, label=r"curve held at that of the best $\tau$")
     ax.plot(tau_ms, trial.refitted_rms, color=INK, lw=2.0, label=r"curve refitted to each $\tau$")
-    _floor(ax, trial)
-    panels = [ax]
-    if n:
-        below = dress(figure.add_subplot(grid[1], sharex=ax))
-        below.axvspan(low, high, color=SHADE, lw=0)
-        _estimates(ax, below, trial)
-        ax.tick_params(labelbottom=False)
-        panels.append(below)
-    if marked_tau_s is not None:
-        _mark(panels, marked_tau_s, marked_as)
-    _axes(panels, trial)
-    legend_above(figure, ax, columns=2)
-    return figure
-
-
-def _mark(panels: list[Axes], tau_s: float, called: str) -> None:
-    for ax in panels:
-        ax.axvline(1e3 * tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
-    panels[0].annotate(
-        f"{called}: {1e3 * tau_s:.3g} ms",
-        (1e3 * tau_s, 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(0, 2),
-        textcoords="offset points",
-        ha="center",
-        va="bottom",
-        fontsize=8.5,
-        color=QUIET,
-    )
-
-
-def _floor(ax: Axes, trial: TauTrial) -> None:
-    best_ms = 1e3 * trial.best_tau_s
-    ax.plot(
-        best_ms,
-        trial.least_rms,
-        marker="v",
-        color=INK,
-        markersize=7,
-        ls="none",
-        label=f"least error, at {best_ms:.3g} ms",
-    )
+    label = f"least error, at {best_ms:.3g} ms"
+    ax.plot(best_ms, trial.least_rms, "v", color=INK, markersize=7, label=label)
     if math.isfinite(trial.noise_rms):
-        ax.axhline(trial.noise_rms, color=QUIET, lw=1.0, ls=(0, (5, 1.5, 1, 1.5)))
-        ax.annotate(
-            "floor: noise of the measurement",
-            (1.0, trial.noise_rms),
-            xycoords=("axes fraction", "data"),
-            xytext=(-4, 3),
-            textcoords="offset points",
-            ha="right",
-            fontsize=8.5,
-            color=QUIET,
-        )
+        floor: dict[str, Any] = {"color": QUIET, "lw": 1.0, "ls": (0, (5, 1.5, 1, 1.5))}
+        ax.axhline(trial.noise_rms, **floor, label="noise of the measurement")
+    own = [estimate.rms for estimate in trial.estimates]
+    shown = np.concatenate([trial.refitted_rms, own, [trial.least_rms, trial.noise_rms]])
+    bottom, top = float(np.nanmin(shown)), float(np.max(shown[np.isfinite(shown)]))
+    pad = HEADROOM * (top - bottom)
+    ax.set_ylim(max(bottom - pad, 0.0), top + pad)
 
 
 def _estimates(ax: Axes, below: Axes, trial: TauTrial) -> None:
     """Mark each estimator on the axes of the error, and list them with intervals below."""
     styles = estimator_styles(estimate.name for estimate in trial.estimates)
     longest_ms = 1e3 * float(trial.tau_s[-1])
+    labels = []
     for line, estimate in enumerate(trial.estimates):
         tau_ms, reach_ms = 1e3 * estimate.tau_s, 1e3 * BAND * estimate.stderr_s
         colour = styles[estimate.name].colour
         # Open marks, so that those of one τ do not hide each other.
-        ax.plot(
-            tau_ms,
-            estimate.rms,
-            marker="o",
-            mfc="none",
-            mec=colour,
-            mew=1.6,
-            markersize=5.0 + 2.5 * line,
-            ls="none",
-            zorder=4,
-        )
+        ring: dict[str, Any] = {"mfc": "none", "mec": colour, "mew": 1.6, "zorder": 4}
+        ax.plot(tau_ms, estimate.rms, "o", **ring, markersize=5.0 + 2.5 * line)
         if math.isfinite(reach_ms):
             # On a logarithmic axis an interval that reaches zero has no left end.
             ends = [max(tau_ms - reach_ms, 1e-3 * tau_ms), tau_ms + reach_ms]
             below.plot(ends, [line, line], color=colour, lw=2.0, solid_capstyle="butt")
         below.plot(tau_ms, line, marker="o", color=colour, markersize=5.0)
-        beyond = f" {tau_ms:.3g} ms" + (" (beyond the axis)" if tau_ms > longest_ms else "")
-        below.annotate(
-            beyond,
-            (1.0, line),
-            xycoords=("axes fraction", "data"),
-            fontsize=8.5,
-            va="center",
-            color=INK,
-        )
-    labels = [printable(estimate.label, 34) for estimate in trial.estimates]
+        beyond = " (beyond the axis)" if tau_ms > longest_ms else ""
+        labels.append(f"{printable(estimate.label, 34)}, {tau_ms:.3g} ms{beyond}")
     below.set_yticks(range(len(labels)), labels, fontsize=8.5)
     below.set_ylim(len(labels) - 0.4, -0.6)
     below.grid(False, axis="y")
-
-
-def _axes(panels: list[Axes], trial: TauTrial) -> None:
-    shown = np.concatenate(
-        [trial.refitted_rms, [e.rms for e in trial.estimates], [trial.least_rms, trial.noise_rms]]
-    )
-    shown = shown[np.isfinite(shown)]
-    ax = panels[0]
-    bottom, top = float(shown.min()), float(shown.max())
-    pad = HEADROOM * (top - bottom)
-    ax.set_ylim(max(bottom - pad, 0.0), top + pad)
-    ax.set_xscale("log")
-    ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
-    plain_numbers(ax.xaxis)
-    panels[-1].set_xlabel(r"time constant $\tau$ [ms]")
-    ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")

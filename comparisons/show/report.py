@@ -33,7 +33,6 @@ from comparisons.show.report_tables import (
 )
 from comparisons.show.report_words import (
     cautions_list,
-    ranking_words,
     summary_list,
     tau_words,
     truth_list,
@@ -221,7 +220,7 @@ def _summary(section: ReportSection) -> tuple[Block, ...]:
     reduced = section.ledgers if section.reduction is not None else {}
     blocks: list[Block] = [*tau_words(fits, histories), *cautions_list(fits, reduced)]
     for fit, truth in section.fits:
-        blocks += [summary_list(fit), summary_table(fit), ranking_words(fit)]
+        blocks += [summary_list(fit), summary_table(fit)]
         if truth is not None:
             blocks.append(truth_list(fit, truth))
     if section.work is None:
@@ -231,8 +230,7 @@ def _summary(section: ReportSection) -> tuple[Block, ...]:
 
 def _migration(section: ReportSection) -> tuple[Block, ...]:
     if section.reduction is not None:
-        both = plots_record.hub_and_tip(section.reduction)
-        return (plots_record.operating_points(section.reduction), *([both] if both else []))
+        return (plots_record.operating_points(section.reduction),)
     pictures = tuple(
         plots_series.loops(series, fit.rows.target)
         for fit, _ in section.fits

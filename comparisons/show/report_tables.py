@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from classic_ml.records import Dropped, LedgerEntry
 from comparisons.page.blocks import Cell, Head, Table
 from comparisons.results import (
-    FIELDS,
-    RECONSTRUCTION_FIELDS,
+    COLUMNS,
+    RECONSTRUCTION_COLUMNS,
     Comparison,
     EstimatorResult,
     Reconstruction,
-    comparison_cells,
     estimator_label,
-    reconstruction_cells,
+    reconstruction_grid,
 )
 from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import round_to_error, significant
@@ -37,13 +36,15 @@ def summary_table(fit: Comparison) -> Table:
         Estimators side by side.
     """
     first = fit.recommended
+    grid = fit.grid()
+    numeric = [i not in grid.words for i in range(len(grid.header))]
     heads = tuple(
-        Head(f.heading, f.meaning, f.numeric, f is FIELDS[-1], "least" if f.numeric else "")
-        for f in FIELDS
+        Head(text, COLUMNS[text], number, text == "trust", "least" if number else "")
+        for text, number in zip(grid.header, numeric, strict=True)
     )
     rows = tuple(
         _with_name(cells, row.label, row.estimator)
-        for cells, row in zip(comparison_cells(fit), fit.table, strict=True)
+        for cells, row in zip(grid.rows, fit.table, strict=True)
     )
     order = "the recommended first" if first else "none is recommended"
     marks = ("best",) if first else ()
@@ -90,10 +91,14 @@ def validation_table(runs: Sequence[Reconstruction]) -> Table:
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    heads = tuple(Head(f.heading, f.meaning, f.numeric) for f in RECONSTRUCTION_FIELDS)
+    grid = reconstruction_grid(runs)
+    heads = tuple(
+        Head(text, RECONSTRUCTION_COLUMNS[text], i not in grid.words)
+        for i, text in enumerate(grid.header)
+    )
     rows = tuple(
         _with_name(cells, estimator_label(run.model.estimator), run.model.estimator)
-        for cells, run in zip(reconstruction_cells(runs), runs, strict=True)
+        for cells, run in zip(grid.rows, runs, strict=True)
     )
     return Table("Validation: models fitted elsewhere, nothing refitted", heads, rows)
 
@@ -152,7 +157,7 @@ def ledger_tables(ledgers: Mapping[str, Sequence[LedgerEntry]]) -> tuple[Table, 
     return tuple(tables)
 
 
-def _with_name(cells: list[str], label: str, name: str) -> tuple[str | Cell, ...]:
+def _with_name(cells: Sequence[str], label: str, name: str) -> tuple[str | Cell, ...]:
     """Print below the label of an estimator the name that the command line knows it by."""
     named = label != name
     return tuple(Cell(cell, name) if named and cell == label else cell for cell in cells)

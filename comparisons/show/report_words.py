@@ -17,7 +17,6 @@ from surge_core.rounding import round_to_error, significant
 
 __all__ = [
     "cautions_list",
-    "ranking_words",
     "summary_list",
     "tau_words",
     "truth_list",
@@ -91,6 +90,7 @@ def summary_list(fit: Comparison) -> Bullets:
     rows = fit.rows
     held_out = int(np.count_nonzero(~rows.train))
     low, high = fit.valid_phi
+    ranking = Caution.of("held_out_is_prediction", symbol=SYMBOLS[rows.target]).text
     items = (
         _tau_sentence(fit),
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
@@ -98,10 +98,9 @@ def summary_list(fit: Comparison) -> Bullets:
         f"the last {held_out} rows were held out for the score.",
         _least_sentence(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
-        f"rewarded on held-out cycles too: {_ranking(fit)}.",
+        f"rewarded on held-out cycles too: {ranking}.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
         f"{dwelling_words(fit)}",
-        _checks_sentence(fit),
     )
     name = NAMES[rows.target]
     return Bullets(items, "plain", name[0].upper() + name[1:])
@@ -133,18 +132,6 @@ def truth_list(fit: Comparison, truth: Truth) -> Bullets:
     )
 
 
-def ranking_words(fit: Comparison) -> Words:
-    """Say below the table what a low held-out error means.
-
-    Parameters
-    ----------
-    fit : Comparison
-        Estimators side by side.
-    """
-    meaning = _ranking(fit)
-    return Words(f"{meaning[0].upper()}{meaning[1:]}.", "quiet")
-
-
 def unknown_work_list(histories: _Histories) -> tuple[Bullets, ...]:
     """Say why ψ is not known, where the ledger shows that it could not be found.
 
@@ -156,10 +143,6 @@ def unknown_work_list(histories: _Histories) -> tuple[Bullets, ...]:
     found = filter(None, map(unknown_work, histories))
     reasons = dict.fromkeys(f"{reason.text}." for reason in found)
     return (Bullets(tuple(reasons), "plain", "Work coefficient ψ"),) if reasons else ()
-
-
-def _ranking(fit: Comparison) -> str:
-    return Caution.of("held_out_is_prediction", symbol=SYMBOLS[fit.rows.target]).text
 
 
 def _tau_off(row: ComparisonRow, truth: Truth) -> str:
@@ -203,31 +186,7 @@ def _least_sentence(fit: Comparison) -> str:
         f"Least held-out error: {least.label}, rms {significant(least.held_out_rms, 3)}, "
         f"{percent:.0f} % of the signal's spread explained (fit)."
     )
-    level = [
-        row.label
-        for row in scored
-        if row is not least and abs(row.difference) < 2.0 * row.paired_error
-    ]
-    if level:
-        words += f" Within twice the paired error of it: {', '.join(level)}."
-    elif len(fit.table) > 1:
-        words += " All others are worse by more than twice the paired error."
     return words
-
-
-def _checks_sentence(fit: Comparison) -> str:
-    failed: dict[str, list[str]] = {}
-    for result in fit.results:
-        for check in result.checks:
-            if not check.passed:
-                failed.setdefault(check.check, []).append(result.label)
-    if not failed:
-        return "All residual checks passed."
-    each = [
-        f"{check} for " + ("all" if len(labels) == len(fit.results) else ", ".join(labels))
-        for check, labels in failed.items()
-    ]
-    return "Residual checks that failed: " + "; ".join(each) + "."
 
 
 def _count(number: int, noun: str) -> str:

@@ -139,7 +139,8 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
     """
     from sindy_surge.summary import interval95
 
-    fit, parts, known = found.fit, found.parts, found.inclusion
+    fit, known, summary = found.fit, found.inclusion, found.summary
+    parts = summary.parts
     code, advice = found.state
     noise = getattr(fit, "noise_", None)
     tau, error = parts.time_constant_s, parts.time_constant_stderr_s
@@ -184,7 +185,7 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         "fit_state": {"code": code, "advice": advice},
         # The key of files written before `fit_state`.
         "state": {"code": code, "advice": advice},
-        "cautions": list(found.cautions),
+        "cautions": list(summary.cautions),
     }
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +25,6 @@ from comparisons.page.style import (
     robust_limits,
 )
 from comparisons.show.structure_output import LEAST_INCLUSION, left_out_words, opening_words
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from sindy_surge.selection import PathRow
 
 __all__ = ["structure_report"]
 
@@ -183,72 +177,51 @@ def _inclusion_picture(found: FoundStructure) -> Picture:
 def _path_picture(found: FoundStructure) -> Picture:
     """Draw the structures that were tried over their size.
 
-    Left, the free run's error on cycles left out; right, the score above the least, of those
-    scored about the fit with all terms and of those about their own. A panel without a finite
-    value is left out.
+    By the score above the least; by the free run's error on cycles left out where these decide.
     """
     from surge_core.terms import pretty_term
 
     path = found.fit.path_
-    held_out = [row for row in path if math.isfinite(row.held_out_rms)]
-    scored = [row for row in path if math.isfinite(row.score)]
     # Where cycles left out decide, the score means little or is not there.
-    by_score = bool(scored) and (not held_out or found.state[0] != "model_error_dominates")
+    scored = any(math.isfinite(row.score) for row in path)
+    held_out = found.state[0] == "model_error_dominates" or not scored
+    values = [row.held_out_rms if held_out else row.score for row in path]
+    known = [(row, value) for row, value in zip(path, values, strict=True) if math.isfinite(value)]
+    offset = 0.0 if held_out else min((value for _, value in known), default=0.0)
+    points = [(row.size, value - offset) for row, value in known]
+    least: dict[int, float] = {}
+    for size, value in points:
+        least[size] = min(value, least.get(size, math.inf))
     figure = new_figure(height_in=4.2)
-    panels = list(np.atleast_1d(np.asarray(figure.subplots(1, bool(held_out) + by_score))))
-    sizes = {row.size for row in path}
-    if held_out:
-        values = [row.held_out_rms for row in held_out]
-        _path_panel(panels[0], held_out, values, sizes)
-        symbol = coefficient_symbol(found.target)
-        panels[0].set_ylabel(f"rms error of {symbol} on cycles left out [-]")
-        panels[0].set_ylim(0.0, 1.1 * max(values))
-    if by_score:
-        least = min(row.score for row in scored)
-        values = [row.score - least for row in scored]
-        _path_panel(panels[-1], scored, values, sizes)
-        panels[-1].set_yscale("symlog", linthresh=10.0)
-        panels[-1].set_ylim(-2.5, 3.0 * max(*values, 10.0))
-        panels[-1].set_ylabel("score above the least (extended BIC)")
-    legend_above(figure, *panels, columns=4)
-    best = _least_by_size(held_out, [row.held_out_rms for row in held_out])
-    errors = ", ".join(f"{n}: {rms:.3g}" for n, rms in sorted(best.items())) or "not known"
+    ax = dress(figure.add_subplot())
+    ax.plot(*np.reshape(points, (-1, 2)).T, "o", ms=4.5, color=QUIET, label="tried")
+    line = np.reshape(sorted(least.items()), (-1, 2)).T
+    ax.plot(*line, color=FAINT, lw=1.2, zorder=1, label="least of its size")
     chosen = next((row for row in path if row.chosen), None)
-    taken = f" Chosen: {', '.join(map(pretty_term, chosen.terms))}." if chosen else ""
+    taken = ""
+    if chosen is not None:
+        taken = f" Chosen: {', '.join(map(pretty_term, chosen.terms))}."
+        at = [point for (row, _), point in zip(known, points, strict=True) if row is chosen]
+        look: dict[str, Any] = {"ms": 11, "mec": MARK, "mfc": "none", "mew": 2}
+        ax.plot(*np.reshape(at, (-1, 2)).T, "o", **look, label="chosen")
+    ax.set_xticks(sorted(least))
+    ax.set_xlabel("number of terms")
+    symbol = coefficient_symbol(found.target)
+    if held_out:
+        ax.set_ylabel(f"rms error of {symbol} on cycles left out [-]")
+        ax.set_ylim(bottom=0.0)
+    else:
+        ax.set_ylabel("score above the least (extended BIC)")
+        ax.set_yscale("symlog", linthresh=10.0)
+        ax.set_ylim(-2.5, 3.0 * max(10.0, *(value for _, value in points)))
+    legend_above(figure, ax, columns=4)
+    what = "error on cycles left out" if held_out else "score above the least"
+    each = ", ".join(f"{size}: {value:.3g}" for size, value in sorted(least.items())) or "not known"
     return Picture.of(
         "Structures by size",
         figure,
-        f"Least error on cycles left out, by number of terms: {errors}.{taken}",
-        "Each mark is a structure that was tried. Only those with a fit of their own (full) have "
-        "an error on cycles left out. A score, where there is one, can be compared only with those "
-        "about the same fit: full marks with each other at most. More terms that lower neither by "
-        "much are not needed; the least error alone does not choose, since some structure of many "
-        "is best by luck.",
+        f"Least {what}, by number of terms: {each}.{taken}",
+        "Each mark is a structure that was tried and has that number. More terms that do not lower "
+        "it by much are not needed; the least error alone does not choose, since some structure of "
+        "many is best by luck.",
     )
-
-
-def _path_panel(
-    ax: Axes, rows: Sequence[PathRow], values: Sequence[float], sizes: set[int]
-) -> None:
-    dress(ax)
-    marks = {True: (QUIET, "about its own fit"), False: ("none", "about the fit with all terms")}
-    for refitted, (face, label) in marks.items():
-        some = [(r.size, v) for r, v in zip(rows, values, strict=True) if r.refitted == refitted]
-        if some:
-            look: dict[str, Any] = {"ms": 4.5, "mec": QUIET, "mfc": face, "mew": 0.8}
-            ax.plot(*zip(*some, strict=True), "o", **look, label=label)
-    least = sorted(_least_by_size(rows, values).items())
-    ax.plot(*zip(*least, strict=True), color=FAINT, lw=1.2, zorder=1, label="least of its size")
-    chosen = [(r.size, v) for r, v in zip(rows, values, strict=True) if r.chosen]
-    if chosen:
-        ax.plot(*zip(*chosen, strict=True), "o", ms=11, mec=MARK, mfc="none", mew=2, label="chosen")
-    ax.set_xticks(sorted(sizes))
-    ax.set_xlim(min(sizes) - 0.5, max(sizes) + 0.5)
-    ax.set_xlabel("number of terms")
-
-
-def _least_by_size(rows: Sequence[PathRow], values: Sequence[float]) -> dict[int, float]:
-    least: dict[int, float] = {}
-    for row, value in zip(rows, values, strict=True):
-        least[row.size] = min(value, least.get(row.size, math.inf))
-    return least

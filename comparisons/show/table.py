@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 
 from comparisons.results import (
-    FIELDS,
-    RECONSTRUCTION_FIELDS,
     Comparison,
     Reconstruction,
-    TableField,
-    comparison_cells,
     estimator_label,
-    reconstruction_cells,
+    reconstruction_grid,
     texts_of,
 )
+from surge_core.display import Grid
 
 __all__ = ["comparison_table", "reconstruction_table"]
 
@@ -36,8 +34,9 @@ def comparison_table(comparison: Comparison) -> str:
     str
         The table and below it the cautions that hold for all its lines.
     """
-    cells = comparison_cells(comparison)
-    head, rule, *starts = _aligned(FIELDS[:-1], [row[:-1] for row in cells])
+    grid = comparison.grid()
+    shown = replace(grid, header=grid.header[:-1], rows=tuple(row[:-1] for row in grid.rows))
+    head, rule, *starts = _aligned(shown)
     lines = [head, rule]
     # What to trust is prose of any length: it goes below the row it belongs to, behind the name
     # that the command line knows the estimator by.
@@ -60,7 +59,7 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    lines = _aligned(RECONSTRUCTION_FIELDS, reconstruction_cells(runs))
+    lines = _aligned(reconstruction_grid(runs))
     names = dict.fromkeys(run.model.estimator for run in runs)
     called = [
         f"{name} ({estimator_label(name)})" for name in names if estimator_label(name) != name
@@ -70,13 +69,13 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     return "\n".join([*lines, *([""] if legend else []), *legend])
 
 
-def _aligned(fields: Sequence[TableField], cells: list[list[str]]) -> list[str]:
-    rows = [[field.heading for field in fields], *cells]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(fields))]
+def _aligned(grid: Grid) -> list[str]:
+    rows = [grid.header, *grid.rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(grid.header))]
     lines = [
         GAP.join(
-            text.rjust(width) if field.numeric else text.ljust(width)
-            for text, width, field in zip(row, widths, fields, strict=True)
+            text.ljust(width) if i in grid.words else text.rjust(width)
+            for i, (text, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in rows
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,65 +105,50 @@ def cells_of(spec: StudySpec) -> list[Cell]:
     return [Cell(number, point, method) for number, (point, method) in enumerate(both)]
 
 
-def points_of(spec: StudySpec) -> Iterator[Point]:
-    """Yield the points of a study; records vary slowest.
+def points_of(spec: StudySpec) -> list[Point]:
+    """Return the points of a study, of a random design each once; records vary slowest.
 
     Parameters
     ----------
     spec : StudySpec
         The study.
     """
-    for combination in _combinations(spec):
-        for seed in spec.seeds:
-            yield Point(spec.source, seed, tuple(combination.items()))
-
-
-def _combinations(spec: StudySpec) -> list[Mapping[str, Scalar]]:
     settings = spec.settings
     if spec.design is None:
-        values = [v.values() if isinstance(v, Range) else v for v in settings.values()]
-        return [dict(zip(settings, v, strict=True)) for v in itertools.product(*values)]
-    rng = np.random.default_rng(spec.design.seed)
-    drawn = [
-        {name: _drawn(values, rng) for name, values in settings.items()}
-        for _ in range(spec.design.random)
+        values = [v for v in settings.values() if not isinstance(v, Range)]
+        drawn = [tuple(zip(settings, v, strict=True)) for v in itertools.product(*values)]
+    else:
+        rng = np.random.default_rng(spec.design.seed)
+        drawn = [_drawn(settings, rng) for _ in range(spec.design.random)]
+    points = [
+        Point(spec.source, seed, point) for point in dict.fromkeys(drawn) for seed in spec.seeds
     ]
-    # From lists the same point may be drawn twice; and points of one record go together.
-    distinct = {tuple(point.items()): point for point in drawn}
-    order: dict[object, int] = {}
-    for point in distinct.values():
-        order.setdefault(_record_values(point), len(order))
-    return sorted(distinct.values(), key=lambda point: order[_record_values(point)])
+    order = {record: i for i, record in enumerate(dict.fromkeys(p.record for p in points))}
+    return sorted(points, key=lambda point: order[point.record])
 
 
-def _record_values(point: Mapping[str, Scalar]) -> tuple[Scalar, ...]:
-    return tuple(value for name, value in point.items() if name.startswith("record."))
+def _drawn(
+    settings: Mapping[str, tuple[Scalar, ...] | Range], rng: np.random.Generator
+) -> tuple[tuple[str, Scalar], ...]:
+    return tuple(
+        (name, v.at(float(rng.random())) if isinstance(v, Range) else v[int(rng.integers(len(v)))])
+        for name, v in settings.items()
+    )
 
 
-def _drawn(values: tuple[Scalar, ...] | Range, rng: np.random.Generator) -> Scalar:
-    if isinstance(values, Range):
-        return values.at(float(rng.random()))
-    return values[int(rng.integers(len(values)))]
-
-
-def tasks_of(cells: Sequence[Cell], workers: int = 1) -> list[list[Cell]]:
+def tasks_of(cells: Sequence[Cell]) -> list[list[Cell]]:
     """Return the cells in tasks, each of one record and those of one reduction side by side.
-
-    A record is made again for another task only where there are too few to keep all workers busy.
 
     Parameters
     ----------
     cells : sequence of Cell
         What is to be done.
-    workers : int
-        How many work on it.
     """
-    most = max(1, min(CELLS_A_TASK, -(-len(cells) // (2 * workers))))
     by_record: dict[str, list[Cell]] = {}
     for cell in cells:
         by_record.setdefault(cell.point.record, []).append(cell)
     return [
-        several[start : start + most]
+        several[start : start + CELLS_A_TASK]
         for several in by_record.values()
-        for start in range(0, len(several), most)
+        for start in range(0, len(several), CELLS_A_TASK)
     ]

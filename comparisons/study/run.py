@@ -6,13 +6,12 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import threadpool_limits
 
 from comparisons.study.design import Cell, cells_of, tasks_of
@@ -82,8 +81,8 @@ def run_study(
     write_whole(file, _lines(rows.values()))
     left = [cell for cell in cells if cell.key not in rows]
     progress(len(cells) - len(left))
-    with _workers(jobs, scheduler) as work, file.open("a", encoding="utf-8") as kept:
-        for done in work(tasks_of(left, CLUSTER if scheduler else jobs)):
+    with file.open("a", encoding="utf-8") as kept:
+        for done in _worked_off(tasks_of(left), jobs, scheduler):
             kept.write(_lines(done))
             kept.flush()
             rows |= {row["key"]: row for row in done}
@@ -126,9 +125,7 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
 
 def _finished(file: Path) -> Iterator[Row]:
     """Yield the rows that need not be made again; a line that a crash cut off is none."""
-    if not file.exists():
-        return
-    for line in file.read_text("utf-8").splitlines():
+    for line in file.read_text("utf-8").splitlines() if file.exists() else ():
         try:
             row = json.loads(line)
         except ValueError:
@@ -141,40 +138,29 @@ def _lines(rows: Iterable[Row]) -> str:
     return "".join(json.dumps(row) + "\n" for row in rows)
 
 
-@contextmanager
-def _workers(
-    jobs: int, scheduler: str | None
-) -> Iterator[Callable[[list[list[Cell]]], Iterator[list[Row]]]]:
-    """Give a function that works off tasks in any order: processes here, or a Dask cluster."""
-
-    def work(tasks: list[list[Cell]]) -> Iterator[list[Row]]:
-        try:
-            yield from Parallel(return_as="generator_unordered")(map(delayed(run_task), tasks))
-        except TerminatedWorkerError as error:
-            raise InputError(
-                "--jobs",
-                expected="workers that live until the study ends",
-                found="one that was killed, perhaps for want of memory",
-                remedy="--resume goes on, with fewer jobs",
-            ) from error
-
-    if scheduler is None:
+def _worked_off(tasks: list[list[Cell]], jobs: int, scheduler: str | None) -> Iterator[list[Row]]:
+    """Yield the rows of each task, in any order: by processes here, or by a Dask cluster."""
+    with ExitStack() as stack:
         # Outside any other parallel region, whose backend would be taken over.
-        with parallel_config(backend="loky" if jobs > 1 else "sequential", n_jobs=jobs):
-            yield work
-        return
+        backend: dict[str, Any] = {"backend": "loky" if jobs > 1 else "sequential", "n_jobs": jobs}
+        if scheduler is not None:
+            client = stack.enter_context(_client(scheduler))
+            backend = {"backend": "dask", "client": client, "n_jobs": CLUSTER}
+        stack.enter_context(parallel_config(**backend))
+        yield from Parallel(return_as="generator_unordered")(map(delayed(run_task), tasks))
+
+
+def _client(scheduler: str) -> Any:
     try:
         from distributed import Client
 
-        client: Any = Client(scheduler, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        return Client(scheduler, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (ImportError, OSError, ValueError) as error:
         raise InputError(
             "--scheduler",
             expected="the address of a Dask scheduler, and the package 'distributed'",
             found=f"{scheduler}: {error}",
         ) from error
-    with client, parallel_config(backend="dask", client=client, n_jobs=CLUSTER):
-        yield work
 
 
 def run_task(cells: Sequence[Cell]) -> list[Row]:
@@ -224,14 +210,11 @@ def _row(cell: Cell, shared: dict[str, Any]) -> Row:
         found = scores_of(cell.method, series, made, FIT_DEFAULTS | point.table("fit"))
     except Exception as error:
         # A cell that fails is a row, not a stopped study.
-        found = {"state": "failed", "reason": _reason(error)}
+        text = " ".join(str(error).splitlines()[:1])
+        named = text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
+        found = {"state": "failed", "reason": named}
     seconds["seconds_fit"] = time.perf_counter() - begun
     return {"key": cell.key, **seconds, **found}
-
-
-def _reason(error: Exception) -> str:
-    text = " ".join(str(error).splitlines()[:1])
-    return text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
 
 
 def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
@@ -254,7 +237,8 @@ def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
         for cell, found in cells
     ]
     for name in spec.axes:
-        if {type(row[name]) for row in rows} - {float, int, bool} - {type(None)}:
+        # A column of a Parquet file is of one type.
+        if {type(row[name]) for row in rows} - {float, int, bool, type(None)}:
             for row in rows:
                 row[name] = "none" if row[name] is None else str(row[name])
     return pd.DataFrame(rows)

@@ -1,4 +1,4 @@
-"""What a study can tell of a fit, and which way of it is better."""
+"""What a study says of a fit, and which way of it is better."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-__all__ = ["NUMBERS", "SCORES", "Better", "Score"]
+from surge_core.errors import InputError
+
+__all__ = ["NUMBERS", "SCORES", "Better", "Score", "loss_label", "score_named"]
 
 Better = Literal["smaller", "larger", "zero", "target"]
 
@@ -55,3 +57,32 @@ SCORES: Mapping[str, Score] = MappingProxyType(
 )
 # Numbers of a fit in the table: what is better or worse, and what is not.
 NUMBERS = ("tau_ms", "tau_stderr_ms", *SCORES)
+
+
+def score_named(score: Score | str) -> Score:
+    """Return a score by its name, or as it is.
+
+    Parameters
+    ----------
+    score : Score or str
+        A score, or its name in `SCORES`.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    if isinstance(score, Score):
+        return score
+    if score not in SCORES:
+        raise InputError("score", expected="one of " + ", ".join(SCORES), found=repr(score))
+    return SCORES[score]
+
+
+def loss_label(score: Score) -> str:
+    """Return what the loss of a score is called."""
+    if score.better == "zero":
+        return f"|{score.label}|"
+    if score.better == "target":
+        return f"|share “{score.label}” − {score.target:g}|"
+    return score.label

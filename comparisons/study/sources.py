@@ -130,26 +130,18 @@ def _rig(seed: int, given: Mapping[str, Scalar]) -> Made:
     from comparisons.rig.cases import find_case
 
     settings: dict[str, Any] = dict(given)
-    sensors = _part(settings, "sensors.")
-    factors = _part(settings, "factors.")
+    sensors = SensorSettings()
     if "noise_percent" in settings:
         percent = settings.pop("noise_percent")
-        sensors = {"noise_percent": percent, "reading_noise_percent": percent, **sensors}
+        sensors = SensorSettings(noise_percent=percent, reading_noise_percent=percent)
     case = find_case(settings.pop("case", DEFAULT_CASE))
-    case = replace(case, **{name: getattr(case, name) * by for name, by in factors.items()})
-    run = simulate(case, seed=seed, sensors=SensorSettings(**sensors), **settings)
+    run = simulate(case, seed=seed, sensors=sensors, **settings)
     # Through the files, as a user's record comes: nothing but counts and description is passed on.
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "run"
         write_run(run, kept)
         raw = read_raw(kept / "raw.csv", kept / "test.toml")
     return Made((), raw, case.tau_s, tuple(case.pressure_terms))
-
-
-def _part(settings: dict[str, Any], head: str) -> dict[str, Any]:
-    """Take the settings under a head out of others."""
-    names = [name for name in settings if name.startswith(head)]
-    return {name.removeprefix(head): settings.pop(name) for name in names}
 
 
 def _files(_: int, given: Mapping[str, Scalar]) -> Made:
@@ -163,21 +155,18 @@ def _files(_: int, given: Mapping[str, Scalar]) -> Made:
 
 
 def _altered(series: CoefficientSeries, changes: Mapping[str, Scalar]) -> CoefficientSeries:
-    """Return a series cut, thinned or without its unfiltered signals."""
+    """Return a series cut and thinned."""
     if not changes:
         return series
     every, first_s = int(changes.get("keep_every") or 1), changes.get("first_s")
     n = series.time_s.size
     if first_s is not None:
         n = int(np.count_nonzero(series.time_s - series.time_s[0] < float(first_s)))
-    dropped = ("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run")
-    kept = ("time_s", "phi", "psi_p", "segment", "psi", "T25_K", "Nc_frac", "in_stall")
-    columns: dict[str, Any] = {}
-    for name in (*kept, *dropped):
-        values = getattr(series, name)
-        if values is not None:
-            columns[name] = values[:n:every]
-    if changes.get("rows_only") or every > 1:
+    columns: dict[str, Any] = {
+        name: values[:n:every] for name, values in series.columns().items() if values is not None
+    }
+    if every > 1:
         # The free run's marks rest on the rate of the record.
-        columns.update(dict.fromkeys(dropped))
+        whole_run = ("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run")
+        columns |= dict.fromkeys(whole_run)
     return replace(series, **columns)

@@ -8,14 +8,12 @@ from ranges ``{from = 0.1, to = 5.0, log = true}``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 from pydantic import (
     BeforeValidator,
     Field,
-    ValidationInfo,
     WrapValidator,
     create_model,
     field_validator,
@@ -23,15 +21,14 @@ from pydantic import (
 )
 
 from classic_ml.reduction_settings import ReductionSettings
-from comparisons.rig import CASES, HIDEABLE, SensorSettings
+from comparisons.rig import CASES, HIDEABLE
 from comparisons.rig.coefficient_tests import EFFECTS, NOISES, OUTSIDE
 from comparisons.study.scores import SCORES
 from surge_core.errors import InputError
 from surge_core.models import Table, read_toml, validated
 
-__all__ = ["BUILT_IN", "SCHEMA", "Method", "Random", "Range", "Scalar", "StudySpec", "read_spec"]
+__all__ = ["BUILT_IN", "Method", "Random", "Range", "Scalar", "StudySpec", "read_spec", "spec_from"]
 
-SCHEMA = "sindy-surge/study/1"
 BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
 MOST_CELLS = 1_000_000
 CLASS = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
@@ -41,7 +38,7 @@ Scalar = float | int | str | bool | None
 
 
 class Range(Table):
-    """An interval that values are drawn from, or laid over in equal steps.
+    """An interval that values of a random design are drawn from.
 
     Parameters
     ----------
@@ -49,14 +46,11 @@ class Range(Table):
         Its ends, ``from`` and ``to`` in the file.
     log : bool
         Whether the logarithm is drawn evenly.
-    steps : int, optional
-        Number of values in a grid, ends included.
     """
 
     low: float = Field(alias="from")
     high: float = Field(alias="to")
     log: bool = False
-    steps: int | None = Field(None, ge=2)
 
     @model_validator(mode="after")
     def _in_order(self) -> Range:
@@ -72,11 +66,6 @@ class Range(Table):
             return float(self.low * (self.high / self.low) ** share)
         return self.low + share * (self.high - self.low)
 
-    def values(self) -> tuple[float, ...]:
-        """Return the values of a grid."""
-        steps = self.steps or 2
-        return tuple(self.at(i / (steps - 1)) for i in range(steps))
-
 
 def _axis(given: Any, check: Callable[[Any], Any]) -> Any:
     """Return a range, or the values of an axis, each checked as a value of the setting."""
@@ -91,57 +80,31 @@ def _axis(given: Any, check: Callable[[Any], Any]) -> Any:
     return values
 
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Count = Annotated[int, Field(ge=1)]
-
-
 def _axis_of(kind: Any) -> Any:
     return Annotated[list[kind], WrapValidator(_axis)]
 
 
 def _or_none(kind: Any) -> Any:
-    def given(value: Any) -> Any:
-        return None if value == "none" else value
-
-    return Annotated[kind | None, BeforeValidator(given)]
+    return Annotated[kind | None, BeforeValidator(lambda given: None if given == "none" else given)]
 
 
 def _one_of(names: Iterable[str]) -> Any:
     return Literal[tuple(names)]
 
 
-def _axes(name: str, kinds: Mapping[str, Any], **inner: Any) -> type[Table]:
+def _axes(name: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
     """Return a table whose settings are axes of values of some kinds."""
     axes: dict[str, Any] = {key: (_axis_of(kind), None) for key, kind in kinds.items()}
-    return create_model(name, __base__=Table, **axes, **inner)
+    return create_model(name, __base__=Table, **axes, **others)
 
 
-def _axes_of(settings: Any) -> type[Table]:
-    """Return a table whose settings are axes of the fields of a dataclass that checks itself."""
-    hints = get_type_hints(settings)
-    kinds = {f.name: _or_none(hints[f.name]) for f in fields(settings) if f.name != "window_s"}
-
-    def accepted(table: Any) -> Any:
-        for name, values in table:
-            for value in values if isinstance(values, tuple) else ():
-                try:
-                    settings(**{name: value})
-                except InputError as error:
-                    raise InputError(name, expected=error.expected, found=error.found) from error
-        return table
-
-    check: Any = model_validator(mode="after")(accepted)
-    return create_model("Checked", __base__=_axes("Axes", kinds), __validators__={"check": check})
+def _record_table(source: str, kinds: Mapping[str, Any], **others: Any) -> type[Table]:
+    return _axes(f"{source}Axes", kinds, source=(_one_of([source]), ...), **others)
 
 
-def _record_table(source: str, kinds: Mapping[str, Any], **inner: Any) -> type[Table]:
-    return _axes(f"{source}Axes", kinds, source=(_one_of([source]), ...), **inner)
-
-
-_VOLUMES = ("discharge_volume_m3", "inertia_per_m", "inlet_volume_m3", "exhaust_volume_m3")
-_Factors = _axes("Factors", dict.fromkeys(_VOLUMES, Positive))
-_Sensors = _axes_of(SensorSettings)
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Count = Annotated[int, Field(ge=1)]
 _Record: Any = Annotated[
     _record_table(
         "coefficients",
@@ -166,8 +129,6 @@ _Record: Any = Annotated[
             "duration_s": Positive,
             "noise_percent": NotNegative,
         },
-        sensors=(_Sensors, _Sensors()),
-        factors=(_Factors, _Factors()),
     )
     | _record_table(
         "files",
@@ -176,9 +137,11 @@ _Record: Any = Annotated[
     ),
     Field(discriminator="source"),
 ]
-_Score: Any = _one_of(SCORES)
-_Reduction: Any = _axes_of(ReductionSettings)
-_Series: Any = _axes("Series", {"keep_every": Count, "first_s": Positive, "rows_only": bool})
+_switches = get_type_hints(ReductionSettings)
+_Reduction: Any = _axes(
+    "Reduction", {n: _or_none(kind) for n, kind in _switches.items() if n != "window_s"}
+)
+_Series: Any = _axes("Series", {"keep_every": Count, "first_s": Positive})
 _Fit: Any = _axes("Fit", {"degree": Count, "hold": Literal["zero", "first"]})
 
 
@@ -233,10 +196,8 @@ class StudySpec(Table):
     ----------
     title : str
         What it is about.
-    first_seed : int
-        First of the seeds, where their number is given.
     seeds : list of int
-        Seeds of the records.
+        Seeds of the records; a number stands for so many from 0 on.
     scores : list of str
         Out of `SCORES`; those that the report compares.
     reference : str, optional
@@ -253,9 +214,8 @@ class StudySpec(Table):
 
     study_schema: Literal["sindy-surge/study/1"] = Field("sindy-surge/study/1", alias="schema")
     title: str = Field("Study", min_length=1)
-    first_seed: int = Field(0, ge=0)
     seeds: list[Annotated[int, Field(ge=0, lt=2**63)]] = Field(1, validate_default=True)
-    scores: list[_Score] = Field(
+    scores: list[_one_of(SCORES)] = Field(  # type: ignore[valid-type]
         ["tau_error_ms", "curve_rms_error", "held_out_rms"],
         min_length=1,
         description=f"one or more of {', '.join(SCORES)}",
@@ -275,7 +235,7 @@ class StudySpec(Table):
 
     @field_validator("seeds", mode="before")
     @classmethod
-    def _numbered(cls, given: Any, info: ValidationInfo) -> Any:
+    def _numbered(cls, given: Any) -> Any:
         """Return the seeds of a number of them."""
         if isinstance(given, list):
             return given
@@ -283,8 +243,7 @@ class StudySpec(Table):
             raise InputError(
                 "", expected="a whole number from 1 on, or a list of seeds", found=repr(given)
             )
-        first = info.data.get("first_seed", 0)
-        return list(range(first, first + given))
+        return list(range(given))
 
     @field_validator("record", mode="before")
     @classmethod
@@ -295,10 +254,8 @@ class StudySpec(Table):
     def _consistent(self) -> StudySpec:
         """Refuse keys that do not go together."""
         names = [method.name for method in self.method]
-        for key, given, allowed in (
-            ("reference", [self.reference] if self.reference is not None else [], names),
-            ("by", self.by, list(self.axes)),
-        ):
+        references = [] if self.reference is None else [self.reference]
+        for key, given, allowed in (("reference", references, names), ("by", self.by, self.axes)):
             if unknown := [value for value in given if value not in allowed]:
                 listed = "out of " + (", ".join(allowed) or "the axes, of which there are none")
                 raise InputError(key, expected=listed, found=repr(unknown[0]))
@@ -306,9 +263,8 @@ class StudySpec(Table):
             if len(set(several)) != len(several):
                 raise InputError(key, expected="each once", found=repr(several))
         if self.source == "files" and len(self.seeds) > 1:
-            raise InputError(
-                "seeds", expected="one, since files are what they are", found=f"{len(self.seeds)}"
-            )
+            found = f"{len(self.seeds)}"
+            raise InputError("seeds", expected="one, since files are what they are", found=found)
         if self.source == "coefficients" and self.reduction.model_fields_set:
             raise InputError(
                 "reduction",
@@ -317,9 +273,10 @@ class StudySpec(Table):
             )
         points = 1 if self.design is None else self.design.random
         for name, values in self.settings.items() if self.design is None else ():
-            if isinstance(values, Range) and values.steps is None:
-                raise InputError(name, expected="'steps' beside a grid's range", found="none")
-            points *= len(values.values() if isinstance(values, Range) else values)
+            if isinstance(values, Range):
+                expected = "a list of values in a grid, or a random design"
+                raise InputError(name, expected=expected, found="a range")
+            points *= len(values)
         if (cells := points * len(self.seeds) * len(names)) > MOST_CELLS:
             raise InputError("", expected=f"at most {MOST_CELLS} cells", found=f"{cells}")
         return self
@@ -332,27 +289,18 @@ class StudySpec(Table):
     @property
     def settings(self) -> dict[str, tuple[Scalar, ...] | Range]:
         """Values of each setting that was given, by its dotted name."""
+        tables = [(name, getattr(self, name)) for name in TABLES]
         return {
-            name: values
-            for table in TABLES
-            for name, values in _dotted(getattr(self, table), table)
-            if name != "record.source"
+            f"{name}.{key}": values
+            for name, table in tables
+            for key, values in table
+            if key in table.model_fields_set and key != "source"
         }
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the settings that vary."""
         return tuple(n for n, v in self.settings.items() if isinstance(v, Range) or len(v) > 1)
-
-
-def _dotted(table: Table, name: str) -> list[tuple[str, Any]]:
-    """Return the settings that were given in a table and in the tables within it."""
-    out: list[tuple[str, Any]] = []
-    for key, value in table:
-        if key in table.model_fields_set:
-            inner = isinstance(value, Table) and not isinstance(value, Range)
-            out += _dotted(value, f"{name}.{key}") if inner else [(f"{name}.{key}", value)]
-    return out
 
 
 def read_spec(path: Path) -> StudySpec:

@@ -24,7 +24,7 @@ from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSyste
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["fit_total_system", "started_at"]
+__all__ = ["fit_total_system"]
 
 _FITTED = [COLUMNS.index(name) for name in OUTPUTS]
 # Of β, of order (1, 3, 50); the logarithm of τ is its own scale.
@@ -54,12 +54,12 @@ _SMALLEST_SIGMA = 1e-4
 # in a wrong minimum lie above 0.25 in one of them. Half of the fast noise may be slow as well: flow
 # near zero is rectified.
 _LOST, _SLOW_SHARE = 0.2, 0.5
-# Parabola through measured ψ' where φ is measured well and the machine is in stall.
-_PHI_OF_START = (0.0, 0.15)
+# Multiple shooting has one basin: from here, and from far beside, it ends at the same place.
+_FIRST_BETA = (1.0, 2.0, 40.0)
 # A single run has no segments over which to sum the scores; it is cut into blocks.
 _BLOCK_S = 0.05
-# How well each pass must converge: the first two only find the weights of the last.
-_PASSES = (1e-2, 1e-3, 1e-5)
+# How well each pass must converge: the first only finds the weights of the last.
+_PASSES = (1e-3, 1e-5)
 # Of the scaled parameters: small against what they are to be known to, large against rounding.
 _DIFFERENCE = 1e-4
 
@@ -96,10 +96,11 @@ def fit_total_system(
         When the record or a number of the facility cannot be used.
     """
     if settings.start == ALIGNED and settings.initial_beta is None:
-        # The cost of a single run has many minima; that of multiple shooting has one basin.
+        # The cost of a single run has many minima.
         shooting = replace(settings, start=MULTIPLE, start_error_s=0.0)
         first = fit_total_system(measured, shooting, progress=progress)
-        settings = started_at(first, settings)
+        if first.state is TotalSystemState.CONVERGED:
+            settings = replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
     runs = _prepare(measured, settings)
     z, nodes = np.zeros(_N_COMMON), np.zeros((len(runs.segments), 0))
     outputs = np.concatenate([measured.outputs[rows] for rows in runs.segments])
@@ -107,9 +108,7 @@ def fit_total_system(
     sigma = heaviest = np.hypot(_FIRST_SIGMA * spread, runs.noise())
     found, trace = None, []
     for tolerance in _PASSES:
-        # The segments' own states take part once the common parameters are roughly known.
-        n_free = 0 if settings.start == ALIGNED or found is None else len(_NODE_STATES)
-        result = _solve(runs, z, n_free, sigma, tolerance, settings.max_iterations)
+        result = _solve(runs, z, sigma, tolerance)
         progress()
         if result is None:
             break
@@ -145,23 +144,6 @@ def fit_total_system(
         n_rows=len(outputs),
         settings=settings,
     )
-
-
-def started_at(first: TotalSystemFit, settings: TotalSystemSettings) -> TotalSystemSettings:
-    """Return settings whose search starts where another fit ended, if that converged.
-
-    Parameters
-    ----------
-    first : TotalSystemFit
-        The other fit.
-    settings : TotalSystemSettings
-        The switches.
-    """
-    beta, tau_s = (first.beta[0], first.beta[1], first.beta[2]), first.tau_s
-    if first.state is not TotalSystemState.CONVERGED:
-        # Any start will do, but for one that is looked for again.
-        beta, tau_s = (1.0, 2.0, 40.0), settings.initial_tau_s
-    return replace(settings, initial_beta=beta, initial_tau_s=tau_s)
 
 
 @dataclass(frozen=True)
@@ -256,45 +238,22 @@ class _Runs:
 
 def _prepare(measured: Measured, settings: TotalSystemSettings) -> _Runs:
     """Return the runs that a fit will make."""
-    # Before anything is known of the characteristic: no stall is run with it.
     model = TotalSystemModel(
         measured.test,
         settings.facility,
         measured.near_stall_flow_kg_s,
-        settings.initial_beta or (1.0, 0.0, 0.0),
+        settings.initial_beta or _FIRST_BETA,
         settings.initial_tau_s,
         measured.reversal_s - _COLLAPSE_S + settings.start_error_s,
         settings.volume_factor,
     )
     states, latches = observed_states(measured, model)
-    if settings.initial_beta is None:
-        beta = _static_parabola(measured, settings.initial_tau_s, states, latches)
-        model = replace(model, beta=beta)
     if settings.start == MULTIPLE:
         segments = _segments(measured, settings, latches)
     else:
         until_s = measured.reversal_s + _HORIZON_S
         segments = [measured.rows(measured.reversal_s - _BEFORE_REVERSAL_S, until_s)]
     return _Runs(measured, settings, model, states, latches, segments)
-
-
-def _static_parabola(
-    measured: Measured, tau_s: float, states: FloatArray, latches: FloatArray
-) -> tuple[float, float, float]:
-    """Return the parabola through ψ' + τ dψ'/dt over φ in stall, both as measured, for one τ."""
-    phi = measured.phi()
-    rows = (latches[:, 0] > 0.5) & (phi > _PHI_OF_START[0]) & (phi < _PHI_OF_START[1])
-    rows &= measured.time_s > measured.reversal_s + 0.05
-    if np.count_nonzero(rows) < 20:
-        raise InputError(
-            measured.source,
-            expected="rows in stall with forward flow after the first reversal",
-            found=f"{np.count_nonzero(rows)}",
-            remedy="the record ends too early, or recovery_phi is too low",
-        )
-    ahead = states[:, 1] + tau_s * np.gradient(states[:, 1], measured.period_s)
-    c = np.polynomial.polynomial.polyfit(phi[rows], ahead[rows], 2)
-    return float(c[0]), float(c[1]), float(c[2])
 
 
 def _segments(
@@ -328,9 +287,10 @@ def _segments(
 
 
 def _solve(
-    runs: _Runs, common: FloatArray, n_free: int, sigma: FloatArray, tolerance: float, most: int
+    runs: _Runs, common: FloatArray, sigma: FloatArray, tolerance: float
 ) -> tuple[Any, FloatArray, FloatArray] | None:
     """Minimise the sum of squares from a start; None where the model is not finite there."""
+    n_free = 0 if runs.settings.start == ALIGNED else len(_NODE_STATES)
     shape = (len(runs.segments), n_free)
 
     def apart(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -355,7 +315,7 @@ def _solve(
         ftol=tolerance,
         xtol=1e-10,
         gtol=1e-12,
-        max_nfev=most,
+        max_nfev=runs.settings.max_iterations,
     )
     return found, *apart(found.x)
 

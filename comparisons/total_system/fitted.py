@@ -39,8 +39,7 @@ class TotalSystemSettings:
     volume_factor : float
         Multiplies the discharge volume that the model takes.
     initial_beta : tuple of float, optional
-        Where β starts. Without it a single run starts, β and τ, from multiple shooting,
-        and that from a parabola through ψ' + τ dψ'/dt over φ in stall, both as measured.
+        Where β starts. Without it a single run starts, β and τ, from multiple shooting.
     initial_tau_s : float
         Where τ starts.
     window_s : tuple of float, optional
@@ -120,7 +119,7 @@ class TotalSystemFit(Displayed):
         The switches.
     """
 
-    beta: tuple[float, ...]
+    beta: tuple[float, float, float]
     beta_stderr: tuple[float, ...]
     tau_s: float
     tau_stderr_s: float

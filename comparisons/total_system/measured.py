@@ -75,17 +75,6 @@ class Measured:
         """Return a signal averaged over the smoothing width."""
         return period_average(values, self.smoothing_s, 1.0 / self.period_s)
 
-    def phi(self) -> FloatArray:
-        """Return φ of the averaged flow, pressure and temperature (Eq 7)."""
-        p25, t25 = self.smooth(self.P25), self.smooth(self.T25)
-        return flow_coefficient(
-            corrected_from_physical(self.smooth(self.W25), p25, t25),
-            t25,
-            self.test.areas_m2[25],
-            self.test.rotor_velocity_m_s,
-            self.test.compressor,
-        )
-
     def rows(self, from_s: float, to_s: float) -> slice:
         """Return the rows from one time to another."""
         first, last = np.searchsorted(self.time_s, (from_s - 1e-9, to_s + 1e-9))
@@ -191,7 +180,13 @@ def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatA
         measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31, measured.T25)
     )
     slope = rate_of_change(flow, measured.period_s)
-    phi = measured.phi()
+    phi = flow_coefficient(
+        corrected_from_physical(flow, p25, t25),
+        t25,
+        test.areas_m2[25],
+        test.rotor_velocity_m_s,
+        machine,
+    )
     psi_p = pressure_coefficient(
         p25, p31, t25, slope, machine.inertia_per_m, test.rotor_velocity_m_s, machine
     )

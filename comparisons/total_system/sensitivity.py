@@ -13,8 +13,8 @@ from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.rows import stack_rows
-from comparisons.total_system.fit import fit_total_system, started_at
-from comparisons.total_system.fitted import ALIGNED, MULTIPLE, TotalSystemFit, TotalSystemSettings
+from comparisons.total_system.fit import fit_total_system
+from comparisons.total_system.fitted import ALIGNED, MULTIPLE, TotalSystemSettings
 from comparisons.total_system.measured import measured_signals
 from surge_core.display import Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_to_error, significant
@@ -22,7 +22,6 @@ from surge_core.rounding import NOT_KNOWN, round_to_error, significant
 __all__ = ["N_ROWS", "SensitivityRow", "sensitivity_rows", "sensitivity_table"]
 
 COMPONENT = "component"
-# A single run starts from what multiple shooting found, which therefore comes before it.
 METHODS = (COMPONENT, MULTIPLE, ALIGNED)
 # The paper's own range of trust at 98.5 % ends at 0.175; below 0 nothing is measured well.
 PHI_OF_TABLE = np.array([0.0, 0.05, 0.1, 0.15])
@@ -132,7 +131,6 @@ def sensitivity_rows(
         When the record cannot be used.
     """
     measured = measured_signals(record, test)
-    shooting: dict[tuple[float, float], TotalSystemFit] = {}
     rows: list[SensitivityRow] = []
     for method in METHODS:
         own: list[SensitivityRow] = []
@@ -143,17 +141,10 @@ def sensitivity_rows(
             if method == COMPONENT:
                 found = _component(record, test, error_s, factor)
             else:
-                # Multiple shooting, which has one basin, starts from what it finds without an
-                # error; a single run from what multiple shooting finds with the same volume.
                 chosen = replace(
                     settings, start=method, start_error_s=error_s, volume_factor=factor
                 )
-                first = shooting.get((0.0, factor if method == ALIGNED else 1.0))
-                if settings.initial_beta is None and first is not None:
-                    chosen = started_at(first, chosen)
                 fit = fit_total_system(measured, chosen)
-                if method == MULTIPLE:
-                    shooting[error_s, factor] = fit
                 found = (
                     fit.beta,
                     fit.beta_stderr,
@@ -178,7 +169,7 @@ def _component(
     reduction = reduce_record(moved, replace(test, compressor=machine), ReductionSettings())
     rows = stack_rows([reduction.series])
     spec = next(s for s in default_estimators() if s.name == "classic_ml")
-    model = spec.build(rows).fit(rows.X, rows.measured, rows.labels)
+    model = spec.fit_rows(rows, [reduction.series])
     return (
         tuple(model.coef_.tolist()),
         tuple(np.sqrt(np.diag(model.covariance_)).tolist()),

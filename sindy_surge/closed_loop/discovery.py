@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.closed_loop.model import LoopState, SurgeModel
 from sindy_surge.closed_loop.record import (
     Cycles,
@@ -17,7 +16,6 @@ from sindy_surge.closed_loop.record import (
     read_record,
 )
 from sindy_surge.closed_loop.shooting import (
-    Candidates,
     JointFit,
     Linearised,
     Windows,
@@ -98,9 +96,7 @@ def discover_surge_model(
     )
     if plenum is None:
         record = np.column_stack((record, hidden_plenum(record, sample_period_s, half_width)[0]))
-    usable = independent_columns(chosen.values(record))
-    candidates = Candidates.of(chosen, usable, hidden_plenum=plenum is None)
-    windows = Windows.cut(candidates, record, noise, float(sample_period_s), period_samples)
+    windows = Windows.cut(record, noise, float(sample_period_s), period_samples, chosen)
     support, coefficients = proposed_structure(windows, half_width, max_terms)
     fit = fit_jointly(windows, support, coefficients, windows.states[:, 0])
     # What the first structure leaves counts as noise in the choice between structures.
@@ -113,15 +109,15 @@ def discover_surge_model(
 
 def _model(windows: Windows, fit: JointFit, record: FloatArray, cycles: Cycles) -> SurgeModel:
     """Write the fit as three equations, with the covariance of all their coefficients."""
-    candidates, support = windows.candidates, list(fit.support)
-    weights, owner = candidates.weights[support], candidates.equation[support]
+    support = list(fit.support)
+    weights, owner = windows.weights[support], windows.equation[support]
     about = Linearised.about(windows, fit)
     spread = np.full((len(support),) * 2, np.nan) if about is None else about.covariance()
     terms, coefficients, rows = [], [], []
     for equation in range(record.shape[1]):
         own = weights * (owner == equation)[:, None]
         used = np.flatnonzero(own.any(axis=0)).tolist()
-        terms.append(candidates.library.subset(used))
+        terms.append(windows.library.subset(used))
         rows.append(own.T[used])
         coefficients.append(rows[-1] @ fit.coefficients)
     carried = np.vstack(rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sindy_surge.closed_loop.record import Cycles
 from sindy_surge.closed_loop.terms import STATES, StateTerms
-from sindy_surge.text import signed_sum, uncertain
+from sindy_surge.text import EquationParts, signed_sum, write_equation
 from surge_core.errors import InputError
 from surge_core.fit_state import AdvisedState
 from surge_core.terms import pretty_term
@@ -22,8 +23,6 @@ __all__ = ["CycleRow", "LoopState", "SurgeModel"]
 _RTOL = 1e-8
 # A simulation that strays from the record by this many of its ranges has left for infinity.
 _RANGES = 5.0
-# Factors of a term before this one are functions of ψ' and Ψ, but for the first, which is φ.
-_FLOW_FACTOR = 4
 
 
 class LoopState(AdvisedState):
@@ -47,15 +46,13 @@ class LoopState(AdvisedState):
     )
     MODEL_ERROR = (
         "model_error",
-        "the cycles agree, but what the equations leave is well above the white noise: their terms "
-        "stand in for an effect that the library lacks or for coloured noise; trust the cycles, "
-        "not the terms",
+        "the cycles agree, but what the equations leave is well above the white noise: an effect "
+        "that the library lacks, or coloured noise; trust the cycles, not the terms",
     )
     NOT_A_LAG = (
         "not_a_lag",
-        "the cycles agree, but ψ' follows more than φ, so that its equation is no lag behind a "
-        "characteristic and its τ means nothing; a channel that is late by a sample does that: "
-        "align the channels, and trust the cycles, not the terms",
+        "the cycles agree, but ψ' follows more than φ, and its τ means nothing; a channel that is "
+        "late by a sample does that: align the channels, and trust the cycles, not the terms",
     )
     NOT_CONVERGED = (
         "not_converged",
@@ -75,18 +72,6 @@ class CycleRow(NamedTuple):
     def difference(self) -> float:
         """Simulated over measured, less one."""
         return self.simulated / self.measured - 1
-
-
-class _Lag(NamedTuple):
-    """The equation of ψ' as τ dψ'/dt + ψ' = Σ β_i s_i: τ first, then the β_i."""
-
-    terms: StateTerms
-    values: FloatArray
-    covariance: FloatArray
-
-    @property
-    def errors(self) -> FloatArray:
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 
 @dataclass(frozen=True)
@@ -208,20 +193,19 @@ class SurgeModel:
     @property
     def time_constant_s(self) -> float:
         """τ of the compressor's lag in seconds; nan if dψ'/dt has no term -ψ'/τ."""
-        lag = self._lag()
-        return np.nan if lag is None else float(lag.values[0])
+        return self._lag().time_constant_s
 
     @property
     def time_constant_stderr_s(self) -> float:
         """Standard error of τ in seconds."""
-        lag = self._lag()
-        return np.nan if lag is None else float(lag.errors[0])
+        return self._lag().time_constant_stderr_s
 
     @property
     def is_lag(self) -> bool:
         """Whether ψ' lags behind a function of φ alone."""
         lag = self._lag()
-        return lag is not None and not bool(lag.terms.exponents[:, 1:_FLOW_FACTOR].any())
+        coupled = any("psi_p" in term or "plenum" in term for term in lag.terms)
+        return not (lag.is_static or coupled)
 
     def equations(self) -> tuple[str, str, str]:
         """Return the three equations as text, each coefficient rounded to its error.
@@ -229,37 +213,37 @@ class SurgeModel:
         The second is written as the lag τ dψ'/dt + ψ' = ψ'_QS where it has the term -ψ'/τ.
         """
         flow, pressure, plenum = (
-            f"d{pretty_term(name)}/dt = {_sum(terms, values, errors)}   "
-            "[1/s; φ, ψ', Ψ dimensionless]"
+            f"d{pretty_term(name)}/dt = "
+            + signed_sum(list(zip(terms.names, values.tolist(), errors.tolist(), strict=True)))
+            + "   [1/s; φ, ψ', Ψ dimensionless]"
             for name, terms, values, errors in zip(
                 STATES, self.terms, self.coefficients, self.standard_errors, strict=True
             )
         )
         lag = self._lag()
-        if lag is not None and len(lag.terms):
-            tau = uncertain(float(lag.values[0]), float(lag.errors[0]))
-            right = _sum(lag.terms, lag.values[1:], lag.errors[1:])
-            pressure = f"{tau} s · dψ'/dt + ψ' = {right}   [φ, ψ', Ψ dimensionless, t in s]"
-        return flow, pressure, plenum
+        return flow, pressure if lag.is_static else write_equation(lag), plenum
 
-    def _lag(self) -> _Lag | None:
-        """Return dψ'/dt = Σ c_i s_i as τ = -1/c_ψ' and β_i = τ c_i; None without -ψ'/τ."""
+    def _lag(self) -> EquationParts:
+        """Return dψ'/dt = Σ c_i s_i as τ = -1/c_ψ' and β_i = τ c_i; static without -ψ'/τ."""
         names, rates = self.terms[1].names, self.coefficients[1]
         decay = names.index("psi_p") if "psi_p" in names else -1
         if decay < 0 or rates[decay] >= 0:
-            return None
+            return EquationParts((), (), (), math.nan, math.nan)
+        tau = -1 / rates[decay]
+        slopes = tau * np.eye(rates.size)
+        slopes[:, decay] += tau**2 * rates
+        # β of ψ' itself is -1 whatever the rates; its place is that of τ.
+        slopes[decay] = 0.0
+        slopes[decay, decay] = tau**2
         first = len(self.terms[0])
         own = slice(first, first + rates.size)
-        tau = -1 / rates[decay]
+        variances = np.einsum("ij,jk,ik->i", slopes, self.covariance[own, own], slopes)
+        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()
         others = [i for i in range(rates.size) if i != decay]
-        slopes = np.zeros((rates.size, rates.size))
-        slopes[0, decay] = tau**2
-        slopes[range(1, rates.size), others] = tau
-        slopes[1:, decay] = rates[others] * tau**2
-        covariance = slopes @ self.covariance[own, own] @ slopes.T
-        values = np.concatenate(([tau], tau * rates[others]))
-        return _Lag(self.terms[1].subset(others), values, covariance)
-
-
-def _sum(terms: StateTerms, values: FloatArray, errors: FloatArray) -> str:
-    return signed_sum(list(zip(terms.names, values.tolist(), errors.tolist(), strict=True)))
+        return EquationParts(
+            tuple(names[i] for i in others),
+            tuple((tau * rates[others]).tolist()),
+            tuple(errors[i] for i in others),
+            float(tau),
+            errors[decay],
+        )

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sindy_surge.candidate_terms import independent_columns
 from sindy_surge.closed_loop.terms import STATES, StateTerms
 from sindy_surge.linear_problem import LinearProblem, Support, without_nuisances
 from surge_core.leave_out import leave_out, scatter
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["Candidates", "JointFit", "Linearised", "Windows", "fit_jointly"]
+__all__ = ["JointFit", "Linearised", "Windows", "fit_jointly"]
 
 _RTOL = 1e-6
 # Share of the change that would move a window by its spread, for the derivatives by differences.
@@ -30,49 +31,13 @@ _BLOCKS_PER_WINDOW = 10
 
 
 @dataclass(frozen=True)
-class Candidates:
-    """What may stand in the three equations, in one list.
-
-    Parameters
-    ----------
-    library : StateTerms
-        The terms.
-    equation : ndarray of int of shape (n_candidates,)
-        State whose derivative the candidate adds to.
-    weights : ndarray of shape (n_candidates, n_terms)
-        The candidate as a sum of terms: a single one, but for ψ' - Ψ where Ψ was not measured.
-        A hidden Ψ has no unit of its own: it gets that of ψ' by dφ/dt = a (ψ' - Ψ).
-    """
-
-    library: StateTerms
-    equation: IndexArray
-    weights: FloatArray
-
-    @classmethod
-    def of(cls, library: StateTerms, usable: IndexArray, hidden_plenum: bool) -> Candidates:
-        """List the usable terms for every equation; the duct of a hidden plenum is fixed."""
-        single = np.eye(len(library))[usable]
-        flow = single
-        if hidden_plenum:
-            drive = np.zeros((1, len(library)))
-            drive[0, [library.names.index(name) for name in ("psi_p", "plenum")]] = 1.0, -1.0
-            flow = drive
-        weights = np.vstack((flow, single, single))
-        equation = np.repeat(np.arange(3), [len(flow), len(single), len(single)])
-        return cls(library, equation.astype(np.intp), weights)
-
-    def __len__(self) -> int:
-        return len(self.weights)
-
-
-@dataclass(frozen=True)
 class JointFit:
     """The three equations fitted together.
 
     Parameters
     ----------
     support : tuple of int
-        Positions of the terms among the candidates, rising.
+        Positions of the terms among the candidates of the windows, rising.
     coefficients : ndarray of shape (n_support,)
         Their coefficients per second.
     starts : ndarray of shape (n_windows, 3)
@@ -104,39 +69,53 @@ class JointFit:
 
 @dataclass(frozen=True)
 class Windows:
-    """The record cut into windows of equal length, each simulated from a start of its own.
+    """The record cut into windows of about a cycle, each simulated from a start of its own.
 
     Parameters
     ----------
-    candidates : Candidates
-        What may stand in the equations.
     states : ndarray of shape (n_windows, n_samples, 3)
         φ, ψ' and Ψ as measured; a plenum pressure that was not measured holds its estimate.
     noise : ndarray of shape (n_measured,)
         Standard deviation of the noise of φ, ψ' and, where measured, Ψ.
     sample_period_s : float
         Sample period in seconds.
+    library : StateTerms
+        The terms of the candidates.
+    equation : ndarray of int of shape (n_candidates,)
+        State whose derivative the candidate adds to.
+    weights : ndarray of shape (n_candidates, n_terms)
+        The candidate as a sum of terms: a single one, but for ψ' - Ψ where Ψ was not measured.
     """
 
-    candidates: Candidates
     states: FloatArray
     noise: FloatArray
     sample_period_s: float
+    library: StateTerms
+    equation: IndexArray
+    weights: FloatArray
 
     @classmethod
     def cut(
         cls,
-        candidates: Candidates,
         record: FloatArray,
         noise: FloatArray,
         sample_period_s: float,
         cycle_samples: float,
+        library: StateTerms,
     ) -> Windows:
-        """Cut a record of shape (n_rows, 3) into windows of about a cycle."""
+        """Cut a record of shape (n_rows, 3), with the terms that it can separate as candidates."""
         n_windows = max(1, round(len(record) / cycle_samples))
         length = len(record) // n_windows
         states = record[: n_windows * length].reshape(n_windows, length, len(STATES))
-        return cls(candidates, states, noise, sample_period_s)
+        single = np.eye(len(library))[independent_columns(library.values(record))]
+        flow = single
+        if noise.size < len(STATES):
+            # A hidden Ψ has no unit of its own: it gets that of ψ' by dφ/dt = a (ψ' - Ψ).
+            names = np.array(library.names)
+            flow = ((names == "psi_p") - 1.0 * (names == "plenum"))[None]
+        weights = np.vstack((flow, single, single))
+        equation = np.repeat(np.arange(3), [len(flow), len(single), len(single)]).astype(np.intp)
+        return cls(states, noise, sample_period_s, library, equation, weights)
 
     @property
     def spread(self) -> FloatArray:
@@ -152,12 +131,12 @@ class Windows:
 
     def scales(self, support: Support) -> FloatArray:
         """Return the changes of starts and coefficients that would move a window by its spread."""
-        candidates = self.candidates
-        terms = candidates.library.values(self.states.reshape(-1, len(STATES)))
-        sizes = np.sqrt(np.mean((terms @ candidates.weights[list(support)].T) ** 2, axis=0))
+        rows = list(support)
+        terms = self.library.values(self.states.reshape(-1, len(STATES)))
+        sizes = np.sqrt(np.mean((terms @ self.weights[rows].T) ** 2, axis=0))
         sizes[sizes == 0] = 1.0
         rates = self.spread / (self.states.shape[1] * self.sample_period_s)
-        return np.concatenate((self.spread, rates[candidates.equation[list(support)]] / sizes))
+        return np.concatenate((self.spread, rates[self.equation[rows]] / sizes))
 
     def simulate(
         self, support: Support, coefficients: FloatArray, starts: FloatArray
@@ -170,9 +149,9 @@ class Windows:
         from scipy.integrate import solve_ivp
 
         rows = list(support)
-        active = np.flatnonzero(self.candidates.weights[rows].any(axis=0))
-        terms = self.candidates.library.subset(active.tolist())
-        weights, owner = self.candidates.weights[rows][:, active], self.candidates.equation[rows]
+        active = np.flatnonzero(self.weights[rows].any(axis=0))
+        terms = self.library.subset(active.tolist())
+        weights, owner = self.weights[rows][:, active], self.equation[rows]
         into = (owner[:, None] == np.arange(len(STATES))).astype(float)
         matrices = np.einsum("ts,sa,sk->tak", coefficients, weights, into)
         middle = self.states.mean(axis=(0, 1))

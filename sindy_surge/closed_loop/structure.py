@@ -8,7 +8,6 @@ from itertools import chain, combinations
 import numpy as np
 
 from sindy_surge.closed_loop.shooting import (
-    Candidates,
     JointFit,
     Linearised,
     Windows,
@@ -56,14 +55,14 @@ def proposed_structure(
     coefficients : ndarray of shape (n_support,)
         First estimates.
     """
-    candidates, record = windows.candidates, windows.states.reshape(-1, 3)
-    values = candidates.library.values(record) @ candidates.weights.T
+    record = windows.states.reshape(-1, windows.states.shape[-1])
+    values = windows.library.values(record) @ windows.weights.T
     whole = Segments.from_labels(None, len(record))
     n_independent = len(record) / half_width
     support: list[int] = []
     coefficients: list[float] = []
     for equation in range(record.shape[1]):
-        own = np.flatnonzero(candidates.equation == equation)
+        own = np.flatnonzero(windows.equation == equation)
         weak = WeakEquations.integrate(
             record[:, equation], values[:, own], whole, half_width, windows.sample_period_s
         )
@@ -105,10 +104,10 @@ def settle_structure(windows: Windows, fit: JointFit, max_terms: int) -> tuple[J
     settled : bool
         False if the number of refits was used up, or the simulation broke off.
     """
-    candidates = windows.candidates
-    everything = tuple(range(len(candidates)))
+    n_candidates = windows.equation.size
+    everything = tuple(range(n_candidates))
     n_equations = fit.residual.size
-    penalty = information_penalty(n_equations, len(candidates.library))
+    penalty = information_penalty(n_equations, len(windows.library))
 
     def score(chi2: float, support: Support) -> float:
         if not np.isfinite(chi2):
@@ -118,6 +117,10 @@ def settle_structure(windows: Windows, fit: JointFit, max_terms: int) -> tuple[J
         misfit = share - 1 if share < 1 else float(np.log(share))
         return n_equations * misfit + penalty * len(support)
 
+    def allowed(support: Support) -> bool:
+        sizes = np.bincount(windows.equation[list(support)], minlength=windows.states.shape[-1])
+        return bool(np.all((sizes > 0) & (sizes <= max_terms)))
+
     tried = {fit.support: score(fit.chi2, fit.support)}
     for _ in range(_MOST_REFITS):
         about = Linearised.about(windows, fit, everything)
@@ -125,8 +128,8 @@ def settle_structure(windows: Windows, fit: JointFit, max_terms: int) -> tuple[J
             return fit, False
         linear = about.linear_problem(everything)
         least, best = score(linear.chi2(fit.support), fit.support) - _TIE, None
-        for other in _neighbours(fit.support, len(candidates)):
-            if other in tried or not _allowed(candidates, other, max_terms):
+        for other in _neighbours(fit.support, n_candidates):
+            if other in tried or not allowed(other):
                 continue
             if (value := score(linear.chi2(other), other)) < least:
                 least, best = value, other
@@ -137,11 +140,6 @@ def settle_structure(windows: Windows, fit: JointFit, max_terms: int) -> tuple[J
         if tried[best] < tried[fit.support]:
             fit = trial
     return fit, False
-
-
-def _allowed(candidates: Candidates, support: Support, max_terms: int) -> bool:
-    sizes = np.bincount(candidates.equation[list(support)], minlength=3)
-    return bool(np.all((sizes > 0) & (sizes <= max_terms)))
 
 
 def _neighbours(own: Support, n_candidates: int) -> Iterator[Support]:

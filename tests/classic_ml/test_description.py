@@ -142,13 +142,18 @@ def test_the_optional_tables_are_read(made: RawTest, tmp_path: Path) -> None:
         "segmentation": {"threshold_lbm_s": "none"},
         "window": {"from_s": 1.8, "to_s": 3.6},
         "limits": {"T31_A": [200.0, 620.0]},
-        "near_stall": {**made.description["near_stall"], "P25_Pa": "7.9771 psia"},
+        "near_stall": {
+            **made.description["near_stall"],
+            "P25_Pa": "7.9771 psia",
+            "T25_K": "-0.67 degF",
+        },
     }
     test = read(tmp_path, made.description | tables)
     assert test.threshold_lbm_s == "none"
     assert test.window_s == (1.8, 3.6)
     assert dict(test.limits) == {"T31_A": (200.0, 620.0)}
     assert test.near_stall.P25_Pa == pytest.approx(7.9771 * 6894.757293168, rel=1e-12)
+    assert pytest.approx(255.0, rel=1e-12) == test.near_stall.T25_K
     assert test.rotor_velocity_m_s == pytest.approx(334.27, abs=0.01)
     assert pickle.loads(pickle.dumps(test)) == test
 
@@ -173,9 +178,8 @@ def test_defaults_stand_for_what_many_channels_share(made: RawTest, tmp_path: Pa
         for pair in expected.pairs(plane):
             keys = {name: getattr(pair.aft, name) for name in ("probe_slope", "probe_offset")}
             defaults[f"P{pair.name}_*"] = keys
-    quoted = {f'"{name}"': table for name, table in defaults.items()}
-    test = read(tmp_path, {**made.description, "channels": channels, "defaults": quoted})
+    test = read(tmp_path, {**made.description, "channels": channels, "defaults": defaults})
     assert dataclasses.replace(test, source="") == dataclasses.replace(expected, source="")
     own = {**channels, PROBE: {**channels[PROBE], "probe_slope": 2.0}}
     with pytest.raises(InputError, match=r"probe_slope: expected that of its mate .* and 2"):
-        read(tmp_path, {**made.description, "channels": own, "defaults": quoted})
+        read(tmp_path, {**made.description, "channels": own, "defaults": defaults})

@@ -9,16 +9,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from lag_data import BETA, PERIOD_S, flow, lagged
-from raw_data import make_test
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from classic_ml import LagRegressor
-from classic_ml.records import Dropped, LedgerEntry, Record
-from classic_ml.reduction import reduce_record
-from classic_ml.series import CoefficientSeries
 from surge_core.display import Displayed, Field, Grid, Sheet
 
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)></style>&amp;"
@@ -136,69 +132,6 @@ def test_before_a_fit_scikit_learn_shows_it_and_repr_rebuilds_it(model: LagRegre
         assert not hasattr(model, "_repr_html_")
     pipeline = make_pipeline(StandardScaler(), LagRegressor())
     assert "sk-container" in pipeline._repr_html_()
-
-
-def test_a_fit_that_holds_its_lag_or_has_none_says_so() -> None:
-    rng = np.random.default_rng(1)
-    phi = flow(600, rng)
-    psi_p = lagged(phi, "zero") + 0.003 * rng.standard_normal(phi.size)
-    held = LagRegressor(PERIOD_S, time_constant_s=0.018).fit(phi[:, None], psi_p)
-    assert "18.00 ms (held)" in str(held)
-    static = LagRegressor(PERIOD_S).fit(phi[:, None], np.ones(phi.size))
-    assert "rank_deficient" in str(static)
-    assert 'class="state advice"' in static._repr_html_()
-    assert re.search(r"time constant τ +not known", str(static))
-
-
-def test_a_record_shows_its_channels_without_reading_them() -> None:
-    arrays = {"P25": (np.arange(50.0), "Pa"), EVIL: (np.ones(50), "1")}
-    record = Record.from_arrays(arrays, sample_rate_hz=200.0, start_s=3.0, source=EVIL)
-    sheet = record._sheet()
-    assert "50 at 200 Hz" in sheet.text()
-    assert "3.000 to 3.245 s" in sheet.text()
-    assert ("P25", "Pa") in sheet.grids[0].rows
-    assert "<script" not in sheet.html()
-
-
-def test_a_series_shows_ranges_with_units_and_folds_its_ledger() -> None:
-    n = 400
-    phi = np.linspace(-0.05, 0.25, n)
-    entry = LedgerEntry("cut", EVIL, {"rows": 3}, (Dropped("rows", 3, "late"),), ("odd",))
-    series = CoefficientSeries(
-        np.arange(n) / 1000.0,
-        phi,
-        1.0 + phi,
-        np.where(np.arange(n) < 100, 0, 1),
-        T25_K=np.linspace(300.0, 310.0, n),
-        Nc_frac=np.linspace(0.98, 0.97, n),
-        source="run.csv",
-        history=(entry,),
-    )
-    text = series._sheet().text()
-    for told in (
-        "400 at 1000 Hz",
-        "300 rows in 1 segment",
-        "-0.0500 to 0.250",
-        "0.950 to 1.25",
-        "300 to 310 K",
-        "97.0 to 98.0 % of design",
-        "1 step; 1 thing left out, 1 flag",
-    ):
-        assert told in text
-    assert "<script" not in series._sheet().html()
-    assert "late" in series._sheet().html()
-
-
-def test_a_reduction_shows_its_switches_and_flags() -> None:
-    reduction = reduce_record(*make_test(cells_lbm_s=8.0, noise_counts=1.5).load())
-    text = reduction._sheet().text()
-    assert "order 3 at 48 Hz, phase “zero”" in text
-    from_s, to_s = reduction.window_s
-    assert f"{from_s:.3f} to {to_s:.3f} s" in text
-    flat = " ".join(text.split())
-    for entry in reduction.record.history:
-        for flag in entry.flags:
-            assert " ".join(flag.split()) in flat
 
 
 def test_a_value_prints_and_shows_its_sheet() -> None:

@@ -8,7 +8,6 @@ from lag_data import BETA, PERIOD_S, TAU_S, coloured, flow, lagged
 
 from classic_ml import LagRegressor
 from surge_core.errors import InputError
-from surge_core.fit_state import FitState
 
 NOISES = ("arx", "armax", "output-error")
 HOLDS = ("zero", "first")
@@ -153,13 +152,3 @@ def test_nonsense_is_refused_by_name(parameters: dict[str, object], name: str) -
     phi = flow(200, np.random.default_rng(9))
     with pytest.raises(InputError, match=rf"^{name}: expected .*, found "):
         LagRegressor(PERIOD_S, **parameters).fit(phi[:, None], lagged(phi, "zero"))
-
-
-def test_too_few_rows_leave_all_attributes() -> None:
-    rng = np.random.default_rng(10)
-    m = LagRegressor(dead_time_s="fit", drift="spline")
-    m.fit(rng.standard_normal((5, 1)), rng.standard_normal(5))
-    assert m.fit_state_ is FitState.TOO_FEW_ROWS
-    assert np.isnan(m.dead_time_s_)
-    assert m.joint_covariance_.shape == (5, 5)
-    assert np.all(np.isfinite(m.predict(np.zeros((3, 1)))))

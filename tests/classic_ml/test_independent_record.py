@@ -92,14 +92,6 @@ def test_the_window_is_found_where_the_cycles_repeat(
     assert reduction.series.n_segments == pytest.approx(18, abs=1)
 
 
-def test_clipped_codes_are_named_and_lie_outside_the_window(paper: Reduction) -> None:
-    inspected = next(e for e in paper.record.history if e.step == "inspect readings")
-    assert len(inspected.flags) == 8
-    assert "P25_A_tip_forward: 40 rows clipped, 0.439 to 0.730 s" in inspected.flags
-    chosen = next(e for e in paper.record.history if e.step == "choose channels")
-    assert chosen.dropped == ()
-
-
 def test_the_spectrum_has_the_cells_their_harmonic_and_the_surge(paper: Reduction) -> None:
     frequency, density = power_spectrum(in_window(paper, "P25_unfiltered_Pa"), 1000.0)
     assert frequency[1] == pytest.approx(0.625)

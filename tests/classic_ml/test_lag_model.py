@@ -75,20 +75,6 @@ def test_armax_is_unbiased_and_its_errors_are_honest(c: float) -> None:
     assert np.mean(ma) == pytest.approx(c, abs=4 * np.std(ma) / np.sqrt(30) + 0.01)
 
 
-def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
-    z, lags = [], []
-    for seed in range(25):
-        rng = np.random.default_rng(100 + seed)
-        phi = flow(4000, rng)
-        y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
-        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
-        z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
-        lags.append(m.residual_lag_)
-    assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
-    assert 0.6 < np.std(z) < 1.6
-    assert np.median(lags) > 10  # the residual's colour was seen
-
-
 def test_arx_reads_output_noise_as_a_shorter_lag() -> None:
     rng = np.random.default_rng(5)
     phi = flow(4000, rng)
@@ -128,18 +114,6 @@ def _truth(phi: list[float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("noise", NOISES)
-def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
-    X, y, labels = segmented(8, n_segments=4)
-    m = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=labels)
-    renamed = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=100 - 7 * labels)
-    order = np.concatenate([np.flatnonzero(labels == k) for k in (3, 1, 4, 2)])
-    shuffled = LagRegressor(PERIOD_S, noise=noise).fit(X[order], y[order], segments=labels[order])
-    assert renamed.time_constant_s_ == m.time_constant_s_
-    assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
-    np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
-
-
-@pytest.mark.parametrize("noise", NOISES)
 def test_what_stands_in_rows_of_weight_zero_does_not_matter(noise: str) -> None:
     rng = np.random.default_rng(9)
     phi = flow(1500, rng)
@@ -167,15 +141,6 @@ def test_rows_of_weight_zero_are_simulated_through() -> None:
     m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(X, y, sample_weight=weight)
     assert m.n_scored_ == 50
     assert m.time_constant_s_ == pytest.approx(TAU_S, rel=1e-6)
-
-
-def test_equal_weights_scale_out() -> None:
-    X, y, labels = segmented(11, n_segments=3)
-    for noise in NOISES:
-        one = LagRegressor(PERIOD_S, noise=noise).fit(X, y, labels)
-        two = LagRegressor(PERIOD_S, noise=noise).fit(X, y, labels, np.full(y.size, 2.5))
-        assert two.time_constant_s_ == pytest.approx(one.time_constant_s_, rel=1e-7)
-        np.testing.assert_allclose(two.covariance_, one.covariance_, rtol=1e-4)
 
 
 def test_a_drift_is_read_as_a_long_lag_unless_it_has_a_spline() -> None:
@@ -249,23 +214,6 @@ def test_one_step_predictions_are_those_the_fit_minimised() -> None:
         assert np.count_nonzero(~known) == (0 if noise == "output-error" else 3)
 
 
-def test_simulate_starts_where_it_is_told() -> None:
-    X, y, labels = segmented(16, n_segments=3)
-    m = LagRegressor(PERIOD_S).fit(X, y, labels)
-    told = m.simulate(X, labels, start=y)
-    firsts = np.flatnonzero(np.diff(np.concatenate([[0], labels])))
-    np.testing.assert_array_equal(told[firsts], y[firsts])
-
-
-def test_too_few_rows_are_a_state_with_advice_not_an_error() -> None:
-    rng = np.random.default_rng(17)
-    m = LagRegressor(PERIOD_S).fit(rng.standard_normal((4, 1)), rng.standard_normal(4))
-    assert m.fit_state_ is FitState.TOO_FEW_ROWS
-    assert np.isnan(m.time_constant_s_)
-    assert "fewer scored rows" in m.fit_state_.advice
-    assert np.all(np.isfinite(m.predict(np.zeros((3, 1)))))
-
-
 @pytest.mark.parametrize(("n_segments", "n_rows"), [(1, 5), (1500, 1)])
 def test_a_free_run_through_every_row_is_no_fit(n_segments: int, n_rows: int) -> None:
     """Each segment has a start of its own, so that these have as many parameters as rows."""
@@ -314,17 +262,6 @@ def test_the_band_of_the_curve_does_not_depend_on_where_phi_is_counted_from(
     assert np.all(stderr > 0.0)
     np.testing.assert_allclose(band, stderr, rtol=1e-4)
     np.testing.assert_allclose(raw, value, atol=1e-3 * stderr.min())
-
-
-def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
-    X, y = clean()
-    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
-    at = np.linspace(0.1, 0.5, 5)
-    for held in (None, TAU_S):
-        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
-        terms = at[:, None] ** np.arange(3)
-        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
-        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)
 
 
 @pytest.mark.parametrize("drift", [None, "spline"])
@@ -392,14 +329,6 @@ def test_pickles_and_works_in_pipeline_and_grid_search() -> None:
     assert search.best_params_ == {"degree": 2}
 
 
-def test_input_arrays_are_left_as_they_were() -> None:
-    X, y = clean(300)
-    X0, y0 = X.copy(), y.copy()
-    LagRegressor(drift="spline").fit(X, y).predict(X)
-    np.testing.assert_array_equal(X, X0)
-    np.testing.assert_array_equal(y, y0)
-
-
 @pytest.mark.parametrize("noise", ["armax", "output-error"])
 def test_white_output_noise_on_short_segments_does_not_bias_tau(noise: str) -> None:
     errors, z = [], []
@@ -442,15 +371,45 @@ def test_constant_flow_is_a_state_not_a_curve() -> None:
         assert np.abs(m.coef_).max() < 10.0
 
 
-def test_the_scale_of_the_weights_does_not_reach_the_residual() -> None:
-    X, y, labels = segmented(23, n_segments=3)
-    one = LagRegressor(PERIOD_S).fit(X, y, labels)
-    many = LagRegressor(PERIOD_S).fit(X, y, labels, np.full(y.size, 100.0))
-    assert many.residual_std_ == pytest.approx(one.residual_std_, rel=1e-6)
-
-
 def test_too_many_knots_are_refused_before_memory_runs_out() -> None:
     with pytest.raises(InputError, match="knot_spacing_s"):
         LagRegressor(PERIOD_S, drift="spline", knot_spacing_s=1e-3).fit(
             np.linspace(0, 1, 40_000)[:, None], np.linspace(0, 1, 40_000)
         )
+
+
+def test_output_error_stays_honest_when_its_residual_is_coloured() -> None:
+    z, lags = [], []
+    for seed in range(25):
+        rng = np.random.default_rng(100 + seed)
+        phi = flow(4000, rng)
+        y = lagged(phi, "first") + coloured(4000, 0.0, 0.002, rng)
+        m = LagRegressor(PERIOD_S, noise="output-error", hold="first").fit(phi[:, None], y)
+        z.append((m.time_constant_s_ - TAU_S) / m.time_constant_stderr_s_)
+        lags.append(m.residual_lag_)
+    assert abs(np.mean(z)) < 4.0 / np.sqrt(25)
+    assert 0.6 < np.std(z) < 1.6
+    assert np.median(lags) > 10  # the residual's colour was seen
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_labels_and_order_of_segments_do_not_matter(noise: str) -> None:
+    X, y, labels = segmented(8, n_segments=4)
+    m = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=labels)
+    renamed = LagRegressor(PERIOD_S, noise=noise).fit(X, y, segments=100 - 7 * labels)
+    order = np.concatenate([np.flatnonzero(labels == k) for k in (3, 1, 4, 2)])
+    shuffled = LagRegressor(PERIOD_S, noise=noise).fit(X[order], y[order], segments=labels[order])
+    assert renamed.time_constant_s_ == m.time_constant_s_
+    assert shuffled.time_constant_s_ == pytest.approx(m.time_constant_s_, rel=1e-6)
+    np.testing.assert_allclose(shuffled.coef_, m.coef_, rtol=1e-5)
+
+
+def test_the_band_is_that_of_the_covariance_where_that_has_its_digits() -> None:
+    X, y = clean()
+    y = y + 0.01 * np.random.default_rng(21).standard_normal(y.size)
+    at = np.linspace(0.1, 0.5, 5)
+    for held in (None, TAU_S):
+        m = LagRegressor(PERIOD_S, drift="spline", time_constant_s=held).fit(X, y)
+        terms = at[:, None] ** np.arange(3)
+        variance = np.einsum("ij,jk,ik->i", terms, m.covariance_, terms)
+        np.testing.assert_allclose(m.characteristic(at)[1], np.sqrt(variance), rtol=1e-6)

@@ -89,17 +89,6 @@ def test_studentised_shifts_follow_student_where_all_cycles_are_alike() -> None:
     assert abs(np.mean(found)) < 0.2
 
 
-def test_fewer_segments_than_ten_are_cut_into_a_dozen_pieces() -> None:
-    X, y, _ = cycles(4)
-    labels = np.repeat([0, 1], [500, 1500])
-    m = LagRegressor(PERIOD_S, noise="arx", hold="first").fit(X, y, labels)
-    shifts = cycle_shifts(m.linearised(X, y, labels))
-    assert shifts.n_cycles == 12
-    assert shifts.first_row[0] == 1
-    assert shifts.last_row[-1] == 1999
-    assert not np.any((shifts.first_row < 500) & (shifts.last_row >= 500))
-
-
 @pytest.mark.parametrize("noise", ["arx", "output-error"])
 def test_a_dead_time_is_part_of_the_fit_that_is_linearised(noise: str) -> None:
     rng = np.random.default_rng(8)

@@ -11,7 +11,6 @@ from classic_ml.lag_data import LagData, drift_of_runs
 from classic_ml.lag_fit import newton
 from classic_ml.likelihood import jacobian, profile
 from classic_ml.noise_models import MovingAverage
-from surge_core.leave_out import pseudo_inverse
 
 
 def made(noise: str, hold: str, order: int, exact_start: bool, drifting: bool) -> LagData:
@@ -91,14 +90,3 @@ def test_the_cost_of_a_stretch_is_that_of_the_exact_likelihood(c: list[float]) -
     autocovariance[: full.size] = [full[k:] @ full[: full.size - k] for k in range(full.size)]
     exact = equation @ np.linalg.solve(toeplitz(autocovariance), equation)
     assert cost == pytest.approx(exact, rel=1e-9)
-
-
-def test_copies_and_empty_columns_get_nothing() -> None:
-    rng = np.random.default_rng(0)
-    columns = rng.standard_normal((50, 3))
-    whole = np.column_stack([columns, columns[:, 0], np.zeros(50)])
-    inverse = pseudo_inverse(whole.T @ whole)
-    target = columns @ [1.0, 2.0, 3.0]
-    solution = inverse @ (whole.T @ target)
-    np.testing.assert_allclose(whole @ solution, target, atol=1e-10)
-    np.testing.assert_allclose(solution, [0.5, 2.0, 3.0, 0.5, 0.0], atol=1e-10)

@@ -28,16 +28,6 @@ def facility(test: TestDescription, **factors: float) -> TestDescription:
     return replace(test, near_stall=near.model_copy(update=moved))
 
 
-def calibrated(test: TestDescription, factor: float, *names: str) -> TestDescription:
-    pressures = tuple(
-        p.model_copy(update={"calibrate_pressure_Pa": p.calibrate_pressure_Pa * factor})
-        if p.name.startswith(names)
-        else p
-        for p in test.pressures
-    )
-    return replace(test, pressures=pressures)
-
-
 @pytest.mark.parametrize("name", CLEAN)
 def test_clean_records_have_the_levels_of_a_machine(name: str) -> None:
     assert flagged(*clean_record(name)) == []
@@ -55,16 +45,6 @@ def test_a_wrong_reading_of_the_facility_is_flagged(name: str, plane: int, facto
     assert f"all probes of plane {plane} " in flag
     assert ("above" if factor < 1.0 else "below") in flag
     assert f"P{plane}_Pa of [near_stall]" in flag
-
-
-@pytest.mark.parametrize("factor", [0.8, 0.9, 1.1])
-def test_wrong_calibrations_of_a_whole_plane_are_flagged(factor: float) -> None:
-    record, test = clean_record("985/1")
-    for plane in (25, 31):
-        flags = flagged(record, calibrated(test, factor, f"P{plane}"))
-        (flag,) = [f for f in flags if f.startswith("near stall all probes")]
-        assert f"plane {plane}" in flag
-        assert "calibrate_pressure_Pa" in flag
 
 
 @pytest.mark.parametrize("name", ["985/1", "independent"])

@@ -49,7 +49,6 @@ def test_bic_finds_the_right_orders(truth: str) -> None:
             sample_period_s=PERIOD_S,
             input_lags=(0, 1, 2),
             degrees=(2, 3),
-            hold_out=False,
         )
         best = table.rows[0]
         assert best.bic == 0.0
@@ -108,16 +107,6 @@ def test_one_segment_is_parted_in_time() -> None:
     assert table.recommended.degree == 2
     assert abs(table.recommended.time_constant_s - TAU_S) < 4e-3
     assert table.recommended.held_out_rms < 0.1
-
-
-def test_a_kind_that_occurs_twice_is_fitted_once() -> None:
-    X, y, labels = record(7, [1.0], n=200)
-    table = select_order(
-        X, y, labels, sample_period_s=PERIOD_S, input_lags=(0,), degrees=(2,), hold_out=False
-    )
-    assert [row.name for row in table.rows].count("arx, lag 0, degree 2") == 1
-    assert len(table.rows) == 4
-    assert np.isnan(table.recommended.held_out_rms)
 
 
 @pytest.mark.parametrize(

@@ -91,16 +91,6 @@ def test_the_inertia_term_matters() -> None:
     assert rms(ideal, without, "psi_p") > 4 * rms(ideal, with_term, "psi_p")
 
 
-def test_thresholds_and_hysteresis_move_the_segments_alone(made: RawTest) -> None:
-    base = reduced(made)
-    rows = {t: reduced(made, threshold_lbm_s=t).series.scored.sum() for t in (40.0, 50.0, 55.0)}
-    assert rows[40.0] < rows[50.0] < rows[55.0]
-    assert rows[50.0] == base.series.scored.sum()
-    band = reduced(made, hysteresis_lbm_s=8.0)
-    np.testing.assert_array_equal(band.series.phi, base.series.phi)
-    assert band.series.n_segments == base.series.n_segments
-
-
 def test_without_an_unstalled_regime_there_is_one_segment(made: RawTest) -> None:
     description = {**made.description, "segmentation": {"threshold_lbm_s": "none"}}
     told = dataclasses.replace(made, description=description)
@@ -172,18 +162,15 @@ def test_dead_pairs_are_left_out_and_the_answer_stays(made: RawTest) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"filter_order": 4}, "filter_order: expected 3 or 5, found 4"),
-        ({"phase": "both"}, "phase: expected 'zero' or 'causal' or 'none', found 'both'"),
-        ({"probes": "mid"}, "probes: expected 'all' or 'tip' or 'hub'"),
-        ({"cutoff_hz": 0.5}, "cutoff_hz: expected a number from 1 on"),
+        ({"filter_order": 4}, "filter_order: expected one of 3, 5, found 4"),
+        ({"phase": "both"}, "phase: expected one of 'zero', 'causal', 'none', found 'both'"),
+        ({"probes": "mid"}, "probes: expected one of 'all', 'tip', 'hub'"),
+        ({"cutoff_hz": 0.5}, "cutoff_hz: expected at least 1 Hz"),
         ({"cutoff_hz": float("nan")}, "cutoff_hz"),
-        ({"cutoff_hz": "none"}, "cutoff_hz"),
         ({"threshold_lbm_s": -1.0}, "threshold_lbm_s"),
-        ({"threshold_lbm_s": True}, "threshold_lbm_s"),
         ({"threshold_lbm_s": "off"}, "threshold_lbm_s"),
-        ({"hysteresis_lbm_s": -1.0}, "hysteresis_lbm_s: expected a number from 0 on"),
+        ({"hysteresis_lbm_s": -1.0}, "hysteresis_lbm_s: expected a positive number"),
         ({"window_s": (2.0, 1.0)}, "window_s: expected two times, the earlier first"),
-        ({"window_s": (2.0,)}, "window_s"),
     ],
 )
 def test_a_setting_that_means_nothing_is_refused(settings: dict[str, Any], words: str) -> None:
@@ -245,15 +232,6 @@ def test_a_flow_coefficient_that_no_compressor_has_is_refused(made: RawTest) -> 
         machine = {**made.description["compressor"], key: value}
         with pytest.raises(InputError, match=r"φ near stall: expected 0.1 to 1.5, .*mean_radius_m"):
             reduced(described(made, compressor=machine))
-
-
-def test_a_window_outside_the_record_is_named_with_its_file(made: RawTest) -> None:
-    with pytest.raises(
-        InputError, match=r"test.toml: \[window\]: expected a window with surge cycles inside"
-    ):
-        reduced(described(made, window={"from_s": 1.0, "to_s": 30.0}))
-    with pytest.raises(InputError, match=r"raw.csv: ReductionSettings.window_s: expected"):
-        reduced(made, window_s=(1.0, 30.0))
 
 
 def test_regimes_that_were_not_split_are_flagged(made: RawTest) -> None:

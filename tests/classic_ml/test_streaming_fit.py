@@ -9,7 +9,6 @@ from lag_data import PERIOD_S, coloured, flow, lagged
 from sklearn.preprocessing import FunctionTransformer
 
 from classic_ml import LagRegressor
-from classic_ml.lag_data import nearly_orthogonal
 from surge_core.fit_state import FitState
 from surge_core.leave_out import block_edges, correlation_length
 
@@ -141,15 +140,3 @@ def test_terms_that_are_nearly_alike_keep_their_digits() -> None:
     m = LagRegressor(PERIOD_S, noise="output-error", degree=5).fit(phi[:, None], y)
     assert m.time_constant_s_ == pytest.approx(0.018, rel=1e-5)
     np.testing.assert_allclose(m.predict(phi[:, None]), y, atol=1e-9)
-
-
-def test_combinations_span_the_terms_and_are_nearly_orthogonal() -> None:
-    rng = np.random.default_rng(4)
-    phi = rng.uniform(0.1, 0.5, 400)
-    terms = phi[:, None] ** np.arange(4)
-    plain = nearly_orthogonal(terms)
-    np.testing.assert_allclose(plain.columns, terms @ plain.back, atol=1e-9)
-    np.testing.assert_allclose(plain.columns.T @ plain.columns / 400, np.eye(4), atol=1e-5)
-    twice = nearly_orthogonal(np.column_stack([terms, terms[:, 1]]))
-    assert twice.deficient
-    assert twice.columns.shape == (400, 4)

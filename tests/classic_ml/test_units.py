@@ -13,10 +13,8 @@ from classic_ml.units import (
     Conversion,
     conversion_to_si,
     kind_of_unit,
-    pressure_reference,
-    quantity_in,
     same_unit,
-    unit_in_brackets,
+    split_reference,
 )
 from surge_core.errors import InputError
 
@@ -111,7 +109,7 @@ def test_a_pressure_goes_to_si_exactly_and_back(value: float, unit: str, referen
     ],
 )
 def test_what_a_pressure_is_taken_against_is_read_from_its_name(unit: str, reference: str) -> None:
-    assert pressure_reference(unit) == reference
+    assert split_reference(unit)[1] == reference
     given = None if reference == "absolute" else 1e5
     found = conversion_to_si(unit, "pressure", "", given)
     assert found.offset == (0.0 if given is None else given)
@@ -178,26 +176,6 @@ def test_what_a_file_states_is_held_against_what_test_toml_says(
     assert same_unit(stated, unit, reference_Pa) is same
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("PT25 fwd [psia]", "psia"),
-        ("Time (ms)", "ms"),
-        ("P31 {kPa(g)}", "kPa(g)"),
-        ("T25_A (°C)", "°C"),
-        ("P25 raw (counts)", "counts"),
-        ("P25 (C)", ""),
-        ("T25 (C)", "C"),
-        ("P25 (s)", "s"),
-        ("P25 (fwd)", ""),
-        ("P25 []", ""),
-        ("speed (rpm)", ""),
-    ],
-)
-def test_a_unit_in_the_brackets_of_a_name_is_read(name: str, unit: str) -> None:
-    assert unit_in_brackets(name) == unit
-
-
 def test_each_label_is_of_one_kind() -> None:
     labels = ("psig", "degF", "ms", "ADC counts", "N/m**2", "rpm", "", "hello world", "1.5")
     kinds = ["pressure", "temperature", "time", "count", "pressure", "", "", "", ""]
@@ -207,31 +185,3 @@ def test_each_label_is_of_one_kind() -> None:
 @pytest.mark.parametrize("label", ["10**999999999", "9**9**9**9", "(km/m)**99999999", "P " * 9999])
 def test_a_label_that_would_be_worked_out_for_hours_is_no_unit(label: str) -> None:
     assert kind_of_unit(label) == ""
-
-
-@pytest.mark.parametrize(
-    ("text", "kind", "value"),
-    [
-        ("7.98 psia", "pressure", 7.98 * float(PASCALS["psi"])),
-        ("101.325 kPa abs", "pressure", 101325.0),
-        ("-0.67 degF", "temperature", 255.0),
-        ("-18.15 °C", "temperature", 255.0),
-    ],
-)
-def test_a_setting_may_be_a_text_with_a_unit(text: str, kind: str, value: float) -> None:
-    assert quantity_in(text, kind, "") == pytest.approx(value, rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("text", "kind"),
-    [
-        ("7.98 psi", "pressure"),
-        ("7.98 psig", "pressure"),
-        ("7.98", "pressure"),
-        ("seven psia", "pressure"),
-        ("20 delta_degC", "temperature"),
-    ],
-)
-def test_a_text_that_is_no_quantity_is_refused(text: str, kind: str) -> None:
-    with pytest.raises(InputError, match=f"{kind} with its unit as in .* found '{text}'"):
-        quantity_in(text, kind, "test.toml: [near_stall] P25_Pa")

@@ -226,25 +226,15 @@ def test_records_of_unlike_rates_and_no_records_are_refused() -> None:
             fit_whole_runs(records)
 
 
-def test_the_range_of_flow_is_that_of_the_scored_rows() -> None:
-    rows = whole_run_rows(series(0))
-    assert rows.scored_phi.size == np.count_nonzero(rows.weight)
-    assert rows.phi.min() < rows.scored_phi.min() < rows.scored_phi.max() <= rows.phi.max()
-
-
 def test_a_series_without_the_columns_is_told() -> None:
     record = replace(series(0), phi_unfiltered=None)
     assert not has_whole_run(record)
     with pytest.raises(InputError, match="phi_unfiltered"):
         whole_run_rows(record)
-    with pytest.raises(InputError, match="ledger"):
-        whole_run_rows(replace(series(0), history=()))
-
-
-def test_near_reaches_before_and_behind() -> None:
-    rows = np.zeros(10, dtype=bool)
-    rows[5] = True
-    assert np.flatnonzero(near(rows, 2, 1)).tolist() == [3, 4, 5, 6]
+    unlike = [LedgerEntry("free run", "", {"average_s": s}) for s in ("x", float("nan"), 12.0)]
+    for history in ((), *((entry,) for entry in unlike)):
+        with pytest.raises(InputError, match="ledger"):
+            whole_run_rows(replace(series(0), history=history))
 
 
 def made_record(seed: int, *, cells: float, shift: float) -> tuple[Record, np.ndarray, np.ndarray]:
@@ -286,11 +276,6 @@ def test_every_row_left_out_of_the_free_run_is_named_once() -> None:
     assert not np.any((free_run == 2) & ~state)
 
 
-def test_without_cells_the_average_is_plain() -> None:
-    record, _, _ = made_record(1, cells=0.0, shift=0.0)
-    assert cell_period_s(record, slice(0, N_ROWS)) == (0.010, False)
-
-
 def test_the_window_grows_over_the_settled_machine_only() -> None:
     record, _, _ = made_record(2, cells=8.0, shift=4.0)
     grown = extend_while_settled(record, slice(1500, 3000))
@@ -308,21 +293,3 @@ def test_a_fault_inside_the_window_does_not_keep_it_from_growing(row: int) -> No
         record, channels={**record.channels, "fault_P": Channel("fault_P", faults, "1")}
     )
     assert extend_while_settled(record, slice(1500, 3000)).stop == 3400
-
-
-def test_a_fit_shows_itself_in_a_notebook_and_on_a_terminal() -> None:
-    """τ with its error, the characteristic and how the fit ended; a refused one says so."""
-    fit = fit_whole_runs([series(8)])
-    shown = fit._repr_mimebundle_()
-    assert f"{1e3 * fit.time_constant_s_:.1f}"[:3] in shown["text/plain"]
-    for text in shown.values():
-        for word in ("WholeRunFit", "phi^2", f"{fit.n_scored_} rows", "blocks"):
-            assert word in text
-        assert "array(" not in text
-    assert str(fit) == shown["text/plain"]
-    held = fit_whole_runs([series(8)], time_constant_s=0.025)
-    assert "(held)" in str(held)
-    record = series(9)
-    refused = fit_whole_runs([replace(record, free_run=np.minimum(record.free_run, 1))])
-    assert "not known" in str(refused)
-    assert refused.fit_state_.advice.split()[0] in str(refused)

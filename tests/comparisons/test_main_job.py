@@ -179,6 +179,8 @@ def test_two_speeds_or_zero_hold_recommend_no_tau(folder: Path) -> None:
     main, slow = own_series("985", 0, folder), own_series("90", 0, folder)
     both = compare_records([main, slow], estimators=only("classic_ml"))
     assert both.quotable == ()
+    (said,) = [c.text for c in both.cautions if c.code == "speeds_apart"]
+    assert all(record.source in said for record in (main, slow))
     zero = default_estimators(hold="zero")[:1]
     assert compare_records([main], hold="zero", estimators=zero).quotable == ()
     assert compare_records([main], estimators=only("classic_ml")).quotable == ("classic_ml",)

@@ -36,30 +36,3 @@ def test_the_right_model_is_recommended(tmp_path: Path, capsys: pytest.CaptureFi
     text = capsys.readouterr().out
     assert document["reason"] in text
     assert "*" in text
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (("--degrees", -1), "--degrees"),
-        (("--lags", "one"), "--lags"),
-        (("--json", "no/such/folder/o.json"), "no/such/folder"),
-    ],
-)
-def test_bad_options_are_named(
-    options: tuple[object, ...],
-    named: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    file = tmp_path / "s.csv"
-    series_table().to_csv(file, index=False)
-    try:
-        code = run("orders", file, *options)
-    except SystemExit as stopped:
-        code = int(stopped.code or 0)
-    assert code == 2
-    said = capsys.readouterr().err
-    assert named in said
-    assert "expected" in said
-    assert said.count("\n") == 1

@@ -44,34 +44,6 @@ def line(ax: Axes, label: str) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-def test_each_has_numbers_in_its_caption_and_units_on_its_axes(
-    figures: tuple[Picture, ...],
-) -> None:
-    assert len({figure.title for figure in figures}) == 6
-    for figure in figures:
-        (ax,) = figure.figure.axes
-        assert "[" in ax.get_xlabel()
-        assert "[" in ax.get_ylabel()
-        assert any(letter.isdigit() for letter in figure.alt)
-        assert "nan" not in figure.alt
-
-
-def test_the_spectrum_peaks_at_the_cells_and_the_filters_attenuate_them(
-    figures: tuple[Picture, ...],
-) -> None:
-    ax = figures[0].figure.axes[0]
-    frequency, plain = line(ax, "(1)")
-    near = (frequency > 60.0) & (frequency < 105.0)
-    at = int(np.argmax(np.where(near, plain, 0.0)))
-    assert frequency[at] == pytest.approx(82.5, abs=frequency[1] - frequency[0])
-    # A Butterworth filter of order n by the bilinear map, 48 Hz of 1 kHz.
-    ratio = np.tan(np.pi * frequency[at] / 1e3) / np.tan(np.pi * 48.0 / 1e3)
-    for order in (3, 5):
-        _, density = line(ax, f"({order})")
-        loss = 10.0 * np.log10(plain[at] / density[at])
-        assert loss == pytest.approx(10.0 * np.log10(1.0 + ratio ** (2 * order)), abs=1.0)
-
-
 def test_the_migration_lies_inside_the_rigs_own_speed_line(
     figures: tuple[Picture, ...],
 ) -> None:
@@ -94,16 +66,6 @@ def test_the_characteristic_lies_on_the_truth_and_below_the_steady_points(
     steady_phi, steady = (np.asarray(v, float) for v in ax.containers[0][0].get_data())
     assert_allclose(steady, in_stall_psi_p(runs["75-stall"], steady_phi), atol=0.15)
     assert np.all(steady > runs["985"].fits["psi_p"].quasi_steady(steady_phi))
-
-
-def test_18_ms_reconstruct_and_243_do_not(figures: tuple[Picture, ...]) -> None:
-    ax = figures[4].figure.axes[0]
-    _, actual = line(ax, "actual")
-    errors = [
-        float(np.sqrt(np.nanmean((actual - line(ax, f"reconstructed, τ = {ms} ms")[1]) ** 2)))
-        for ms in (18, 243)
-    ]
-    assert errors[0] < 0.5 * errors[1]
 
 
 def test_curves_of_the_truth_are_those_of_the_rig(runs: Instabilities) -> None:

@@ -10,13 +10,6 @@ import pytest
 from surge_core.progress import shown_count, shown_over, shown_steps
 
 
-class Terminal(io.StringIO):
-    """A stream that says it is a terminal."""
-
-    def isatty(self) -> bool:
-        return True
-
-
 def put(patch: pytest.MonkeyPatch, stream: io.StringIO) -> io.StringIO:
     """Put a stream in the place of stderr, once pytest has put its own there."""
     patch.setattr(sys, "stderr", stream)
@@ -34,14 +27,6 @@ def work() -> list[str]:
     return list(shown_over(iter("abc"), unit="letter", words="spelling"))
 
 
-def test_bars_are_drawn_on_a_terminal_and_taken_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = put(monkeypatch, Terminal())
-    assert work() == ["a", "b", "c"]
-    for words in ("reading", "counting", "spelling"):
-        assert words in terminal.getvalue()
-    assert terminal.getvalue().rsplit("\r", 1)[1].strip() == ""
-
-
 def test_nothing_is_drawn_into_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     pipe = put(monkeypatch, io.StringIO())
     assert work() == ["a", "b", "c"]
@@ -55,16 +40,3 @@ def test_the_stages_of_the_demo_are_lines_in_a_pipe(monkeypatch: pytest.MonkeyPa
         assert pipe.getvalue() == "[1/2] reading\n"
         begin("fitting")
     assert pipe.getvalue() == "[1/2] reading\n[2/2] fitting\n"
-
-
-def test_a_bar_goes_away_when_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = put(monkeypatch, Terminal())
-
-    def fail() -> None:
-        with shown_steps(3) as begin:
-            begin("that fails")
-            raise RuntimeError("no")
-
-    with pytest.raises(RuntimeError):
-        fail()
-    assert terminal.getvalue().rsplit("\r", 1)[1].strip() == ""

@@ -29,7 +29,7 @@ def test_a_sinusoid_has_its_peak_at_its_frequency_and_its_power_under_it(
     runs = segments(700, 300, 800, 512)
     time_s = PERIOD_S * np.arange(2312)
     signal = 3.0 * np.sin(2 * np.pi * frequency_hz * time_s) + 40.0 + 7.0 * time_s
-    spectrum = segment_spectrum(signal, runs, PERIOD_S, piece_rows=256)
+    spectrum = segment_spectrum(signal, runs, PERIOD_S)
     assert spectrum.frequency_hz[np.argmax(spectrum.density)] == pytest.approx(frequency_hz)
     power = float(np.sum(spectrum.density)) * spectrum.frequency_hz[0]
     assert power == pytest.approx(4.5, rel=0.02)  # level and trend do not count
@@ -40,7 +40,7 @@ def test_white_noise_lies_inside_its_band() -> None:
     runs = segments(150, 400, 90, 333, 600, 427)
     inside, levels = [], []
     for _ in range(60):
-        spectrum = segment_spectrum(2.0 * rng.standard_normal(2000), runs, PERIOD_S, piece_rows=64)
+        spectrum = segment_spectrum(2.0 * rng.standard_normal(2000), runs, PERIOD_S)
         # Detrending takes from the first bins, and the last has no mirror image.
         ratio = spectrum.density[3:-1] / (2.0 * 4.0 * PERIOD_S)
         low, high = spectrum.band99
@@ -53,18 +53,8 @@ def test_white_noise_lies_inside_its_band() -> None:
 def test_no_piece_straddles_two_segments() -> None:
     runs = segments(128, 128)
     signal = np.concatenate([np.zeros(128), np.full(128, 1e6)])
-    spectrum = segment_spectrum(signal, runs, PERIOD_S, piece_rows=128)
+    spectrum = segment_spectrum(signal, runs, PERIOD_S)
     assert spectrum.density.max() < 1e-9  # each segment is constant; only the border is not
-
-
-def test_short_segments_set_the_length_of_a_piece() -> None:
-    spectrum = segment_spectrum(
-        np.random.default_rng(0).standard_normal(400), segments(*[20] * 20), PERIOD_S
-    )
-    assert spectrum.frequency_hz[0] == pytest.approx(50.0)
-    assert spectrum.degrees_of_freedom == pytest.approx(40.0, rel=0.06)
-    with pytest.raises(ValueError, match="no segment is 64 rows long"):
-        segment_spectrum(np.zeros(100), segments(50, 50), PERIOD_S, piece_rows=64)
 
 
 def test_autocorrelation_of_a_first_order_process() -> None:

@@ -14,7 +14,7 @@ from made_systems import made_diagnosis as made_system
 
 from comparisons.missing_effect.extended_refit import value_of
 from comparisons.missing_effect.quantities import tau_ms
-from comparisons.results import FIELDS, Caution, comparison_cells
+from comparisons.results import COLUMNS, Caution
 from comparisons.study.comparison import compare_methods
 
 
@@ -35,9 +35,9 @@ def test_a_comparison_shows_the_table_of_the_terminal() -> None:
         made_series(source=EVIL), cautions=(Caution.of("estimator", remark=EVIL),)
     )
     text, html = shown(comparison)
-    for field in FIELDS:
-        assert field.heading in text
-    for row in comparison_cells(comparison):
+    for heading in COLUMNS:
+        assert heading in text
+    for row in comparison.grid().rows:
         assert row[2] in text
         assert row[4] in html
     assert "2395 in 6 segments, 1000 Hz" in text

@@ -16,13 +16,13 @@ from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
+from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.saved_models import load_models, save_models
 from comparisons.harness.sparse_whole_run import SparseWholeRunFit, fit_sparse_whole_runs
 from comparisons.harness.tau_trial import trial_of
 from comparisons.results import Comparison
 from comparisons.rig import simulate, write_run
 from comparisons.show.json_output import comparison_document
-from sindy_surge import SparseLagRegressor
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
 from surge_core.fit_state import FitState
@@ -168,6 +168,10 @@ def test_in_a_comparison_it_stands_beside_the_classical_run(
     assert not any("put τ between" in caution for caution in document["cautions"])
     save_models({"sindy": result.model}, tmp_path / "model.json")
     saved = load_models(tmp_path / "model.json")["sindy"]
+    # φ is trusted where the estimator scores it: without the reversed flow of the filtered rows.
+    inputs, scored = result.whole_run.stacked()
+    assert saved.valid_phi == trusted_range(inputs.phi[scored])
+    assert saved.valid_phi[0] > comparison.valid_phi[0] + 0.01
     np.testing.assert_allclose(saved.quasi_steady(AT), result.model.quasi_steady(AT))
 
 
@@ -176,17 +180,3 @@ def test_tau_by_trial_runs_over_its_rows(comparison: Comparison) -> None:
     trial = trial_of(alone)
     # Trials stand a tenth of a decade or so apart.
     assert trial.best_tau_s == pytest.approx(comparison.result("sindy").model.time_constant_s, 0.05)
-
-
-def test_rows_without_unfiltered_columns_are_left_to_the_likelihood() -> None:
-    rng = np.random.default_rng(0)
-    n = 600
-    time_s = np.arange(n) * 1e-3
-    phi = 0.15 + 0.1 * np.sin(2 * np.pi * 7 * time_s) + 1e-3 * rng.standard_normal(n)
-    record = CoefficientSeries(
-        time_s, phi, 1.0 + phi + 1e-3 * rng.standard_normal(n), np.ones(n, dtype=np.int64)
-    )
-    from comparisons.harness.rows import stack_rows
-
-    (spec,) = [s for s in default_estimators() if s.name == "sindy"]
-    assert isinstance(spec.fitted(stack_rows([record]), [record], None), SparseLagRegressor)

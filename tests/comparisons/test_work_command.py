@@ -63,9 +63,7 @@ def test_above_90_percent_there_is_no_psi_and_one_sentence_says_why(
     ("options", "named"),
     [
         (("--breakpoints", 0.1, 0.05), "--breakpoints"),
-        (("--breakpoints", -1, 0.05), "--breakpoints"),
-        (("--tau", "18"), "--tau"),
-        (("--json", "no/such/folder/w.json"), "no/such/folder"),
+        (("--tau", "5"), "shorter than a surge cycle"),
     ],
 )
 def test_bad_options_are_named(
@@ -75,11 +73,7 @@ def test_bad_options_are_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     raw = folder(tmp_path, "90", 0)
-    try:
-        code = run("work", raw / "raw.csv", "--test", raw / "test.toml", *options)
-    except SystemExit as stopped:
-        code = int(stopped.code or 0)
-    assert code == 2
+    assert run("work", raw / "raw.csv", "--test", raw / "test.toml", *options) == 2
     assert named in capsys.readouterr().err
 
 
@@ -92,17 +86,12 @@ def test_a_record_without_cycles_is_answered_without_a_curve(
     assert json.loads(out.read_text("utf-8"))["time_constant_s"]["value"] is None
 
 
-@pytest.mark.parametrize("window", ["from_s = 2.0\nto_s = 2.02", "from_s = 2.0\nto_s = 2.1"])
 def test_a_window_of_a_few_rows_is_no_traceback(
-    window: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raw = folder(tmp_path, "90", 1)
     test = raw / "test.toml"
-    test.write_text(test.read_text("utf-8") + f"\n[window]\n{window}\n", "utf-8")
-    code = run("work", raw / "raw.csv", "--test", test)
-    said = capsys.readouterr()
-    assert (code, "rows of forward flow" in said.err) in ((2, True), (2, False), (0, False))
-    if code == 0:
-        assert "not stated" in said.out
-    else:
-        assert said.err.strip().count("\n") == 0
+    test.write_text(test.read_text("utf-8") + "\n[window]\nfrom_s = 2.0\nto_s = 2.02\n", "utf-8")
+    assert run("work", raw / "raw.csv", "--test", test) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mistake import REDUCE
 from mistake_checks import check_sentence
-from mistake_desk import Answer, ledger_of, rms_errors, run_in
-from stored_records import WRITERS, write_stored
+from mistake_desk import Answer, run_in
+from stored_records import write_stored
 
 SEEDS = 8
 # A library in C that dies of damaged bytes takes this process with it, and not the tests.
@@ -45,20 +44,7 @@ def damaged(data: bytes, seed: int) -> bytes:
     return bytes(out)
 
 
-@pytest.mark.parametrize("suffix", list(WRITERS))
-def test_a_sound_file_of_each_format_gives_what_the_table_gives(
-    clean: Path, tmp_path: Path, suffix: str
-) -> None:
-    for name in ("raw.csv", "test.toml"):
-        shutil.copy(clean / name, tmp_path)
-    write_stored(tmp_path, suffix)
-    answer = run_in(tmp_path, REDUCE.replace("raw.csv", f"raw{suffix}"))
-    assert answer.code == 0, answer.err
-    assert max(rms_errors(clean / "reduced.csv", tmp_path / "reduced.csv")) < 1e-12
-    assert ledger_of(tmp_path) == ledger_of(clean)
-
-
-@pytest.mark.parametrize("suffix", list(WRITERS))
+@pytest.mark.parametrize("suffix", [".mat", ".h5", ".nc", ".tdms", ".parquet"])
 def test_a_damaged_binary_record(clean: Path, tmp_path: Path, suffix: str) -> None:
     shutil.copy(clean / "raw.csv", tmp_path)
     good = write_stored(tmp_path, suffix).read_bytes()

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -86,34 +85,6 @@ def test_hidden_effect_in_short_segments() -> None:
         value, stderr = model.characteristic(at)
         assert np.sqrt(np.mean(((value - _quadratic(at)) / stderr) ** 2)) < 1.8
         assert model.initial_states_.size == np.unique(labels[rows]).size
-
-
-def test_path_holds_what_was_left_out(
-    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
-) -> None:
-    for _, _, model in hidden:
-        (chosen,) = [row for row in model.path_ if row.chosen]
-        assert set(chosen.terms) == set(model.terms_)
-        assert chosen.time_constant_s == model.time_constant_s_
-        assert 0 < chosen.held_out_rms < np.inf
-        ladder = {row.terms: row.held_out_rms for row in model.path_}
-        assert chosen.held_out_rms <= ladder["1", "phi"]
-        assert model.rivals_ == ()
-
-
-def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else(
-    hidden: list[tuple[np.ndarray, np.ndarray, SparseLagRegressor]],
-) -> None:
-    phi, psi_p, _ = hidden[0]
-    library = partial(PolynomialLibrary, 3)
-    plain = SparseLagRegressor(library=library(), n_bootstrap=0).fit(phi[:, None], psi_p)
-    moved = SparseLagRegressor(library=library(), n_bootstrap=0).fit(phi[:, None] + 0.03, psi_p)
-    assert plain.fit_state_ is moved.fit_state_ is FitState.MODEL_ERROR_DOMINATES
-    assert plain.terms_ == moved.terms_
-    assert plain.time_constant_s_ == pytest.approx(moved.time_constant_s_, rel=1e-6)
-    at = np.linspace(0, 0.4, 9)
-    for ours, theirs in zip(plain.characteristic(at), moved.characteristic(at + 0.03), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-4)
 
 
 def test_a_kink_that_explains_nearly_all_is_taken() -> None:

@@ -91,12 +91,6 @@ def test_any_library_or_transformer_serves(library: object) -> None:
     np.testing.assert_array_equal(again(PHI[:, None]), values)
 
 
-def test_the_callers_library_is_left_alone() -> None:
-    library = PolynomialLibrary(2)
-    _terms(PHI, library=library)
-    assert not hasattr(library, "n_output_features_")
-
-
 def test_bad_libraries_are_refused() -> None:
     with pytest.raises(InputError, match="library"):
         _terms(PHI, library=object())

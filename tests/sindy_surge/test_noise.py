@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sindy_surge.free_run import DelayedLag
 from sindy_surge.noise import NoiseLevels, Whitener, autoregression, difference_noise
 from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
@@ -20,7 +19,7 @@ def test_whitening_matches_the_dense_covariance(
 ) -> None:
     rng = np.random.default_rng(0)
     n, edge = 46, 3
-    lag = DelayedLag.of(FirstOrderLag(0.006, 1e-3, hold, dead_samples * 1e-3))  # type: ignore[arg-type]
+    lag = FirstOrderLag(0.006, 1e-3, hold, dead_samples * 1e-3)  # type: ignore[arg-type]
     slopes = rng.standard_normal((1, n))
     noise = NoiseLevels(0.3, np.array([0.2]), np.empty(0))
     # Three runs of usable rows, away from the ends by more than the dead time reaches.
@@ -28,21 +27,20 @@ def test_whitening_matches_the_dense_covariance(
     runs = Segments.from_labels(np.repeat([0, 1, 2], [17 - edge, 1, n - edge - 23]), rows.size)
     later = runs.later
     ahead = np.ones(later.size) if linear else rng.uniform(0.8, 1.2, later.size)
-    behind = np.full(later.size, lag.pole) if linear else rng.uniform(0.6, 0.9, later.size)
+    behind = np.full(later.size, lag.a) if linear else rng.uniform(0.6, 0.9, later.size)
     # A e = A v - B D n, written out as matrices over one run after the other.
     a_matrix = np.zeros((later.size, n))
     b_matrix = np.zeros((later.size, n))
     for number, k in enumerate(later):
         a_matrix[number, rows[k]], a_matrix[number, rows[k] - 1] = ahead[number], -behind[number]
-        for i, tap in enumerate(lag.weights[0]):
-            source = rows[k] - lag.shift - i
+        for i, tap in enumerate(lag.taps[0]):
+            source = rows[k] - lag.whole_samples - i
             b_matrix[number, source] += tap * slopes[0, source]
     covariance = 0.3**2 * a_matrix @ a_matrix.T + 0.2**2 * b_matrix @ b_matrix.T
     # The lone row between two runs has no equation; nothing links the runs.
     apart = np.abs(np.subtract.outer(rows[later], rows[later])) > 5
     covariance[apart] = 0.0
-    given = (None, None) if linear else (ahead, behind)
-    whitener = Whitener(lag, slopes, noise, runs, rows, *given)
+    whitener = Whitener(lag, slopes, noise, runs, rows, ahead, behind)
     white = whitener(np.eye(later.size))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(later.size), atol=1e-10)
     assert whitener.log_determinant() == pytest.approx(np.linalg.slogdet(covariance)[1])
@@ -82,9 +80,9 @@ def test_autoregression_finds_order_and_coefficients() -> None:
 
 def test_coloured_rows_do_not_reach_across_segments() -> None:
     runs = Segments.from_labels(np.repeat([0, 1], [20, 30]), 50)
-    lag = DelayedLag.of(FirstOrderLag(0.006, 1e-3, "first"))
+    lag = FirstOrderLag(0.006, 1e-3, "first")
     noise = NoiseLevels(1.0, np.zeros(1), np.array([0.5, 0.2]))
-    whitener = Whitener(lag, np.ones((1, 50)), noise, runs)
+    whitener = Whitener(lag, np.ones((1, 50)), noise, runs, np.arange(50), 1.0, lag.a)
     column = np.zeros(48)
     column[:19] = 1.0
     assert whitener.groups.lengths.tolist() == [17, 27]

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from sindy_surge import FitState
-from sindy_surge.free_run_equations import FreeRunEquations
 from sindy_surge.segments import Segments
-from sindy_surge.sparse_run import SparseRun, select_on_free_run
+from sindy_surge.sparse_run import FreeRunEquations, SparseRun, select_on_free_run
 
 from .conftest import PERIOD_S, TAU_S, lag
 
@@ -135,7 +134,7 @@ def test_a_cubic_is_chosen_even_where_a_parabola_alone_does_not_pay(seed: int) -
     assert abs(found.time_constant_s - TAU_S) < 3 * found.time_constant_stderr_s < 0.2 * TAU_S
 
 
-@pytest.mark.parametrize("optimizer", ["SSR", "FROLS"])
+@pytest.mark.parametrize("optimizer", ["SSR", "best-subset"])
 def test_a_kink_is_taken_with_what_the_choice_of_its_neighbours_adds(optimizer: str) -> None:
     at = np.linspace(0.03, 0.15, 13)
     z = []
@@ -157,25 +156,6 @@ def test_a_small_error_that_every_cycle_repeats_buys_no_special_term() -> None:
         (chosen,) = [row for row in found.path if row.chosen]
         assert len(special) > 5
         assert all(row.held_out_rms**2 > 0.7 * chosen.held_out_rms**2 for row in special)
-
-
-def test_an_offset_of_phi_shifts_the_curve_and_changes_nothing_else() -> None:
-    record = made(parabola, 0.015, 3)
-    plain, moved = record.found(), record.found(offset=0.01)
-    assert plain.terms == moved.terms == ("1", "phi", "phi^2")
-    assert moved.time_constant_s == pytest.approx(plain.time_constant_s, rel=1e-6)
-    at = np.linspace(0.02, 0.15, 7)
-    for ours, theirs in zip(curve_at(plain, at), curve_at(moved, at + 0.01), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-4)
-
-
-def test_units_carry_through() -> None:
-    record = made(parabola, 0.015, 4)
-    plain = record.found()
-    slow = record.found(sample_period_s=1.0, output=1000.0 * average(record.psi_p))
-    assert slow.terms == plain.terms
-    assert slow.time_constant_s == pytest.approx(plain.time_constant_s / PERIOD_S, rel=1e-6)
-    np.testing.assert_allclose(slow.coefficients, 1000.0 * plain.coefficients, rtol=1e-5)
 
 
 def test_errors_that_all_cycles_share_come_on_top() -> None:

@@ -79,12 +79,6 @@ def test_curve_at_rest_solves_the_equation() -> None:
     np.testing.assert_allclose(rate(curve, at), 0.0, atol=1e-6)
 
 
-def test_terms_with_psi_p_can_be_left_out() -> None:
-    phi, psi_p = (signal[:1000] for signal in _record("psi_p phi", 0.01, 3))
-    without = SparseLagRegressor(psi_terms=False, n_bootstrap=0).fit(phi[:, None], psi_p)
-    assert not any("psi_p" in name for name in without.candidate_terms_)
-
-
 def test_physical_form_is_the_same_model() -> None:
     rng = np.random.default_rng(0)
     X, psi_p = rng.uniform(0, 0.5, (40, 1)), rng.uniform(0.3, 0.5, 40)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+import queue
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-
-from classic_ml import write_series
 from classic_ml.io import TestDescription, read_raw, read_test_description
+from classic_ml.io.series import write_series
 from classic_ml.reduction import ReductionSettings, reduce_record
+from comparisons.live.display import LiveState
 from comparisons.live.feeds import Arrival, Closed, Feed, Opened
 from comparisons.live.monitor import Monitor
-from comparisons.live.pieces import Pieces, Result, reduce_pieces
+from comparisons.live.pieces import Pieces, reduce_pieces
 from comparisons.live.session import Session
-from comparisons.live.state import Event
 from comparisons.rig import simulate, write_run
 
 END = Closed("the end of the play", for_good=True)
@@ -42,17 +40,9 @@ class LiveRecord:
         return read_test_description(self.test_path)
 
     @cached_property
-    def names(self) -> list[str]:
-        return self.header.decode().strip().split(",")
-
-    @cached_property
-    def lines(self) -> list[bytes]:
-        """The rows, with their line ends."""
-        return self.raw.read_bytes().splitlines(keepends=True)[1:]
-
-    @cached_property
-    def header(self) -> bytes:
-        return self.raw.read_bytes().splitlines(keepends=True)[0]
+    def rows(self) -> list[bytes]:
+        """The header and the rows, without their line ends."""
+        return self.raw.read_bytes().splitlines()
 
     @cached_property
     def series(self) -> bytes:
@@ -81,34 +71,28 @@ def changed(record: LiveRecord, folder: Path, old: str, new: str) -> LiveRecord:
     return LiveRecord(folder)
 
 
-def cut(data: bytes, seed: int, mean: int) -> list[bytes]:
-    """Cut bytes anywhere, as a network does."""
-    rng = np.random.default_rng(seed)
-    places = np.unique(np.cumsum(rng.integers(1, 2 * mean, len(data) // mean + 1)))
-    edges = [0, *places[places < len(data)].tolist(), len(data)]
-    return [data[a:b] for a, b in pairwise(edges)]
-
-
-@dataclass
 class Played:
-    """A session that was played to its end."""
+    """A session that is played to its end, and what it said."""
 
-    session: Session
-    record: LiveRecord
-    folder: Path
-    events: list[Event]
+    def __init__(self, record: LiveRecord, folder: Path, feed: Feed, timeout_s: float) -> None:
+        self.record, self.out = record, folder / "live.csv"
+        self.said, self.feed_words = "", set[str]()
+        folder.mkdir(exist_ok=True)
+        self.monitor = Monitor(record.test, ReductionSettings(), folder)
+        self.pieces = Pieces(folder / "live.raw.csv")
+        test = record.test
+        self.session = Session(test, feed, self.pieces, self.monitor, [self], timeout_s)
+        self.session.run()
 
-    @property
-    def said(self) -> str:
-        return "\n".join(event.text for event in self.events)
+    def say(self, event: str) -> None:
+        self.said += event + "\n"
 
-    @property
-    def out(self) -> Path:
-        return self.folder / "live.csv"
+    def show(self, state: LiveState) -> None:
+        self.feed_words.add(state.feed)
 
-    def results(self) -> list[Result]:
-        return reduce_pieces(
-            self.session.pieces.pieces,
+    def reduce(self) -> None:
+        reduce_pieces(
+            self.pieces.pieces,
             self.record.test_path,
             self.out,
             ReductionSettings(),
@@ -117,23 +101,16 @@ class Played:
 
 
 def play(
-    record: LiveRecord, folder: Path, arrivals: Iterable[Arrival], *, comes_back: bool = True
+    record: LiveRecord,
+    folder: Path,
+    *arrivals: Arrival,
+    comes_back: bool = True,
+    end: bool = True,
+    timeout_s: float = math.inf,
 ) -> Played:
     """Run a session over arrivals; the first connection is opened, and the last closed, here."""
-
-    def read(feed: Feed) -> None:
-        for arrival in (Opened(), *arrivals, END):
-            feed.put(arrival)
-
-    scratch = folder / "scratch"
-    scratch.mkdir(parents=True)
-    events: list[Event] = []
-    session = Session(
-        record.test,
-        Feed("waiting for the play", read, comes_back),
-        Pieces(folder / "live.raw.csv"),
-        Monitor(record.test, ReductionSettings(), scratch, estimates=False),
-        tell=events.append,
-    )
-    session.run()
-    return Played(session, record, folder, events)
+    feed = Feed("waiting for the play", lambda feed: None, comes_back)
+    feed.arrivals = queue.Queue()
+    for arrival in (Opened(), *arrivals, *([END] if end else [])):
+        feed.arrivals.put(arrival)
+    return Played(record, folder, feed, timeout_s)

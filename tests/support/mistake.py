@@ -18,22 +18,10 @@ REDUCE = "reduce raw.csv --test test.toml -o reduced.csv"
 class Mistake:
     """A bad input, the command that meets it, and what is expected of the command.
 
-    Parameters
-    ----------
-    id : str
-        Short name, unique in the table.
-    outcome : {"refused", "flagged", "harmless"}
-        Exit 2 with one sentence and nothing written; exit 0 with a flag or a drop in the ledger
-        that names the fault; exit 0 with the numbers of the unspoiled files.
-    says : tuple of str
-        Words of the sentence on stderr, or of the flags in the ledger: file, channel, row, remedy.
-    spoil : callable
-        Spoils the files in a folder.
-    command : str
-        Arguments of ``sindy-surge``, run in the folder of the files.
-    within : tuple of float, optional
-        Largest rms errors of φ and ψ' in the segments that both reductions have; None for a result
-        that is not compared.
+    Refused: exit 2 with one sentence and nothing written. Flagged: exit 0 with a flag or a drop in
+    the ledger that names the fault. Harmless: exit 0 with the numbers of the unspoiled files.
+    ``says`` holds words of the sentence or of the flags; ``within`` the largest rms errors of φ and
+    ψ' in the segments that both reductions have.
     """
 
     id: str

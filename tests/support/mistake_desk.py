@@ -67,19 +67,7 @@ CLEAN: dict[str, Any] = {"seed": 0, "seconds": 2.0, "noise_counts": 1.0, "cells_
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command said and left behind.
-
-    Parameters
-    ----------
-    code : int
-        Exit code.
-    out, err : str
-        What it printed.
-    made : tuple of str
-        Files that were not there before, by their path in the folder.
-    changed : tuple of str
-        Files that were there before and are gone or have another content.
-    """
+    """What a command said and left behind: files that are new, and those that changed."""
 
     code: int
     out: str

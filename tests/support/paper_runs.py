@@ -23,4 +23,4 @@ def remembered_case(case: str | RigCase, seed: int = 0) -> InstabilityRun:
 
 def paper_runs(*cases: str) -> Instabilities:
     """Return the runs of these cases, of all by default."""
-    return Instabilities({case: paper_case(case) for case in cases or CASES})
+    return {case: paper_case(case) for case in cases or CASES}

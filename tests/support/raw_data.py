@@ -5,6 +5,8 @@ The gas laws are written out here a second time, on purpose: a wrong equation mu
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -61,16 +63,27 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     path.write_text("\n".join(lines) + "\n", "utf-8")
 
 
-def to_toml(tables: dict[str, Any], path: str = "") -> str:
-    plain = {k: v for k, v in tables.items() if not isinstance(v, dict)}
+def to_toml(tables: Mapping[str, Any], path: str = "") -> str:
+    """Return tables as TOML, with any text in keys and values."""
     text = f"[{path}]\n" if path else ""
-    for key, value in plain.items():
-        shown = str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
-        text += f"{key} = {shown}\n"
     for key, value in tables.items():
-        if isinstance(value, dict):
-            text += to_toml(value, f"{path}.{key}" if path else key)
+        if not isinstance(value, Mapping):
+            text += f"{toml_key(key)} = {toml_value(value)}\n"
+    for key, value in tables.items():
+        if isinstance(value, Mapping):
+            text += to_toml(value, f"{path}.{toml_key(key)}" if path else toml_key(key))
     return text
+
+
+def toml_key(name: str) -> str:
+    is_bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if is_bare else json.dumps(name)
+
+
+def toml_value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
 
 
 def surge_waves(time_s: np.ndarray, period_s: float, surge: bool) -> dict[str, np.ndarray]:

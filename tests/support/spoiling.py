@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from mistake import Spoil
+from raw_data import to_toml
 
 __all__ = [
     "as_bytes",
@@ -26,7 +26,6 @@ __all__ = [
     "replaced",
     "table",
     "toml",
-    "toml_text",
     "written",
 ]
 
@@ -157,7 +156,7 @@ def toml(*changes: tuple[str, Any], file: str = "test.toml") -> Spoil:
         tables = tomllib.loads(path.read_text("utf-8"))
         for where, value in changes:
             _set(tables, where.split("/"), value)
-        path.write_text(toml_text(tables), "utf-8")
+        path.write_text(to_toml(tables), "utf-8")
 
     return spoil
 
@@ -171,28 +170,3 @@ def _set(tables: dict[str, Any], keys: list[str], value: Any) -> None:
         tables[keys[-1]] = value(tables[keys[-1]])
     else:
         tables[keys[-1]] = value
-
-
-def toml_text(tables: Mapping[str, Any], path: str = "") -> str:
-    """Return tables as TOML, with any text in keys and values."""
-    text = f"[{path}]\n" if path else ""
-    for key, value in tables.items():
-        if not isinstance(value, Mapping):
-            text += f"{_key(key)} = {_value(value)}\n"
-    for key, value in tables.items():
-        if isinstance(value, Mapping):
-            text += toml_text(value, f"{path}.{_key(key)}" if path else _key(key))
-    return text
-
-
-def _key(name: str) -> str:
-    plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
-    return name if plain else json.dumps(name)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return json.dumps(value) if isinstance(value, str) else repr(value)

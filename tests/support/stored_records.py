@@ -1,70 +1,126 @@
-"""The clean raw record in every binary format that is read."""
+"""One raw record in every format that is read, each written by its own library."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import xarray as xr
+from nptdms import ChannelObject, TdmsWriter
+from raw_data import write_csv
+from scipy.io import savemat
 
-__all__ = ["WRITERS", "columns_of", "write_stored"]
+__all__ = ["FORMS", "write_stored"]
 
 Columns = dict[str, np.ndarray]
+START = np.datetime64("2024-05-01T12:00:00", "us")
 
 
-def columns_of(folder: Path) -> Columns:
-    """Return the columns of the raw record of a folder, codes as 16-bit integers."""
-    read = pd.read_csv(folder / "raw.csv")
-    return {
-        name: read[name].to_numpy(np.uint16 if name.startswith("P") else np.float64)
-        for name in read.columns
-    }
+def dated(columns: Columns) -> Columns:
+    """Return the columns with dates for the clock."""
+    ticks = np.round(columns["time_s"] * 1e6).astype("timedelta64[us]")
+    return {**columns, "time_s": START + ticks}
+
+
+def _csv_with(separator: str, decimal: str) -> Callable[[Path, Columns], None]:
+    def write(path: Path, columns: Columns) -> None:
+        pd.DataFrame(columns).to_csv(path, sep=separator, decimal=decimal, index=False)
+
+    return write
 
 
 def _mat(path: Path, columns: Columns) -> None:
-    from scipy.io import savemat
+    savemat(path, columns, do_compression=True, long_field_names=True)
 
-    savemat(path, columns)
+
+def _mat_struct(path: Path, columns: Columns) -> None:
+    upright = {name: values[:, np.newaxis] for name, values in columns.items()}
+    savemat(path, {"run": upright, "note": "a text"}, long_field_names=True)
+
+
+def _mat_73(path: Path, columns: Columns) -> None:
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in columns.items():
+            file[f"run/{name}"] = values[np.newaxis, :]
+            file[f"run/{name}"].attrs["MATLAB_class"] = np.bytes_("double")
+        letters = file.create_dataset("note", data=np.frombuffer("µm".encode("utf-16-le"), "<u2"))
+        letters.attrs["MATLAB_class"] = np.bytes_("char")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+
+
+def _netcdf(path: Path, columns: Columns, engine: str = "h5netcdf") -> None:
+    variables = {name: ("row", values) for name, values in columns.items()}
+    encoding = {}
+    if columns["time_s"].dtype.kind == "M":
+        encoding = {"time_s": {"units": "microseconds since 2024-05-01T11:00:00", "dtype": "i8"}}
+    xr.Dataset(variables).to_netcdf(path, engine=engine, encoding=encoding)
 
 
 def _hdf5(path: Path, columns: Columns) -> None:
-    import h5py
-
     with h5py.File(path, "w") as file:
         for name, values in columns.items():
-            file[name] = values
+            file.create_dataset(f"daq/{name}", data=values, compression="gzip", chunks=True)
 
 
-def _netcdf(path: Path, columns: Columns) -> None:
-    import xarray as xr
-
-    data = {name: ("row", values) for name, values in columns.items()}
-    xr.Dataset(data).to_netcdf(path, engine="h5netcdf")
+def _hdf5_compound(path: Path, columns: Columns) -> None:
+    kinds = [(name, values.dtype) for name, values in columns.items()]
+    rows = np.zeros(columns["time_s"].size, dtype=kinds)
+    for name, values in columns.items():
+        rows[name] = values
+    with h5py.File(path, "w") as file:
+        file["table"] = rows
 
 
 def _tdms(path: Path, columns: Columns) -> None:
-    from nptdms import ChannelObject, TdmsWriter
-
     with TdmsWriter(path) as file:
-        file.write_segment([ChannelObject("run", name, v) for name, v in columns.items()])
+        file.write_segment([ChannelObject("daq", name, v) for name, v in columns.items()])
+
+
+def _tdms_waveforms(path: Path, columns: Columns) -> None:
+    stated = {"wf_start_time": START, "wf_start_offset": 0.0, "wf_increment": 1e-3}
+    channels = {name: values for name, values in columns.items() if name != "time_s"}
+    with TdmsWriter(path) as file:
+        file.write_segment([ChannelObject("daq", name, v, stated) for name, v in channels.items()])
 
 
 def _parquet(path: Path, columns: Columns) -> None:
-    pd.DataFrame(columns).to_parquet(path)
+    pq.write_table(pa.table(columns), path, row_group_size=100)
 
 
-WRITERS: dict[str, Callable[[Path, Columns], None]] = {
-    ".mat": _mat,
-    ".h5": _hdf5,
-    ".nc": _netcdf,
-    ".tdms": _tdms,
-    ".parquet": _parquet,
+FORMS: dict[str, tuple[str, Callable[[Path, Columns], None]]] = {
+    "CSV": (".csv", write_csv),
+    "CSV of semicolons and decimal commas": (".csv", _csv_with(";", ",")),
+    "CSV of tabs": (".csv", _csv_with("\t", ".")),
+    "CSV with dates": (".csv", lambda path, columns: _csv_with(",", ".")(path, dated(columns))),
+    "MAT": (".mat", _mat),
+    "MAT struct": (".mat", _mat_struct),
+    "MAT 7.3": (".mat", _mat_73),
+    "netCDF": (".nc", _netcdf),
+    "netCDF-3": (".nc", lambda path, columns: _netcdf(path, columns, "scipy")),
+    "netCDF with dates": (".nc", lambda path, columns: _netcdf(path, dated(columns))),
+    "HDF5": (".h5", _hdf5),
+    "HDF5 compound": (".h5", _hdf5_compound),
+    "TDMS": (".tdms", _tdms),
+    "TDMS waveforms": (".tdms", _tdms_waveforms),
+    "TDMS with dates": (".tdms", lambda path, columns: _tdms(path, dated(columns))),
+    "Parquet": (".parquet", _parquet),
+    "Parquet with dates": (".parquet", lambda path, columns: _parquet(path, dated(columns))),
 }
 
 
 def write_stored(folder: Path, suffix: str) -> Path:
-    """Write the record of a folder in another format beside it."""
+    """Write the raw record of a folder in another format beside it, codes as 16-bit integers."""
+    read = pd.read_csv(folder / "raw.csv")
+    columns = {
+        name: read[name].to_numpy(np.uint16 if name.startswith("P") else np.float64)
+        for name in read.columns
+    }
     path = folder / f"raw{suffix}"
-    WRITERS[suffix](path, columns_of(folder))
+    next(write for ending, write in FORMS.values() if ending == suffix)(path, columns)
     return path

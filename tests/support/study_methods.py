@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 from typing import Any
 
 import numpy as np
@@ -41,13 +40,6 @@ class NoFit:
 
     def predict(self, X: Any) -> Any:
         return np.zeros(len(X))
-
-
-class KillsItself(Breaks):
-    """Takes its process with it."""
-
-    def fit(self, X: Any, y: Any) -> Any:
-        os.kill(os.getpid(), signal.SIGKILL)
 
 
 class Scales(Breaks):

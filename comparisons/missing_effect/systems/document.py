@@ -183,7 +183,11 @@ def _shrink(before: float, after: float, floor: float) -> float:
     if not all(map(math.isfinite, (before, after, floor))):
         return math.nan
     gap, won = before**2 - floor**2, before**2 - after**2
-    return won / gap if gap > 0.0 and won > 0.0 else 0.0
+    if gap <= 0.0 or won <= 0.0:
+        return 0.0
+    # The floor comes from the fitted records: the check records may be quieter, and no more than
+    # the whole gap can be closed.
+    return min(won / gap, 1.0)
 
 
 def _missing(item: FoundEffect) -> dict[str, Any]:

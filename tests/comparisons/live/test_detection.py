@@ -1,4 +1,4 @@
-"""Surge is detected within a stated time, and never where there is none."""
+"""The operating point is that of the causal reduction; surge is detected soon, and only surge."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from live_records import LiveRecord, made_record
 from raw_data import make_test
 
 from classic_ml.io import read_raw
-from classic_ml.reduction import near_stall_shifts, reduce_record
+from classic_ml.reduction import ReductionSettings, near_stall_shifts, reduce_record
+from classic_ml.whole_run import fit_whole_runs
 from comparisons.live.detection import CycleCounter, Sighting, SurgeDetector
+from comparisons.live.estimate import estimate_of
+from comparisons.live.monitor import Monitor
 from comparisons.live.operating_point import OperatingPoints, points_of
 from comparisons.rig import simulate, write_run
 
@@ -94,13 +97,90 @@ def test_cycles_are_counted_and_ripple_is_not(period_s: float) -> None:
     pressure += 3e5 * 0.05 * np.sin(2.0 * np.pi * 80.0 * time_s)
     pressure += rng.normal(0.0, 2e3, time_s.size)
     counter = CycleCounter(1000.0)
-    troughs = [
-        t
-        for row in zip(time_s.tolist(), pressure.tolist(), strict=True)
-        if (t := counter.take(*row)) is not None
-    ]
+    taken = (counter.take(*row) for row in zip(time_s.tolist(), pressure.tolist(), strict=True))
+    troughs = np.array([trough_s for trough_s in taken if trough_s is not None])
     true = (np.arange(20) + 0.5) * period_s
     assert len(troughs) in (19, 20)
     # The ripple moves a trough by up to a quarter of its own period or so.
-    assert np.max(np.abs(np.array(troughs) - true[: len(troughs)])) < 0.1 * period_s + 0.006
+    assert np.max(np.abs(troughs - true[: len(troughs)])) < 0.1 * period_s + 0.006
     assert counter.period_s == pytest.approx(period_s, rel=0.05)
+
+
+def monitored(record: LiveRecord, folder: Path, step: int, stop: int) -> tuple[Monitor, list[str]]:
+    monitor = Monitor(record.test, ReductionSettings(), folder)
+    monitor.head = record.rows[0] + b"\n"
+    said = []
+    for start in range(1, stop, step):
+        said += monitor.take(record.rows[start : min(start + step, stop)]) + monitor.update()
+    return monitor, said
+
+
+def test_the_operating_point_is_that_of_reduce_phase_causal(record: LiveRecord) -> None:
+    seen = points(record)
+    raw, test = read_raw(record.raw, record.test_path)
+    reduced = reduce_record(raw, test, ReductionSettings(phase="causal")).record
+    n = seen.time_s.size
+    assert n == len(record.rows) - 2
+    for name, scale in (("phi", 1.0), ("psi_p", 1.0), ("Wc25_kg_s", 50.0), ("P31_Pa", 1e6)):
+        assert np.max(np.abs(getattr(seen, name) - reduced[name][:n])) < 1e-9 * scale, name
+
+
+def test_what_is_shown_does_not_depend_on_how_the_rows_came(
+    record: LiveRecord, tmp_path: Path
+) -> None:
+    stop = len(record.rows)
+    (fine, said), (coarse, other) = (monitored(record, tmp_path, n, stop) for n in (41, 900))
+    # Clocks are the same; a period may stand between two roundings.
+    assert [text.split(",")[0] for text in said] == [text.split(",")[0] for text in other]
+    assert fine.detector.n_cycles > 5
+    whole = points(record)
+    for monitor in (fine, coarse):
+        trail = np.array(monitor.trail)
+        # In the coarse one the rows before the near-stall reading had passed are matched already.
+        for time_s, phi, psi_p in trail[trail[:, 0] > 0.2]:
+            i = round(time_s * record.test.sample_rate_hz)
+            assert (phi, psi_p) == pytest.approx((whole.phi[i], whole.psi_p[i]), rel=1e-9)
+
+
+def test_before_the_near_stall_reading_has_passed_it_is_unmatched_and_says_so(
+    record: LiveRecord, tmp_path: Path
+) -> None:
+    monitor, _ = monitored(record, tmp_path, 100, stop=101)
+    assert "not yet matched" in monitor.shown
+    monitor, _ = monitored(record, tmp_path, 100, stop=201)
+    assert "; matched at near stall" in monitor.shown
+    # At near stall P31/P25 is the facility's, once it is matched.
+    reading, point = record.test.near_stall, monitor.point
+    assert point is not None
+    assert point.pressure_ratio[-1] == pytest.approx(reading.P31_Pa / reading.P25_Pa, rel=5e-3)
+
+
+def test_rows_without_an_operating_point_are_reported_once(
+    record: LiveRecord, tmp_path: Path
+) -> None:
+    # Readings of 0 at plane 31 are absolute pressures below zero, which have no flow.
+    dead = [i for i, name in enumerate(record.rows[0].split(b",")) if name.startswith(b"P31")]
+    spoiled = LiveRecord(record.folder)
+    for row in range(300, 400):
+        cells = spoiled.rows[row].split(b",")
+        for i in dead:
+            cells[i] = b"0"
+        spoiled.rows[row] = b",".join(cells)
+    monitor, said = monitored(spoiled, tmp_path, 50, len(spoiled.rows))
+    assert len([text for text in said if "no operating point" in text]) == 1
+    assert monitor.point is not None
+    assert np.isfinite(monitor.point.phi[-1])
+
+
+def test_the_estimate_is_that_of_reduce_and_compare(record: LiveRecord) -> None:
+    raw, test = read_raw(record.raw, record.test_path)
+    fit = fit_whole_runs([reduce_record(raw, test).series])
+    stated = replace(test, near_stall_shifts=near_stall_shifts(raw, test))
+    found = estimate_of(raw, stated, ReductionSettings())
+    assert found.why_not == ""
+    assert found.tau_s == pytest.approx(fit.time_constant_s_, rel=1e-9)
+    assert found.tau_stderr_s == pytest.approx(fit.time_constant_stderr_s_, rel=1e-6)
+    phi = [row[0] for row in found.curve]
+    np.testing.assert_allclose([row[1] for row in found.curve], fit.characteristic(phi)[0])
+    early = estimate_of(raw.part(slice(0, 250)), test, ReductionSettings())
+    assert "surge" in early.why_not

@@ -2,112 +2,89 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
-from live_records import LiveRecord, changed, cut, play, series_of
+from live_records import LiveRecord, changed, play, series_of
 
-from comparisons.live import session as session_module
-from comparisons.live.feeds import Closed, Feed, Opened
-from comparisons.live.state import LiveState
+from comparisons.live.feeds import Closed, Opened
 from surge_core.errors import InputError
 
 LOST = Closed("lost")
 
 
-@pytest.mark.parametrize(("seed", "mean"), [(1, 37), (2, 5_000), (3, 60_000)])
+@pytest.mark.parametrize("step", [7, 1000])
 def test_the_series_at_the_end_is_that_of_reduce(
-    record: LiveRecord, tmp_path: Path, seed: int, mean: int
+    record: LiveRecord, tmp_path: Path, step: int
 ) -> None:
-    played = play(record, tmp_path, cut(record.raw.read_bytes(), seed, mean))
-    (result,) = played.results()
+    rows = record.rows
+    parts = [rows[start : start + step] for start in range(0, len(rows), step)]
+    played = play(record, tmp_path / "play", *parts)
+    played.reduce()
     assert played.out.read_bytes() == record.series
-    assert result.reduction is not None
-    entry = result.reduction.series.history[1]
-    assert (entry.step, entry.parameters["rows"]) == ("live feed", len(record.lines))
+    (piece,) = played.pieces.pieces
+    assert piece.reduction is not None
+    entry = piece.reduction.series.history[1]
+    assert (entry.step, entry.parameters["rows"]) == ("live feed", len(rows) - 1)
     assert "matched to the near-stall reading" in played.said
     assert "surge: the flow runs backwards from" in played.said
     assert "cycle 5 ended at" in played.said
+    assert played.monitor.estimate is not None
+    assert played.monitor.estimate.tau_s == pytest.approx(0.018, abs=0.003)
 
 
-def test_lines_that_are_no_rows_are_counted_and_rows_that_were_had_are_dropped(
+def test_lines_that_are_no_rows_are_counted_and_a_sender_may_come_back(
     record: LiveRecord, tmp_path: Path
 ) -> None:
-    lines = record.lines
-    again = [*lines[:1500], b"# a comment\r\n", b"buffer overrun\n", *lines[1400:], lines[-1][:20]]
-    played = play(record, tmp_path, [b"".join([record.header, *again])])
-    (result,) = played.results()
-    assert played.out.read_bytes() == record.series
-    assert played.session.order.repeated == 100
-    assert dict(played.session.refused) == {
-        "a line that is no row of numbers": 1,
-        "a line cut off by the end of the connection": 1,
-    }
-    assert result.reduction is not None
-    dropped = result.reduction.series.history[1].dropped
-    assert {(d.what, d.count) for d in dropped} == {("rows", 100), ("lines", 1)}
-
-
-def test_a_sender_that_comes_back_goes_on_with_the_record(
-    record: LiveRecord, tmp_path: Path
-) -> None:
-    first = b"".join([record.header, *record.lines[:1000], record.lines[1000][:9]])
-    other = b"time_s,other\n1,2\n"
-    again = b"".join([record.header, *record.lines[950:], b"#end\n", b"1,2,3\n"])
-    arrivals = [first, LOST, Opened(), other, LOST, Opened(), again]
-    played = play(record, tmp_path, arrivals)
-    played.results()
+    rows = record.rows
+    first = [*rows[:1000], b"# a comment", b"buffer overrun"]
+    other = [b"time_s,other", b"1,2"]
+    again = [rows[0], *rows[950:], b"#end", b"1,2,3"]
+    arrivals = (first, LOST, Opened(), other, LOST, Opened(), again)
+    played = play(record, tmp_path / "play", *arrivals)
+    played.reduce()
     assert played.out.read_bytes() == record.series
     assert "connection lost: lost" in played.said
     assert "a connection was refused: it began with another header" in played.said
     assert "ended: the sender says that the run is over" in played.said
+    assert played.session.order.repeated == 50
+    assert dict(played.session.refused) == {"a line that is no row of numbers": 1}
 
 
 def test_each_piece_ends_with_its_series_matched_by_the_reading_before_the_gap(
     record: LiveRecord, tmp_path: Path
 ) -> None:
-    lines = [*record.lines[:2000], record.lines[2000].replace(b",", b",nan", 1)]
-    lines += record.lines[2001:]
-    played = play(record, tmp_path, [b"".join([record.header, *lines])])
-    results = played.results()
-    assert [r.piece.n_rows for r in results] == [2000, len(record.lines) - 2001]
-    assert "1 row is missing before the clock 2.001" in played.said
-    assert [r.piece.matched_by for r in results] == [0, 1]
-    for result in results:
-        assert result.series is not None
+    rows = [*record.rows]
+    del rows[2001]
+    played = play(record, tmp_path / "play", rows)
+    played.reduce()
+    pieces = played.pieces.pieces
+    assert [piece.n_rows for piece in pieces] == [2000, len(record.rows) - 2002]
+    assert "1 row is missing before the clock 2" in played.said
+    for piece in pieces:
+        assert piece.series is not None
         # What is kept gives the same by `reduce`.
-        test = result.piece.test or record.test_path
-        assert result.series.read_bytes() == series_of(result.piece.path, test)
-    assert played.out in [result.series for result in results]
-    entry = results[1].reduction.series.history[1]  # type: ignore[union-attr]
-    assert "matched by that of piece 1" in entry.flags[-1]
+        test = piece.test or record.test_path
+        assert piece.series.read_bytes() == series_of(piece.path, test)
+    assert played.out in [piece.series for piece in pieces]
+    assert pieces[1].reduction is not None
+    assert "near-stall reading of piece 1" in pieces[1].reduction.series.history[1].flags[-1]
 
 
-def test_no_match_is_carried_behind_a_clock_that_was_set_back(
-    record: LiveRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_table_with_semicolons_decimal_commas_and_units_is_read_as_a_file_is(
+    record: LiveRecord, tmp_path: Path
 ) -> None:
-    # For so long rows that were had are repeats.
-    monkeypatch.setattr("comparisons.live.lines.REPEATED_S", 0.5)
-    head = b"".join([record.header, *record.lines, *record.lines[300:1000]])
-    played = play(record, tmp_path, [head])
-    assert "the clock was set back from 3 to 0.3" in played.said
-    first, second = played.results()
-    assert first.series == played.out
-    assert (second.piece.n_rows, second.piece.matched_by) == (700, 0)
-    assert second.error is not None
-
-
-def test_units_below_the_header_are_heeded_as_in_a_file(record: LiveRecord, tmp_path: Path) -> None:
-    by_letter = {"t": "ms", "P": "counts", "T": "K"}
-    units = ",".join(by_letter[name[0]] for name in record.names).encode() + b"\n"
-    lines = [
-        repr(1e3 * float(line.split(b",", 1)[0])).encode() + b"," + line.split(b",", 1)[1]
-        for line in record.lines
-    ]
-    played = play(record, tmp_path, [b"".join([record.header, units, *lines])])
-    played.results()
+    header, *rows = record.rows
+    by_letter = {"t": b"ms", "P": b"counts", "T": b"K"}
+    units = b";".join(by_letter[name[:1]] for name in header.decode().split(","))
+    cells = [row.split(b",") for row in rows]
+    in_ms = [b";".join([b"%r" % (1e3 * float(first)), *rest]) for first, *rest in cells]
+    table = [header.replace(b",", b";"), units, *(row.replace(b".", b",") for row in in_ms)]
     raw = tmp_path / "in ms.csv"
-    raw.write_bytes(b"".join([record.header, units, *lines]))
+    raw.write_bytes(b"\n".join(table) + b"\n")
+    played = play(record, tmp_path / "play", table)
+    played.reduce()
     assert played.out.read_bytes() == series_of(raw, record.test_path)
 
 
@@ -115,13 +92,11 @@ def test_a_clock_that_test_toml_sets_is_set_as_in_a_file(
     record: LiveRecord, tmp_path: Path
 ) -> None:
     later = changed(record, tmp_path / "later", "[adc]", "[file]\nstart_s = 0.01\n\n[adc]")
-    played = play(later, tmp_path / "play", [later.raw.read_bytes()])
-    played.results()
+    played = play(later, tmp_path / "play", later.rows)
+    played.reduce()
     assert played.out.read_bytes() == later.series
-    assert "surge: the flow runs backwards from 0.3" in played.said
-    point = played.session.monitor.point
-    assert point is not None
-    assert point.time_s == pytest.approx(3.009)
+    assert played.monitor.point is not None
+    assert played.monitor.point.time_s[-1] == pytest.approx(3.009)
 
 
 BAD: dict[str, tuple[str, str, bytes, bytes, str]] = {
@@ -139,54 +114,29 @@ def test_a_feed_that_is_not_of_this_test_ends_at_once_and_leaves_nothing(
 ) -> None:
     old, new, column, other, sentence = BAD[case]
     made = changed(record, tmp_path / "made", old, new) if old else record
-    header = record.header.replace(column, other) if column else record.header
-    rows = [] if case == "no rows" else record.lines
+    header, *rows = record.rows
+    sent = [header.replace(column, other) if column else header]
     with pytest.raises(InputError, match=sentence):
-        play(made, tmp_path / "play", [b"".join([header, *rows])], comes_back=False)
-    assert list((tmp_path / "play").glob("*.csv")) == []
+        play(made, tmp_path / "play", sent + (rows if case != "no rows" else []), comes_back=False)
+    assert list((tmp_path / "play").glob("live*.csv")) == []
 
 
 def test_where_no_piece_can_be_reduced_the_rows_are_kept(
     record: LiveRecord, tmp_path: Path
 ) -> None:
-    played = play(record, tmp_path, [b"".join([record.header, *record.lines[:250]])])
+    played = play(record, tmp_path, record.rows[:251])
     with pytest.raises(InputError, match=r"no surge.*the raw record is kept: .*live\.raw\.csv"):
-        played.results()
+        played.reduce()
     assert len((tmp_path / "live.raw.csv").read_bytes().splitlines()) == 251
 
 
-def test_a_silent_feed_is_reported_and_ends_after_the_timeout(
+def test_a_silent_feed_is_shown_and_ends_after_the_timeout(
     record: LiveRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Clock:
-        now_s = 0.0
-
-        def monotonic(self) -> float:
-            # Each look at the clock takes a tenth of a second: no test waits.
-            self.now_s += 0.1
-            return self.now_s
-
-    clock = Clock()
-    monkeypatch.setattr(session_module, "time", clock)
-    monkeypatch.setattr(session_module, "TICK_S", 0.0)
-    states: list[LiveState] = []
-
-    rows = b"".join([record.header, *record.lines[:300]])
-    played = play(record, tmp_path, [rows])
-    feed = Feed("waiting", lambda feed: None)
-    # All that ever comes is there before the session looks.
-    feed.put(Opened())
-    feed.put(rows)
-    made = session_module.Session(
-        record.test, feed, played.session.pieces, played.session.monitor, timeout_s=60.0
-    )
-
-    class Keeps:
-        def show(self, state: LiveState) -> None:
-            states.append(state)
-
-    made.screens = [Keeps()]
-    made.run()
-    assert made.n_silences >= 1
-    assert any(state.feed_silent and "no data for" in state.feed for state in states)
-    assert states[-1].feed == "ended: no data for 60 s"
+    # Each look at the clock takes a tenth of a second: no test waits.
+    ticks = iter(range(10**9))
+    monkeypatch.setattr(time, "monotonic", lambda: 0.1 * next(ticks))
+    monkeypatch.setattr("comparisons.live.session.TICK_S", 0.0)
+    played = play(record, tmp_path, record.rows[:301], end=False, timeout_s=60.0)
+    assert "no data for 30 s" in played.feed_words
+    assert "ended: no data for 60 s" in played.said

@@ -73,11 +73,14 @@ def test_a_mistake_is_one_sentence(
     assert not out.exists()
 
 
-def test_a_folder_that_cannot_be_is_refused(
+def test_a_study_without_a_fit_is_refused_in_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    taken = tmp_path / "taken"
-    taken.write_text("mine", "utf-8")
-    assert main(["study", declared(tmp_path), "--out", str(taken / "deep"), "--jobs", "1"]) == 2
-    assert "expected a folder that can be written to" in capsys.readouterr().err
-    assert taken.read_text("utf-8") == "mine"
+    # Too few rows for any fit.
+    text = SMALL.replace("duration_s = 4.0", "duration_s = 0.5")
+    command = ["study", declared(tmp_path, text), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert "8 that failed" in said
+    assert said.count("\n") == 1
+    assert set(pd.read_parquet(tmp_path / "out" / "results.parquet")["state"]) == {"failed"}

@@ -8,13 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from comparisons.study.comparison import (
-    compare_methods,
-    methods_in,
-    score_named,
-    study_text,
-)
-from comparisons.study.method_table import LEVEL
+from comparisons.study.comparison import LEVEL, compare_methods, study_text
 from comparisons.study.paired import jackknife
 from comparisons.study.scores import Score
 from surge_core.errors import InputError
@@ -75,12 +69,12 @@ def compared(table: pd.DataFrame, score: str = RMS, **options: Any) -> Any:
 def test_a_known_difference_comes_back_with_an_honest_error() -> None:
     # 0.5 worse; records differ by 3, so that the unpaired error is many times the paired one.
     z, ratios = [], []
-    for seed in range(60):
+    for seed in range(40):
         table = made_study({"a": 0.0, "b": 0.5}, seed=seed, shared_spread=0.3)
         row = compared(table, reference="a").row("b")
         z.append((row.against.difference - 0.5) / row.against.stderr)
         ratios.append(row.mean_stderr / row.against.stderr)
-    assert abs(np.mean(z)) < 3.0 / np.sqrt(60)
+    assert abs(np.mean(z)) < 3.0 / np.sqrt(40)
     assert np.std(z) == pytest.approx(1.0, abs=0.3)
     assert min(ratios) > 3.0
 
@@ -103,23 +97,6 @@ def test_the_95_percent_interval_covers_with_few_records_and_with_many(n_records
     assert 0.91 < np.mean(held) < 0.99
 
 
-def test_cells_of_one_record_are_no_independent_evidence() -> None:
-    # What a record prefers is the same in all of its reductions: ten of them say what one says.
-    pair = [
-        compared(
-            made_study(
-                {"a": 0.0, "b": 0.0}, n_records=12, n_reductions=n, shared_spread=1.0, noise=1e-3
-            ),
-            reference="a",
-        )
-        .row("b")
-        .against.stderr
-        for n in (1, 10)
-    ]
-    # The random numbers differ, the size does not: naive errors would be 3.2 times smaller.
-    assert pair[1] > 0.5 * pair[0]
-
-
 def test_the_jackknife_is_the_textbook_error_where_records_are_single_cells() -> None:
     values = np.random.default_rng(1).normal(3.0, 2.0, size=17)
     mean, error = jackknife(values, np.arange(17))
@@ -139,7 +116,7 @@ def test_ties_share_a_rank_and_near_ones_are_level() -> None:
     assert group.row("near").to_best.difference == pytest.approx(0.01)
     assert group.row("near").to_best.stderr == pytest.approx(0.1 / np.sqrt(19))
     assert group.row("far").rank == 4
-    assert {group.row(m).standing for m in ("twin", "near")} == {LEVEL}
+    assert group.row("near").standing == LEVEL
     assert group.row("far").standing == "worse"
     assert group.row("a").to_best.difference == 0.0
 
@@ -163,7 +140,6 @@ def test_better_means_what_the_score_says(better: Any, values: dict[str, float],
         worth = {m: abs(v) if loss is None else loss * v for m, v in values.items()}
         assert row.against.difference == pytest.approx(worth[row.method] - worth[best], abs=0.02)
         assert row.mean == pytest.approx(values[row.method], abs=0.02)
-        assert np.isfinite(row.rms) == (better == "zero")
 
 
 def test_coverage_is_compared_by_the_distance_of_its_share_from_the_target() -> None:
@@ -181,17 +157,6 @@ def test_coverage_is_compared_by_the_distance_of_its_share_from_the_target() -> 
     assert np.isnan(bold.against.wins)
 
 
-def test_fits_that_ended_badly_keep_their_numbers_and_are_compared() -> None:
-    table = made_study({"a": 0.0, "b": 1.0})
-    bad = where(table, "b") & (table["seed"] % 4 == 0)
-    table.loc[bad, "state"] = "at_upper_bound"
-    group = compared(table, reference="a")
-    row = group.row("b")
-    assert row.n_scored == row.n_cells > bad.sum() > 0
-    assert f"{int(bad.sum())} of its {row.n_cells} cells ended badly" in row.trust
-    assert "badly" not in group.row("a").trust
-
-
 def test_failed_cells_leave_pairs_and_are_compared() -> None:
     table = made_study({"a": 0.0, "b": -1.0})
     # b fails on the hardest half: by its own mean it would look far better than it is.
@@ -204,8 +169,7 @@ def test_failed_cells_leave_pairs_and_are_compared() -> None:
     assert row.against.n_pairs == row.n_cells - row.n_failed
     assert row.against.difference == pytest.approx(-1.0, abs=4.0 * row.against.stderr)
     assert row.mean < compared(table, reference="a").row("a").mean - 2.0
-    assert f"no score on {row.n_failed} cells that the reference could score" in row.trust
-    assert "survivors only" in row.trust
+    assert f"no score on {row.n_failed} of its {row.n_cells} cells: survivors only" in row.trust
     assert "survivors" not in compared(table, reference="a").row("a").trust
 
 
@@ -218,40 +182,7 @@ def test_a_method_without_a_common_record_is_reported_so_and_not_compared() -> N
     row = group.row("alien")
     assert row.rank is None
     assert np.isnan(row.against.difference)
-    assert "shares no scored cell with the reference a" in row.trust
     assert group.best == "a"
-
-
-def test_nan_and_infinite_scores_are_no_pairs() -> None:
-    table = made_study({"a": 0.0, "b": 0.5, "none": 0.0})
-    table.loc[where(table, "none"), RMS] = np.nan
-    table.loc[where(table, "b", "r-003"), RMS] = np.nan
-    group = compared(table)
-    assert group.reference == "a"
-    assert group.row("b").against.n_pairs == group.row("a").n_scored - 2
-    assert "no score on any of its 40 cells, 0 of them failed" in group.row("none").trust
-    table.loc[where(table, "b", "r-005"), RMS] = np.inf
-    row = compared(table).row("b")
-    assert row.against.n_pairs == group.row("a").n_scored - 4
-    assert row.against.difference == pytest.approx(0.5, abs=4.0 * row.against.stderr)
-    assert "no score on 4 cells" in row.trust
-
-
-def test_one_record_that_carries_the_difference_is_no_evidence_of_one() -> None:
-    table = made_study({"a": 0.0, "b": 0.0}, score="tau_error_ms")
-    table.loc[where(table, "b", "r-007"), "tau_error_ms"] = 1e3
-    row = compared(table, "tau_error_ms", reference="a").row("b")
-    assert row.against.difference == pytest.approx(row.against.stderr, rel=0.1)
-    assert row.standing == LEVEL
-    assert compared(made_study({"a": 0.0, "b": 0.5}), reference="a").row("b").trust == ""
-
-
-@pytest.mark.parametrize("n_records", [1, 2, 4])
-def test_few_records_are_not_to_be_trusted(n_records: int) -> None:
-    row = compared(made_study({"a": 0.0, "b": 0.5}, n_records=n_records), reference="a").row("b")
-    assert "fewer than 5" in row.trust
-    assert np.isnan(row.against.stderr) == (n_records == 1)
-    assert ("is not known" in row.trust) == (n_records == 1)
 
 
 def test_a_method_that_fails_nearly_everywhere_does_not_choose_the_reference() -> None:
@@ -263,16 +194,6 @@ def test_a_method_that_fails_nearly_everywhere_does_not_choose_the_reference() -
     group = compared(table)
     assert group.reference == "a"
     assert group.row("rare").rank is None
-    assert "too few pairs to be ranked" in group.row("rare").trust
-
-
-def test_groups_are_those_of_their_own_cells_in_the_order_of_their_values() -> None:
-    table = made_study({"a": 0.0, "b": 0.5}, n_reductions=3)
-    table.loc[table["reduction.cutoff_hz"] == 22.0, "reduction.cutoff_hz"] = np.nan
-    groups = compare_methods(table, RMS, by=("reduction.cutoff_hz",))
-    assert [g.where[0][1] for g in groups] == [20.0, 21.0, None]
-    part = table[table["reduction.cutoff_hz"] == 21.0]
-    assert repr(compared(part, reference="a").rows) == repr(groups[1].rows)
 
 
 def test_settings_of_the_fit_keep_cells_of_one_reduction_apart() -> None:
@@ -290,7 +211,6 @@ def test_an_empty_table_and_a_single_method_are_no_errors() -> None:
     assert "nothing to compare" in study_text(table.iloc[:0], [RMS])
     group = compared(table)
     assert (group.best, group.rows[0].rank, group.rows[0].standing) == ("only", 1, "best")
-    assert "no other method" in group.lead()
     table["state"] = "failed"
     assert compared(table).best == ""
     assert "no method has a value" in compared(table).lead()
@@ -308,16 +228,3 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence() -> None:
             compare_methods(table, **wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="numbers"):
         compare_methods(table.assign(**{RMS: "much"}), RMS)
-    assert methods_in(table) == ("a", "b")
-
-
-def test_the_lead_sentence_says_who_is_best_by_how_much_and_over_what() -> None:
-    shifts = {"classic_ml": -5.0, "sindy": -4.5, "twin": -5.0}
-    table = made_study(shifts, score="tau_error_ms", record_spread=0.5)
-    lead = compared(table, "tau_error_ms", reference="sindy").lead()
-    sindy = compared(table, "tau_error_ms", reference="sindy").row("sindy")
-    assert "has the smallest |error of τ|" in lead
-    assert "ms worse (paired over 20 records)" in lead
-    assert sindy.standing == "worse"
-    assert "is level with it" in lead
-    assert score_named("tau_error_ms").unit == "ms"

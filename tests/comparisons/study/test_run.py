@@ -63,14 +63,6 @@ def test_one_row_a_cell_with_its_truth(done: tuple[pd.DataFrame, Path]) -> None:
     assert_same(pd.read_parquet(folder / RESULTS), table)
 
 
-def test_a_record_is_made_once_for_all_its_fits(done: tuple[pd.DataFrame, Path]) -> None:
-    table, _ = done
-    made = (table["seconds_record"] > 0.0).groupby(table["record"]).sum()
-    assert set(made) == {1}
-    reduced = (table["seconds_reduction"] > 0.0).groupby([table["record"], table["reduction"]])
-    assert set(reduced.sum()) == {1}
-
-
 def test_workers_and_order_leave_the_numbers(
     done: tuple[pd.DataFrame, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,7 +131,7 @@ def test_failed_cells_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         ({"class": "no_such_package:Thing"}, "no_such_package"),
         ({"class": "study_methods:Nothing"}, "Nothing"),
         ({"class": "study_methods:Short", "parameters": {"colour": 1}}, "no arguments"),
-        ({"class": "study_methods:NoFit"}, "without fit"),
+        ({"class": "study_methods:NoFit"}, "with fit and predict"),
     ],
 )
 def test_a_class_that_cannot_be_had_is_refused_before_the_study(
@@ -148,15 +140,6 @@ def test_a_class_that_cannot_be_had_is_refused_before_the_study(
     with pytest.raises(InputError, match=found):
         run_study(spec(method=[{"name": "m", **entry}]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_worker_that_dies_ends_the_study_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PYTHONPATH", SUPPORT)
-    made = spec(method=[{"name": "m", "class": "study_methods:KillsItself"}], series={})
-    with pytest.raises(InputError, match="--resume goes on"):
-        run_study(made, tmp_path, jobs=2)
 
 
 def test_a_cluster_gives_the_same_numbers(done: tuple[pd.DataFrame, Path], tmp_path: Path) -> None:

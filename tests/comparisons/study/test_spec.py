@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import pytest
 
 from comparisons.study.design import CELLS_A_TASK, cells_of, points_of, tasks_of
-from comparisons.study.spec import Range, StudySpec, spec_from
+from comparisons.study.spec import StudySpec, spec_from
 from surge_core.errors import InputError
 
 
@@ -21,8 +20,7 @@ def test_a_grid_has_every_combination_once() -> None:
     made = spec(
         record={"noise_percent": [1.0, 2.0, 5.0], "hide": ["none", "sensitivity_drift"]},
         series={"keep_every": [1, 2]},
-        seeds=2,
-        first_seed=7,
+        seeds=[7, 8],
     )
     points = list(points_of(made))
     assert len({(point.settings, point.seed) for point in points}) == len(points) == 3 * 2 * 2 * 2
@@ -53,12 +51,10 @@ def test_tasks_hold_every_cell_once_and_keep_records_together() -> None:
         record={"noise_percent": [1.0, 2.0]}, series={"keep_every": list(range(1, 20))}, seeds=3
     )
     cells = cells_of(made)
-    for workers in (1, 4):
-        tasks = tasks_of(cells, workers)
-        assert sorted(c.number for task in tasks for c in task) == list(range(len(cells)))
-        assert all(len({c.point.record for c in task}) == 1 for task in tasks)
-        assert max(map(len, tasks)) <= CELLS_A_TASK
-    assert len(tasks_of(cells_of(spec(fit={"degree": list(range(1, 11))})), workers=4)) >= 4
+    tasks = tasks_of(cells)
+    assert [c.number for task in tasks for c in task] == list(range(len(cells)))
+    assert all(len({c.point.record for c in task}) == 1 for task in tasks)
+    assert max(map(len, tasks)) <= CELLS_A_TASK
 
 
 def test_a_cell_has_the_same_key_in_every_study_and_no_other_has_it() -> None:
@@ -87,13 +83,6 @@ def test_a_random_design_draws_the_same_points_for_its_seed_alone() -> None:
     assert {dict(settings)["record.degree"] for settings in one} == {2, 3}
 
 
-def test_a_range_in_a_grid_is_laid_in_steps() -> None:
-    made = spec(record={"noise_percent": {"from": 1.0, "to": 100.0, "log": True, "steps": 3}})
-    assert isinstance(made.settings["record.noise_percent"], Range)
-    values = [dict(p.settings)["record.noise_percent"] for p in points_of(made)]
-    assert values == pytest.approx([1.0, 10.0, 100.0])
-
-
 def test_points_drawn_twice_are_one_and_records_lie_together() -> None:
     made = spec(
         design={"random": 60, "seed": 3},
@@ -102,54 +91,28 @@ def test_points_drawn_twice_are_one_and_records_lie_together() -> None:
     )
     points = list(points_of(made))
     assert len({point.settings for point in points}) == len(points) == 12
-    records = [point.record for point in points]
-    assert len([k for k, _ in itertools.groupby(records)]) == len(set(records)) == 3
+    assert len({point.record for point in points}) == 3
     assert {point.draw for point in points} == {"s-0"}
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"seed": 3}, "the key 'seed'"),
-    "unknown schema": ({"schema": "other/2"}, "other/2"),
     "unknown source": ({"record": {"source": "bench"}}, "bench"),
-    "unknown setting": ({"record": {"noise_pct": 1.0}}, "noise_pct"),
     "setting of another source": ({"record": {"case": "985"}}, "case"),
-    "text for a number": ({"record": {"noise_percent": "high"}}, "high"),
-    "infinite": ({"record": {"noise_percent": float("inf")}}, "inf"),
-    "fraction for a count": ({"record": {"n_records": 1.5}}, "1.5"),
     "empty axis": ({"record": {"noise_percent": []}}, "each once, found []"),
-    "value twice": ({"record": {"noise_percent": [1.0, 1]}}, "[1.0, 1]"),
-    "range in a grid": ({"record": {"noise_percent": {"from": 1.0, "to": 2.0}}}, "'steps'"),
-    "range upside down": (
-        {"record": {"noise_percent": {"from": 2.0, "to": 1.0, "steps": 2}}},
-        "'from' below 'to'",
-    ),
-    "log of zero": (
-        {"record": {"noise_percent": {"from": 0.0, "to": 1.0, "log": True, "steps": 2}}},
-        "more than 0",
-    ),
-    "range of texts": ({"record": {"hide": {"from": 1, "to": 2, "steps": 2}}}, "found 1.0"),
+    "range in a grid": ({"record": {"noise_percent": {"from": 1.0, "to": 2.0}}}, "a range"),
+    "range upside down": ({"record": {"noise_percent": {"from": 2.0, "to": 1.0}}}, "below 'to'"),
+    "range of texts": ({"record": {"hide": {"from": 1, "to": 2}}}, "found 1.0"),
     "reduction of coefficients": ({"reduction": {"cutoff_hz": 20.0}}, "no counts to reduce"),
     "no seeds": ({"seeds": 0}, "from 1 on"),
-    "seed twice": ({"seeds": [1, 1]}, "each once"),
     "unknown score": ({"scores": ["beauty"]}, "beauty"),
-    "unknown reference": ({"reference": "magic"}, "magic"),
-    "unknown design": ({"design": "latin"}, "latin"),
-    "random without points": ({"design": {"seed": 1}}, "random"),
     "unknown method": ({"method": [{"name": "magic"}]}, "magic"),
-    "method twice": ({"method": [{"name": "sindy"}, {"name": "sindy"}]}, "sindy"),
     "built-in with parameters": (
         {"method": [{"name": "sindy", "parameters": {"a": 1}}]},
         "with parameters",
     ),
-    "path without a class": ({"method": [{"name": "m", "class": "package.module"}]}, "module"),
-    "negative noise": ({"record": {"noise_percent": -1.0}}, "-1.0"),
-    "unknown effect": ({"record": {"hide": "gremlins"}}, "gremlins"),
-    "unknown case": ({"record": {"source": "rig", "case": "50"}}, "'50'"),
     "unknown hold": ({"fit": {"hold": "second"}}, "'zero' or 'first'"),
-    "no scores": ({"scores": []}, "one or more of"),
-    "a seed beyond 64 bits": ({"seeds": [2**70]}, "less than"),
     "files have no seeds": ({"record": {"source": "files", "path": "a"}, "seeds": 2}, "files"),
-    "nothing": ({}, "an empty file"),
     "files without a path": ({"record": {"source": "files"}}, "nothing"),
     "too many": ({"record": {"degree": [2, 3]}, "seeds": 10**6}, "1000000"),
 }

@@ -1,0 +1,25 @@
+"""What people call coefficients and estimators."""
+
+from __future__ import annotations
+
+__all__ = ["ESTIMATOR_LABELS", "SYMBOLS", "estimator_label"]
+
+SYMBOLS = {"psi_p": "ψ'", "psi": "ψ"}
+ESTIMATOR_LABELS = {
+    "classic_ml": "maximum likelihood",
+    "paper": "the paper's way (armax)",
+    "classic_ml_arx": "least squares (arx)",
+    "classic_ml_output_error": "free run (output error)",
+    "sindy": "sparse regression (SINDy)",
+}
+
+
+def estimator_label(name: str) -> str:
+    """Return what people call an estimator, or its key where it is none of the default ones.
+
+    Parameters
+    ----------
+    name : str
+        Key of the estimator, as in a saved model.
+    """
+    return ESTIMATOR_LABELS.get(name, name)
