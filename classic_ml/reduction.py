@@ -36,6 +36,7 @@ from classic_ml.segments import (
     window_rows,
 )
 from classic_ml.series import COLUMNS, CoefficientSeries
+from classic_ml.whole_record.rakes import RakeSignals, rake_signals
 from classic_ml.work.forms import with_work
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
@@ -157,14 +158,14 @@ def reduce_record(
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
     done(1)
-    unfiltered = _unfiltered(record, test, chosen)
+    unfiltered, rakes = _unfiltered(record, test, chosen)
     del record
     done(1)
     reduced = _with_coefficients(averaged, unfiltered, test, chosen, window.rows)
     del averaged
     reduced = _with_states(reduced, unfiltered, test, chosen, window)
     done(1)
-    return Reduction(_series(reduced), reduced, chosen, test, window.times_s)
+    return Reduction(_series(reduced, rakes), reduced, chosen, test, window.times_s)
 
 
 def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]:
@@ -302,19 +303,23 @@ def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
         yield from (f"Wc{pair.name}_kg_s", f"Pt{pair.name}_Pa")
 
 
-def _unfiltered(record: Record, test: TestDescription, settings: ReductionSettings) -> Record:
+def _unfiltered(
+    record: Record, test: TestDescription, settings: ReductionSettings
+) -> tuple[Record, RakeSignals]:
     """Reduce without any low-pass, for the free run, for spectra and for Fig 5 and 6.
 
     The thermocouples' lag is undone whatever the settings say: behind no filter it is what it is.
-    Of plane 31 the pressure alone is needed.
+    Of plane 31 the pressure alone is needed. The signals of the single pairs go with it.
     """
-    plain = invert_thermocouples(record, test)
-    plain = plane_averages(local_flows(plain, test, planes=(25,)), test, settings.probes)
+    plain = local_flows(invert_thermocouples(record, test), test, planes=(25,))
+    rakes = rake_signals(plain, test)
+    plain = plane_averages(plain, test, settings.probes)
     faults = {fault_name(name) for name in test.channel_names}
     plain = plain.without(set(_of_probes(plain, test)) - faults)
     plain = coefficients(plain, test)
     entry = LedgerEntry("keep", "P25 under the name that it has beside the filtered one")
-    return plain.after(entry, add=[replace(plain.channel("P25_Pa"), name="P25_unfiltered_Pa")])
+    renamed = replace(plain.channel("P25_Pa"), name="P25_unfiltered_Pa")
+    return plain.after(entry, add=[renamed]), rakes
 
 
 def _with_coefficients(
@@ -420,8 +425,12 @@ def _segmented(
     return segmented, threshold
 
 
-def _series(record: Record) -> CoefficientSeries:
+def _series(record: Record, rakes: RakeSignals) -> CoefficientSeries:
     columns: dict[str, Any] = {name: record[name] for name in COLUMNS if name in record}
     return CoefficientSeries(
-        time_s=record.time_s, source=record.source, history=record.history, **columns
+        time_s=record.time_s,
+        rakes={name: values.astype(np.float32) for name, values in rakes.columns().items()},
+        source=record.source,
+        history=(*record.history, rakes.chain.entry()),
+        **columns,
     )

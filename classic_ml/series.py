@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +50,8 @@ _KNOWN = {
     "free_run": _Column("1", "free run: 0 outside, 1 simulated through, 2 scored", 0, 2),
 }
 COLUMNS = tuple(_KNOWN)
+# Of every probe pair, unfiltered: its flow and total pressure; and what goes with them.
+RAKE_COLUMN = re.compile(r"(Wc|Pt)(25|31)_\w+_(kg_s|Pa)|T25_unfiltered_K|readings_count")
 REQUIRED_COLUMNS = COLUMNS[:3]
 UNITS = {name: column.unit for name, column in _KNOWN.items()}
 LONG_NAMES = {name: column.long_name for name, column in _KNOWN.items()}
@@ -93,6 +97,9 @@ class CoefficientSeries(Displayed):
         In-stall state as the machine itself shows it (hub-minus-tip flow).
     free_run : ndarray of int, shape (n,), optional
         0 outside the free run, 1 where it is simulated through, 2 where it is scored.
+    rakes : mapping of str to ndarray of float32, shape (n,)
+        Unfiltered flow and total pressure of every probe pair, as in ``"Wc25_A_tip_kg_s"``, from
+        which τ is estimated; what single precision leaves is a thousandth of a probe's noise.
     source : str
         File or record that the series came from.
     history : tuple of LedgerEntry
@@ -117,6 +124,7 @@ class CoefficientSeries(Displayed):
     psi_p_unfiltered: FloatArray | None = None
     stalled: BoolArray | None = None
     free_run: IntArray | None = None
+    rakes: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     source: str = "series"
     history: tuple[LedgerEntry, ...] = ()
 
@@ -125,6 +133,10 @@ class CoefficientSeries(Displayed):
             given = getattr(self, name)
             if given is not None:
                 object.__setattr__(self, name, _checked_column(self.source, name, given))
+        single = {
+            name: values.astype(np.float32, copy=False) for name, values in self.rakes.items()
+        }
+        object.__setattr__(self, "rakes", single)
         _check_lengths(self)
         uniform_period_s(self.time_s, f"{self.source}: column time_s")
         for name in ("phi", "psi_p"):
@@ -165,7 +177,7 @@ class CoefficientSeries(Displayed):
     def columns(self) -> dict[str, NDArray[np.generic]]:
         """Return the columns that are known, in the order of the series file."""
         present = {name: getattr(self, name) for name in COLUMNS}
-        return {name: values for name, values in present.items() if values is not None}
+        return {n: v for n, v in present.items() if v is not None} | dict(self.rakes)
 
     def fields(self) -> tuple[Field, ...]:
         """Return what is shown of the columns and the ledger."""

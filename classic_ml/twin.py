@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.coefficients import rate_of_change
-from classic_ml.description import ProbePair, TestDescription
 from classic_ml.filters import low_pass
 from classic_ml.flow import (
     corrected_flow,
@@ -22,6 +21,7 @@ from classic_ml.flow import (
     physical_flow,
 )
 from classic_ml.whole_record.branches import BranchFit, Specification, design, responses
+from classic_ml.whole_record.chain import Chain, PairChain
 from classic_ml.whole_record.passes import Passes
 from classic_ml.whole_record.rakes import LARGEST_SHARE, Planes, RakeSignals
 from surge_core.types import BoolArray, FloatArray
@@ -52,36 +52,26 @@ class Twin:
 
     def measured(self, rng: np.random.Generator) -> RakeSignals:
         """Return the twin's readings, with noise and an error of calibration drawn by rng."""
-        test = self.signals.test
+        chain = self.signals.chain
         flow, total = {}, {}
-        for pair in (pair for plane in test.areas_m2 for pair in test.pairs(plane)):
-            if pair.name not in self.total_Pa:
-                continue
+        for pair in chain.pairs:
             pressures = self.total_Pa[pair.name], self.total_Pa[pair.name]
             if pair.name in self.flow_kg_s:
-                pressures = _pressures(self.flow_kg_s[pair.name], pressures[0], pair, test)
-            forward, aft = (
-                self._read(channel.name, pressure, rng)
-                for channel, pressure in zip((pair.forward, pair.aft), pressures, strict=True)
-            )
+                pressures = _pressures(self.flow_kg_s[pair.name], pressures[0], pair, chain)
+            forward = self._read(pressures[0], pair.noise_Pa, rng)
+            aft = self._read(pressures[1], pair.noise_aft_Pa, rng)
             total[pair.name] = forward
             if pair.name in self.flow_kg_s:
-                probe = pair.forward
                 total[pair.name] = np.maximum(forward, aft)
-                flow[pair.name] = pair_flow(
-                    forward,
-                    aft,
-                    probe.probe_slope,
-                    probe.probe_offset,
-                    test.areas_m2[probe.plane],
-                    test.compressor,
-                )
+                law = pair.slope, pair.offset, chain.areas_m2[pair.plane]
+                flow[pair.name] = pair_flow(forward, aft, *law, chain.compressor)
         return self.signals.measured_again(flow, total)
 
-    def _read(self, name: str, pressure_Pa: FloatArray, rng: np.random.Generator) -> FloatArray:
-        noise_Pa = self.signals.noise_Pa[name]
+    def _read(
+        self, pressure_Pa: FloatArray, noise_Pa: float, rng: np.random.Generator
+    ) -> FloatArray:
         # The mean of the reading to which the channel was matched is as uncertain as this.
-        offset_Pa = noise_Pa / np.sqrt(self.signals.near_stall_rows) * rng.standard_normal()
+        offset_Pa = noise_Pa / np.sqrt(self.signals.chain.near_stall_rows) * rng.standard_normal()
         noise = noise_Pa * rng.standard_normal(pressure_Pa.size)
         return np.asarray(np.maximum(pressure_Pa + offset_Pa + noise, LEAST_PA))
 
@@ -135,8 +125,8 @@ def _exit_by_model(
     inlet_K: FloatArray,
 ) -> FloatArray:
     """Return P31 that the model's ψ' makes in forward flow; elsewhere what was measured."""
-    test, row = signals.test, passes.row
-    machine, speed = test.compressor, test.rotor_velocity_m_s
+    row = passes.row
+    machine, speed = signals.chain.compressor, signals.chain.rotor_velocity_m_s
     inputs, _ = design(passes, replace(spec, average_s=signals.sample_period_s), in_stall)
     psi_p = responses(fit.tau_s, passes, inputs) @ fit.coefficients
     rate = rate_of_change(
@@ -153,14 +143,14 @@ def _exit_by_model(
 
 
 def _pressures(
-    flow_kg_s: FloatArray, total_Pa: FloatArray, pair: ProbePair, test: TestDescription
+    flow_kg_s: FloatArray, total_Pa: FloatArray, pair: PairChain, chain: Chain
 ) -> tuple[FloatArray, FloatArray]:
     """Return what the two probes of a pair read of a flow: Eq 3, 2 and 1 backwards."""
-    probe, machine = pair.forward, test.compressor
-    area_m2, gamma = test.areas_m2[probe.plane], machine.gamma
+    machine, area_m2 = chain.compressor, chain.areas_m2[pair.plane]
+    gamma = machine.gamma
     limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
     mach = mach_from_corrected_flow(np.clip(flow_kg_s, -limit, limit), area_m2, machine)
-    calculated = np.maximum((np.abs(mach) - probe.probe_offset) / probe.probe_slope, 0.0)
+    calculated = np.maximum((np.abs(mach) - pair.offset) / pair.slope, 0.0)
     ratio = (1.0 + 0.5 * (gamma - 1.0) * calculated**2) ** (gamma / (gamma - 1.0))
     high, low = np.maximum(total_Pa, 2.0 * LEAST_PA), np.maximum(total_Pa, 2.0 * LEAST_PA) / ratio
     onward = mach >= 0.0

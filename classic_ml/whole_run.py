@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from classic_ml.checks import (
     normality,
 )
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, milliseconds
+from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run_rows import (
@@ -44,20 +45,24 @@ from surge_core.segments import runs_of
 from surge_core.types import FloatArray
 
 __all__ = [
+    "Spread",
     "StackedRuns",
     "WholeRunFit",
     "WholeRunRows",
     "check_rates",
     "fit_whole_runs",
     "has_whole_run",
+    "identity",
+    "specification_spread",
     "whole_run_rows",
 ]
 
-# Errors that all cycles of a record share and no jackknife over cycles sees: the calibration
-# readings, the rectified noise of probes near zero flow, rows at the edge of the model. Set so
-# that the stated intervals hold the truth as often as they say (benchmarks/tau_on_the_rig.py).
-COMMON_TAU_SHARE = 0.025
-COMMON_CURVE_SHARE = 0.025
+# What could as well be taken for granted: rows this much farther from every change, and this share
+# of the scored rows at either end of φ left out.
+FARTHER_S = (0.002, 0.004)
+LEFT_OUT_SHARE = 0.15
+# No choice of rows speaks for a time constant beyond twice or below half of the estimate.
+FARTHEST = math.log(2.0)
 
 
 @dataclass(frozen=True)
@@ -151,6 +156,11 @@ class WholeRunFit(Displayed):
         variance: FloatArray = np.einsum("ij,jk,ik->i", powers, self.covariance_, powers)
         return powers @ self.coef_, np.sqrt(np.maximum(variance, 0.0))
 
+    @property
+    def trusted_phi(self) -> FloatArray:
+        """φ of the rows at which the curve is known."""
+        return np.concatenate([row.scored_phi for row in self.rows_])
+
     def stacked(self) -> tuple[StackedRuns, NDArray[np.bool_]]:
         """Return what was fitted, and which rows were scored."""
         X, y, weight, labels = stacked_rows(self.rows_)
@@ -231,13 +241,92 @@ def fit_whole_runs(
         records[0].sample_period_s,
         noise="output-error",
         hold=hold,
-        basis=_identity(),
+        basis=identity(),
         time_constant_s=time_constant_s,
     )
     if not np.any(weight > 0.0):
         return _refusal(model, rows, degree)
     model.fit(X, y, segments=labels, sample_weight=weight)
-    return _result(model, rows, degree, y[weight > 0.0], kept, held=time_constant_s is not None)
+    held, spread = time_constant_s is not None, Spread(0.0, np.zeros((degree + 1, degree + 1)))
+    if not held and until_s is None and not is_blowdown(rows):
+        spread = specification_spread(records, degree=degree, hold=hold)
+    return _result(model, rows, degree, kept, spread)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far τ and the curve move under choices that could as well have been made.
+
+    Parameters
+    ----------
+    log_tau : float
+        Standard deviation of log τ.
+    curve : ndarray of shape (q, q)
+        Covariance of the coefficients.
+    """
+
+    log_tau: float
+    curve: FloatArray
+
+    def level(self, phi: FloatArray) -> float:
+        """Return the root mean square error of the curve over φ."""
+        powers = np.vander(phi, self.curve.shape[0])[:, ::-1]
+        return float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", powers, self.curve, powers))))
+
+
+def specification_spread(
+    records: Sequence[CoefficientSeries], *, degree: int = 2, hold: Hold = "first"
+) -> Spread:
+    """Fit other rows and another degree.
+
+    A jackknife over cycles cannot see what all cycles share; what the choices of the fit make of it
+    shows here.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        At one sample rate, with their unfiltered columns.
+    degree : int
+        Of the characteristic.
+    hold : {"zero", "first"}
+        How φ acts between samples.
+    """
+    rows = tuple(whole_run_rows(record, degree) for record in records)
+    period_s = records[0].sample_period_s
+    chosen = [rows, *(_farther(rows, round(each / period_s)) for each in FARTHER_S)]
+    chosen += [_without_end(rows, low) for low in (True, False)]
+    logs, curves = [], []
+    higher = tuple(whole_run_rows(record, degree + 1) for record in records)
+    for each, order in [*((one, degree) for one in chosen), (higher, degree + 1)]:
+        X, y, weight, labels = stacked_rows(each)
+        if np.count_nonzero(weight) <= X.shape[1]:
+            continue
+        kept = moving_columns(X, order + 1)
+        model = LagRegressor(period_s, noise="output-error", hold=hold, basis=identity())
+        model.fit(X[:, kept], y, segments=labels, sample_weight=weight)
+        logs.append(math.log(max(model.time_constant_s_, 1e-6)))
+        if order == degree:
+            curves.append(model.coef_[: degree + 1])
+    apart = np.clip(np.array(logs) - logs[0], -FARTHEST, FARTHEST)
+    moved = np.array(curves) - np.mean(curves, axis=0)
+    return Spread(float(np.std(apart)), moved.T @ moved / len(curves))
+
+
+def _farther(rows: tuple[WholeRunRows, ...], n_rows: int) -> tuple[WholeRunRows, ...]:
+    """Score only rows that lie farther from those that are not scored."""
+    return tuple(
+        replace(row, weight=np.where(near(row.weight == 0.0, n_rows, n_rows), 0.0, row.weight))
+        for row in rows
+    )
+
+
+def _without_end(rows: tuple[WholeRunRows, ...], low: bool) -> tuple[WholeRunRows, ...]:
+    """Leave the lowest or the highest φ out."""
+    share = LEFT_OUT_SHARE if low else 1.0 - LEFT_OUT_SHARE
+    end = float(np.quantile(np.concatenate([row.scored_phi for row in rows]), share))
+    return tuple(
+        replace(row, weight=np.where((row.phi < end) == low, 0.0, row.weight)) for row in rows
+    )
 
 
 def _refusal(model: LagRegressor, rows: tuple[WholeRunRows, ...], degree: int) -> WholeRunFit:
@@ -262,19 +351,17 @@ def _result(
     model: LagRegressor,
     rows: tuple[WholeRunRows, ...],
     degree: int,
-    scored_psi_p: FloatArray,
     kept: tuple[int, ...],
-    *,
-    held: bool,
+    spread: Spread,
 ) -> WholeRunFit:
     n_terms = degree + 1
     n_scored = int(sum(row.weight.sum() for row in rows))
     state = model.fit_state_
-    covariance = model.covariance_[:n_terms, :n_terms].copy()
-    covariance[0, 0] += (COMMON_CURVE_SHARE * float(np.mean(np.abs(scored_psi_p)))) ** 2
+    covariance = model.covariance_[:n_terms, :n_terms] + spread.curve
+    held = model.time_constant_s is not None
     tau_s, stderr_s = model.time_constant_s_, model.time_constant_stderr_s_
     if not held:
-        stderr_s = math.hypot(stderr_s, COMMON_TAU_SHARE * tau_s)
+        stderr_s = math.hypot(stderr_s, spread.log_tau * tau_s)
     if is_blowdown(rows):
         state = FitState.BLOWDOWN
         covariance[:] = math.nan
@@ -319,7 +406,8 @@ def check_rates(records: Sequence[CoefficientSeries]) -> None:
         )
 
 
-def _identity() -> object:
+def identity() -> object:
+    """Return the basis of terms that are formed already."""
     from sklearn.preprocessing import FunctionTransformer
 
     return FunctionTransformer()

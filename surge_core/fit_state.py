@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Self
 
-__all__ = ["AdvisedState", "FitState"]
+__all__ = ["WITHHOLDING", "AdvisedState", "FitState"]
 
 
 class AdvisedState(StrEnum):
@@ -68,6 +68,34 @@ class FitState(AdvisedState):
         "its time constant would be read as the lag's; none is stated. Take a record with more "
         "throttle, or a smaller discharge volume.",
     )
+    TWO_READINGS = (
+        "two_readings",
+        "The rows in stall alone give another time constant than all forward rows, by more than "
+        "two standard deviations: the interval spans both. A record with smaller loops, or a lower "
+        "noise of the probes, would separate them.",
+    )
+    UNCERTAIN = (
+        "uncertain",
+        "The record does not hold the time constant: cycles, the choices of the fit and the noise "
+        "of the probes together leave more than 12 %. Take a longer record, or one with more "
+        "passes through forward flow.",
+    )
+    TWIN_BIASED = (
+        "twin_biased",
+        "The record, measured again from its own fitted model, gives another time constant by more "
+        "than two standard deviations: what is fitted is not what such a machine would leave. Look "
+        "for a missing effect, or for a probe that reads wrong.",
+    )
+    FEW_CYCLES = (
+        "few_cycles",
+        "The record has fewer than six surge cycles: no error of the time constant can be had from "
+        "them. Take a longer record.",
+    )
+    AT_SEARCH_END = (
+        "at_search_end",
+        "The time constant lies at an end of what was searched (4 to 80 ms): the record does not "
+        "hold it.",
+    )
     OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
         "no_consistent_structure",
@@ -111,3 +139,21 @@ class FitState(AdvisedState):
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "
         "with surge cycles",
     )
+
+    @property
+    def withholds(self) -> bool:
+        """Whether no time constant is stated for a whole record."""
+        return self.code in WITHHOLDING
+
+
+# Codes of the states in which no time constant of a whole record is stated.
+WITHHOLDING = frozenset(
+    state.code
+    for state in (
+        FitState.BLOWDOWN,
+        FitState.UNCERTAIN,
+        FitState.TWIN_BIASED,
+        FitState.FEW_CYCLES,
+        FitState.AT_SEARCH_END,
+    )
+)

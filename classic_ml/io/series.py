@@ -20,6 +20,7 @@ from classic_ml.series import (
     COLUMNS,
     COUNT_COLUMNS,
     LONG_NAMES,
+    RAKE_COLUMN,
     REQUIRED_COLUMNS,
     TRUTH_COLUMNS,
     UNITS,
@@ -76,7 +77,8 @@ def read_series(path: str | os.PathLike[str]) -> CoefficientSeries:
         raise fault_of(error, str(file), "a series file") from None
     _check_step(columns["time_s"], file)
     columns.setdefault("segment", np.ones(columns["time_s"].size))
-    return CoefficientSeries(**columns, source=str(file), history=history)
+    rakes = {name: columns.pop(name) for name in list(columns) if name not in COLUMNS}
+    return CoefficientSeries(**columns, rakes=rakes, source=str(file), history=history)
 
 
 def write_series(series: CoefficientSeries, path: str | os.PathLike[str]) -> None:
@@ -136,7 +138,8 @@ def _check_names(file: Path, names: tuple[str, ...]) -> list[str]:
             if missing == ["time_s"] and "time" in names
             else "a raw record goes through `sindy-surge reduce` first",
         )
-    return [name for name in COLUMNS if name in names]
+    known = [name for name in COLUMNS if name in names]
+    return [*known, *(name for name in names if RAKE_COLUMN.fullmatch(name))]
 
 
 def _check_step(time_s: FloatArray, file: Path) -> None:
@@ -211,8 +214,8 @@ def _write_netcdf(series: CoefficientSeries, file: Path) -> None:
     variables = {
         name: (
             "time_s",
-            values.astype(kinds.get(name, np.float64)),
-            {"units": UNITS[name], "long_name": LONG_NAMES[name]},
+            values.astype(kinds.get(name, values.dtype)),
+            {"units": UNITS[name], "long_name": LONG_NAMES[name]} if name in UNITS else {},
         )
         for name, values in series.columns().items()
     }

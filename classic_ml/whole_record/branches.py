@@ -123,14 +123,14 @@ def design(
     state = passes.smooth(in_stall.astype(np.float64), spec.blend_s)
     columns = [state * phi**power for power in range(spec.degree + 1)]
     if np.count_nonzero(~in_stall) > FEWEST_UNSTALLED:
+        other, own = 1.0 - state, phi - float(np.median(phi[~in_stall]))
+        columns += [other * own**power for power in range(3)]
+        columns += [other * speed, other * speed * own, other * speed**2]
         recoveries = in_stall[:-1] & ~in_stall[1:] & (passes.piece[1:] == passes.piece[:-1])
         if spec.hinges and recoveries.any():
             level = float(np.median(passes.smooth(phi, 0.003)[:-1][recoveries]))
             above = state * np.maximum(phi - level, 0.0)
             columns += [above, above * speed, state * np.maximum(phi - HIGHER_HINGE * level, 0.0)]
-        other, own = 1.0 - state, phi - float(np.median(phi[~in_stall]))
-        columns += [other * own**power for power in range(3)]
-        columns += [other * speed, other * speed * own, other * speed**2]
     backward = passes.smooth(np.minimum(phi, 0.0), LOSS_AVERAGE_S)
     if np.any(backward < 0.0):
         # With its derivative beside it the loss acts without the lag for any τ.

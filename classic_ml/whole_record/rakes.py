@@ -8,24 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.calibration import near_stall_rows
-from classic_ml.coefficients import (
-    corrected_speed_fraction,
-    flow_coefficient,
-    pressure_coefficient,
-    rate_of_change,
-)
+from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
 from classic_ml.description import TestDescription
 from classic_ml.flow import corrected_flow, physical_flow
 from classic_ml.records import Record, fault_name
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record.chain import STEP, Chain, PairChain
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["LARGEST_SHARE", "Planes", "RakeSignals", "rake_signals"]
+__all__ = ["LARGEST_SHARE", "Planes", "RakeSignals", "rake_signals", "rake_signals_of"]
 
 # Beyond this share of the choked flow a pair is overloaded: Eq 3 has no inverse at the choke.
 LARGEST_SHARE = 0.98
 # The fourth difference passes white noise with the square of its coefficients and hardly any of
 # what is slower than a tenth of the sample rate.
 DIFFERENCE, GAIN = 4, 70.0
+INLET, COUNTS = "T25_unfiltered_K", "readings_count"
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,8 @@ class RakeSignals:
         Rows in which all readings count.
     sample_period_s : float
         Sample period.
-    test : TestDescription
-        The test.
-    noise_Pa : mapping of str to float
-        Standard deviation of the white noise of each pressure channel.
-    near_stall_rows : int
-        Rows of the reading to which the channels were matched.
+    chain : Chain
+        The pairs and the constants of the machine.
     """
 
     flow_kg_s: Mapping[str, FloatArray]
@@ -72,9 +66,7 @@ class RakeSignals:
     inlet_K: FloatArray
     counts: BoolArray
     sample_period_s: float
-    test: TestDescription
-    noise_Pa: Mapping[str, float]
-    near_stall_rows: int
+    chain: Chain
 
     def mean(self, signals: Mapping[str, FloatArray], plane: int) -> FloatArray:
         """Return the average over the rakes at each immersion and then over the immersions."""
@@ -87,7 +79,7 @@ class RakeSignals:
         """Return the average over the rakes at one immersion, None without a pair there."""
         found = [
             signals[pair.name]
-            for pair in self.test.pairs(plane)
+            for pair in self.chain.of_plane(plane)
             if pair.immersion == immersion and pair.name in signals
         ]
         return np.asarray(np.mean(found, axis=0)) if found else None
@@ -99,7 +91,7 @@ class RakeSignals:
             for immersion in ("tip", "hub"):
                 own = [
                     signals[pair.name]
-                    for pair in self.test.pairs(plane)
+                    for pair in self.chain.of_plane(plane)
                     if pair.immersion == immersion and pair.name in signals
                 ]
                 found += [first - own[0] for first in own[1:]]
@@ -122,7 +114,7 @@ class RakeSignals:
         """Return the rows in which a pair reads what no probe can: choked flow, no pressure."""
         over = ~self.counts
         choked = LARGEST_SHARE * float(
-            corrected_flow(np.ones(1), self.test.areas_m2[25], self.test.compressor)[0]
+            corrected_flow(np.ones(1), self.chain.areas_m2[25], self.chain.compressor)[0]
         )
         for flow in self.flow_kg_s.values():
             over = over | (np.abs(flow) > choked)
@@ -132,8 +124,8 @@ class RakeSignals:
 
     def coefficients(self, planes: Planes) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ (Eq 7), ψ' (Eq 5) and N_c of plane averages; NaN where they have none."""
-        machine, speed = self.test.compressor, self.test.rotor_velocity_m_s
-        area_m2 = self.test.areas_m2[25]
+        machine, speed = self.chain.compressor, self.chain.rotor_velocity_m_s
+        area_m2 = self.chain.areas_m2[25]
         limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
         flow = np.clip(planes.corrected_kg_s, -limit, limit)
         phi = flow_coefficient(flow, self.inlet_K, area_m2, speed, machine)
@@ -149,7 +141,13 @@ class RakeSignals:
                 planes.inlet_Pa, exit_Pa, self.inlet_K, rate, machine.inertia_per_m, speed, machine
             )
         psi_p = np.where(exit_Pa > planes.exit_Pa, np.nan, psi_p)
-        return phi, psi_p, corrected_speed_fraction(self.inlet_K, self.test)
+        return phi, psi_p, self.chain.corrected_speed(self.inlet_K)
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return what a series file carries of them, a column each."""
+        flows = {f"Wc{name}_kg_s": values for name, values in self.flow_kg_s.items()}
+        totals = {f"Pt{name}_Pa": values for name, values in self.total_Pa.items()}
+        return {**flows, **totals, INLET: self.inlet_K, COUNTS: self.counts.astype(np.float64)}
 
     def measured_again(
         self, flow_kg_s: Mapping[str, FloatArray], total_Pa: Mapping[str, FloatArray]
@@ -168,28 +166,55 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
     test : TestDescription
         Its test.
     """
-    pairs = [
-        pair
-        for plane in test.areas_m2
-        for pair in test.pairs(plane)
-        if f"Pt{pair.name}_Pa" in record
-    ]
-    couples = [c.name for c in test.thermocouples(25) if c.name in record]
-    counts = np.ones(record.n_samples, dtype=np.bool_)
-    noise = {}
     reading = near_stall_rows(record, test)
-    for probe in (probe for pair in pairs for probe in (pair.forward, pair.aft)):
-        if fault_name(probe.name) in record:
-            counts &= record[fault_name(probe.name)] == 0
-        steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
-        noise[probe.name] = float(np.std(steps) / np.sqrt(GAIN))
+    counts = np.ones(record.n_samples, dtype=np.bool_)
+    pairs = []
+    for pair in (pair for plane in test.areas_m2 for pair in test.pairs(plane)):
+        if f"Pt{pair.name}_Pa" not in record:
+            continue
+        noise = []
+        for probe in (pair.forward, pair.aft):
+            if fault_name(probe.name) in record:
+                counts &= record[fault_name(probe.name)] == 0
+            steps = np.diff(record[probe.name][reading], n=DIFFERENCE)
+            noise.append(float(np.std(steps) / np.sqrt(GAIN)))
+        law = pair.forward.probe_slope, pair.forward.probe_offset
+        pairs.append(PairChain(pair.name, *law, *noise))
+    chain = Chain.of(test, tuple(pairs), reading.stop - reading.start)
+    couples = [c.name for c in test.thermocouples(25) if c.name in record]
     return RakeSignals(
-        {p.name: record[f"Wc{p.name}_kg_s"] for p in pairs if p.forward.plane == 25},
-        {pair.name: record[f"Pt{pair.name}_Pa"] for pair in pairs},
+        {pair.name: record[f"Wc{pair.name}_kg_s"] for pair in chain.of_plane(25)},
+        {pair.name: record[f"Pt{pair.name}_Pa"] for pair in chain.pairs},
         np.asarray(np.mean([record[name] for name in couples], axis=0)),
         counts,
         record.sample_period_s,
-        test,
-        noise,
-        reading.stop - reading.start,
+        chain,
+    )
+
+
+def rake_signals_of(series: CoefficientSeries) -> RakeSignals | None:
+    """Return the pairs that a series carries, None where it or its ledger lacks them.
+
+    Parameters
+    ----------
+    series : CoefficientSeries
+        As the reduction leaves it.
+    """
+    entries = [entry for entry in series.history if entry.step == STEP]
+    if not entries:
+        return None
+    chain = Chain.from_parameters(entries[-1].parameters)
+    flows = {pair.name: f"Wc{pair.name}_kg_s" for pair in chain.of_plane(25)}
+    totals = {pair.name: f"Pt{pair.name}_Pa" for pair in chain.pairs}
+    needed = {*flows.values(), *totals.values(), INLET, COUNTS}
+    if not flows or not needed <= series.rakes.keys():
+        return None
+    columns = {name: values.astype(np.float64) for name, values in series.rakes.items()}
+    return RakeSignals(
+        {pair: columns[name] for pair, name in flows.items()},
+        {pair: columns[name] for pair, name in totals.items()},
+        columns[INLET],
+        columns[COUNTS] > 0.5,
+        series.sample_period_s,
+        chain,
     )

@@ -26,6 +26,7 @@ from comparisons.cli.shared import (
     writes,
 )
 from surge_core.errors import InputError
+from surge_core.fit_state import WITHHOLDING
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -90,7 +91,7 @@ def models_to_save(comparison: Comparison, work: Comparison | None = None) -> di
     models = {
         result.name: result.model
         for result in comparison.results
-        if result.state != "blowdown" and result.extended is None
+        if result.state not in WITHHOLDING and result.extended is None
     }
     if work is not None:
         models |= {f"{result.name}:psi": result.model for result in work.results}
@@ -109,7 +110,11 @@ def _compare(
         "progress": fitting,
     }
     comparison = compare_records(
-        records, degree=given.degree, estimators=_with_model(given), **options
+        records,
+        degree=given.degree,
+        estimators=_with_model(given),
+        n_twins=_n_twins(given),
+        **options,
     )
     if any(record.psi is None for record in records):
         return comparison, None
@@ -118,6 +123,12 @@ def _compare(
     except InputError as error:
         print(f"ψ was not fitted: {error}", file=sys.stderr)
         return comparison, None
+
+
+def _n_twins(given: argparse.Namespace) -> int:
+    from classic_ml.whole_record_fit import N_TWINS
+
+    return 0 if given.no_twins else N_TWINS
 
 
 def _check_tau(records: Sequence[CoefficientSeries], tau_s: float | None) -> None:
@@ -150,7 +161,12 @@ def _with_model(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
             expected="--hold first: a model with effects joins the samples of φ",
             found=f"--hold {given.hold}",
         )
-    own = default_estimators(degree=given.degree, hold="first", time_constant_s=given.tau)
+    own = default_estimators(
+        degree=given.degree,
+        hold="first",
+        time_constant_s=given.tau,
+        n_twins=_n_twins(given),
+    )
     return (*own, *extended_specs(load_extended(given.model), [spec.name for spec in own]))
 
 
@@ -184,6 +200,12 @@ COMMAND = Command(
             metavar="TAU",
             help="hold τ of the classical estimators, as 18ms or 0.018 (seconds); else it is "
             "fitted",
+        ),
+        argument(
+            "--no-twins",
+            action="store_true",
+            help="do not measure twins of the records: quicker, but the interval of τ then lacks "
+            "the errors of calibration and of noise near zero flow",
         ),
     ),
     run=_run,

@@ -16,6 +16,7 @@ import numpy as np
 from classic_ml.checks import CheckRow, coverage, input_correlation, residual_checks
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record_fit import N_TWINS
 from classic_ml.whole_run import WholeRunFit
 from comparisons.harness.cautions import (
     TAU_AGREEMENT,
@@ -64,6 +65,7 @@ def compare_records(
     hold: Hold = "first",
     time_constant_s: float | None = None,
     estimators: Sequence[EstimatorSpec] | None = None,
+    n_twins: int = N_TWINS,
     progress: Progress = iter,
 ) -> Comparison:
     """Fit each estimator to the same rows and set them side by side.
@@ -82,6 +84,8 @@ def compare_records(
         Hold τ of the classical estimators at this value, in seconds.
     estimators : sequence of EstimatorSpec, optional
         In place of :func:`default_estimators`.
+    n_twins : int
+        Twins of each record behind the interval of ``classic_ml``.
     progress : callable
         Wraps the iteration over the estimators, to show how far it is.
 
@@ -94,7 +98,11 @@ def compare_records(
     # Fixed beforehand for all fits, as in the paper; one search serves them all.
     breakpoints = psi_breakpoints(rows, hold) if target == "psi" and not estimators else None
     specs = estimators or default_estimators(
-        degree=degree, hold=hold, breakpoints=breakpoints, time_constant_s=time_constant_s
+        degree=degree,
+        hold=hold,
+        breakpoints=breakpoints,
+        time_constant_s=time_constant_s,
+        n_twins=n_twins,
     )
     results = tuple(_run(spec, rows, records, hold) for spec in progress(specs))
     quotable = _quotable(records, results)
@@ -193,8 +201,8 @@ def _value(estimator: Any, spec: EstimatorSpec, rows: FitRows, hold: Hold) -> Fi
     if isinstance(estimator, WholeRunFit):
         # It scores rows in forward flow alone: those in reversed flow, which the others fit, it
         # simulates through.
-        inputs, scored = estimator.stacked()
-        phi = inputs.phi[scored] if scored.any() else phi
+        trusted = estimator.trusted_phi
+        phi = trusted if trusted.size else phi
     return FittedLag.from_estimator(
         estimator, spec.name, rows.target, hold, grid, trusted_range(phi)
     )
@@ -302,6 +310,12 @@ def _trust(
 ) -> str:
     """Say in words what in this line should not be relied on."""
     words = []
+    if result.second_reading is not None:
+        low_s, high_s = result.second_reading.ci95_s
+        words.append(
+            f"the rows in stall alone read {1e3 * result.second_reading.value_s:.3g} ms "
+            f"({1e3 * low_s:.3g} to {1e3 * high_s:.3g}): the interval spans both"
+        )
     if not result.converged:
         words.append(result.advice.rstrip("."))
     if result.held_out is None:

@@ -14,6 +14,8 @@ import numpy as np
 from classic_ml.characteristics import PiecewiseLinear
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record_fit import N_TWINS
+from classic_ml.whole_record_run import fit_whole_records, has_rakes
 from classic_ml.whole_run import fit_whole_runs, has_whole_run
 from comparisons.results import ESTIMATOR_LABELS, FitRows
 from surge_core.lag import Hold
@@ -37,12 +39,15 @@ class EstimatorSpec:
     fit_records : callable, optional
         ``fit_records(records, until_s) -> fitted`` takes whole records in place of the rows, each
         scored up to a time of its own (None: all of it), where they carry what it needs.
+    carries : callable
+        Whether a record does.
     """
 
     name: str
     label: str
     fit_rows: Callable[[FitRows, Sequence[CoefficientSeries]], Any]
     fit_records: Callable[[Sequence[CoefficientSeries], Sequence[float] | None], Any] | None = None
+    carries: Callable[[CoefficientSeries], bool] = has_whole_run
 
     def fitted(
         self, rows: FitRows, records: Sequence[CoefficientSeries], until_s: Sequence[float] | None
@@ -58,7 +63,7 @@ class EstimatorSpec:
         until_s : sequence of float, optional
             Time up to which each record is fitted.
         """
-        whole = rows.target == "psi_p" and all(map(has_whole_run, records))
+        whole = rows.target == "psi_p" and all(map(self.carries, records))
         if self.fit_records is not None and whole:
             return self.fit_records(records, until_s)
         return self.fit_rows(rows, records)
@@ -70,6 +75,7 @@ def default_estimators(
     hold: Hold = "first",
     breakpoints: tuple[float, float] | None = None,
     time_constant_s: float | None = None,
+    n_twins: int = N_TWINS,
 ) -> tuple[EstimatorSpec, ...]:
     """Return maximum likelihood, the paper's way, two other noise models, and sparse regression.
 
@@ -88,6 +94,8 @@ def default_estimators(
         for the work coefficient.
     time_constant_s : float, optional
         Hold τ of the classical estimators at this value, as the paper had to.
+    n_twins : int
+        Twins of each record behind the interval of ``classic_ml``.
     """
 
     def classical(
@@ -122,6 +130,8 @@ def default_estimators(
         return model.fit(rows.X, rows.measured, segments=rows.labels)
 
     def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
+        if hold == "first" and time_constant_s is None:
+            return fit_whole_records(records, degree=degree, until_s=until_s, n_twins=n_twins)
         return fit_whole_runs(
             records, degree=degree, hold=hold, time_constant_s=time_constant_s, until_s=until_s
         )
@@ -131,8 +141,11 @@ def default_estimators(
 
         return fit_sparse_whole_runs(records, hold=hold, until_s=until_s)
 
-    specs: dict[str, tuple[Any, Any]] = {
-        "classic_ml": (partial(classical, "armax"), whole),
+    def carries(record: CoefficientSeries) -> bool:
+        return has_whole_run(record) or (has_rakes(record) and time_constant_s is None)
+
+    specs: dict[str, tuple[Any, ...]] = {
+        "classic_ml": (partial(classical, "armax"), whole, carries),
         "paper": (partial(classical, "armax"), None),
         "classic_ml_arx": (partial(classical, "arx"), None),
         "classic_ml_output_error": (partial(classical, "output-error"), None),

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_run import COMMON_CURVE_SHARE, COMMON_TAU_SHARE, WholeRunFit, check_rates
+from classic_ml.whole_run import Spread, WholeRunFit, check_rates, specification_spread
 from classic_ml.whole_run_rows import (
     WholeRunRows,
     is_blowdown,
@@ -171,6 +171,9 @@ def fit_sparse_whole_runs(
         period_s,
         hold,
     )
+    spread = Spread(0.0, np.zeros((1, 1)))
+    if until_s is None and not is_blowdown(plain):
+        spread = specification_spread(records, hold=hold)
     found = select_on_free_run(
         equations,
         library.names,
@@ -178,8 +181,8 @@ def fit_sparse_whole_runs(
         np.concatenate([row.cycle for row in rows]),
         optimizer=optimizer,
         max_terms=max_terms,
-        common_tau_share=COMMON_TAU_SHARE,
-        common_curve_share=COMMON_CURVE_SHARE,
+        common_tau_share=spread.log_tau,
+        common_curve_share=spread.level(scored_phi) / float(np.mean(np.abs(psi_p[weight > 0.0]))),
     )
     return _result(found, period_s, hold, rows, library.names)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from classic_ml.checks import CheckRow
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record_run import Reading
 from classic_ml.whole_run import WholeRunFit
 from comparisons.results.caution import Caution, texts_of
 from comparisons.results.lag import FittedLag, LagModel
@@ -16,6 +17,7 @@ from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows, FitScore
 from comparisons.results.tau import TauEstimate
 from surge_core.display import Displayed, Field, Grid, Sheet
+from surge_core.fit_state import WITHHOLDING
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from surge_core.types import FloatArray
 
@@ -97,18 +99,23 @@ class EstimatorResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the fit ended well."""
-        return self.state == "converged"
+        """Whether the fit ended with an answer."""
+        return self.state in ("converged", "two_readings")
 
     @property
     def states_curve(self) -> bool:
         """Whether its characteristic may be read; else it is written as null."""
-        return self.state not in ("rank_deficient", "blowdown")
+        return self.state != "rank_deficient" and self.state not in WITHHOLDING
 
     @property
     def on_rows(self) -> bool:
         """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
         return self.whole_run is None and self.extended is None
+
+    @property
+    def second_reading(self) -> Reading | None:
+        """Another reading of τ from the same records, where the two part."""
+        return getattr(self.whole_run, "second_reading_", None)
 
     @property
     def estimate(self) -> TauEstimate:

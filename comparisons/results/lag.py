@@ -84,6 +84,8 @@ class FittedLag(Displayed):
         Blocks behind the standard errors; 0 where the estimator does not say.
     dead_time_s : float
         How much later than φ the coefficient was measured, in seconds; negative if φ was late.
+    interval_s : tuple of float, optional
+        95 % interval of τ, where the estimator states its own.
     """
 
     estimator: str
@@ -98,6 +100,7 @@ class FittedLag(Displayed):
     table: tuple[tuple[float, float, float], ...]
     n_blocks: int = 0
     dead_time_s: float = 0.0
+    interval_s: tuple[float, float] | None = None
 
     @classmethod
     def from_estimator(
@@ -139,6 +142,7 @@ class FittedLag(Displayed):
             tuple(zip(phi.tolist(), value.tolist(), stderr.tolist(), strict=True)),
             int(getattr(estimator, "n_blocks_", 0)),
             float(np.nan_to_num(getattr(estimator, "dead_time_s_", 0.0))),
+            getattr(estimator, "ci95_s_", None),
         )
 
     @property
@@ -155,6 +159,8 @@ class FittedLag(Displayed):
         """95 % interval of τ, in seconds; on log τ where τ is well separated from zero."""
         from scipy.stats import norm, t
 
+        if self.interval_s is not None:
+            return self.interval_s
         tau_s, n = self.time_constant_s, self.n_blocks
         # A variance from few blocks is itself uncertain.
         quantile = float(t.isf(0.025, n - 1) if n > 1 else norm.isf(0.025))

@@ -80,6 +80,7 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
             "stderr": model.time_constant_stderr_s,
             "ci95": list(model.ci95_s),
         },
+        **_second_reading(result),
         "time_constant_held": model.time_constant_stderr_s == 0.0,
         "terms": [
             {"name": name, "coefficient": known * coefficient, "stderr": error}
@@ -109,3 +110,10 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         **({"structure": result.structure} if result.structure else {}),
         **({"effects": result.extended.to_json()["effects"]} if result.extended else {}),
     }
+
+
+def _second_reading(result: EstimatorResult) -> dict[str, Any]:
+    other = result.second_reading
+    if other is None:
+        return {}
+    return {"second_reading": {"value": other.value_s, "ci95": list(other.ci95_s)}}

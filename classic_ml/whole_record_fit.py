@@ -14,9 +14,10 @@ from classic_ml.whole_record.interval import Scatter, jackknife, scatter_of, var
 from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
+from surge_core.fit_state import FitState
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["N_TWINS", "WholeRecordFit", "fit_whole_record"]
+__all__ = ["LARGEST_SHARE", "N_TWINS", "WholeRecordFit", "fit_whole_record"]
 
 N_TWINS = 20
 # Fewer cycles than this make no jackknife.
@@ -50,6 +51,8 @@ class WholeRecordFit:
         ``n`` 0 where none were measured.
     n_cycles : int
         Surge cycles.
+    estimated : bool
+        Whether the scatter was estimated.
     """
 
     fit: BranchFit
@@ -61,6 +64,7 @@ class WholeRecordFit:
     specification: Scatter
     twins: Scatter
     n_cycles: int
+    estimated: bool
 
     @property
     def tau_s(self) -> float:
@@ -85,20 +89,17 @@ class WholeRecordFit:
         return total + self.twins.curve if self.twins.n else total
 
     @property
-    def refused(self) -> str:
-        """Why τ is withheld; empty where it is not."""
+    def state(self) -> FitState:
+        """How the fit ended; some states withhold τ."""
         if self.n_cycles < FEWEST_CYCLES:
-            return f"the record has {self.n_cycles} surge cycles, fewer than {FEWEST_CYCLES}"
+            return FitState.FEW_CYCLES
         if self.fit.at_end:
-            return f"τ lies at an end of what was searched ({1e3 * self.tau_s:.3g} ms)"
-        if not self.share <= LARGEST_SHARE:
-            return f"τ is known to {100 * self.share:.0f} % only"
+            return FitState.AT_SEARCH_END
+        if not self.estimated:
+            return FitState.CONVERGED
         if abs(self.twins.bias) > 2.0 * self.share:
-            return (
-                f"the record measured again from its own model gives another τ, by "
-                f"{100 * self.twins.bias:+.0f} %"
-            )
-        return ""
+            return FitState.TWIN_BIASED
+        return FitState.CONVERGED
 
 
 def fit_whole_record(
@@ -106,6 +107,7 @@ def fit_whole_record(
     window: slice | None = None,
     *,
     degree: int = 2,
+    interval: bool = True,
     n_twins: int = N_TWINS,
     random_state: int = 0,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
@@ -120,6 +122,8 @@ def fit_whole_record(
         Rows to stay in.
     degree : int
         Of the in-stall characteristic.
+    interval : bool
+        Whether the scatter is estimated; without it the numbers alone are.
     n_twins : int
         Twins behind the interval; 0 leaves their part out of it.
     random_state : int
@@ -136,6 +140,12 @@ def fit_whole_record(
     spec = _specification(signals, passes, degree)
     in_stall, levels = estimated_state(passes, spec)
     fit = fit_branches(passes, spec, in_stall)
+    n_cycles = int(passes.cycle[-1]) + 1
+    if not interval:
+        nothing = scatter_of((), fit, degree)
+        return WholeRecordFit(
+            fit, passes, spec, in_stall, levels, nothing, nothing, nothing, n_cycles, False
+        )
     twins: list[BranchFit] = []
     if n_twins:
         twin = twin_of(signals, passes, spec, in_stall, fit)
@@ -152,7 +162,8 @@ def fit_whole_record(
         jackknife(passes, spec, in_stall, fit),
         variants(passes, spec, in_stall, fit),
         scatter_of(twins, fit, degree),
-        int(passes.cycle[-1]) + 1,
+        n_cycles,
+        True,
     )
 
 
@@ -160,12 +171,12 @@ def _specification(signals: RakeSignals, passes: Passes, degree: int) -> Specifi
     """Take the average from the cells, and the lowest φ from the probes' law."""
     average_s = min(AVERAGE_PERIODS * passes.period_s, LONGEST_AVERAGE_S)
     # Eq 2 knows no flow below its offset: M_true jumps there from zero.
-    machine, test = signals.test.compressor, signals.test
-    jump = max(abs(pair.forward.probe_offset) for pair in test.pairs(25))
+    chain, machine = signals.chain, signals.chain.compressor
+    jump = max(abs(pair.offset) for pair in chain.of_plane(25))
     sound_m_s = math.sqrt(
         machine.gamma * machine.gas_constant_J_kg_K * float(np.median(signals.inlet_K[passes.row]))
     )
-    lowest = jump * sound_m_s / test.rotor_velocity_m_s
+    lowest = jump * sound_m_s / chain.rotor_velocity_m_s
     return Specification(average_s, lowest, 0.5 * average_s, degree=degree)
 
 

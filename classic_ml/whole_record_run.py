@@ -1,0 +1,339 @@
+"""Whole records as an estimator: one answer, its second reading, or the reason why there is none.
+
+The lag over both branches (:mod:`classic_ml.whole_record_fit`) stands beside the fit to the
+in-stall rows alone (:mod:`classic_ml.whole_run`). Where the two agree they are averaged; where they
+part by more than two of their combined standard deviations the first is the answer, its interval
+spans both, and the other is the second reading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from classic_ml.characteristics import polynomial_names
+from classic_ml.lag_regressor import LagRegressor
+from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record.branches import design
+from classic_ml.whole_record.rakes import rake_signals_of
+from classic_ml.whole_record_fit import (
+    LARGEST_SHARE,
+    N_TWINS,
+    WholeRecordFit,
+    fit_whole_record,
+)
+from classic_ml.whole_run import (
+    FARTHEST,
+    WholeRunFit,
+    check_rates,
+    fit_whole_runs,
+    has_whole_run,
+    identity,
+)
+from classic_ml.whole_run_rows import WholeRunRows, moving_columns, stacked_rows
+from surge_core.display import Field, Sheet
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray
+
+__all__ = ["Reading", "WholeRecordRun", "fit_whole_records", "has_rakes"]
+
+# Two standard deviations, as of an interval of 95 %.
+APART = 2.0
+QUANTILE = 1.96
+# Both readings come from the same noise: their mean is known little better than either. The second
+# knows no twins, so that it has at most the weight of the first.
+CORRELATION = 0.5
+LARGEST_WEIGHT = 0.5
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A time constant and its 95 % interval, in seconds."""
+
+    value_s: float
+    ci95_s: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class WholeRecordRun(WholeRunFit):
+    """The lag over both branches of whole records, with the attributes of an estimator.
+
+    ``rows_`` are the pieces of the free runs, ``model_`` the same lag with τ held, for the checks.
+
+    Parameters
+    ----------
+    fits_ : tuple of WholeRecordFit
+        One for each record.
+    ci95_s_ : tuple of float
+        95 % interval of τ; spans both readings where they part.
+    second_reading_ : Reading or None
+        The in-stall rows alone; None where they agree, or where it is refused.
+    """
+
+    fits_: tuple[WholeRecordFit, ...]
+    ci95_s_: tuple[float, float]
+    second_reading_: Reading | None
+
+    @property
+    def cautions_(self) -> tuple[str, ...]:
+        """What the interval lacks."""
+        if all(fit.twins.n for fit in self.fits_):
+            return ()
+        return (
+            "no twins were measured: the interval of τ lacks the errors of calibration and of "
+            "noise near zero flow that all cycles share",
+        )
+
+    @property
+    def trusted_phi(self) -> FloatArray:
+        """φ of the scored rows in stall, up to the flow of recovery."""
+        found = []
+        for fit in self.fits_:
+            phi = fit.passes.phi[fit.fit.scored & fit.in_stall]
+            recovery = math.inf if fit.levels is None else fit.levels.recovery_phi
+            found.append(phi[phi <= recovery])
+        return np.concatenate(found)
+
+    def _sheet(self) -> Sheet:
+        sheet = super()._sheet()
+        kept = [field for field in sheet.fields if field.label not in ("fitted to", "scored")]
+        n_cycles = sum(fit.n_cycles for fit in self.fits_)
+        kept.append(
+            Field(
+                "fitted to",
+                f"{self.n_scored_} rows in forward flow, in stall and out of it, of {n_cycles} "
+                "surge cycles, the stall cells cancelled by the rake difference",
+            )
+        )
+        if self.second_reading_ is not None:
+            low, high = (1e3 * end for end in self.second_reading_.ci95_s)
+            value = 1e3 * self.second_reading_.value_s
+            words = f"{value:.3g} ms ({low:.3g} to {high:.3g})"
+            kept.append(Field("second reading", words, "advice"))
+        return Sheet("WholeRecordRun", tuple(kept), sheet.grids)
+
+
+def has_rakes(series: CoefficientSeries) -> bool:
+    """Return whether a series carries the signals of its probe pairs."""
+    return rake_signals_of(series) is not None
+
+
+def fit_whole_records(
+    records: Sequence[CoefficientSeries],
+    *,
+    degree: int = 2,
+    until_s: Sequence[float] | None = None,
+    n_twins: int = N_TWINS,
+    progress: Progress = iter,
+) -> WholeRunFit:
+    """Fit one lag model to all forward rows of one or several records.
+
+    Parameters
+    ----------
+    records : sequence of CoefficientSeries
+        At one sample rate.
+    degree : int
+        Degree of the characteristic.
+    until_s : sequence of float, optional
+        Fit each record up to this time only; the interval is then not estimated.
+    n_twins : int
+        Twins of each record behind the interval; 0 leaves their part out of it.
+    progress : callable
+        Wraps the iteration over the twins.
+
+    Returns
+    -------
+    WholeRunFit
+        A :class:`WholeRecordRun`; where a series lacks the signals of its probe pairs, the fit to
+        the in-stall rows. A state that withholds τ says why.
+    """
+    check_rates(records)
+    signals = [rake_signals_of(record) for record in records]
+    found = [each for each in signals if each is not None]
+    if len(found) < len(records):
+        return fit_whole_runs(records, degree=degree, until_s=until_s)
+    whole = until_s is None
+    ends = [math.inf] * len(records) if until_s is None else until_s
+    windows = [_window(record, end) for record, end in zip(records, ends, strict=True)]
+    try:
+        fits = tuple(
+            fit_whole_record(
+                each,
+                window,
+                degree=degree,
+                interval=whole,
+                n_twins=n_twins if whole else 0,
+                progress=progress,
+            )
+            for each, window in zip(found, windows, strict=True)
+        )
+    except InputError:
+        # No surge cycle that could be scored: the older fit says what there is.
+        return fit_whole_runs(records, degree=degree, until_s=until_s)
+    second = None
+    if whole and all(map(has_whole_run, records)):
+        second = fit_whole_runs(records, degree=degree)
+    return _combined(records, fits, degree, second)
+
+
+def _window(record: CoefficientSeries, until_s: float) -> slice:
+    """Return the rows to stay in: those of a stated window, up to the time."""
+    from_s, to_s = -math.inf, until_s
+    for entry in record.history:
+        if entry.step == "window" and entry.parameters.get("origin") != "found":
+            from_s = float(entry.parameters["from_s"])
+            to_s = min(until_s, float(entry.parameters["to_s"]))
+    inside = np.flatnonzero((record.time_s >= from_s) & (record.time_s <= to_s))
+    return slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """log τ with its standard deviation, and the curve with its covariance."""
+
+    log_tau: float
+    share: float
+    coefficients: FloatArray
+    covariance: FloatArray
+
+    def with_second(self, second: WholeRunFit) -> _Answer | Reading:
+        """Return the mean with another reading, or that reading where the two part."""
+        tau_s, stderr_s = second.time_constant_s_, second.time_constant_stderr_s_
+        if second.fit_state_ is not FitState.CONVERGED or not 0.0 < stderr_s < tau_s:
+            return self
+        share, apart = stderr_s / tau_s, math.log(tau_s) - self.log_tau
+        if abs(apart) > APART * math.hypot(share, self.share):
+            reach = math.exp(QUANTILE * share)
+            return Reading(tau_s, (tau_s / reach, tau_s * reach))
+        other = min(self.share**2 / (self.share**2 + share**2), LARGEST_WEIGHT)
+        own, others = (1.0 - other) * self.share, other * share
+        mean_share = math.sqrt(own**2 + others**2 + 2.0 * CORRELATION * own * others)
+        return _Answer(
+            self.log_tau + other * apart,
+            max(mean_share, 0.5 * abs(apart)),
+            (1.0 - other) * self.coefficients + other * second.coef_,
+            (1.0 - other) * self.covariance + other * second.covariance_,
+        )
+
+
+def _combined(
+    records: Sequence[CoefficientSeries],
+    fits: tuple[WholeRecordFit, ...],
+    degree: int,
+    second: WholeRunFit | None,
+) -> WholeRecordRun:
+    log_tau, share = _mean_of([(math.log(fit.tau_s), fit.share) for fit in fits])
+    answer = _Answer(log_tau, share, *_mean_curve(fits))
+    state = next((f.state for f in fits if f.state is not FitState.CONVERGED), FitState.CONVERGED)
+    other = None
+    if second is not None and state is FitState.CONVERGED:
+        found = answer.with_second(second)
+        if isinstance(found, Reading):
+            state, other = FitState.TWO_READINGS, found
+        else:
+            answer = found
+    if not state.withholds and second is not None and not answer.share <= LARGEST_SHARE:
+        state, other = FitState.UNCERTAIN, None
+    return _result(records, fits, answer, state, other)
+
+
+def _result(
+    records: Sequence[CoefficientSeries],
+    fits: tuple[WholeRecordFit, ...],
+    answer: _Answer,
+    state: FitState,
+    second: Reading | None,
+) -> WholeRecordRun:
+    tau_s, share, covariance = math.exp(answer.log_tau), answer.share, answer.covariance
+    degree = fits[0].spec.degree
+    rows = _rows(records, fits, degree)
+    X, y, weight, labels = stacked_rows(rows)
+    kept = moving_columns(X, degree + 1)
+    model = LagRegressor(
+        records[0].sample_period_s,
+        noise="output-error",
+        hold="first",
+        basis=identity(),
+        time_constant_s=tau_s,
+    )
+    model.fit(X[:, kept], y, segments=labels, sample_weight=weight)
+    reach = math.exp(QUANTILE * share) if share < FARTHEST else math.nan
+    low_s, high_s = tau_s / reach, tau_s * reach
+    if second is not None:
+        low_s, high_s = min(low_s, second.ci95_s[0]), max(high_s, second.ci95_s[1])
+        share = math.log(high_s / low_s) / (2.0 * QUANTILE)
+    if state.withholds:
+        tau_s = share = low_s = high_s = math.nan
+        covariance = np.full_like(covariance, math.nan)
+    return WholeRecordRun(
+        tau_s,
+        tau_s * share,
+        polynomial_names("phi", degree),
+        answer.coefficients,
+        covariance,
+        degree,
+        sum(fit.cycles.n for fit in fits),
+        int(np.count_nonzero(weight)),
+        state,
+        model,
+        rows,
+        kept,
+        fits,
+        (low_s, high_s),
+        second,
+    )
+
+
+def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the mean of values by their standard deviations, which grow where these part."""
+    values, errors = np.array(readings).T
+    if values.size == 1 or not np.all(np.isfinite(errors)):
+        return float(np.mean(values)), float(np.max(errors))
+    weight = errors**-2.0 / np.sum(errors**-2.0)
+    mean = float(weight @ values)
+    chi2 = float(np.sum(((values - mean) / errors) ** 2)) / (values.size - 1)
+    return mean, float(np.sum(errors**-2.0) ** -0.5) * math.sqrt(max(chi2, 1.0))
+
+
+def _mean_curve(fits: tuple[WholeRecordFit, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of the characteristics by their covariances."""
+    if len(fits) == 1 or not all(np.isfinite(fit.covariance).all() for fit in fits):
+        return fits[0].coefficients, fits[0].covariance
+    inverse = [np.linalg.pinv(fit.covariance) for fit in fits]
+    covariance = np.linalg.pinv(np.sum(inverse, axis=0))
+    pairs = zip(inverse, fits, strict=True)
+    return covariance @ np.sum([w @ fit.coefficients for w, fit in pairs], axis=0), covariance
+
+
+def _rows(
+    records: Sequence[CoefficientSeries], fits: tuple[WholeRecordFit, ...], degree: int
+) -> tuple[WholeRunRows, ...]:
+    """Return the pieces of all free runs, each record with nuisances of its own."""
+    n_terms = degree + 1
+    designs = [design(fit.passes, fit.spec, fit.in_stall) for fit in fits]
+    widths = [inputs.shape[1] - n_terms for inputs, _ in designs]
+    first = np.concatenate([[0], np.cumsum(widths)])
+    rows = []
+    for number, (record, fit) in enumerate(zip(records, fits, strict=True)):
+        inputs, psi_p = designs[number]
+        phi = fit.passes.smooth(fit.passes.phi, fit.spec.average_s)
+        nuisance = np.zeros((psi_p.size, first[-1]))
+        nuisance[:, first[number] : first[number + 1]] = inputs[:, n_terms:]
+        for piece in fit.passes.pieces:
+            rows.append(
+                WholeRunRows(
+                    phi[piece],
+                    inputs[piece, :n_terms],
+                    nuisance[piece],
+                    psi_p[piece],
+                    fit.fit.scored[piece].astype(np.float64),
+                    record.time_s[fit.passes.row[piece]],
+                    int(np.count_nonzero(fit.in_stall[piece])),
+                )
+            )
+    return tuple(rows)
