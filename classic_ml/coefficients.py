@@ -6,6 +6,7 @@ import numpy as np
 
 from classic_ml.description import Compressor, TestDescription
 from classic_ml.flow import T_STANDARD_K, mach_from_corrected_flow
+from classic_ml.intervals import bridged
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray
@@ -25,6 +26,8 @@ __all__ = [
 # |φ| >= 0.03, and 1.2 to 5 for φ >= 0.05; in reversed flow T25 is the temperature of the exit's gas
 # and ψ has no meaning.
 PSI_MINIMUM_PHI = 0.05
+# One row in a hundred is noise; more is a wrong inertia or unit.
+IMPOSSIBLE_SHARE = 0.01
 
 
 def rate_of_change(values: FloatArray, sample_period_s: float) -> FloatArray:
@@ -181,12 +184,20 @@ def coefficients(record: Record, test: TestDescription) -> Record:
     inlet_Pa, exit_Pa, inlet_K = record["P25_Pa"], record["P31_Pa"], record["T25_K"]
     flow_rate = rate_of_change(record["W25_kg_s"], record.sample_period_s)
     phi = flow_coefficient(record["Wc25_kg_s"], inlet_K, test.areas_m2[25], speed, machine)
+    # A single row in which noise makes the flow change faster than the air could is left out.
+    possible = exit_Pa + inertia * flow_rate > 0.0
+    flags: tuple[str, ...] = ()
+    n_bad = possible.size - int(np.count_nonzero(possible))
+    if 0 < n_bad <= IMPOSSIBLE_SHARE * possible.size:
+        flow_rate = bridged(flow_rate, possible)
+        flags = (f"{n_bad} rows in which dW25/dt leaves no pressure, bridged",)
     psi_p = pressure_coefficient(inlet_Pa, exit_Pa, inlet_K, flow_rate, inertia, speed, machine)
     entry = LedgerEntry(
         "coefficients",
         f"φ (Eq 7) from {phi.min():.3f} to {phi.max():.3f}, "
         f"ψ' (Eq 5) from {psi_p.min():.2f} to {psi_p.max():.2f}",
         {"inertia_per_m": inertia, "U_m_s": round(speed, 3)},
+        flags=flags,
     )
     added = {
         "phi": (phi, "1"),

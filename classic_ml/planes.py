@@ -8,12 +8,15 @@ import numpy as np
 
 from classic_ml.description import ProbePair, TestDescription
 from classic_ml.flow import pair_flow, physical_flow
+from classic_ml.intervals import bridged
 from classic_ml.records import Channel, LedgerEntry, Record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["local_flows", "plane_averages"]
 
+# One reading in a hundred that is no pressure is noise at a probe; more is a wrong reference.
+IMPOSSIBLE_SHARE = 0.01
 # Rows of which the equations are evaluated at once: their intermediate results stay in the cache.
 BLOCK_ROWS = 1 << 13
 
@@ -46,10 +49,11 @@ def local_flows(
     Raises
     ------
     InputError
-        When an absolute pressure is not positive.
+        When more than one in a hundred absolute pressures of a probe is not positive.
     """
     added: list[Channel] = []
     reversed_share: dict[str, str | int | float | bool] = {}
+    flags: tuple[str, ...] = ()
     for plane in test.areas_m2:
         for pair in _present_pairs(record, test, plane):
             names = pair.forward.name, pair.aft.name
@@ -61,8 +65,16 @@ def local_flows(
             ):
                 flow, total = ahead[flow_name], ahead[total_name]
             else:
-                total = _total_Pa(record, names)
-                flow = _flow_of(pair, record, test) if plane in planes else np.empty(0)
+                (forward_Pa, n_forward), (aft_Pa, n_aft) = (_positive(record, n) for n in names)
+                if n_forward or n_aft:
+                    flags += (
+                        f"pair {pair.name}: {n_forward + n_aft} readings that are no absolute "
+                        "pressure, bridged",
+                    )
+                total = np.maximum(forward_Pa, aft_Pa)
+                flow = np.empty(0)
+                if plane in planes:
+                    flow = _flow_of(forward_Pa, aft_Pa, pair, test)
             added.append(Channel.adopt(total_name, total, "Pa"))
             if plane in planes:
                 added.append(Channel.adopt(flow_name, flow, "kg/s"))
@@ -73,6 +85,7 @@ def local_flows(
         f"Eq 1 to 3 at {len(reversed_share)} probe pairs; the share of rows with reversed flow is "
         "in the parameters",
         reversed_share,
+        flags=flags,
     )
     return record.after(entry, add=added)
 
@@ -148,22 +161,27 @@ def _present_pairs(record: Record, test: TestDescription, plane: int) -> list[Pr
     return [p for p in pairs if p.forward.name in record and p.aft.name in record]
 
 
-def _total_Pa(record: Record, names: tuple[str, str]) -> FloatArray:
-    """Return the higher pressure of a pair, or refuse one that is no absolute pressure."""
-    for name in names:
-        row = int(np.argmin(record[name]))
-        if record[name][row] <= 0.0:
-            raise InputError(
-                f"{record.source}: channel {name}",
-                expected="a positive absolute pressure",
-                found=f"{record[name][row]:g} Pa at {record.time_at_s(row):.3f} s",
-                remedy="check zoc_reference_Pa and the zero and calibrate readings",
-            )
-    return np.maximum(record[names[0]], record[names[1]])
+def _positive(record: Record, name: str) -> tuple[FloatArray, int]:
+    """Return a pressure with lines across readings that are none, or refuse one with many."""
+    values = record[name]
+    good = values > 0.0
+    n_bad = values.size - int(np.count_nonzero(good))
+    if n_bad == 0:
+        return values, 0
+    if n_bad > IMPOSSIBLE_SHARE * values.size:
+        row = int(np.argmin(values))
+        raise InputError(
+            f"{record.source}: channel {name}",
+            expected="a positive absolute pressure",
+            found=f"{values[row]:g} Pa at {record.time_at_s(row):.3f} s, one of {n_bad} such rows",
+            remedy="check zoc_reference_Pa and the zero and calibrate readings",
+        )
+    return bridged(values, good), n_bad
 
 
-def _flow_of(pair: ProbePair, record: Record, test: TestDescription) -> FloatArray:
-    forward_Pa, aft_Pa = record[pair.forward.name], record[pair.aft.name]
+def _flow_of(
+    forward_Pa: FloatArray, aft_Pa: FloatArray, pair: ProbePair, test: TestDescription
+) -> FloatArray:
     probe, machine = pair.forward, test.compressor
     area_m2 = test.areas_m2[probe.plane]
     flow = np.empty(forward_Pa.size)

@@ -1,0 +1,271 @@
+"""τ and curve on machines drawn at random, as `reduce` and `compare` read them from raw records.
+
+Each record comes from a machine of its own: volumes, ducts, cells, hub-tip deficit, τ, curve, loss
+in reversed flow, law of the probes near zero flow, noise, sample rate and number of rakes are
+drawn; some curves are no parabola. The truth is known, and with it what makes a record hard: the
+share of loops in stall, the spread of the recoveries, and the Cramér-Rao bound on log τ from the
+true signals.
+
+    python benchmarks/random_machines.py --machines 60 --seed S [--jobs N] [--json FILE]
+    python benchmarks/random_machines.py --records "FOLDER/m*"    # folders with truth.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import glob
+import json
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from classic_ml.io.raw import read_raw
+from classic_ml.io.series import read_series, write_series
+from classic_ml.reduction import reduce_record
+from comparisons.harness.compare import compare_records
+from comparisons.harness.estimators import default_estimators
+from comparisons.rig import CASES, SensorSettings, simulate, write_run
+from surge_core.errors import InputError
+
+# An answer is within if it is off by less than the larger of these.
+WITHIN_S, WITHIN_SHARE = 0.002, 0.10
+GROSS_SHARE, CURVE = 0.30, 0.15
+# Errors of ψ' this far apart count as independent in the bound.
+INDEPENDENT_S = 0.003
+# Before the surge, where the fourth difference of ψ' is noise alone (its gain on noise: √70).
+NEAR_STALL_ROWS = 140
+FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "curve", "refused")
+
+
+def draw(seed: int, number: int, folder: Path) -> dict[str, Any]:
+    """Draw a machine, simulate its record into a folder and return the truth."""
+    rng = np.random.default_rng([seed, number])
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    base = CASES[("985", "90", "95")[number % 3]]
+    terms = base.pressure_terms
+    cells = between(0.6, 1.6)
+    case = replace(
+        base,
+        name="drawn",
+        discharge_volume_m3=base.discharge_volume_m3 * between(0.8, 1.3),
+        exhaust_volume_m3=base.exhaust_volume_m3 * between(0.7, 1.4),
+        inlet_volume_m3=base.inlet_volume_m3 * between(0.7, 1.4),
+        inertia_per_m=base.inertia_per_m * between(0.85, 1.2),
+        cell_frequency_hz=base.cell_frequency_hz * between(0.75, 1.4),
+        cell_pressure_frac=base.cell_pressure_frac * cells,
+        cell_flow_kg_s=base.cell_flow_kg_s * cells,
+        hub_tip_flow_kg_s=base.hub_tip_flow_kg_s * between(0.6, 1.3),
+        tau_s=between(0.010, 0.030),
+        pressure_terms=(
+            terms[0] * between(0.85, 1.15),
+            terms[1] * between(0.7, 1.3),
+            terms[2] * between(0.85, 1.15),
+        ),
+        reverse_loss=base.reverse_loss * between(0.5, 1.5),
+        segmentation=None,
+        window_s=None,
+    )
+    noise = math.exp(between(math.log(0.05), math.log(0.5)))
+    bent = rng.random() < 0.25
+    sensors = SensorSettings(noise_percent=noise, probe_offset=between(0.5, 1.5))
+    run = simulate(
+        case,
+        seed=int(rng.integers(1 << 30)),
+        sensors=sensors,
+        hide="characteristic_shape" if bent else None,
+    )
+    rakes = 1 if rng.random() < 0.15 else 2
+    if rakes == 1:
+        run = _with_one_rake(run)
+    write_run(run, folder)
+    truth = {name: run.truth[name] for name in ("phi", "psi_p", "in_stall")}
+    return {
+        "tau_s": case.tau_s,
+        "beta": None if bent else list(case.pressure_terms),
+        "noise": noise,
+        "rakes": rakes,
+        "curve": "bent" if bent else "parabola",
+        "speed": base.name,
+        **_hardness(truth, case.tau_s, run.truth.sample_period_s),
+    }
+
+
+def _with_one_rake(run: Any) -> Any:
+    """Take the second rake out of the record and of its description."""
+    gone = [name for name, channel in run.test["channels"].items() if channel.get("rake") == "B"]
+    channels = {name: c for name, c in run.test["channels"].items() if name not in gone}
+    test = {**run.test, "channels": channels}
+    return replace(run, raw=run.raw.without(gone), test=test)
+
+
+def _hardness(truth: dict[str, Any], tau_s: float, period_s: float) -> dict[str, float]:
+    """Return what makes a record hard, from the true signals."""
+    phi, stalled = truth["phi"], truth["in_stall"] > 0.5
+    reversals = np.flatnonzero((phi[1:] < 0.0) & (phi[:-1] >= 0.0))
+    if reversals.size < 2:
+        return {"mild_share": math.nan, "recovery_spread": math.nan, "bound": math.inf}
+    recoveries = np.flatnonzero(stalled[:-1] & ~stalled[1:])
+    between = np.searchsorted(recoveries, reversals)
+    inside = slice(int(reversals[0]), None)
+    phi, stalled, psi_p = phi[inside], stalled[inside], truth["psi_p"][inside]
+    columns = [stalled * phi**k for k in range(3)] + [~stalled * phi**k for k in range(3)]
+    columns += [stalled * np.minimum(phi, 0.0) ** 2]
+    inputs = np.column_stack(columns)[:, [np.ptp(c) > 0.0 for c in columns]]
+    scored = phi > 0.02
+
+    def answers(tau: float) -> Any:
+        a = math.exp(-period_s / tau)
+        return lfilter([1.0 - a], [1.0, -a], inputs, axis=0)
+
+    responses = answers(tau_s)
+    weights = np.linalg.lstsq(responses[scored], psi_p[scored])[0]
+    slope = (answers(1.01 * tau_s) - answers(0.99 * tau_s)) @ weights / 0.02
+    own, moved = responses[scored], slope[scored]
+    left = moved - own @ np.linalg.lstsq(own, moved)[0]
+    rows = period_s / INDEPENDENT_S
+    # Per unit of noise on ψ': that of the record multiplies it in `answered`.
+    return {
+        "mild_share": float(np.mean(np.diff(between) == 0)),
+        "recovery_spread": float(np.std(truth["phi"][recoveries])) if recoveries.size else 0.0,
+        "bound": 1.0 / math.sqrt(max(rows * float(left @ left), 1e-12)),
+    }
+
+
+def answered(folder: Path, truth: dict[str, Any], n_twins: int) -> dict[str, Any]:
+    """Reduce and compare one record, through the series file, against its truth."""
+    row: dict[str, Any] = dict.fromkeys(FIXED)
+    row |= {k: v for k, v in truth.items() if k not in ("beta", "tau_s", "curve")}
+    row |= {"name": folder.name, "true_s": truth["tau_s"], "shape": truth.get("curve", "parabola")}
+    try:
+        series = reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
+        with tempfile.TemporaryDirectory() as place:
+            write_series(series, Path(place) / "series.csv")
+            series = read_series(Path(place) / "series.csv")
+        if "bound" in row and series.psi_p_unfiltered is not None:
+            quiet = series.psi_p_unfiltered[:NEAR_STALL_ROWS]
+            row["bound"] *= float(np.std(np.diff(quiet, n=4))) / math.sqrt(70.0)
+        wanted = [s for s in default_estimators(n_twins=n_twins) if s.name == "classic_ml"]
+        result = compare_records([series], estimators=wanted).result("classic_ml")
+    except InputError as error:
+        return row | {"state": "refused", "refused": str(error)}
+    except Exception as error:
+        return row | {"state": "crash", "refused": f"{type(error).__name__}: {error}"}
+    model = result.model
+    row["state"] = result.state
+    if not math.isfinite(model.time_constant_s):
+        return row | {"refused": result.advice}
+    low_s, high_s = model.ci95_s
+    row |= {"answer_s": model.time_constant_s, "low_s": low_s, "high_s": high_s}
+    row["share"] = model.time_constant_stderr_s / model.time_constant_s
+    if truth.get("beta") is not None:
+        phi = np.linspace(*model.valid_phi, 41)
+        apart = model.quasi_steady(phi) - np.polynomial.polynomial.polyval(phi, truth["beta"])
+        row["curve"] = float(np.sqrt(np.mean(apart**2)))
+    return row
+
+
+def drawn(number: int, seed: int, n_twins: int) -> dict[str, Any]:
+    """Draw one machine and return what is read from its record."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / f"{seed}-{number}"
+        return answered(folder, draw(seed, number, folder), n_twins)
+
+
+def found(folder: str, n_twins: int) -> dict[str, Any]:
+    """Return what is read from the record in a folder."""
+    truth = json.loads((Path(folder) / "truth.json").read_text("utf-8"))
+    return answered(Path(folder), {"curve": "parabola", **truth}, n_twins)
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Return one line of a table: answers, within, covered, curve, refusals, crashes."""
+    said = [row for row in rows if row["answer_s"] is not None]
+    off = [abs(row["answer_s"] - row["true_s"]) for row in said]
+    within = sum(
+        o <= max(WITHIN_S, WITHIN_SHARE * row["true_s"]) for o, row in zip(off, said, strict=True)
+    )
+    covered = [row["low_s"] <= row["true_s"] <= row["high_s"] for row in said]
+    gross = sum(
+        o > GROSS_SHARE * row["true_s"] and not held
+        for o, row, held in zip(off, said, covered, strict=True)
+    )
+    curves = [row["curve"] for row in said if row["curve"] is not None]
+    crashed = sum(row["state"] == "crash" for row in rows)
+    return (
+        f"{len(rows):8d}{len(said):9d}{within:8d}{sum(covered):9d}{gross:7d}"
+        f"{sum(c <= CURVE for c in curves):6d}/{len(curves):<3d}"
+        f"{len(rows) - len(said) - crashed:9d}{crashed:9d}"
+    )
+
+
+def strata(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Return the table by stratum."""
+    heads = ("records", "answers", "within", "covered", "gross", "curve", "refused", "crashes")
+    widths = (8, 9, 8, 9, 7, 9, 10, 9)
+    yield " " * 34 + "".join(f"{h:>{w}s}" for h, w in zip(heads, widths, strict=True))
+    tests: list[tuple[str, Callable[[dict[str, Any]], bool]]] = [
+        ("all", lambda row: True),
+        ("stated sd up to 8 %", lambda row: row["share"] is not None and row["share"] <= 0.08),
+        ("τ up to 16 ms", lambda row: row["true_s"] <= 0.016),
+        ("loops in stall, 5 % and more", lambda row: row.get("mild_share", 0.0) >= 0.05),
+        ("deep cycles alone", lambda row: row.get("mild_share", 1.0) < 0.05),
+        ("bound on log τ up to 5 %", lambda row: row.get("bound", math.inf) <= 0.05),
+        ("noise of 0.3 % and more", lambda row: row.get("noise", 0.0) >= 0.3),
+        ("one rake", lambda row: row.get("rakes") == 1),
+        ("a bent curve", lambda row: row["shape"] == "bent"),
+    ]
+    for label, belongs in tests:
+        chosen = [row for row in rows if belongs(row)]
+        if chosen:
+            yield f"{label:34s}{summary(chosen)}"
+
+
+def main() -> None:
+    """Print the table, and each record that is off or refused."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--machines", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--records", help="folders with raw.csv, test.toml and truth.json")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--no-twins", action="store_true")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    n_twins = 0 if given.no_twins else 20
+    with ProcessPoolExecutor(given.jobs) as pool:
+        if given.records:
+            jobs = pool.map(partial(found, n_twins=n_twins), sorted(glob.glob(given.records)))
+        else:
+            one = partial(drawn, seed=given.seed, n_twins=n_twins)
+            jobs = pool.map(one, range(given.machines))
+        rows = []
+        for row in jobs:
+            rows.append(row)
+            print(_line(row), flush=True)
+    print()
+    print("\n".join(strata(rows)))
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1), "utf-8")
+
+
+def _line(row: dict[str, Any]) -> str:
+    true = f"{row['name']:14s} true {1e3 * row['true_s']:5.1f} ms"
+    if row["answer_s"] is None:
+        return f"{true}  {row['state']}: {str(row['refused'])[:110]}"
+    low, value, high = (1e3 * row[key] for key in ("low_s", "answer_s", "high_s"))
+    share = 100.0 * row["share"]
+    return f"{true}  {value:5.1f} ({low:.1f} to {high:.1f})  {row['state']}  {share:.0f} %"
+
+
+if __name__ == "__main__":
+    main()
