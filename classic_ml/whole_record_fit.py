@@ -189,5 +189,5 @@ def _fit_twin(
     window: slice | None,
 ) -> BranchFit:
     passes = passes_of(twin.measured(rng), window)
-    state = refined_state(passes, spec, levels)
+    state = refined_state(passes, spec, levels, near_s)
     return fit_branches(passes, spec, state, near_s=near_s)

@@ -20,7 +20,16 @@ from classic_ml.whole_record.passes import Passes
 from surge_core.lag import FirstOrderLag
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["BranchFit", "Specification", "design", "fit_branches", "profile", "scored_rows"]
+__all__ = [
+    "BranchFit",
+    "Specification",
+    "design",
+    "fit_branches",
+    "least_error",
+    "profile",
+    "responses",
+    "scored_rows",
+]
 
 TAUS_S = np.geomspace(0.004, 0.08, 31)
 # Half the width of the search once τ is known nearly, and of the second difference.
@@ -31,6 +40,7 @@ START_S = 0.02
 LOSS_AVERAGE_S = 0.005
 # Columns with less than this of the largest are no columns.
 RANK = 1e-7
+NORMAL_RANK = 1e-12
 FEWEST_UNSTALLED = 20
 HIGHER_HINGE = 1.3
 
@@ -152,6 +162,23 @@ def profile(
     return coefficients / scale, psi_p[scored] - own @ coefficients
 
 
+def least_error(
+    tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
+) -> float:
+    """Return the mean square error of :func:`profile`, by the normal equations: five times quicker.
+
+    Where the coefficients are not asked for, what a bad condition costs is far below the noise.
+    """
+    answers = responses(tau_s, passes, inputs)
+    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+    own, measured = answers[scored] / scale, psi_p[scored]
+    values, vectors = np.linalg.eigh(own.T @ own)
+    seen = values > NORMAL_RANK * values[-1]
+    along = vectors[:, seen].T @ (own.T @ measured)
+    explained = float(np.sum(along**2 / values[seen]))
+    return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
+
+
 def responses(tau_s: float, passes: Passes, inputs: FloatArray) -> FloatArray:
     """Return the lag's answers to the inputs from rest, then the decay of each piece's start."""
     lag = FirstOrderLag(tau_s, passes.sample_period_s, "first")
@@ -192,8 +219,7 @@ def fit_branches(
     keep = scored_rows(passes, spec) if scored is None else scored
 
     def cost(log_tau: float) -> float:
-        errors = profile(math.exp(log_tau), passes, inputs, psi_p, keep)[1]
-        return float(errors @ errors)
+        return least_error(math.exp(log_tau), passes, inputs, psi_p, keep) * int(keep.sum())
 
     if near_s is None:
         costs = [cost(math.log(tau_s)) for tau_s in TAUS_S]
@@ -204,7 +230,7 @@ def fit_branches(
     low, high = math.log(ends[0]), math.log(ends[1])
     log_tau = float(minimize_scalar(cost, bounds=(low, high), options={"xatol": 2e-4}).x)
     coefficients, errors = profile(math.exp(log_tau), passes, inputs, psi_p, keep)
-    sides = cost(log_tau + STEP) + cost(log_tau - STEP)
-    curvature = 0.5 * (sides - 2.0 * float(errors @ errors)) / STEP**2
+    sides = cost(log_tau + STEP) + cost(log_tau - STEP) - 2.0 * cost(log_tau)
+    curvature = 0.5 * sides / STEP**2
     at_end = min(log_tau - math.log(TAUS_S[0]), math.log(TAUS_S[-1]) - log_tau) < STEP
     return BranchFit(math.exp(log_tau), coefficients, errors, keep, curvature, at_end)

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from classic_ml.whole_record.branches import Specification, design, profile, scored_rows
+from classic_ml.whole_record.branches import Specification, design, least_error, scored_rows
 from classic_ml.whole_record.passes import Passes
 from surge_core.types import BoolArray, FloatArray
 
@@ -25,6 +25,7 @@ LEVEL_AVERAGE_S, SLOPE_AVERAGE_S = 0.003, 0.006
 FEWEST_EPISODES = 3
 FEWEST_ROWS = 20
 TAUS_S = np.geomspace(0.007, 0.04, 9)
+NEARBY = np.array([0.8, 1.0, 1.25])
 GRID = 9
 LOWEST_RECOVERY, LOWEST_ENTRY = 0.06, 0.04
 PEAK_S = 0.06
@@ -115,7 +116,9 @@ def estimated_state(passes: Passes, spec: Specification) -> tuple[BoolArray, Sta
     return state_by_levels(passes, best), best
 
 
-def refined_state(passes: Passes, spec: Specification, levels: StallLevels | None) -> BoolArray:
+def refined_state(
+    passes: Passes, spec: Specification, levels: StallLevels | None, near_s: float
+) -> BoolArray:
     """Return the state of another record of the same machine, its levels searched nearby.
 
     Parameters
@@ -126,31 +129,41 @@ def refined_state(passes: Passes, spec: Specification, levels: StallLevels | Non
         What the fit takes for granted.
     levels : StallLevels or None
         Of the first record.
+    near_s : float
+        Its time constant, in seconds.
     """
     if levels is None:
         return passes.in_stall
-    return state_by_levels(passes, _around(passes, spec, levels, 0.015, 0.03))
+    taus_s = near_s * NEARBY
+    return state_by_levels(passes, _around(passes, spec, levels, 0.015, 0.03, taus_s))
 
 
 def _around(
-    passes: Passes, spec: Specification, at: StallLevels, step: float, entry_step: float
+    passes: Passes,
+    spec: Specification,
+    at: StallLevels,
+    step: float,
+    entry_step: float,
+    taus_s: FloatArray = TAUS_S,
 ) -> StallLevels:
     moves = product((0.0, -1.0, 1.0), repeat=2)
     tried = [
         StallLevels(at.recovery_phi + i * step, at.entry_phi + k * entry_step) for i, k in moves
     ]
-    return min(tried, key=lambda levels: _misfit(passes, spec, levels))
+    return min(tried, key=lambda levels: _misfit(passes, spec, levels, taus_s))
 
 
-def _misfit(passes: Passes, spec: Specification, levels: StallLevels) -> float:
+def _misfit(
+    passes: Passes, spec: Specification, levels: StallLevels, taus_s: FloatArray = TAUS_S
+) -> float:
     """Return twice the negative log likelihood of ψ' and of the hub-minus-tip flow."""
     state = state_by_levels(passes, levels)
     if min(np.count_nonzero(state), np.count_nonzero(~state)) < FEWEST_ROWS:
         return math.inf
     inputs, psi_p = design(passes, spec, state)
     scored = scored_rows(passes, spec)
-    errors = (profile(tau_s, passes, inputs, psi_p, scored)[1] for tau_s in TAUS_S)
-    least = min(float(np.mean(each**2)) for each in errors)
+    least = min(least_error(tau_s, passes, inputs, psi_p, scored) for tau_s in taus_s)
+    least = max(least, 1e-12)
     length_s = passes.phi.size * passes.sample_period_s
     total = length_s / INDEPENDENT_S * math.log(least)
     if passes.shift is not None:

@@ -1,0 +1,257 @@
+"""τ from all forward rows of a record: truth, hysteresis, cells, twins, and what is withheld."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from classic_ml.io.raw import read_raw
+from classic_ml.io.series import read_series, write_series
+from classic_ml.reduction import reduce_record
+from classic_ml.series import CoefficientSeries
+from classic_ml.twin import twin_of
+from classic_ml.whole_record.branches import Specification, fit_branches
+from classic_ml.whole_record.cells import cell_frequency_hz, without_cells
+from classic_ml.whole_record.chain import STEP, Chain
+from classic_ml.whole_record.passes import Passes, passes_of, threshold_between
+from classic_ml.whole_record.rakes import Planes, RakeSignals, rake_signals_of
+from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
+from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record
+from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
+from classic_ml.whole_run import fit_whole_runs
+from comparisons.rig import CASES, SensorSettings, simulate, write_run
+from surge_core.fit_state import FitState
+from surge_core.lag import FirstOrderLag
+from surge_core.types import FloatArray
+
+TAU_S = 0.018
+PERIOD_S = 0.001
+
+
+def reduced(folder: Path, case: str, seed: int, noise: float = 0.2) -> CoefficientSeries:
+    """Return the series of a simulated record, through its files."""
+    where = folder / f"{case}-{seed}"
+    write_run(simulate(case, seed=seed, sensors=SensorSettings(noise_percent=noise)), where)
+    return reduce_record(*read_raw(where / "raw.csv", where / "test.toml")).series
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory: pytest.TempPathFactory) -> CoefficientSeries:
+    return reduced(tmp_path_factory.mktemp("rig"), "985", 71)
+
+
+@pytest.fixture(scope="module")
+def signals(series: CoefficientSeries) -> RakeSignals:
+    found = rake_signals_of(series)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def fitted(series: CoefficientSeries) -> WholeRecordRun:
+    found = fit_whole_records([series], n_twins=8)
+    assert isinstance(found, WholeRecordRun)
+    return found
+
+
+def made(tau_s: float = TAU_S, noise: float = 0.0, seed: int = 0) -> Passes:
+    """Return passes of a machine with two branches and no sensors."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(4000) * PERIOD_S
+    phi = 0.09 + 0.11 * np.sin(2.0 * np.pi * 6.0 * time_s + 0.6 * np.sin(2.3 * time_s))
+    plain = Passes(
+        np.arange(phi.size),
+        np.zeros(phi.size, dtype=np.int64),
+        phi,
+        np.zeros(phi.size),
+        0.01 * np.sin(1.7 * time_s),
+        np.ones(phi.size, dtype=np.bool_),
+        None,
+        0.015,
+        PERIOD_S,
+        Planes(phi, phi, phi),
+    )
+    state = state_by_levels(plain, StallLevels(0.15, 0.17))
+    share = plain.smooth(state.astype(np.float64), 0.006)
+    curve = 1.2 + 3.0 * phi + 47.0 * phi**2
+    other = 2.5 - 20.0 * (phi - 0.2) ** 2 + 4.0 * plain.speed
+    psi_p = FirstOrderLag(tau_s, PERIOD_S, "first").respond(
+        share * curve + (1.0 - share) * other, np.array(1.5)
+    )
+    return replace(plain, psi_p=psi_p + noise * rng.standard_normal(phi.size), in_stall=state)
+
+
+SPEC = Specification(0.001, 0.005, 0.001)
+
+
+@pytest.mark.parametrize("tau_s", [0.007, 0.018, 0.03])
+def test_without_noise_both_branches_give_the_truth(tau_s: float) -> None:
+    passes = made(tau_s)
+    fit = fit_branches(passes, SPEC, passes.in_stall)
+    assert fit.tau_s == pytest.approx(tau_s, rel=1e-3)
+    assert fit.coefficients[:3] == pytest.approx([1.2, 3.0, 47.0], rel=5e-3)
+
+
+def test_the_scatter_over_seeds_is_that_of_the_curvature() -> None:
+    fits = [
+        fit_branches(p, SPEC, p.in_stall) for p in (made(noise=0.05, seed=s) for s in range(20))
+    ]
+    logs = np.log([fit.tau_s / TAU_S for fit in fits])
+    stated = np.sqrt([0.05**2 / fit.curvature for fit in fits])
+    z = logs / stated
+    # The rms of twenty z is known to 16 %.
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+def test_stall_ends_on_the_way_up_and_begins_on_the_way_down() -> None:
+    passes = made()
+    state = state_by_levels(passes, StallLevels(0.15, 0.1))
+    ends = np.flatnonzero(state[:-1] & ~state[1:])
+    begins = np.flatnonzero(~state[:-1] & state[1:])
+    assert ends.size == begins.size or ends.size == begins.size + 1
+    assert passes.phi[ends] == pytest.approx(0.15, abs=0.006)
+    assert passes.phi[begins] == pytest.approx(0.1, abs=0.006)
+
+
+def test_otsu_divides_two_clouds() -> None:
+    rng = np.random.default_rng(3)
+    values = np.concatenate([rng.normal(0.0, 0.1, 300), rng.normal(2.0, 0.1, 200)])
+    assert 0.4 < threshold_between(values) < 1.7
+
+
+def test_the_cells_are_found_and_cancelled(signals: RakeSignals) -> None:
+    passes = passes_of(signals)
+    every = np.zeros(signals.counts.size, dtype=np.bool_)
+    every[passes.row] = True
+    cell_hz = cell_frequency_hz(signals, every)
+    assert cell_hz is not None
+    assert cell_hz == pytest.approx(CASES["985"].cell_frequency_hz, rel=0.01)
+    plain = signals.planes().corrected_kg_s
+    clean = without_cells(signals, every, every, cell_hz).corrected_kg_s
+
+    def line(values: FloatArray) -> float:
+        turning = np.exp(-2j * np.pi * cell_hz * PERIOD_S * np.arange(values.size))
+        return float(np.abs(np.mean((values * turning)[passes.row])))
+
+    assert line(clean) < 0.2 * line(plain)
+
+
+def test_tau_of_a_record_and_its_interval(fitted: WholeRecordRun) -> None:
+    assert fitted.fit_state_ in (FitState.CONVERGED, FitState.TWO_READINGS)
+    low_s, high_s = fitted.ci95_s_
+    assert low_s < TAU_S < high_s
+    assert high_s / low_s < 2.0
+    low, high = np.percentile(fitted.trusted_phi, [5.0, 95.0]).tolist()
+    phi = np.linspace(low, high, 30)
+    truth = np.polynomial.polynomial.polyval(phi, CASES["985"].pressure_terms)
+    assert np.sqrt(np.mean((fitted.characteristic(phi)[0] - truth) ** 2)) < 0.15
+
+
+def test_the_interval_holds_the_truth_at_other_speeds_and_noises(tmp_path: Path) -> None:
+    cases = [("90", 5, 0.1), ("95", 6, 0.2), ("985-second", 7, 0.3)]
+    held = []
+    for case, seed, noise in cases:
+        fit = fit_whole_records([reduced(tmp_path, case, seed, noise)], n_twins=4)
+        assert isinstance(fit, WholeRecordRun)
+        if not fit.fit_state_.withholds:
+            held.append(fit.ci95_s_[0] < TAU_S < fit.ci95_s_[1])
+    assert len(held) >= 2
+    assert sum(held) >= len(held) - 1
+
+
+def test_a_file_gives_what_the_series_gives(
+    series: CoefficientSeries, tmp_path: Path, fitted: WholeRecordRun
+) -> None:
+    for suffix in (".csv", ".nc"):
+        write_series(series, tmp_path / f"series{suffix}")
+        signals = rake_signals_of(read_series(tmp_path / f"series{suffix}"))
+        assert signals is not None
+        again = fit_whole_record(signals, interval=False)
+        assert again.tau_s == pytest.approx(fitted.fits_[0].tau_s, rel=1e-6)
+
+
+def test_the_chain_travels_through_the_ledger(
+    series: CoefficientSeries, signals: RakeSignals
+) -> None:
+    (entry,) = [entry for entry in series.history if entry.step == STEP]
+    assert Chain.from_parameters(entry.parameters) == signals.chain
+    assert signals.chain.of_plane(25)[0].immersion in ("hub", "tip")
+
+
+def test_without_the_columns_of_the_rakes_the_fall_back_answers(series: CoefficientSeries) -> None:
+    fit = fit_whole_records([replace(series, rakes={})])
+    assert not isinstance(fit, WholeRecordRun)
+    assert abs(fit.time_constant_s_ - TAU_S) < 3.0 * fit.time_constant_stderr_s_
+
+
+def test_a_twin_without_noise_reads_the_model(signals: RakeSignals, fitted: WholeRecordRun) -> None:
+    """Eq 3, 2 and 1 backwards and forwards: τ of the twin is that which made it."""
+    fit = fitted.fits_[0]
+    quiet = replace(
+        signals.chain,
+        pairs=tuple(replace(p, noise_Pa=0.0, noise_aft_Pa=0.0) for p in signals.chain.pairs),
+    )
+    twin = twin_of(
+        replace(signals, chain=quiet), fit.passes, fit.spec, fit.in_stall, fit.fit
+    ).measured(np.random.default_rng(0))
+    for pair in quiet.of_plane(25):
+        at = np.abs(twin.flow_kg_s[pair.name]) > 5.0
+        smooth = twin.flow_kg_s[pair.name][at] - signals.flow_kg_s[pair.name][at]
+        assert abs(np.median(smooth)) < 0.05
+    again = fit_whole_record(twin, interval=False)
+    assert again.tau_s == pytest.approx(fit.tau_s, rel=0.1)
+
+
+def withheld(fit: WholeRecordFit, series: CoefficientSeries) -> WholeRecordRun:
+    return _combined([series], (fit,), 2, None)
+
+
+def test_what_is_not_known_is_not_printed(
+    series: CoefficientSeries, fitted: WholeRecordRun
+) -> None:
+    fit = fitted.fits_[0]
+    biased = replace(fit, twins=replace(fit.twins, bias=5.0 * fit.share))
+    for wrong, state in (
+        (replace(fit, n_cycles=4), FitState.FEW_CYCLES),
+        (biased, FitState.TWIN_BIASED),
+        (replace(fit, fit=replace(fit.fit, at_end=True)), FitState.AT_SEARCH_END),
+    ):
+        found = withheld(wrong, series)
+        assert found.fit_state_ is state
+        assert math.isnan(found.time_constant_s_)
+        assert np.isnan(found.covariance_).all()
+        assert all(math.isnan(end) for end in found.ci95_s_)
+
+
+def test_without_twins_the_interval_says_what_it_lacks(series: CoefficientSeries) -> None:
+    fit = fit_whole_records([series], n_twins=0)
+    assert isinstance(fit, WholeRecordRun)
+    assert "no twins were measured" in fit.cautions_[0]
+
+
+def test_a_wide_interval_is_refused_and_a_second_record_helps(
+    series: CoefficientSeries, fitted: WholeRecordRun
+) -> None:
+    fit = fitted.fits_[0]
+    wide = replace(fit, cycles=replace(fit.cycles, log_tau=0.15))
+    second = fit_whole_runs([series])
+    unlikely = replace(second, time_constant_stderr_s_=0.5 * second.time_constant_s_)
+    one = _combined([series], (wide,), 2, unlikely)
+    assert one.fit_state_ is FitState.UNCERTAIN
+    both = _combined([series, series], (wide, wide), 2, unlikely)
+    assert both.fit_state_ is FitState.CONVERGED
+
+
+def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRun) -> None:
+    second = fit_whole_runs([series])
+    far = replace(second, time_constant_s_=0.04, time_constant_stderr_s_=0.002)
+    found = _combined([series], fitted.fits_, 2, far)
+    assert found.fit_state_ is FitState.TWO_READINGS
+    assert found.second_reading_ is not None
+    assert found.second_reading_.value_s == 0.04
+    assert found.ci95_s_[0] < fitted.fits_[0].tau_s
+    assert found.ci95_s_[1] == pytest.approx(found.second_reading_.ci95_s[1])
