@@ -18,7 +18,7 @@ _UNIT_ATTRIBUTES = ("units", "unit", "unit_string", "engineering_units")
 
 
 @contextmanager
-def open_hdf5(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[StoredTable]:
+def open_hdf5(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
     """Open an HDF5 file, or a MAT file of version 7.3; links are not followed.
 
     A dataset that is a vector is a column, and so is a field of a table of compound rows; the

@@ -17,7 +17,7 @@ __all__ = ["open_mat"]
 
 
 @contextmanager
-def open_mat(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[StoredTable]:
+def open_mat(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
     """Open a MAT file.
 
     Version 7.3 is read slice by slice. Versions up to 7.2 are compressed as a whole and come into

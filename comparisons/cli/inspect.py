@@ -79,8 +79,7 @@ COMMAND = Command(
     help="show what is in a raw record or a series, and draft its test.toml",
     description="Show the channels of a file (CSV, MAT, netCDF, HDF5, TDMS, Parquet) with units, "
     "rate, gaps, ranges and saturation; with --test also which column feeds which channel, the "
-    "ranges in SI and what reduce would make of the record. A file that is broken is shown as far "
-    "as it goes.",
+    "ranges in SI and what reduce would make of the record.",
     arguments=(
         reads("file", metavar="FILE", help="raw record or series"),
         reads("--test", metavar="TEST.toml", help="description of its test"),

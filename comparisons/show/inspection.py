@@ -47,8 +47,6 @@ def inspect_text(
         What else was found: a test.toml that cannot be read, what kind of series it is.
     """
     parts = [_file_text(inspection)]
-    if inspection.fault:
-        parts.append(f"reading ended: {inspection.fault}")
     parts += remarks
     if match is not None:
         parts += [_match_text(match), _reduction_text(match)]
@@ -66,7 +64,6 @@ def inspect_document(
         "schema": INSPECT_SCHEMA,
         "file": inspection.source,
         "rows": inspection.rows,
-        "fault": inspection.fault,
         "clock": None if inspection.clock is None else asdict(inspection.clock),
         "channels": [
             {**asdict(c), "constant": c.constant, "plateaus": list(c.plateaus)}
@@ -113,9 +110,8 @@ def _listed(items: Mapping[str, str]) -> Iterator[str]:
 
 
 def _clock_text(clock: ClockFacts) -> str:
-    about = f" ({clock.about})" if clock.about else ""
     text = (
-        f"clock: {clock.name} [{clock.unit}]{about}, {clock.first_s:.9g} to {clock.last_s:.9g} s, "
+        f"clock: {clock.name} [{clock.unit}], {clock.first_s:.9g} to {clock.last_s:.9g} s, "
         f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
     )
     troubles = [
@@ -142,8 +138,7 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
     if channel.not_finite == channel.rows:
         return ("no number in it",)
     if channel.not_finite:
-        first = channel.first_not_finite
-        notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite, from row {first}")
+        notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite")
     if channel.constant:
         return (*notes, "constant")
     for end in channel.plateaus:
@@ -152,7 +147,7 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
         notes.append(f"{rows} rows ({share:.2%}) at its {end}: saturated?")
     still_rows = STILL_S * rate_hz if rate_hz > 0.0 else STILL_ROWS
     if channel.longest_run >= max(STILL_LEAST_ROWS, still_rows):
-        notes.append(f"{channel.longest_run} rows alike from row {channel.longest_run_row}: stuck?")
+        notes.append(f"{channel.longest_run} rows alike: stuck?")
     return tuple(notes)
 
 
