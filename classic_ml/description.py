@@ -197,8 +197,8 @@ class PressureChannel(_Channel):
     """
 
     kind: Literal["pressure"] = key('"pressure" or "temperature"')
-    immersion: Literal["hub", "tip"]
-    facing: Literal["forward", "aft"]
+    immersion: Literal["hub", "tip"] = key('"hub" or "tip"')
+    facing: Literal["forward", "aft"] = key('"forward" or "aft"')
     probe_slope: float = key(
         "a number from 0.2 to 5", "it is near 1; is it in per cent?", ge=0.2, le=5.0
     )

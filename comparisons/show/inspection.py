@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from itertools import islice
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["INSPECT_SCHEMA", "inspect_document", "inspect_text"]
 
 INSPECT_SCHEMA = "sindy-surge/inspect/1"
-# Beyond this share of the facility's reading the near-stall match refuses a channel.
-FAR_OFF = 0.2
 MOST_LEFT_ASIDE = 12
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.
@@ -158,47 +157,27 @@ def _counted(count: int, one: str, more: str) -> str:
 def _match_text(match: TestMatch) -> str:
     lines = [f"as the test '{match.test}':"]
     rows = [
-        (
-            c.channel,
-            c.column,
-            c.unit,
-            f"{_in_shown_unit(c.minimum, c.si_unit)} to {_in_shown_unit(c.maximum, c.si_unit)}"
-            if c.present
-            else "",
-            _near_stall_text(c),
-            _match_notes(c),
-        )
-        for c in match.channels
+        (c.channel, c.column, c.unit, _range_text(c), _near_stall_text(c)) for c in match.channels
     ]
-    head = ("channel", "column", "unit", "range", "near stall (facility)", "notes")
+    head = ("channel", "column", "unit", "range", "near stall (facility)")
     widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     for row in (head, *rows):
         cells = (f"{cell:{width}s}" for cell, width in zip(row, widths, strict=True))
         lines.append("  ".join(cells).rstrip())
     if match.left_over:
         lines.append("columns that feed nothing: " + ", ".join(match.left_over))
-    exchanged = {pair: above_Pa for pair, above_Pa in match.above_Pa.items() if not above_Pa > 0.0}
-    lines += [
-        f"{pair}: the aft probe is {-above_Pa / 1e3:.3g} kPa above the forward one near stall: "
-        "exchanged?"
-        for pair, above_Pa in exchanged.items()
-    ]
-    if match.above_Pa and not exchanged:
-        lines.append("near stall every forward probe is above its aft one, as it should be")
     return "\n".join(lines)
 
 
-def _match_notes(match: ChannelMatch) -> str:
-    if not match.present:
-        return "no such column" + (f": {match.why_not}" if match.why_not else "")
-    notes = []
-    if abs(match.near_stall - match.facility) > FAR_OFF * match.facility:
-        notes.append("far off the facility's reading: its unit?")
-    return "; ".join(notes)
+def _range_text(match: ChannelMatch) -> str:
+    if isnan(match.minimum):
+        return "no such column"
+    ends = (_in_shown_unit(end, match.si_unit) for end in (match.minimum, match.maximum))
+    return " to ".join(ends)
 
 
 def _near_stall_text(match: ChannelMatch) -> str:
-    if not (match.near_stall == match.near_stall and match.facility == match.facility):
+    if isnan(match.near_stall):
         return ""
     found = _in_shown_unit(match.near_stall, match.si_unit)
     return f"{found} ({_in_shown_unit(match.facility, match.si_unit)})"

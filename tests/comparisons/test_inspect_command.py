@@ -155,7 +155,6 @@ def test_a_record_is_shown_with_its_test(
     assert (code, err) == (0, "")
     assert "3001 rows, 21 columns" in out
     assert "1000 rows a second" in out
-    assert "near stall every forward probe is above its aft one" in out
     assert "reduce would do this:" in out
     assert re.search(r"window: .* cycles of 1\d\d ms that repeat each other", out)
     found = json.loads((tmp_path / "found.json").read_text("utf-8"))
@@ -166,30 +165,19 @@ def test_a_record_is_shown_with_its_test(
         assert channel["near_stall"] == pytest.approx(channel["facility"], rel=0.15)
         assert channel["minimum"] <= channel["near_stall"] <= channel["maximum"]
     assert found["test"]["refusal"] == ""
-    assert 0.3 < found["test"]["window_s"][0] < found["test"]["window_s"][1] <= 3.0
 
 
 def test_what_does_not_fit_the_test_is_reported(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns = {n.replace("T25_A", "T25 A"): v for n, v in made.columns.items()}
-    forward, aft = "P25_B_hub_forward", "P25_B_hub_aft"
     raw, toml = tmp_path / "raw.csv", tmp_path / "test.toml"
     write_csv(raw, columns)
     toml.write_text(to_toml(made.description), "utf-8")
     code, out, _ = run(capsys, raw, "--test", toml)
     assert code == 0
-    assert re.search(r"T25_A +T25_A +K .*no such column", out)
+    assert re.search(r"T25_A +T25_A +K +no such column", out)
     assert "columns that feed nothing: T25 A" in out
-    assert "reduce would refuse it:" in out
-    tables = {**made.description, "channels": dict(made.description["channels"])}
-    for one, other in ((forward, aft), (aft, forward)):
-        tables["channels"][one] = {**tables["channels"][one], "column": other}
-    toml.write_text(to_toml(tables), "utf-8")
-    write_csv(raw, made.columns)
-    code, out, _ = run(capsys, raw, "--test", toml)
-    assert code == 0
-    assert re.search(r"P25_B_hub: the aft probe is .* kPa above the forward one", out)
     assert "reduce would refuse it:" in out
 
 
@@ -258,7 +246,7 @@ def filled_in(draft: str, made: RawTest) -> str:
 def test_the_draft_filled_in_is_the_description_of_the_test(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Planes, rakes, facings, units and the rate are guessed; the rest is in comments."""
+    """Kinds, units and the rate are in it; the rest is in comments."""
     raw, toml = made.write(tmp_path)
     draft = tmp_path / "draft.toml"
     code, out, _ = run(capsys, raw, "--draft", draft)
@@ -293,18 +281,11 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     found = tomllib.loads(draft_test_toml(inspect_file(tmp_path / "raw.csv")))
     assert found["test"]["sample_rate_hz"] == 2000.0
     assert found["file"] == {"time": "Time [ms]", "time_unit": "ms", "other_columns": "ignore"}
-    one, two, three = found["channels"].values()
-    assert one == {
-        "column": 'PT25 "A" tip fwd [psia]',
-        "kind": "pressure",
-        "unit": "psia",
-        "plane": 25,
-        "rake": "A",
-        "immersion": "tip",
-        "facing": "forward",
-    }
-    assert (two["kind"], two["unit"], two["plane"], two["rake"]) == ("temperature", "degF", 31, "B")
-    assert (three["rake"], three["facing"], three["unit"]) == ("C", "aft", "kPa")
+    assert list(found["channels"].values()) == [
+        {"column": 'PT25 "A" tip fwd [psia]', "kind": "pressure", "unit": "psia"},
+        {"column": "TT31-B (degF)", "kind": "temperature", "unit": "degF"},
+        {"column": "P31 rake C hub aft [kPa]", "kind": "pressure", "unit": "kPa"},
+    ]
     assert "adc" not in found
 
 
