@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +23,6 @@ FEWEST_AVERAGES = 16
 LEAST_MOVEMENT = 0.01
 # Of two probes that differ either may be wrong.
 FEWEST_PROBES = 3
-# Where hub and tip of two rakes are nearer crosswise than straight by this factor, one of the
-# rakes is upside down: straight they are nearer by 1.4 and more on 12 records of two rigs.
-CROSSWISE = 1.5
 # Mean pressures of two rakes at one immersion are within 0.4 % of each other on those records once
 # they are matched near stall; a zero that drifts by 1 % of P25 moves φ by 0.04.
 LEVELS_APART = 0.01
@@ -103,7 +99,7 @@ def disagreements(
         for name, found in agreements.items()
         if name in slow and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
     ]
-    return [*gains, *_exchanged_immersions(slow, test), *_drifted_apart(slow, test)]
+    return [*gains, *_drifted_apart(slow, test)]
 
 
 def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
@@ -111,29 +107,6 @@ def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
     values = np.array([slow[name] for name in names])
     means = 0.5 * (values[:, 1:] + values[:, :-1])
     return np.asarray(means[:, np.isfinite(means).all(axis=0)])
-
-
-def _exchanged_immersions(slow: SlowPressures, test: TestDescription) -> list[Finding]:
-    """Return rakes of a plane of which the hub of one goes with the tip of the other."""
-    found = []
-    for plane in test.areas_m2:
-        rakes: dict[str, dict[str, list[str]]] = {}
-        for pair in test.pairs(plane):
-            names = [pair.forward.name, pair.aft.name]
-            if all(name in slow for name in names):
-                rakes.setdefault(pair.forward.rake, {})[pair.immersion] = names
-        whole = {rake: [*p["hub"], *p["tip"]] for rake, p in rakes.items() if len(p) == 2}
-        for first, second in combinations(whole, 2):
-            values = _smooth(slow, [*whole[first], *whole[second]])
-            hub_1, tip_1, hub_2, tip_2 = values[0::2] - values[1::2]
-            straight = np.sum(np.abs(hub_1 - hub_2) + np.abs(tip_1 - tip_2))
-            if straight > CROSSWISE * np.sum(np.abs(hub_1 - tip_2) + np.abs(tip_1 - hub_2)):
-                words = (
-                    f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, "
-                    "and the reverse: are hub and tip exchanged on one of them?"
-                )
-                found.append(Finding("exchanged immersions", words))
-    return found
 
 
 def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:

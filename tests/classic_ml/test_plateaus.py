@@ -104,19 +104,14 @@ def test_the_reduction_is_that_of_the_counts(rig: Path) -> None:
     assert "clipped in" in chosen.dropped[0].why
 
 
-def test_stated_limits_are_believed_and_what_they_let_through_is_flagged(rig: Path) -> None:
+def test_stated_limits_are_believed(rig: Path) -> None:
     """Of one channel the end is known, another is said to go on beyond its end."""
-    known, doubtful = "P25_A_tip_forward", "P25_B_tip_aft"
-    limits = {known: [2e4, 1.42e5], doubtful: [2e4, 3e5], "T31_A": [200.0, 600.0]}
+    known, wider = "P25_A_tip_forward", "P25_B_tip_aft"
+    limits = {known: [2e4, 1.42e5], wider: [2e4, 3e5], "T31_A": [200.0, 600.0]}
     found = inspect_readings(*read(in_other_units(rig, limits=limits)))
-    assert f"fault_{doubtful}" not in found
+    assert f"fault_{wider}" not in found
     assert set(np.unique(found[f"fault_{known}"])) == {0.0, 4.0}
     assert np.max(found["fault_P25_A_tip_aft"]) == CLIPPED
-    flags = [flag for flag in found.history[-1].flags if "does its range end there?" in flag]
-    assert len(flags) == 1
-    assert flags[0].startswith(f"{doubtful}: ")
-    assert "at its largest reading of 1" in flags[0]
-    assert "test.toml lets them count" in flags[0]
 
 
 # ------------------------------------------------------------------------------- false alarms
@@ -163,9 +158,7 @@ def recorded(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         yield f"{bits} bits in psi", (read_off / PSI).round(4)
         for held in (2, 4, 10):
             yield f"{bits} bits held {held}", np.repeat(read_off[::held], held)[: rows.size]
-        for every in (4, 20):
-            slow = np.interp(rows, rows[::every], read_off[::every])
-            yield f"{bits} bits, lines between {every}", slow
+        yield f"{bits} bits, lines between", np.interp(rows, rows[::4], read_off[::4])
     smooth = np.convolve(values, np.hanning(33) / 16.0, "valid")
     for bits in (4, 6, 8, 10):
         yield f"smooth, {bits} bits", coarse(smooth, bits)
