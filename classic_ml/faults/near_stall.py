@@ -75,7 +75,7 @@ def check_near_stall(
             "flow",
             f"W25 and W31 within {FLOWS_REFUSED:.0%} of each other",
             f"{inlet:.4g} and {leaving:.4g} kg/s",
-            "area_m2 of [planes.25] and [planes.31]",
+            "area_m2 of [planes.25] and [planes.31], and the zero and calibrate readings",
         )
     if differ > FLOWS_DIFFER:
         words = (

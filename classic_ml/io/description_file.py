@@ -32,8 +32,6 @@ from surge_core.models import Table, read_toml, validated
 __all__ = ["Document", "read_test_description"]
 
 _SPEED = "a speed of 100 to 200 000 revolutions a minute"
-# Corrected speeds near stall, as shares of the design speed, and the temperature they refer to.
-SPEED_SHARES, STANDARD_K = (0.1, 1.5), 288.15
 # What a table of [defaults] may be for, beside a pattern of names.
 _GROUPS = ("pressure", "temperature", "25", "31")
 _MODELS: dict[str, type[Table]] = {
@@ -126,7 +124,6 @@ class Document(Table):
     @model_validator(mode="after")
     def _agrees(self) -> Document:
         """Refuse what no table shows for itself."""
-        _check_speeds(self)
         _check_codes(self)
         _check_names(self)
         _check_probes(self)
@@ -215,24 +212,6 @@ def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> 
                 expected="keys of channels, for a kind, a plane or a pattern of their names",
                 found=", ".join(strange) if strange else "a pattern of no name" * unused or "none",
             )
-
-
-def _check_speeds(document: Document) -> None:
-    """Refuse speeds of which one is in another unit: which one, they do not show."""
-    speed_rpm, design_rpm = (
-        document.test.rotor_speed_rpm,
-        document.test.design_corrected_speed_rpm,
-    )
-    corrected_rpm = speed_rpm * (STANDARD_K / document.near_stall.T25_K) ** 0.5
-    if not SPEED_SHARES[0] <= corrected_rpm / design_rpm <= SPEED_SHARES[1]:
-        raise InputError(
-            "test.rotor_speed_rpm and design_corrected_speed_rpm",
-            expected="speeds in revolutions a minute of which the corrected one, "
-            f"rotor_speed_rpm √({STANDARD_K:g} K / T25_K), is {SPEED_SHARES[0]:g} to "
-            f"{SPEED_SHARES[1]:g} times the other",
-            found=f"{corrected_rpm:.4g} (from {speed_rpm:g}) and {design_rpm:g}",
-            remedy="is one of them in Hz or rad/s?",
-        )
 
 
 def _check_codes(document: Document) -> None:

@@ -28,12 +28,7 @@ STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
 SURGING_SHARE = 0.8
 
 
-def inspect_text(
-    inspection: Inspection,
-    *,
-    match: TestMatch | None = None,
-    remarks: tuple[str, ...] = (),
-) -> str:
+def inspect_text(inspection: Inspection, match: TestMatch | None = None) -> str:
     """Return the findings as text.
 
     Parameters
@@ -42,35 +37,20 @@ def inspect_text(
         What is in the file.
     match : TestMatch, optional
         The file beside its test.toml, and what reduce would make of it.
-    remarks : tuple of str
-        What else was found: a test.toml that cannot be read, what kind of series it is.
     """
     parts = [_file_text(inspection)]
-    parts += remarks
     if match is not None:
         parts += [_match_text(match), _reduction_text(match)]
     return "\n\n".join(parts)
 
 
-def inspect_document(
-    inspection: Inspection,
-    *,
-    match: TestMatch | None = None,
-    remarks: tuple[str, ...] = (),
-) -> dict[str, Any]:
+def inspect_document(inspection: Inspection, match: TestMatch | None = None) -> dict[str, Any]:
     """Return the findings as plain JSON types; arguments as for :func:`inspect_text`."""
+    found = asdict(inspection)
     return {
         "schema": INSPECT_SCHEMA,
-        "file": inspection.source,
-        "rows": inspection.rows,
-        "clock": None if inspection.clock is None else asdict(inspection.clock),
-        "channels": [
-            {**asdict(c), "constant": c.constant, "plateaus": list(c.plateaus)}
-            for c in inspection.channels
-        ],
-        "left_aside": dict(inspection.left_aside),
-        "surges_s": None if inspection.surges_s is None else list(inspection.surges_s),
-        "remarks": list(remarks),
+        "file": found.pop("source"),
+        **found,
         "test": None if match is None else asdict(match),
     }
 

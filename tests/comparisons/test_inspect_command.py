@@ -202,9 +202,7 @@ def test_what_cannot_be_read_is_refused(
         assert err.count("\n") == 1
 
 
-def test_a_group_is_chosen_and_a_series_is_known(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_group_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time_s = np.arange(400) / 100.0
     with h5py.File(tmp_path / "two.h5", "w") as file:
         for group, shift in (("one", 0.0), ("two", 5.0)):
@@ -217,13 +215,6 @@ def test_a_group_is_chosen_and_a_series_is_known(
     code, out, _ = run(capsys, tmp_path / "two.h5", "--group", "two")
     assert code == 0
     assert re.search(r"P +psia +4\.\d+ ", out)
-    phi = 0.3 + 0.1 * np.sin(9.0 * time_s)
-    write_csv(tmp_path / "s.csv", {"time_s": time_s, "phi": phi, "psi_p": 4.0 + phi**2})
-    code, out, _ = run(capsys, tmp_path / "s.csv")
-    assert "a series of φ and ψ', ready for compare: 1 segment, 400 of 400 rows" in out
-    write_csv(tmp_path / "s.csv", {"time_s": time_s, "phi": 0.0 * phi, "psi_p": 4.0 + phi**2})
-    code, out, _ = run(capsys, tmp_path / "s.csv")
-    assert "a series that cannot be used:" in out
 
 
 def filled_in(draft: str, made: RawTest) -> str:

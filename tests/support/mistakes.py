@@ -236,7 +236,7 @@ TEST_TOML = (
     harmless("toml-crlf", as_text(lambda text: text.replace("\n", "\r\n"), "test.toml")),
     refused(
         "zero-calibrate-exchanged",
-        f"{PROBE}|zero and calibrate",
+        "raw.csv|W25 and W31|zero and calibrate",
         toml(
             (
                 f"channels/{PROBE}",
