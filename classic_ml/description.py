@@ -170,7 +170,6 @@ class FileLayout(Table):
     time_unit: Text | None = None
     group: Text | None = None
     clock: Literal["column", "from rate"] = "column"
-    start_s: float | None = None
     other_columns: Literal["refuse", "ignore"] = "refuse"
     units: Literal["check", "from test.toml"] = "check"
 

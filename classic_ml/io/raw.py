@@ -72,10 +72,6 @@ def read_raw(
     """
     if not isinstance(test, TestDescription):
         test = read_test_description(test)
-    if window is not None and not window[0] < window[1]:
-        raise InputError(
-            "window", expected="its start before its end", found=f"{window[0]:g} to {window[1]:g} s"
-        )
     with open_stored(raw_path, test.file) as stored:
         _check_columns(stored, test)
         read = _read(stored, test, window, progress)
@@ -125,18 +121,18 @@ def _missing(
     stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
 ) -> InputError:
     """Return the refusal of a table that lacks columns, with what the file has instead."""
+    left_aside = {
+        name.split("/")[-1]: f"'{name}': {why}" for name, why in stored.left_aside.items()
+    }
     others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
     found = f"no such column{others}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
-    for name, why in stored.left_aside.items():
-        if name.split("/")[-1] == missing[0]:
-            found = f"'{name}': {why}"
     remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
     if title.startswith("column"):
         remedy = 'name it in [file], time = "...", or write clock = "from rate"'
     return InputError(
         f"{stored.source}: {title}",
         expected=f"it in the header of the table, as {test.source} describes it",
-        found=found,
+        found=left_aside.get(missing[0], found),
         remedy=remedy,
     )
 
@@ -177,15 +173,12 @@ def _read(
     low_s, high_s = _span(test, window)
     kept: list[tuple[NDArray[np.generic], ...]] = []
     times: list[FloatArray] = []
-    rows, rows_before, shift_s = 0, 0, None
+    rows = rows_before = 0
     for block in stored.blocks(names):
         n_rows = block[0].size
         time_s = np.arange(rows, rows + n_rows) / test.sample_rate_hz
         if has_clock:
             time_s = clock.to_si(np.asarray(block[0], dtype=np.float64))
-        if shift_s is None and n_rows:
-            shift_s = 0.0 if layout.start_s is None else layout.start_s - time_s[0]
-        time_s = time_s + (shift_s or 0.0)
         if progress is not None:
             progress(n_rows)
         # What is no number is kept, and refused with the number of its row.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
-from itertools import islice
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["INSPECT_SCHEMA", "inspect_document", "inspect_text"]
 
 INSPECT_SCHEMA = "sindy-surge/inspect/1"
-MOST_LEFT_ASIDE = 12
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.
 STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
@@ -73,19 +71,9 @@ def _file_text(inspection: Inspection) -> str:
             f"{channel.name:{width}s}  {channel.unit or '-':{units}s}{channel.minimum:12.6g}"
             f"{channel.mean:12.6g}{channel.maximum:12.6g}  {'; '.join(notes)}".rstrip()
         )
-    return "\n".join((*lines, *_beside(inspection)))
-
-
-def _beside(inspection: Inspection) -> Iterator[str]:
-    """Yield lines on what is in the file beside the columns of the record."""
     if inspection.left_aside:
-        yield from ("", "left aside:", *_listed(inspection.left_aside))
-
-
-def _listed(items: Mapping[str, str]) -> Iterator[str]:
-    yield from (f"  {name}: {what}" for name, what in islice(items.items(), MOST_LEFT_ASIDE))
-    if len(items) > MOST_LEFT_ASIDE:
-        yield f"  and {len(items) - MOST_LEFT_ASIDE} more (--json holds all)"
+        lines += ["", "left aside:", *(f"  {n}: {why}" for n, why in inspection.left_aside.items())]
+    return "\n".join(lines)
 
 
 def _clock_text(clock: ClockFacts) -> str:

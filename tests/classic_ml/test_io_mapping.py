@@ -152,18 +152,13 @@ def test_a_clock_is_in_the_unit_that_test_toml_says(
         read_raw(*write(tmp_path, columns, tables))
 
 
-def test_a_clock_may_be_made_or_moved(made: RawTest, tmp_path: Path) -> None:
+def test_a_clock_may_be_made(made: RawTest, tmp_path: Path) -> None:
     columns = {n: v for n, v in made.columns.items() if n != "time_s"}
-    tables = described(made, same, file={"clock": "from rate", "start_s": 7200.0})
+    tables = described(made, same, file={"clock": "from rate"})
     record, _ = read_raw(*write(tmp_path, columns, tables))
-    assert record.start_s == 7200.0
+    assert record.start_s == 0.0
     assert "from the sample rate" in record.history[0].did
     np.testing.assert_array_equal(record["T25_A"], made.columns["T25_A"])
-    late = {**made.columns, "time_s": made.columns["time_s"] + 3.8e9}
-    tables = described(made, same, file={"start_s": 0.5})
-    record, _ = read_raw(*write(tmp_path, late, tables))
-    assert record.start_s == 0.5
-    assert record.n_samples == 501
 
 
 def stating(unit: str, folder: Path, columns: Columns) -> Path:
