@@ -10,15 +10,13 @@ it, and one that repeats itself exactly, as a simulation may, does so in one way
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from classic_ml.faults.held import held_rows
 from classic_ml.intervals import intervals_where
 from surge_core.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["RangeEnd", "range_ends"]
+__all__ = ["range_ends"]
 
 # Rows at which a channel must be seen to be cut off.
 LEAST_ROWS = 6
@@ -36,31 +34,8 @@ RISES, SLOW_RISES, NOISY_STEPS = (1.5, -1.0), (5.5, 5.5), 2.5
 REACH, LEAP = 4, 2.0
 
 
-@dataclass(frozen=True)
-class RangeEnd:
-    """An end of the range, at which the readings of a channel are cut off.
-
-    Parameters
-    ----------
-    reading : float
-        The channel's largest or least reading.
-    upper : bool
-        Whether it is the largest.
-    rows : int
-        How many readings stand there.
-    """
-
-    reading: float
-    upper: bool
-    rows: int
-
-    def beyond(self, readings: FloatArray) -> BoolArray:
-        """Return which readings stand there."""
-        return readings >= self.reading if self.upper else readings <= self.reading
-
-
-def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
-    """Return the ends of its range at which a channel is cut off.
+def range_ends(values: FloatArray) -> tuple[float, ...]:
+    """Return the readings at the ends of its range at which a channel is cut off.
 
     Parameters
     ----------
@@ -69,17 +44,17 @@ def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
 
     Returns
     -------
-    tuple of RangeEnd
-        None, one or two; none of a channel that is held, which stands still everywhere.
+    tuple of float
+        None, the least, the largest or both; none of a channel that is held, which stands still
+        everywhere.
     """
     low, high = float(values.min()), float(values.max())
     if low == high or held_rows(values) > 1:
         return ()
     found = []
-    for level, upper in ((low, False), (high, True)):
+    for level in (low, high):
         at = values == level
-        rows = int(np.count_nonzero(at))
-        if rows < LEAST_ROWS:
+        if np.count_nonzero(at) < LEAST_ROWS:
             continue
         steps = np.abs(np.diff(values))
         step = float(np.min(steps[steps > 0.0]))
@@ -94,7 +69,7 @@ def range_ends(values: FloatArray) -> tuple[RangeEnd, ...]:
         ways = np.unique(values[runs[:, 0] - 1] + 1j * values[runs[:, 1]]).size
         needed = WAYS if np.any(lengths > 1) else WAYS_OF_SINGLE_ROWS
         if ways >= needed or np.any(lengths >= LONG_ROWS):
-            found.append(RangeEnd(level, upper, rows))
+            found.append(level)
     return tuple(found)
 
 

@@ -111,7 +111,7 @@ def _cut_off(
         cut_off |= (values <= 0) | (values >= test.adc.top_code)
     if channel.name not in test.limits:
         for end in range_ends(values):
-            cut_off |= end.beyond(values)
+            cut_off |= values == end
     mark = np.where(cut_off, CLIPPED, 0).astype(np.uint8)
     if channel.name in test.limits:
         low, high = test.limits[channel.name]

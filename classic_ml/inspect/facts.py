@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +12,12 @@ import numpy as np
 from classic_ml.description import FileLayout
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.io.formats import open_stored
-from classic_ml.io.table import Columns, StoredTable
+from classic_ml.io.table import StoredTable
 from classic_ml.units import conversion_to_si, kind_of_unit
 from surge_core.types import FloatArray
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file"]
 
-# Rows that are looked at together: what is shorter than this is found whole.
-SEARCHED_ROWS = 1 << 20
 # How the name of a clock begins, in small letters.
 CLOCK_NAMES = ("time", "elapsed time")
 # A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.
@@ -150,7 +148,7 @@ def inspect_file(
     path : str or path
         A raw record or a series of any format that there is a reader for.
     layout : FileLayout, optional
-        Group and clock; without it the clock is found by its name, else by its steps.
+        Group and clock; without it the clock is found by its name.
     group : str, optional
         Group to look into, without a layout.
 
@@ -170,7 +168,7 @@ def inspect_file(
     clock: str | None = None
     with open_stored(path, layout or FileLayout(group=group)) as stored:
         names = tuple(name for name in stored.names if name not in stored.left_aside)
-        for block in _searched(stored.blocks(names)):
+        for block in stored.blocks(names):
             values = {n: column.astype(float) for n, column in zip(names, block, strict=True)}
             if not counts:
                 clock = _clock_column(values, layout)
@@ -190,41 +188,18 @@ def inspect_file(
     )
 
 
-def _searched(blocks: Iterator[Columns]) -> Iterator[Columns]:
-    """Yield the rows in blocks large enough to be searched."""
-    kept: list[Columns] = []
-    for block in blocks:
-        kept.append(block)
-        if sum(columns[0].size for columns in kept) >= SEARCHED_ROWS:
-            yield tuple(map(np.concatenate, zip(*kept, strict=True)))
-            kept = []
-    if kept:
-        yield tuple(map(np.concatenate, zip(*kept, strict=True)))
-
-
 def _clock_column(values: Mapping[str, FloatArray], layout: FileLayout | None) -> str | None:
     """Return which column is the clock; None where none looks like one."""
     if layout is not None:
         return layout.time if layout.time in values else None
     lower = {name: name.strip().lower() for name in values}
-    named = (n for n, low in lower.items() if low == "t" or low.startswith(CLOCK_NAMES))
-    rising = (name for name, column in values.items() if _rises_evenly(column))
-    return next(named, None) or next(rising, None)
+    return next((n for n, low in lower.items() if low == "t" or low.startswith(CLOCK_NAMES)), None)
 
 
 def _clock_unit(stored: StoredTable, clock: str | None, layout: FileLayout | None) -> str:
     stated = stored.units.get(clock or "", "")
     unit = (layout.time_unit if layout is not None else None) or stated
     return unit if kind_of_unit(unit) == "time" else "s"
-
-
-def _rises_evenly(values: FloatArray) -> bool:
-    """Return whether a column rises, and by the same step nearly always."""
-    steps = np.diff(values)
-    if steps.size < 2 or not np.all(steps > 0.0):
-        return False
-    usual = float(np.median(steps))
-    return bool(np.mean(np.abs(steps - usual) < 0.5 * usual) > 0.99)
 
 
 def _usual(time_s: FloatArray) -> float:
@@ -260,7 +235,7 @@ def _counts(name: str, values: FloatArray) -> dict[str, Any]:
     low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
     starts = np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1, [values.size]))
     at_maximum, whole = int(np.count_nonzero(finite == high)), bool(np.all(finite % 1.0 == 0.0))
-    ends = [end.upper for end in range_ends(finite)] if low < high else []
+    ends = range_ends(finite) if low < high else ()
     # The rules are those of a reduction; beside them the top code of a converter is known.
     is_code = whole and low < high and high >= 255.0 and np.log2(high + 1.0) % 1.0 == 0.0
     with np.errstate(over="ignore"):
@@ -276,8 +251,8 @@ def _counts(name: str, values: FloatArray) -> dict[str, Any]:
         "at_maximum": at_maximum,
         "longest_run": np.max(np.diff(starts)),
         "whole_numbers": whole and finite.size > 0,
-        "cut_minimum": False in ends,
-        "cut_maximum": True in ends or (is_code and at_maximum > 1),
+        "cut_minimum": low in ends,
+        "cut_maximum": high in ends or (is_code and at_maximum > 1),
     }
 
 

@@ -1,4 +1,4 @@
-"""What a file of channels is to a test.toml: mapping, ranges in SI, near stall, the reduction."""
+"""What a file of channels is to a test.toml: mapping, ranges in SI, the reduction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from classic_ml.calibration import probe_pressure_Pa
 from classic_ml.description import AnyChannel, PressureChannel, TestDescription
 from classic_ml.inspect.facts import Inspection
 from classic_ml.io.raw import MOST_VALUES, read_raw
-from classic_ml.records import LedgerEntry, Record
+from classic_ml.records import LedgerEntry
 from classic_ml.reduction import reduce_record
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -35,10 +35,6 @@ class ChannelMatch:
         ``"Pa"`` or ``"K"``.
     minimum, maximum : float
         Range of the readings in that unit; NaN where the file has no such column.
-    near_stall : float
-        Mean over the near-stall interval; NaN where it could not be taken.
-    facility : float
-        What the facility read there.
     """
 
     channel: str
@@ -47,8 +43,6 @@ class ChannelMatch:
     si_unit: str
     minimum: float
     maximum: float
-    near_stall: float
-    facility: float
 
 
 @dataclass(frozen=True)
@@ -99,7 +93,7 @@ def match_test(
     TestMatch
         Whatever does not fit is a finding in it, not an error.
     """
-    record, refusal, history = None, "", tuple[LedgerEntry, ...]()
+    refusal, history = "", tuple[LedgerEntry, ...]()
     too_long = inspection.rows * (len(test.channel_names) + 1) > MOST_VALUES
     window = inspection.surges_s if too_long and test.window_s is None else None
     try:
@@ -109,33 +103,19 @@ def match_test(
         refusal = str(error)
     fed = {test.file.time, *(channel.file_column for channel in test.channels)}
     left_over = tuple(c.name for c in inspection.channels if c.name not in fed)
-    matches = tuple(_match(channel, test, inspection, record) for channel in test.channels)
+    matches = tuple(_match(channel, test, inspection) for channel in test.channels)
     return TestMatch(test.name, matches, left_over, refusal, history)
 
 
-def _match(
-    channel: AnyChannel, test: TestDescription, inspection: Inspection, record: Record | None
-) -> ChannelMatch:
+def _match(channel: AnyChannel, test: TestDescription, inspection: Inspection) -> ChannelMatch:
     facts = inspection.channel(channel.file_column)
-    ends = (np.nan, np.nan) if facts is None else (facts.minimum, facts.maximum)
-    # Every conversion is a straight line, so that the mean may be taken before it.
-    mean = np.nan
-    if record is not None:
-        rows = record.rows_between(test.near_stall.from_s, test.near_stall.to_s)
-        mean = float(np.mean(record[channel.name][rows])) if rows.stop > rows.start else np.nan
-    low, high = sorted(_total(channel, channel.conversion.to_si(np.array(ends)), test).tolist())
-    is_pressure = isinstance(channel, PressureChannel)
-    facility = test.near_stall.pressure_Pa if is_pressure else test.near_stall.temperature_K
-    return ChannelMatch(
-        channel.name,
-        channel.file_column,
-        channel.unit,
-        "Pa" if is_pressure else "K",
-        low,
-        high,
-        float(_total(channel, np.array([mean]), test)[0]),
-        facility(channel.plane),
-    )
+    low = high = np.nan
+    if facts is not None:
+        # Every conversion is a straight line.
+        ends = channel.conversion.to_si(np.array([facts.minimum, facts.maximum]))
+        low, high = sorted(_total(channel, ends, test).tolist())
+    si_unit = "Pa" if isinstance(channel, PressureChannel) else "K"
+    return ChannelMatch(channel.name, channel.file_column, channel.unit, si_unit, low, high)
 
 
 def _total(channel: AnyChannel, values: FloatArray, test: TestDescription) -> FloatArray:

@@ -124,10 +124,8 @@ def _counted(count: int, one: str, more: str) -> str:
 
 def _match_text(match: TestMatch) -> str:
     lines = [f"as the test '{match.test}':"]
-    rows = [
-        (c.channel, c.column, c.unit, _range_text(c), _near_stall_text(c)) for c in match.channels
-    ]
-    head = ("channel", "column", "unit", "range", "near stall (facility)")
+    rows = [(c.channel, c.column, c.unit, _range_text(c)) for c in match.channels]
+    head = ("channel", "column", "unit", "range")
     widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     for row in (head, *rows):
         cells = (f"{cell:{width}s}" for cell, width in zip(row, widths, strict=True))
@@ -142,13 +140,6 @@ def _range_text(match: ChannelMatch) -> str:
         return "no such column"
     ends = (_in_shown_unit(end, match.si_unit) for end in (match.minimum, match.maximum))
     return " to ".join(ends)
-
-
-def _near_stall_text(match: ChannelMatch) -> str:
-    if isnan(match.near_stall):
-        return ""
-    found = _in_shown_unit(match.near_stall, match.si_unit)
-    return f"{found} ({_in_shown_unit(match.facility, match.si_unit)})"
 
 
 def _in_shown_unit(value: float, si_unit: str) -> str:
