@@ -104,6 +104,18 @@ def test_pressures_in_any_unit_are_those_of_the_counts(
         np.testing.assert_allclose(record[name], values, rtol=1e-14, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.parametrize(("unit", "value"), [("psia", 0.0), ("psig", -14.7)])
+def test_no_pressure_is_below_nothing(
+    made: RawTest, tmp_path: Path, unit: str, value: float
+) -> None:
+    columns, tables = in_other_units(made, unit)
+    columns["P25_A_tip_aft"][300] = value
+    with pytest.raises(
+        InputError, match=r"P25_A_tip_aft: .* above 0 Pa, found .* in row 301; .* reference_Pa"
+    ):
+        read_raw(*write(tmp_path, columns, tables))
+
+
 def test_a_record_in_psi_is_reduced_to_the_numbers_of_the_counts(tmp_path: Path) -> None:
     """The whole way: the same surge recorded as counts, and as psig with degF, gives one series."""
     made = make_test(seconds=2.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -19,7 +18,6 @@ from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
 from classic_ml.reduction import reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run
-from surge_core.errors import InputError
 
 PSI = 6894.757
 COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
@@ -261,42 +259,3 @@ def test_both_ends_are_found_at_once() -> None:
     rng = np.random.default_rng(1)
     wave = 300.0 * np.sin(np.arange(3000) / 9.0) + rng.normal(0.0, 4.0, 3000)
     assert ends_of(np.clip(np.round(wave), -200.0, 230.0)) == (-200.0, 230.0)
-
-
-# ------------------------------------------------------------------------- impossible pressures
-
-
-@pytest.mark.parametrize(
-    ("unit", "more", "value", "words"),
-    [
-        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa"),
-        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa"),
-    ],
-)
-def test_no_pressure_is_below_nothing(
-    unit: str, more: dict[str, float], value: float, words: str, tmp_path: Path
-) -> None:
-    raw = one_in(unit, **more)
-    raw.columns[ODD][300] = value
-    with pytest.raises(
-        InputError, match=f"channel {ODD}: expected absolute pressures above 0 Pa, {words}"
-    ):
-        raw.load()
-
-
-ODD = "P25_A_tip_aft"
-
-
-def one_in(unit: str, **more: float) -> Any:
-    """A test with one pressure in a unit of its own."""
-    made = make_test(seconds=0.5)
-    table = made.description["channels"][ODD]
-    gain = (table["calibrate_count"] - table["zero_count"]) / table["calibrate_pressure_Pa"]
-    pascals = (made.columns[ODD] - table["zero_count"]) / gain + table["zoc_reference_Pa"]
-    size = 1e3 if unit.startswith("kPa") else PSI
-    kept = {key: value for key, value in table.items() if key not in COUNT_KEYS}
-    columns = {**made.columns, ODD: (pascals - more.get("reference_Pa", 0.0)) / size}
-    channels = {**made.description["channels"], ODD: {**kept, "unit": unit, **more}}
-    return dataclasses.replace(
-        made, columns=columns, description={**made.description, "channels": channels}
-    )

@@ -191,7 +191,7 @@ READINGS = (
     refused("disconnected", "raw.csv|P25_B_hub_aft", channel("P25_B_hub_aft", noise)),
     flagged(
         "clipped-outside",
-        f"{PROBE}|outside the window",
+        f"{PROBE}|clipped",
         channel(PROBE, at_rows(slice(330, 345), 4095.0)),
         SAME,
     ),
