@@ -69,13 +69,12 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
     kept = record.without([*gone, *map(fault_name, gone)])
     used = {name: means for name, means in slow.items() if name not in gone}
-    findings = disagreements(used, test, agreements)
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
         {"clipped_share": CLIPPED_SHARE, "beyond_limits_share": BEYOND_SHARE},
         tuple(dropped),
-        tuple(finding.sentence for finding in findings),
+        tuple(disagreements(used, test, agreements)),
     )
     kept = with_faults_bridged(kept.after(entry), [c.name for c in test.temperatures])
     return with_faults_bridged(kept, [p.name for p in test.pressures], SPIKED)

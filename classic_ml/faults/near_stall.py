@@ -14,7 +14,7 @@ from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient
 from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels
-from classic_ml.faults.findings import Finding, marked_rows
+from classic_ml.faults.findings import marked_rows
 from classic_ml.flow import physical_flow
 from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import LedgerEntry, Record
@@ -78,11 +78,10 @@ def check_near_stall(
             "area_m2 of [planes.25] and [planes.31], and the zero and calibrate readings",
         )
     if differ > FLOWS_DIFFER:
-        words = (
+        findings.append(
             f"near stall W25 is {inlet:.4g} kg/s and W31 {leaving:.4g} kg/s{how}: check area_m2 "
             f"of [planes.25] and [planes.31] in {test.source}"
         )
-        findings.append(Finding("planes differ", words))
     columns = steady["Wc25_kg_s"], steady["T25_K"]
     area_m2, speed_m_s = test.areas_m2[25], test.rotor_velocity_m_s
     phi = float(np.mean(flow_coefficient(*columns, area_m2, speed_m_s, test.compressor)))
@@ -95,11 +94,11 @@ def check_near_stall(
         "near-stall flow",
         f"φ {phi:.3f}, W25 {inlet:.2f} kg/s, W31 {leaving:.2f} kg/s{how}",
         {"phi": round(phi, 4), "W25_kg_s": round(inlet, 4), "W31_kg_s": round(leaving, 4)},
-        flags=tuple(finding.sentence for finding in findings),
+        flags=tuple(findings),
     )
 
 
-def _common_shifts(test: TestDescription, shifts_Pa: Mapping[str, float]) -> list[Finding]:
+def _common_shifts(test: TestDescription, shifts_Pa: Mapping[str, float]) -> list[str]:
     """Return each plane of which all probes are off the facility's reading alike."""
     findings = []
     for plane in test.areas_m2:
@@ -110,14 +109,13 @@ def _common_shifts(test: TestDescription, shifts_Pa: Mapping[str, float]) -> lis
         mean, spread = -float(np.mean(shifts)), float(np.std(shifts))
         share = abs(mean) / test.near_stall.pressure_Pa(plane)
         if share > COMMON_SHARE and abs(mean) > COMMON_SPREADS * spread:
-            words = (
+            findings.append(
                 f"near stall all probes of plane {plane} read {share:.1%} "
                 f"{'above' if mean > 0.0 else 'below'} the facility ({abs(mean):.3g} Pa, "
                 f"{spread:.2g} Pa apart): is P{plane}_Pa of [near_stall] in {test.source} right, "
                 "or the calibrate_pressure_Pa and zoc_reference_Pa of all of them? the match hides "
                 "it, and τ follows"
             )
-            findings.append(Finding("common shift", words))
     return findings
 
 

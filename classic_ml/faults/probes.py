@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.faults.findings import Finding, alike, marked_rows
+from classic_ml.faults.findings import alike, marked_rows
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 
@@ -87,15 +87,11 @@ def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agre
 
 def disagreements(
     slow: SlowPressures, test: TestDescription, agreements: Mapping[str, Agreement]
-) -> list[Finding]:
+) -> list[str]:
     """Return the probes in use, matched near stall, that do not go with those beside them."""
     gains = [
-        Finding(
-            "gain",
-            f"{name} moves {found.gain:.2f} times as much as the probes beside it, "
-            f"{found.apart:.0%} apart from them: check its zero and calibrate readings",
-            name,
-        )
+        f"{name} moves {found.gain:.2f} times as much as the probes beside it, {found.apart:.0%} "
+        "apart from them: check its zero and calibrate readings"
         for name, found in agreements.items()
         if name in slow and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
     ]
@@ -109,7 +105,7 @@ def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
     return np.asarray(means[:, np.isfinite(means).all(axis=0)])
 
 
-def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:
+def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[str]:
     """Return probes at one immersion that agree near stall and no longer in the surge cycles."""
     found = []
     for names in alike(test.pressures, "plane", "immersion", "facing"):
@@ -120,9 +116,8 @@ def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:
         low, high = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         apart = means[high] / means[low] - 1.0
         if apart > LEVELS_APART:
-            words = (
+            found.append(
                 f"{high} is {apart:.1%} above {low} in the window, though both were matched near "
                 "stall: has the zero of one drifted, or is its sensitivity wrong?"
             )
-            found.append(Finding("drifted apart", words, high))
     return found

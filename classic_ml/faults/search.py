@@ -19,7 +19,6 @@ from classic_ml.faults.findings import (
     MARK_WORDS,
     SPIKED,
     STUCK,
-    Finding,
     alike,
 )
 from classic_ml.faults.held import check_held
@@ -84,21 +83,20 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
         f"looked for clipped {ends}, stuck channels, spikes and readings beyond their limits: "
         f"{len(findings) or 'no'} findings",
         {"stuck_s": STUCK_S},
-        flags=tuple(finding.sentence for finding in findings),
+        flags=tuple(findings),
     )
     return record.after(
         entry, add=[Channel.adopt(fault_name(name), mark, "1") for name, mark in marks.items()]
     )
 
 
-def _marked(record: Record, name: str, mark: Marks) -> list[Finding]:
+def _marked(record: Record, name: str, mark: Marks) -> list[str]:
     found = []
     for kind, word in MARK_WORDS.items():
         rows = np.flatnonzero(mark & kind)
         if rows.size:
             first_s, last_s = record.time_at_s(int(rows[0])), record.time_at_s(int(rows[-1]))
-            words = f"{name}: {rows.size} rows {word}, {first_s:.3f} to {last_s:.3f} s"
-            found.append(Finding("marked", words, name))
+            found.append(f"{name}: {rows.size} rows {word}, {first_s:.3f} to {last_s:.3f} s")
     return found
 
 

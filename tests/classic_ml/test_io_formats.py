@@ -136,20 +136,3 @@ def test_tdms_waveforms_are_read_by_their_rate(made: RawTest, tmp_path: Path) ->
     toml.write_text(to_toml({**made.description, "file": {"clock": "from rate"}}), "utf-8")
     record, _ = read_raw(tmp_path / "raw.tdms", toml)
     np.testing.assert_array_equal(record["T25_A"], channels["T25_A"])
-
-
-@pytest.mark.parametrize("form", [form for form in FORMS if not form.startswith("CSV")])
-def test_a_file_cut_short_is_refused_in_one_sentence(
-    made: RawTest, tmp_path: Path, form: str
-) -> None:
-    suffix, write = FORMS[form]
-    _, toml = made.write(tmp_path)
-    path = tmp_path / f"cut{suffix}"
-    write(path, made.columns)
-    data = path.read_bytes()
-    for size in (0, 100, len(data) // 2):
-        path.write_bytes(data[:size])
-        with pytest.raises(InputError) as refused:
-            read_raw(path, toml)
-        assert str(path) in str(refused.value)
-        assert "\n" not in str(refused.value)

@@ -77,7 +77,6 @@ def test_a_zero_that_drifts_between_near_stall_and_the_cycles_is_found(
     assert disagreements(slow_pressures(record, test, CYCLES), test, {}) == []
     name = "P25_A_hub_forward"
     spoiled = changed(record, name, 1.03 * record[name])
-    found = disagreements(slow_pressures(spoiled, test, CYCLES), test, {})
-    assert [f.kind for f in found] == ["drifted apart"]
-    assert found[0].channel == name
-    assert "above P25_B_hub_forward" in found[0].sentence
+    (found,) = disagreements(slow_pressures(spoiled, test, CYCLES), test, {})
+    assert found.startswith(name)
+    assert "above P25_B_hub_forward" in found
