@@ -69,6 +69,9 @@ def _layout_of(file: Path) -> _Layout:
     lines = [line for _, line in numbered]
     separator = max(SEPARATORS, key=lambda sign: len(_cells(lines[0], sign)))
     names = _cells(lines[0], separator)
+    if all(map(_is_number, names)):
+        expected = "a table with a header and a column time_s"
+        raise InputError(str(file), expected=expected, found="numbers in the first line")
     cells = [_cells(line, separator) for line in lines[1:]]
     labels = [_unit_in_brackets(name) for name in names]
     skipped = numbered[0][0] + 1

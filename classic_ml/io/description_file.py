@@ -124,7 +124,7 @@ class Document(Table):
     @model_validator(mode="after")
     def _agrees(self) -> Document:
         """Refuse what no table shows for itself."""
-        _check_codes(self)
+        _check_converter(self)
         _check_names(self)
         _check_probes(self)
         return self
@@ -214,21 +214,11 @@ def _check_defaults(defaults: Any, channels: Mapping[str, Any], source: str) -> 
             )
 
 
-def _check_codes(document: Document) -> None:
-    """Refuse counts without a converter, and codes that it does not have."""
+def _check_converter(document: Document) -> None:
+    """Refuse counts without a converter."""
     for name, channel in document.channels.items():
-        if not isinstance(channel, CountChannel):
-            continue
-        if document.adc is None:
+        if isinstance(channel, CountChannel) and document.adc is None:
             raise InputError("adc", expected=f"a table, since {name} is in counts", found="none")
-        code = max(channel.zero_count, channel.calibrate_count)
-        if code > document.adc.top_code:
-            raise InputError(
-                f"channels.{name}",
-                expected=f"codes of a converter of {document.adc.bits} bits in zero_count and "
-                "calibrate_count",
-                found=f"{code:g}",
-            )
 
 
 def _check_names(document: Document) -> None:

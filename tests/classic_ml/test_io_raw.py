@@ -128,7 +128,7 @@ def _cut(text: str) -> bytes:
             "an empty cell in row 12",
         ),
         (lambda t: t.replace("T25_A", "").encode(), "under a name, found one without"),
-        (lambda t: t.split("\n", 1)[1].encode(), "column time_s: expected it in the header"),
+        (lambda t: t.split("\n", 1)[1].encode(), "a header and a column time_s"),
     ],
 )
 def test_a_spoiled_file_is_refused(
