@@ -14,6 +14,7 @@ from classic_ml.faults.plateaus import range_ends
 from classic_ml.io.formats import open_stored
 from classic_ml.io.table import StoredTable
 from classic_ml.units import conversion_to_si, kind_of_unit
+from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file"]
@@ -168,6 +169,8 @@ def inspect_file(
     clock: str | None = None
     with open_stored(path, layout or FileLayout(group=group)) as stored:
         names = tuple(name for name in stored.names if name not in stored.left_aside)
+        if not names:
+            raise InputError(stored.source, expected="columns of numbers", found="text alone")
         for block in stored.blocks(names):
             values = {n: column.astype(float) for n, column in zip(names, block, strict=True)}
             if not counts:

@@ -189,11 +189,13 @@ def test_what_cannot_be_read_is_refused(
     toml.write_text("[test]\n", "utf-8")
     (tmp_path / "raw.h5").write_bytes(b"no HDF5")
     text = raw.read_text("utf-8")
+    (tmp_path / "text.csv").write_text("state,note\non,start\n", "utf-8")
     (tmp_path / "cut.csv").write_text(text[: len(text) * 2 // 3].rsplit(",", 5)[0], "utf-8")
     for arguments, words in (
         ([tmp_path / "raw.h5"], "expected an HDF5 file, found what cannot be read"),
         ([tmp_path / "none.csv"], "no such file"),
         ([tmp_path / "cut.csv"], "expected 21 values in every row"),
+        ([tmp_path / "text.csv"], "expected columns of numbers, found text alone"),
         ([raw, "--test", toml], "test.toml: test.name: expected a value"),
         ([tmp_path / "raw.h5", "--group", "a", "--test", toml], "--group: expected it without"),
     ):
@@ -201,6 +203,14 @@ def test_what_cannot_be_read_is_refused(
         assert (code, out) == (2, "")
         assert words in err
         assert err.count("\n") == 1
+
+
+def test_a_column_of_text_is_left_aside(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 1000},on,{k**2}\n" for k in range(200))
+    (tmp_path / "raw.csv").write_text("time_s,state,P\n" + rows, "utf-8")
+    found = inspect_file(tmp_path / "raw.csv")
+    assert [channel.name for channel in found.channels] == ["time_s", "P"]
+    assert found.left_aside == {"state": "text"}
 
 
 def test_a_group_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
