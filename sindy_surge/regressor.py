@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,6 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
-from sindy_surge.export import RateFunction, python_source
 from sindy_surge.free_run import FreeModel
 from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
@@ -24,13 +23,12 @@ from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.segments import Segments
 from sindy_surge.state_terms import physical_form
 from sindy_surge.summary import ModelSummary
-from sindy_surge.text import EquationParts, pysindy_equations, write_equation
+from sindy_surge.text import EquationParts, RateFunction, pysindy_equations, write_equation
 from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
-from surge_core.validation import one_of
 
 __all__ = ["SparseLagRegressor"]
 
@@ -389,13 +387,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """
         return float(r2_score(y, self.predict(X, segments=segments), sample_weight=sample_weight))
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
+    def equation(self) -> str:
         """Write the identified equation, rounded to its uncertainty, with units.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
 
         Returns
         -------
@@ -403,10 +396,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             The equation.
         """
         check_is_fitted(self)
-        one_of("style", style, ("text", "latex", "python"))
-        if style == "python":
-            return python_source(self._parts(), self._physical.values, self.feature_range_)
-        return write_equation(self._parts(), style)
+        return write_equation(self._parts())
 
     def print(self) -> None:
         """Print the equation, as pysindy's models do."""

@@ -21,9 +21,7 @@ from comparisons.cli.shared import (
     time_constant,
     whole,
     write_asked,
-    writes,
 )
-from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
@@ -49,15 +47,14 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             given,
             json=lambda: structure_document(found),
             report=lambda: structure_report(found, command=command_line()),
-            python=lambda: found.equation("python"),
         )
-    return structure_text(found, latex=given.latex), *written
+    return structure_text(found), *written
 
 
 def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> FoundStructure:
     from comparisons.harness.structure_fit import find_structure
 
-    found = find_structure(
+    return find_structure(
         records,
         target=given.target,
         hold=given.hold,
@@ -72,14 +69,6 @@ def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> F
         dead_time_s=given.dead_time,
         n_bootstrap=given.bootstrap,
     )
-    if found.refused and given.python:
-        raise InputError(
-            "--python",
-            expected="a fit with an equation",
-            found=f"the state {found.state[0]}",
-            remedy="nothing was written; --rows fits the rows of the segments",
-        )
-    return found
 
 
 def _joined(constraints: Sequence[tuple[str, str]] | None) -> dict[str, str] | None:
@@ -194,10 +183,8 @@ COMMAND = Command(
             help="resampled records for the inclusion probabilities (default: 100)",
         ),
         seed("resamples"),
-        argument("--latex", action="store_true", help="print the equation as LaTeX too"),
         JSON,
         REPORT,
-        writes("--python", metavar="FILE", help="write the equation as Python source"),
     ),
     run=_run,
 )

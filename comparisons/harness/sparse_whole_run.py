@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,23 +90,11 @@ class SparseWholeRunFit(WholeRunFit):
             input_ranges=self._phi_range,
         )
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
-        """Write the equation, rounded to its uncertainty.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
-        """
-        from sindy_surge.export import python_source
+    def equation(self) -> str:
+        """Write the equation, rounded to its uncertainty."""
         from sindy_surge.text import write_equation
 
-        parts = self.summary().parts
-        if style != "python":
-            return write_equation(parts, style)
-        return python_source(
-            parts, lambda phi, _: evaluate_terms(self.terms_, phi[:, 0]), self._phi_range
-        )
+        return write_equation(self.summary().parts)
 
 
 def fit_sparse_whole_runs(

@@ -98,15 +98,9 @@ class FoundStructure(Displayed):
             cautions=(*own.cautions, *([filtered.text] if filtered else [])),
         )
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
-        """Write the equation, rounded to its uncertainty.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
-        """
-        return str(self.fit.equation(style))
+    def equation(self) -> str:
+        """Write the equation, rounded to its uncertainty."""
+        return str(self.fit.equation())
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""

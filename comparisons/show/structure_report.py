@@ -71,8 +71,7 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
     ]
     if found.fit.path_:
         parts.append(Part("Structures tried", (_path_picture(found),)))
-    equations = tuple(Words(found.equation(style), "code") for style in ("latex", "python"))
-    return (*parts, Part("Equation as LaTeX and Python", equations))
+    return tuple(parts)
 
 
 def _summary(found: FoundStructure) -> tuple[Block, ...]:

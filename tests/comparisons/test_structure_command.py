@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -73,8 +72,7 @@ def numbers(folder: Path, *arguments: object) -> dict[str, Any]:
 def written(clean: Path) -> Path:
     """The folder with all that the command can write of the clean series."""
     folder = clean.parent
-    numbers, source = folder / "n.json", folder / "e.py"
-    assert run("structure", clean, "--json", numbers, "--python", source) == 0
+    assert run("structure", clean, "--json", folder / "n.json") == 0
     return folder
 
 
@@ -125,19 +123,6 @@ def test_two_late_samples_are_a_dead_time(
     assert held["dead_time_s"] == {"value": 2 * PERIOD_S, "stderr": 0.0}
 
 
-def test_the_python_file_gives_the_same_curve(written: Path) -> None:
-    spec = importlib.util.spec_from_file_location("equation", written / "e.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found = json.loads((written / "n.json").read_text("utf-8"))
-    b = [term["coefficient"] for term in found["terms"]]
-    phi = np.linspace(-0.05, 0.25, 7)
-    np.testing.assert_allclose(module.characteristic(phi), b[0] + b[1] * phi + b[2] * phi**2)
-    assert pytest.approx(found["time_constant_s"]["value"]) == module.TIME_CONSTANT_S
-
-
 def test_constraints_and_the_library_are_obeyed(clean: Path, tmp_path: Path) -> None:
     options = ("--bootstrap", 0, "--no-psi-terms", "--degree", 3, "--knots", "0.07,0.13")
     wish = ("--constraint", "phi^3=required", "--constraint", "phi=forbidden")
@@ -154,8 +139,8 @@ def test_constraints_and_the_library_are_obeyed(clean: Path, tmp_path: Path) -> 
 def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    report, source = tmp_path / "r.html", tmp_path / "e.py"
-    run_through = numbers(tmp_path, whole, "--report", report, "--python", source)
+    report = tmp_path / "r.html"
+    run_through = numbers(tmp_path, whole, "--report", report)
     assert run_through["fitted_to"] == "whole runs"
     assert "one free run" in capsys.readouterr().out.splitlines()[0]
     tau = run_through["time_constant_s"]
@@ -163,7 +148,6 @@ def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     assert abs(tau["value"] - 0.018) < 0.003
     assert run_through["dead_time_s"] == {"value": None, "stderr": None}
     assert report.read_text("utf-8").count("<img") == 2
-    assert "def characteristic" in source.read_text("utf-8")
     rows = numbers(tmp_path, whole, "--dead-time", 0, "--bootstrap", 0)
     assert rows["fitted_to"] == "rows"
     assert "because of --dead-time and --bootstrap" in capsys.readouterr().out.splitlines()[0]
@@ -221,5 +205,3 @@ def test_a_blowdown_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFi
     assert found["terms"] == []
     assert "no structure (blowdown)" in capsys.readouterr().out
     assert "<img" not in (tmp_path / "r.html").read_text("utf-8")
-    assert run("structure", file, "--python", tmp_path / "e.py") == 2
-    assert not (tmp_path / "e.py").exists()
