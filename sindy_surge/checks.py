@@ -15,11 +15,6 @@ from surge_core.validation import one_of, positive, whole_number
 __all__ = ["cautions_of", "check_parameters", "is_constant"]
 
 
-# Below this gap of forward and reverse weak estimates noise does not matter: at 1 % of noise on
-# both channels it is 0.6 %.
-_WIDE_GAP = 0.3
-
-
 def check_parameters(estimator: Any) -> None:
     """Refuse parameters of `SparseLagRegressor` that cannot be used.
 
@@ -81,11 +76,5 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
         sentences.append(
             f"the noise is coloured (autoregression of order {problem.noise.colour.size}) and was "
             "whitened for it; a missing effect can look the same"
-        )
-    if found.weak is not None and found.weak.gap > _WIDE_GAP:
-        sentences.append(
-            f"the weak form reads {found.weak.reverse_s * 1e3:.3g} to "
-            f"{found.weak.forward_s * 1e3:.3g} ms, reverse to forward: noise or model error is "
-            "large against the signals"
         )
     return tuple(sentences)

@@ -10,6 +10,7 @@ import numpy as np
 
 from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
+from sindy_surge.features import features
 from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
 from sindy_surge.inclusion import inclusion_probabilities
@@ -24,19 +25,18 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import Support
 from sindy_surge.noise import autoregression
-from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
-from sindy_surge.segments import cycle_blocks
+from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare
+from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
-from sindy_surge.state_powers import choose_power
-from sindy_surge.uncertainty import held_out_rms, sandwich
-from sindy_surge.weak import WeakLag
+from sindy_surge.uncertainty import sandwich
+from sindy_surge.weak import weak_lag
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
 __all__ = ["Choices", "Identified", "identify"]
 
 
-# Blocks of cycles are left out and drawn whole; none is shorter than this many rows.
+# Blocks of rows are drawn whole; none is shorter than this many rows.
 _SHORTEST_BLOCK = 20
 # More terms than this may stand in for one kink between two knots.
 _LARGE = 4
@@ -67,13 +67,11 @@ class Identified:
     model: FreeModel
     dead_time_stderr_s: float  # Standard error of the dead time in seconds; 0 if it was not fitted
     covariance: FloatArray  # (n_terms + 1, n_terms + 1): Of β and, last, τ
-    initial: FloatArray  # (n_segments,): ψ' at the first usable row of each segment
     state: FitState  # What became of the fit, as far as the search can tell
     path: tuple[PathRow, ...]  # Every structure proposed or tested
     rivals: tuple[tuple[str, ...], ...]  # Structures that the data cannot tell from the chosen one
     # Share of the resamples whose structure holds a term; empty without resamples
     inclusion: dict[str, float]
-    weak: WeakLag | None  # The weak estimates of τ
     knots: tuple[MovedKnot, ...]  # Hinges off the library's grid that were added to it
 
     def fit_state(self) -> FitState:
@@ -201,29 +199,13 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
 
 def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     prepared, found, names = search.prepared, search.found, search.names
-    power = choose_power(*_colour_again(prepared.problem, found.fit))
-    problem, fit = power.problem, power.fit
-    rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
-    blocks = cycle_blocks(problem.inputs[:, 0], problem.segments, _SHORTEST_BLOCK)
-    runs = {
-        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks)
-        for support, one in found.fits.items()
-        if one.converged
-    }
-    path = [replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path]
-    if fit.support != found.fit.support:
-        terms = tuple(names[i] for i in fit.support)
-        path = [replace(row, chosen=False) for row in path if row.terms != terms]
-        # A score would belong to another linearisation than the table's.
-        none, tau = float("nan"), fit.time_constant_s
-        path.append(PathRow(len(terms), terms, none, fit.chi2, tau, True, found.consistent, True))
-        path.sort(key=lambda row: row.size)
+    problem, fit = _colour_again(prepared.problem, found.fit)
     inclusion: dict[str, float] = {}
     equations = white_equations(problem, fit)
     if choices.n_bootstrap:
         shares = inclusion_probabilities(
             equations,
-            blocks,
+            block_slices(problem.segments, _SHORTEST_BLOCK),
             choices.max_terms,
             penalty_per_term=information_penalty(equations.target.size, len(names)),
             n_resamples=choices.n_bootstrap,
@@ -235,7 +217,6 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.fits_dead_time else 0.0
     wanted = [*range(len(fit.support)), -1]
     covariance = covariance[np.ix_(wanted, wanted)]
-    weak = weak_estimates(problem, fit.support) or prepared.weak
     if model_error_dominates(prepared, found.consistent) or not found.consistent:
         state = FitState.NO_CONSISTENT_STRUCTURE
     elif not _explains(equations, fit.support):
@@ -244,7 +225,7 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         state = FitState.NOT_CONVERGED
     elif problem.usable.later.size < _EQUATIONS_A_TERM * len(names):
         state = FitState.FEW_EQUATIONS
-    elif _contradicted(problem, fit, weak):
+    elif _contradicted(problem, fit):
         state = FitState.CONTRADICTED
     else:
         state = FitState.OK
@@ -253,12 +234,10 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         problem.model(fit.support, fit.coefficients, fit.time_constant_s, fit.dead_time_s),
         dead_time_stderr,
         covariance,
-        _of_segments(problem, fit.initial),
         state,
-        tuple(path),
-        tuple(tuple(names[i] for i in rival) for rival in rivals),
+        found.path,
+        tuple(tuple(names[i] for i in rival) for rival in found.rivals),
         inclusion,
-        weak,
         search.knots,
     )
 
@@ -271,9 +250,14 @@ def _explains(equations: WhiteEquations, support: Support) -> bool:
     return gain / linear.variance > penalty * len(support)
 
 
-def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) -> bool:
+def _contradicted(problem: LagProblem, fit: StructureFit) -> bool:
     """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
-    if weak is None or not problem.holds_state(fit.support):
+    if not problem.holds_state(fit.support):
+        return False
+    without = [i for i in fit.support if i < problem.n_without_state]
+    values = features(problem, problem.inputs, problem.noise.inputs, without).values
+    weak = weak_lag(problem.output, problem.late(values), problem.segments, problem.sample_period_s)
+    if weak is None:
         return False
     tau = fit.time_constant_s
     model = problem.model(fit.support, fit.coefficients, tau, fit.dead_time_s)
@@ -333,18 +317,9 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
         problem.model(fit.support, beta, tau, problem.dead_time_s),
         0.0,
         fit.covariance,
-        fit.initial,
         FitState.MODEL_ERROR_DOMINATES,
         with_held_out(search.found.path, fit.trials, fit.support, search.names),
         (),
         {},
-        search.prepared.weak,
         (),
     )
-
-
-def _of_segments(problem: LagProblem, initial: FloatArray) -> FloatArray:
-    """Return one initial state for each segment; of those too short, the measured ψ'."""
-    result = problem.output[problem.segments.starts].copy()
-    result[problem.usable.home] = initial
-    return result

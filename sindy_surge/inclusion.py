@@ -1,4 +1,4 @@
-"""How often each term is chosen when the surge cycles are drawn again with replacement."""
+"""How often each term is chosen when blocks of the record are drawn again with replacement."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def inclusion_probabilities(
     Parameters
     ----------
     blocks : sequence of slice
-        Rows of the record, from `segments.cycle_blocks`. Their order does not matter; equations of
+        Rows of the record, from `segments.block_slices`. Their order does not matter; equations of
         rows in none of them are not used.
 
     Returns

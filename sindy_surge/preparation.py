@@ -21,20 +21,17 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import (
     LinearProblem,
-    Support,
     least_squares,
     unit_norms,
     without_nuisances,
 )
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
-from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
-from sindy_surge.weak import WeakLag, weak_lag
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["DeadTimeChoice", "Prepared", "prepare", "weak_estimates"]
+__all__ = ["DeadTimeChoice", "Prepared", "prepare"]
 
 
 # A dead time is believed beyond this many standard errors of the fit of all terms.
@@ -52,11 +49,10 @@ DeadTimeChoice = float | Literal["auto", "fit"]
 
 @dataclass(frozen=True)
 class Prepared:
-    """The problem with its noise levels, the fit of all terms and the weak estimates."""
+    """The problem with its noise levels, and the fit of all terms."""
 
     problem: LagProblem  # The data with noise levels and colour, and the dead time found
     rich: StructureFit  # The fit of all terms without ψ'
-    weak: WeakLag | None  # The weak estimates of τ
     # χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what they
     # leave over that of the white noise which differences show
     excess: float
@@ -84,8 +80,7 @@ def prepare(
             found=f"{given:g} s, which leaves {problem.usable.later.size} equations",
             remedy="check its unit (seconds), or use longer segments",
         )
-    weak = _weak(problem)
-    tau = scan_lag(problem, (weak.reverse_s, weak.forward_s) if weak else ())
+    tau = scan_lag(problem)
     problem = _screened(problem, tau, required)
     problem = replace(problem, noise=_noise(problem, tau))
     everything = tuple(range(problem.n_without_state))
@@ -103,7 +98,7 @@ def prepare(
             # Coloured noise had passed for a time shift.
             problem = problem.with_dead_time(0.0, False)
             rich = refitted(problem, rich, 4)
-    return Prepared(problem, rich, _weak(problem), excess)
+    return Prepared(problem, rich, excess)
 
 
 def _left_by_all(problem: LagProblem, rich: StructureFit) -> FloatArray:
@@ -115,26 +110,6 @@ def _left_by_all(problem: LagProblem, rich: StructureFit) -> FloatArray:
     left = equations.target - design @ least_squares(design, equations.target)
     # Terms with ψ' that take over little would only eat some of the colour.
     return left if left @ left < _TAKEN_OVER * rich.chi2 else rich.residual
-
-
-def _weak(problem: LagProblem) -> WeakLag | None:
-    # One weak equation comes every quarter of a half width, so far fewer than rows.
-    most = max(2, min(20, problem.output.size // 100, problem.n_without_state))
-    few = problem.terms(problem.inputs, wanted=problem.columns[:most].tolist())
-    return _weak_lag(problem, problem.late(few))
-
-
-def _weak_lag(problem: LagProblem, values: FloatArray) -> WeakLag | None:
-    segments, sample_s = problem.segments, problem.sample_period_s
-    surge_s = surge_period_s(problem.inputs[:, 0], segments, sample_s)
-    return weak_lag(problem.output, values, segments, sample_s, surge_period_s=surge_s)
-
-
-def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
-    """Estimate τ of a structure in the weak form; None if the segments are too short."""
-    without = [i for i in support if i < problem.n_without_state]
-    values = features(problem, problem.inputs, problem.noise.inputs, without).values
-    return _weak_lag(problem, problem.late(values))
 
 
 def _with_dead_time(

@@ -75,7 +75,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         How much later than φ ψ' was measured, in seconds (negative: φ is late). "auto" tests
         for it before any structure is read, and fits it with every structure where it shows.
     n_bootstrap : int
-        Resamples of the cycles for `inclusion_probability_`; 0 for none.
+        Resamples of the record for `inclusion_probability_`; 0 for none.
     random_state : int, numpy Generator or None
         Seed of the resamples.
     output_name : str
@@ -109,20 +109,16 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Terms of the library that are zero or a sum of others over this record, and were left out:
         name and what it equals.
     inclusion_probability_ : dict of str to float
-        For each term that could be chosen the share of resampled records (cycles drawn with
-        replacement) whose structure holds it.
+        For each term that could be chosen the share of resampled records (blocks of rows drawn
+        with replacement) whose structure holds it.
     dead_time_s_ : float
         Dead time in seconds: how much later than φ ψ' was measured.
     dead_time_stderr_s_ : float
         Its standard error in seconds; 0 if it was not fitted.
     cautions_ : tuple of str
         What a user should know before the numbers are used.
-    weak_form_ : WeakLag or None
-        The two weak estimates of τ, whose gap measures the noise.
     noise_ : tuple of (float, ndarray) or None
         Standard deviations found for the noise of ψ' and of each input.
-    initial_states_ : ndarray of shape (n_segments,)
-        ψ' at the start of each segment of the training data.
     feature_range_ : ndarray of shape (2, n_features_in_)
         Least and greatest value of each input: where the characteristic is more than a guess.
     n_features_in_ : int
@@ -231,12 +227,11 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         found = identify(problem, choices, self._input_names)
         noise, self._model = found.problem.noise, found.model
         self._candidates = found.problem.terms
-        self.weak_form_, self.path_, self.rivals_ = found.weak, found.path, found.rivals
+        self.path_, self.rivals_ = found.path, found.rivals
         self.inclusion_probability_ = found.inclusion
         self.noise_: tuple[float, FloatArray] | None = (noise.output, noise.inputs)
         self.dead_time_s_ = found.model.lag.dead_time_s
         self.dead_time_stderr_s_ = found.dead_time_stderr_s
-        self.initial_states_ = found.initial
         names = self.candidate_terms_ = self._candidates.names
         form = physical_form(
             [names[i] for i in found.model.selected],
@@ -283,8 +278,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
         self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
-        self.weak_form_ = self.noise_ = None
-        self.initial_states_ = y[runs.starts]
+        self.noise_ = None
         self.fit_state_ = state
         self.cautions_ = (state.advice,)
         self._model = self._physical = FreeModel(
@@ -473,7 +467,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             rivals=self.rivals_ if searched else None,
             aliases=tuple(self.aliases_.items()),
             noise=None if self.noise_ is None else (self.noise_[0], self.noise_[1].tolist()),
-            weak=self.weak_form_,
             path=self.path_,
             input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,8 +57,7 @@ class PathRow:
     chosen : bool
         Whether it is the answer.
     held_out_rms : float
-        Error of the free run on cycles left out, in units of ψ'; of the weak equations where
-        model error dominates; nan for structures that were not fitted by themselves.
+        Error on cycles left out, in units of ψ', where these decide; else nan.
     """
 
     size: int
@@ -83,7 +82,6 @@ class Selection:
     rivals: tuple[Support, ...]
     # False if every structure tested was refuted; the fit is then the best of them
     consistent: bool
-    fits: Mapping[Support, StructureFit]  # The fit of every structure that had one, by support
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:
@@ -119,7 +117,7 @@ def select_structure(
     search.run()
     chosen, rivals = search.choose()
     standing = bool(search.consistent)
-    return Selection(search.fits[chosen], search.table(chosen), rivals, standing, search.fits)
+    return Selection(search.fits[chosen], search.table(chosen), rivals, standing)
 
 
 class _Search:

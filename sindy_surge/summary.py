@@ -10,7 +10,6 @@ import numpy as np
 
 from sindy_surge.selection import PathRow
 from sindy_surge.text import EquationParts, write_equation
-from sindy_surge.weak import WeakLag
 from surge_core.display import Field, Grid, Sheet
 from surge_core.fit_state import FitState
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
@@ -70,8 +69,6 @@ class ModelSummary:
         Groups of terms that are the same thing on this data; None if not looked for.
     noise : tuple of (float, sequence of float) or None
         Standard deviation found for the noise of ψ' and of each input.
-    weak : WeakLag or None
-        The two weak estimates of τ.
     path : sequence of PathRow
         Structures tried.
     input_ranges : ndarray of shape (2, n_inputs) or None
@@ -88,7 +85,6 @@ class ModelSummary:
     rivals: Sequence[Sequence[str]] | None = None
     aliases: Sequence[Sequence[str]] | None = None
     noise: tuple[float, Sequence[float]] | None = None
-    weak: WeakLag | None = None
     path: Sequence[PathRow] = ()
     input_ranges: FloatArray | None = None
     cautions: Sequence[str] = ()
@@ -117,7 +113,7 @@ class ModelSummary:
         return Sheet(self.name, tuple(fields), grids)
 
     def _times(self) -> list[Field]:
-        parts, weak = self.parts, self.weak
+        parts = self.parts
         tau, error = parts.time_constant_s, parts.time_constant_stderr_s
         rows = [("time constant τ", "none: the fit is static")]
         if not parts.is_static:
@@ -128,10 +124,6 @@ class ModelSummary:
             dead, error = parts.dead_time_s, parts.dead_time_stderr_s
             rows.append(("dead time d", f"{round_to_error(dead, error)} s"))
             rows.append(("d, 95 % interval", f"{_interval(interval95(dead, error), error)} s"))
-        if weak is not None:
-            rows.append(("weak τ, forward", f"{significant(weak.forward_s)} s"))
-            rows.append(("weak τ, reverse", f"{significant(weak.reverse_s)} s"))
-            rows.append(("weak gap (noise)", f"{significant(100 * weak.gap, 3)} %"))
         return [Field(*row) for row in rows]
 
     def _terms(self) -> Grid:

@@ -26,7 +26,6 @@ MIN_HALF_WIDTH = 4
 _EXPONENT = 4
 # 2 τ lies between the 1.5 and 3 τ within which the study found no bias (30-50 ms at 18 ms).
 _HALF_WIDTH_IN_TAU = 2.0
-_HALF_WIDTH_IN_PERIODS = 0.25
 # τ in samples with which the search for a width begins.
 _FIRST_GUESS = 20
 
@@ -43,31 +42,19 @@ class WeakLag:
         τ from regressing ψ' on dψ'/dt and the terms, in seconds: noise pulls it down.
     half_width_s : float
         Half width of the test function in seconds.
-    n_rows : int
-        Number of weak equations.
     """
 
     forward_s: float
     reverse_s: float
     half_width_s: float
-    n_rows: int
-
-    @property
-    def gap(self) -> float:
-        """Relative distance of the two estimates: a measure of the noise (0 without any)."""
-        return (self.forward_s - self.reverse_s) / self.reverse_s
 
 
 def half_width_samples(
     segments: Segments,
     time_constant_s: float,
     sample_period_s: float,
-    surge_period_s: float | None = None,
 ) -> int | None:
-    """Return the half width in samples: 2 τ, at most a quarter of a surge period.
-
-    Never more than the segments allow either. A test function as long as the cycle averages the
-    cycle away: with 0.25 s at 6 Hz τ came out three times too large at 5 % noise.
+    """Return the half width in samples: 2 τ, never more than the segments allow.
 
     Half of the rows must lie in segments that hold at least one whole test function; with
     segments too short for a half width of 4 samples the answer is None.
@@ -80,8 +67,6 @@ def half_width_samples(
         A guess at τ in seconds.
     sample_period_s : float
         Sample period in seconds.
-    surge_period_s : float or None
-        Period of the surge cycles in seconds, if any are seen.
     """
     lengths = np.sort(segments.lengths)[::-1]
     # The longest width that still leaves half of all rows in segments long enough.
@@ -89,8 +74,6 @@ def half_width_samples(
     # Twice as many rows as one test function spans, so that it can slide.
     room = (longest - 1) // 4 if longest > 8 * MIN_HALF_WIDTH else (longest - 1) // 2
     wanted = _HALF_WIDTH_IN_TAU * time_constant_s / sample_period_s
-    if surge_period_s is not None:
-        wanted = min(wanted, _HALF_WIDTH_IN_PERIODS * surge_period_s / sample_period_s)
     width = int(min(max(round(min(wanted, 1e9)), MIN_HALF_WIDTH), room))
     return width if width >= MIN_HALF_WIDTH else None
 
@@ -210,7 +193,6 @@ def weak_lag(
     terms: FloatArray,
     segments: Segments,
     sample_period_s: float,
-    surge_period_s: float | None = None,
 ) -> WeakLag | None:
     """Estimate τ by weak regression in both directions, the width following from the first.
 
@@ -220,7 +202,7 @@ def weak_lag(
         ψ'.
     terms : ndarray of shape (n_rows, n_terms)
         The candidate terms.
-    segments, sample_period_s, surge_period_s
+    segments, sample_period_s
         See `half_width_samples`.
 
     Returns
@@ -231,7 +213,7 @@ def weak_lag(
     guess = _FIRST_GUESS * sample_period_s
     result: WeakLag | None = None
     for _ in range(2):
-        width = half_width_samples(segments, guess, sample_period_s, surge_period_s)
+        width = half_width_samples(segments, guess, sample_period_s)
         if width is None:
             return None
         weak = WeakEquations.integrate(y, terms, segments, width, sample_period_s)
@@ -242,5 +224,5 @@ def weak_lag(
         if forward is None or not reverse > 0:
             return result
         guess = reverse
-        result = WeakLag(float(forward[-1]), guess, width * sample_period_s, weak.signal.size)
+        result = WeakLag(float(forward[-1]), guess, width * sample_period_s)
     return result

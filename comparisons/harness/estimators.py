@@ -193,7 +193,7 @@ def structure_of(estimator: Any) -> dict[str, Any] | None:
     if not hasattr(estimator, "candidate_terms_"):
         return None
     best: dict[int, Any] = {}
-    # Of each size the chosen structure, else that of the least error; unknown errors last.
+    # Of each size the chosen structure, else that of the least error, or score where none is known.
     for row in sorted(estimator.path_, key=_by_merit, reverse=True):
         best[row.size] = row
     return {
@@ -212,6 +212,6 @@ def structure_of(estimator: Any) -> dict[str, Any] | None:
     }
 
 
-def _by_merit(row: Any) -> tuple[bool, float]:
-    error = float(row.held_out_rms)
-    return not row.chosen, error if math.isfinite(error) else math.inf
+def _by_merit(row: Any) -> tuple[bool, float, float]:
+    error, score = np.nan_to_num([row.held_out_rms, row.score], nan=math.inf).tolist()
+    return not row.chosen, error, score

@@ -173,7 +173,6 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         "aliases": dict(getattr(fit, "aliases_", {})),
         "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
         "path": [_path_row(row) for row in fit.path_],
-        "weak_form": _weak_form(getattr(fit, "weak_form_", None)),
         "noise": None
         if noise is None
         else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
@@ -188,8 +187,3 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
 def _path_row(row: PathRow) -> dict[str, Any]:
     keys = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
     return {"terms": list(row.terms), **{key: getattr(row, key) for key in keys}}
-
-
-def _weak_form(weak: Any) -> dict[str, float] | None:
-    names = ("forward_s", "reverse_s", "gap", "half_width_s")
-    return None if weak is None else {name: float(getattr(weak, name)) for name in names}
