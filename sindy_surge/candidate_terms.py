@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sindy_surge.library import StallLibrary, default_library, hinge_name
 from sindy_surge.linear_problem import least_squares
@@ -32,8 +32,6 @@ class CandidateTerms:
         The inputs.
     input_names : list of str
         Name of each input, used in the names of the terms.
-    degree, knots
-        See `default_library`; unused with a library of one's own.
     psi_p : ndarray of shape (n_rows,) or None
         ψ' at the rows of `X`, for terms that hold it (with one or two inputs); None for none.
     output_name : str
@@ -46,12 +44,10 @@ class CandidateTerms:
         X: FloatArray,
         input_names: list[str],
         *,
-        degree: int = 5,
-        knots: ArrayLike | None = None,
         psi_p: FloatArray | None = None,
         output_name: str = "psi_p",
     ) -> None:
-        chosen = default_library(X, degree=degree, knots=knots) if library is None else library
+        chosen = default_library(X) if library is None else library
         self._library = _fitted(copy.deepcopy(chosen), X)
         n_terms = self._of_inputs(X[:1], strict=False).shape[1]
         self.input_names = tuple(input_names)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from sindy_surge.identification import Identified
-from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 from surge_core.validation import one_of, positive, whole_number
@@ -25,16 +24,8 @@ def check_parameters(estimator: Any) -> None:
     """
     positive("sample_period_s", estimator.sample_period_s)
     one_of("hold", estimator.hold, ("first", "zero"))
-    for name, least in (("max_terms", 1), ("degree", 1), ("n_bootstrap", 0)):
+    for name, least in (("max_terms", 1), ("n_bootstrap", 0)):
         whole_number(name, getattr(estimator, name), least, 1_000_000)
-    knots = estimator.knots
-    if knots is not None and not np.all(np.isfinite(np.asarray(knots, dtype=float))):
-        raise InputError("knots", expected="finite values of φ", found=repr(knots))
-    dead = estimator.dead_time_s
-    if dead not in ("auto", "fit") and not (isinstance(dead, (int, float)) and np.isfinite(dead)):
-        raise InputError(
-            "dead_time_s", expected='a time in seconds, "auto" or "fit"', found=repr(dead)
-        )
 
 
 def is_constant(values: FloatArray) -> bool:

@@ -25,7 +25,7 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import Support
 from sindy_surge.noise import autoregression
-from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare
+from sindy_surge.preparation import Prepared, prepare
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.uncertainty import sandwich
@@ -53,7 +53,6 @@ class Choices:
     optimizer: Any
     max_terms: int
     constraints: Mapping[str, str] | None
-    dead_time_s: DeadTimeChoice
     n_bootstrap: int
     random_state: Any
 
@@ -97,8 +96,9 @@ class Identified:
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
     """Search the structure of a record and estimate its parameters."""
     search = _searched(problem, choices, input_names)
-    if choices.dead_time_s == "auto" and search.prepared.problem.fits_dead_time:
-        search = _simpler(search, _searched(problem, _on_time(choices, search), input_names))
+    if search.prepared.problem.fits_dead_time:
+        on_time = _on_time(choices, search)
+        search = _simpler(search, _searched(problem, on_time, input_names, may_be_late=False))
     if search.may_lack_a_knot:
         search = _with_knots(search, choices, input_names)
     robust = None
@@ -135,10 +135,12 @@ def _searched(
     choices: Choices,
     input_names: Sequence[str],
     knots: tuple[MovedKnot, ...] = (),
+    *,
+    may_be_late: bool = True,
 ) -> _Searched:
     library = problem.terms.names
     columns, constraints = constraints_of(choices.constraints, library, problem.columns)
-    prepared = prepare(replace(problem, columns=columns), choices.dead_time_s, constraints.required)
+    prepared = prepare(replace(problem, columns=columns), constraints.required, may_be_late)
     usable = prepared.problem.columns
     _, constraints = constraints_of(choices.constraints, library, usable)
     names = [library[i] for i in usable]
@@ -152,7 +154,6 @@ def _on_time(choices: Choices, late: _Searched) -> Choices:
     most = len(late.found.fit.support) + 1 if late.found.consistent else choices.max_terms
     return replace(
         choices,
-        dead_time_s=0.0,
         max_terms=min(max(most, len(late.constraints.required)), choices.max_terms),
         # The best subsets hold whatever an optimizer would propose of so few terms.
         optimizer="best-subset" if isinstance(choices.optimizer, str) else choices.optimizer,
@@ -188,9 +189,8 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
     if not knots:
         return search
     wide, _ = with_hinges(search.whole, [moved.knot for moved in knots])
-    if choices.dead_time_s == "auto" and not problem.fits_dead_time:
-        choices = replace(choices, dead_time_s=0.0)
-    again = _searched(wide, choices, input_names, knots)
+    late = problem.fits_dead_time
+    again = _searched(wide, choices, input_names, knots, may_be_late=late)
     stands = again.found.consistent and not model_error_dominates(again.prepared, True)
     first = again.prepared.problem.n_without_state - len(knots)
     uses = any(i >= first for i in again.found.fit.support)
@@ -302,10 +302,9 @@ def _covariance(problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, 
 
 
 def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
-    problem = search.prepared.problem
-    if choices.dead_time_s == "auto":
-        # Tested against noise, of which there is next to none: an error of the model passed for it.
-        problem = problem.with_dead_time(0.0, False)
+    # A dead time is tested against noise, of which there is next to none: an error of the model
+    # passed for it.
+    problem = search.prepared.problem.with_dead_time(0.0, False)
     fit = select_by_held_out(
         problem, choices.optimizer, choices.max_terms, search.degrees, search.constraints
     )

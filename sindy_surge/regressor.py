@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
@@ -19,7 +19,6 @@ from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
-from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.segments import Segments
 from sindy_surge.state_terms import physical_form
 from sindy_surge.summary import ModelSummary
@@ -56,24 +55,17 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         from k to k + 1 (Eq 9-11 of the paper). The wrong one biases τ by 2-3 %.
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
-        exponentials over the range of the data.
+        exponentials over the range of the data, and moves the knot of a chosen hinge where the
+        data ask for it.
     optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes the structures; the best subsets of each size are always looked at too.
     max_terms : int
         Largest structure considered.
-    degree : int
-        Highest degree of the default library's polynomials.
-    knots : array-like of float or None
-        Knots of the default library's hinges; None takes round numbers within the data, and
-        moves a knot of the chosen structure where the data ask for it.
     psi_terms : bool
         Offer terms that hold ψ' beside the lag's own: ψ'², ψ'³ and products with φ and φ².
     constraints : mapping of str to str, or None
         What is known beforehand: for the name of a term "required", "forbidden", "positive" or
         "negative" (two joined by a space). The lag itself is always there, with τ > 0.
-    dead_time_s : float, "auto" or "fit"
-        How much later than φ ψ' was measured, in seconds (negative: φ is late). "auto" tests
-        for it before any structure is read, and fits it with every structure where it shows.
     n_bootstrap : int
         Resamples of the record for `inclusion_probability_`; 0 for none.
     random_state : int, numpy Generator or None
@@ -112,7 +104,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         For each term that could be chosen the share of resampled records (blocks of rows drawn
         with replacement) whose structure holds it.
     dead_time_s_ : float
-        Dead time in seconds: how much later than φ ψ' was measured.
+        Dead time in seconds: how much later than φ ψ' was measured (negative: φ is late). It is
+        tested for before any structure is read, and fitted with every structure where it shows.
     dead_time_stderr_s_ : float
         Its standard error in seconds; 0 if it was not fitted.
     cautions_ : tuple of str
@@ -133,11 +126,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         library: Any = None,
         optimizer: Any = "SSR",
         max_terms: int = 6,
-        degree: int = 5,
-        knots: Sequence[float] | None = None,
         psi_terms: bool = True,
         constraints: Mapping[str, str] | None = None,
-        dead_time_s: DeadTimeChoice = "auto",
         n_bootstrap: int = 100,
         random_state: Any = 0,
         output_name: str = "psi_p",
@@ -147,11 +137,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.library = library
         self.optimizer = optimizer
         self.max_terms = max_terms
-        self.degree = degree
-        self.knots = knots
         self.psi_terms = psi_terms
         self.constraints = constraints
-        self.dead_time_s = dead_time_s
         self.n_bootstrap = n_bootstrap
         self.random_state = random_state
         self.output_name = output_name
@@ -196,8 +183,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             self.library,
             X_checked,
             self._input_names,
-            degree=self.degree,
-            knots=self.knots,
             psi_p=y_checked if self.psi_terms else None,
             output_name=self.output_name,
         )
