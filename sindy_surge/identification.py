@@ -10,7 +10,6 @@ import numpy as np
 
 from sindy_surge.candidate_terms import polynomial_degree
 from sindy_surge.constraints import Constraints, constraints_of
-from sindy_surge.features import features
 from sindy_surge.free_run import FreeModel
 from sindy_surge.held_out import model_error_dominates, select_by_held_out, with_held_out
 from sindy_surge.inclusion import inclusion_probabilities
@@ -29,7 +28,6 @@ from sindy_surge.preparation import Prepared, prepare
 from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
 from sindy_surge.uncertainty import sandwich
-from sindy_surge.weak import weak_lag
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
@@ -42,8 +40,6 @@ _SHORTEST_BLOCK = 20
 _LARGE = 4
 # Below 200 equations for the 24 terms of the default library, stated errors were 4 too small.
 _EQUATIONS_A_TERM = 8
-# True structures with ψ' have a lag about their mean within a third of the weak form's.
-_FAR_FROM_WEAK = 2.0
 
 
 @dataclass(frozen=True)
@@ -225,8 +221,6 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         state = FitState.NOT_CONVERGED
     elif problem.usable.later.size < _EQUATIONS_A_TERM * len(names):
         state = FitState.FEW_EQUATIONS
-    elif _contradicted(problem, fit):
-        state = FitState.CONTRADICTED
     else:
         state = FitState.OK
     return Identified(
@@ -248,22 +242,6 @@ def _explains(equations: WhiteEquations, support: Support) -> bool:
     gain = linear.chi2(()) - linear.chi2(support)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
     return gain / linear.variance > penalty * len(support)
-
-
-def _contradicted(problem: LagProblem, fit: StructureFit) -> bool:
-    """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
-    if not problem.holds_state(fit.support):
-        return False
-    without = [i for i in fit.support if i < problem.n_without_state]
-    values = features(problem, problem.inputs, problem.noise.inputs, without).values
-    weak = weak_lag(problem.output, problem.late(values), problem.segments, problem.sample_period_s)
-    if weak is None:
-        return False
-    tau = fit.time_constant_s
-    model = problem.model(fit.support, fit.coefficients, tau, fit.dead_time_s)
-    local = tau / (1.0 - problem.mean_gain(model))
-    low, high = sorted((weak.reverse_s, weak.forward_s))
-    return not low / _FAR_FROM_WEAK < local < high * _FAR_FROM_WEAK
 
 
 def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, StructureFit]:

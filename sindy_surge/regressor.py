@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
+from sindy_surge.candidate_terms import CandidateTerms, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
 from sindy_surge.free_run import FreeModel
 from sindy_surge.identification import Choices, identify
@@ -97,9 +97,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Every structure proposed or tested, with its score.
     rivals_ : tuple of tuple of str
         Structures of the same size that the data cannot tell from the chosen one.
-    aliases_ : dict of str to str
-        Terms of the library that are zero or a sum of others over this record, and were left out:
-        name and what it equals.
     inclusion_probability_ : dict of str to float
         For each term that could be chosen the share of resampled records (blocks of rows drawn
         with replacement) whose structure holds it.
@@ -190,7 +187,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.feature_range_ = np.stack((X_checked.min(axis=0), X_checked.max(axis=0)))
         values = self._candidates(X_checked)
         columns = independent_columns(values)
-        self.aliases_ = aliases_of(values, columns, self.candidate_terms_)
         equations = int(runs.later.size)
         if columns.size < 1 or equations < _SPARE_EQUATIONS + 3:
             self._fit_static(values, y_checked, runs, FitState.TOO_FEW_ROWS)
@@ -450,7 +446,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             n_candidates=len(self.candidate_terms_),
             inclusion=[known.get(term, float("nan")) for term in self.terms_] if known else None,
             rivals=self.rivals_ if searched else None,
-            aliases=tuple(self.aliases_.items()),
             noise=None if self.noise_ is None else (self.noise_[0], self.noise_[1].tolist()),
             path=self.path_,
             input_ranges=self.feature_range_,

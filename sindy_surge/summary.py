@@ -65,8 +65,6 @@ class ModelSummary:
         Probability that a term belongs, one for each term.
     rivals : sequence of sequences of str or None
         Structures that the data cannot tell from the chosen one; None if not looked for.
-    aliases : sequence of sequences of str or None
-        Groups of terms that are the same thing on this data; None if not looked for.
     noise : tuple of (float, sequence of float) or None
         Standard deviation found for the noise of ψ' and of each input.
     path : sequence of PathRow
@@ -83,7 +81,6 @@ class ModelSummary:
     n_candidates: int = 0
     inclusion: Sequence[float] | None = None
     rivals: Sequence[Sequence[str]] | None = None
-    aliases: Sequence[Sequence[str]] | None = None
     noise: tuple[float, Sequence[float]] | None = None
     path: Sequence[PathRow] = ()
     input_ranges: FloatArray | None = None
@@ -105,12 +102,17 @@ class ModelSummary:
                 Field(f"range of {name}", f"{low:.4g} to {high:.4g}")
                 for name, (low, high) in zip(names[1:], ranges, strict=False)
             ),
-            Field("rivals", _ledger(self.rivals, ", ", "the data cannot tell from it:")),
-            Field("aliases", _ledger(self.aliases, " = ", "the same on this data:")),
+            Field("rivals", self._rivals()),
             *([Field("cautions", tuple(self.cautions))] if self.cautions else []),
         ]
         grids = (self._terms(), _path_grid(self.path)) if self.path else (self._terms(),)
         return Sheet(self.name, tuple(fields), grids)
+
+    def _rivals(self) -> tuple[str, ...]:
+        if self.rivals is None:
+            return ("not looked for",)
+        written = [", ".join(map(pretty_term, rival)) for rival in self.rivals]
+        return ("the data cannot tell from it:", *written) if written else ("none",)
 
     def _times(self) -> list[Field]:
         parts = self.parts
@@ -150,13 +152,6 @@ def _interval(bounds: tuple[float, float], stderr: float) -> str:
     if not all(map(math.isfinite, bounds)):
         return NOT_KNOWN
     return " to ".join(round_like(bound, stderr) for bound in bounds)
-
-
-def _ledger(groups: Sequence[Sequence[str]] | None, glue: str, heading: str) -> tuple[str, ...]:
-    if groups is None:
-        return ("not looked for",)
-    written = [glue.join(map(pretty_term, group)) for group in groups]
-    return (heading, *written) if written else ("none",)
 
 
 def _path_grid(path: Sequence[PathRow]) -> Grid:

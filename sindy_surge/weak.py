@@ -14,9 +14,7 @@ from surge_core.types import FloatArray, IndexArray
 __all__ = [
     "MIN_HALF_WIDTH",
     "WeakEquations",
-    "WeakLag",
     "half_width_samples",
-    "weak_lag",
 ]
 
 
@@ -28,25 +26,6 @@ _EXPONENT = 4
 _HALF_WIDTH_IN_TAU = 2.0
 # τ in samples with which the search for a width begins.
 _FIRST_GUESS = 20
-
-
-@dataclass(frozen=True)
-class WeakLag:
-    """Two weak estimates of τ that bracket it when the signals are noisy.
-
-    Parameters
-    ----------
-    forward_s : float
-        τ from regressing dψ'/dt on ψ' and the terms, in seconds: noise in ψ' pulls it up.
-    reverse_s : float
-        τ from regressing ψ' on dψ'/dt and the terms, in seconds: noise pulls it down.
-    half_width_s : float
-        Half width of the test function in seconds.
-    """
-
-    forward_s: float
-    reverse_s: float
-    half_width_s: float
 
 
 def half_width_samples(
@@ -149,10 +128,9 @@ class WeakEquations:
         segments, period = problem.segments, problem.sample_period_s
         if half_width is None:
             # The first terms of a library are its simplest; with all of them τ drifts up.
-            found = weak_lag(problem.output, values[:, :3], segments, period)
-            if found is None:
+            half_width = _half_width(problem.output, values[:, :3], segments, period)
+            if half_width is None:
                 return None
-            half_width = round(found.half_width_s / period)
         return cls.integrate(problem.output, values, segments, half_width, period)
 
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -188,30 +166,15 @@ class WeakEquations:
         return without_nuisances(self.derivative[:, None], self.columns, self.signal)
 
 
-def weak_lag(
-    y: FloatArray,
-    terms: FloatArray,
-    segments: Segments,
-    sample_period_s: float,
-) -> WeakLag | None:
-    """Estimate τ by weak regression in both directions, the width following from the first.
+def _half_width(
+    y: FloatArray, terms: FloatArray, segments: Segments, sample_period_s: float
+) -> int | None:
+    """Return a half width of about 2 τ in samples, τ by weak regression on a few terms.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    terms : ndarray of shape (n_rows, n_terms)
-        The candidate terms.
-    segments, sample_period_s
-        See `half_width_samples`.
-
-    Returns
-    -------
-    WeakLag or None
-        None if the segments are too short or the equations too few.
+    None if the segments are too short or no lag shows.
     """
     guess = _FIRST_GUESS * sample_period_s
-    result: WeakLag | None = None
+    result: int | None = None
     for _ in range(2):
         width = half_width_samples(segments, guess, sample_period_s)
         if width is None:
@@ -220,9 +183,8 @@ def weak_lag(
         every = tuple(range(terms.shape[1]))
         if weak.signal.size < len(every) + 3:
             return result
-        forward, reverse = weak.fit_forward(every), float(weak.fit(every)[0][-1])
-        if forward is None or not reverse > 0:
+        guess = float(weak.fit(every)[0][-1])
+        if weak.fit_forward(every) is None or not guess > 0:
             return result
-        guess = reverse
-        result = WeakLag(float(forward[-1]), guess, width * sample_period_s)
+        result = width
     return result

@@ -186,9 +186,9 @@ def structure_of(estimator: Any) -> dict[str, Any] | None:
     -------
     dict or None
         ``n_candidates``, the terms that were searched; ``rivals``, structures that the data do not
-        separate from the chosen one; ``aliases``, terms left out because they are sums of others
-        on this record; ``inclusion_probability``, share of resampled records that hold a term;
-        ``path``, the best structure of each size with its held-out rms (NaN where unknown).
+        separate from the chosen one; ``inclusion_probability``, share of resampled records that
+        hold a term; ``path``, the best structure of each size with its held-out rms (NaN where
+        unknown).
     """
     if not hasattr(estimator, "candidate_terms_"):
         return None
@@ -199,7 +199,6 @@ def structure_of(estimator: Any) -> dict[str, Any] | None:
     return {
         "n_candidates": len(estimator.candidate_terms_),
         "rivals": [list(terms) for terms in getattr(estimator, "rivals_", ())],
-        "aliases": dict(getattr(estimator, "aliases_", {})),
         "inclusion_probability": dict(getattr(estimator, "inclusion_probability_", {})),
         "path": [
             {

@@ -170,7 +170,6 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         ],
         "candidates": list(fit.candidate_terms_),
         "inclusion_probability": known,
-        "aliases": dict(getattr(fit, "aliases_", {})),
         "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
         "path": [_path_row(row) for row in fit.path_],
         "noise": None

@@ -88,11 +88,10 @@ def test_interval_covers_as_often_as_it_says() -> None:
 
 
 def test_sheet_states_the_fields_and_escapes_them() -> None:
-    summary = ModelSummary(with_terms(("<b>",)), FitState.OK, rivals=[("phi",)], aliases=[])
+    summary = ModelSummary(with_terms(("<b>",)), FitState.OK, rivals=[("phi",)])
     sheet = summary.sheet()
     fields = {field.label: field.lines for field in sheet.fields}
     assert fields["rivals"] == ("the data cannot tell from it:", "φ")
-    assert fields["aliases"] == ("none",)
     assert "<b>" not in sheet.html()
     assert "<b>" in sheet.text()
 
