@@ -38,12 +38,6 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
     """Say what a user should know before the numbers are used."""
     problem, dead_time_s = found.problem, found.model.lag.dead_time_s
     sentences = [] if state is FitState.OK else [state.advice]
-    lost = problem.segments.starts.size - int(np.count_nonzero(problem.usable.segments.lengths > 1))
-    if lost:
-        sentences.append(
-            f"{lost} of {problem.segments.starts.size} segments are too short for an equation and "
-            "add nothing; join what belongs together, or lengthen them"
-        )
     if abs(dead_time_s) > 2 * found.dead_time_stderr_s > 0:
         late, early = ("ψ'", "φ") if dead_time_s > 0 else ("φ", "ψ'")
         sentences.append(

@@ -87,8 +87,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Covariance of `coef_`: sandwich with Newey-West scores, τ estimated along; where model
         error dominates, a jackknife over cycles, with what a repeated error and the choice of
         the test function add. It holds for the terms as selected.
-    joint_covariance_ : ndarray of shape (n_terms + 1, n_terms + 1)
-        The same with τ as the last row and column.
     candidate_terms_ : tuple of str
         Every name of the library.
     fit_state_ : FitState
@@ -109,8 +107,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         What a user should know before the numbers are used.
     noise_ : tuple of (float, ndarray) or None
         Standard deviations found for the noise of ψ' and of each input.
-    feature_range_ : ndarray of shape (2, n_features_in_)
-        Least and greatest value of each input: where the characteristic is more than a guess.
     n_features_in_ : int
         Number of inputs.
     """
@@ -184,7 +180,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             output_name=self.output_name,
         )
         self.candidate_terms_ = self._candidates.names
-        self.feature_range_ = np.stack((X_checked.min(axis=0), X_checked.max(axis=0)))
         values = self._candidates(X_checked)
         columns = independent_columns(values)
         equations = int(runs.later.size)
@@ -233,7 +228,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             coefficients=form.coefficients,
             lag=replace(found.model.lag, tau_s=form.time_constant_s),
         )
-        self.joint_covariance_ = form.covariance
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
         self.fit_state_ = found.fit_state()
@@ -254,8 +248,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         selected = kept if columns is None else columns[kept]
         self.terms_ = tuple(self.candidate_terms_[i] for i in selected)
         self.coef_ = (solution / norms)[kept]
-        self.joint_covariance_ = np.full((kept.size + 1, kept.size + 1), np.nan)
-        self.covariance_ = self.joint_covariance_[:-1, :-1]
+        self.covariance_ = np.full((kept.size, kept.size), np.nan)
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
         self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
@@ -447,8 +440,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             inclusion=[known.get(term, float("nan")) for term in self.terms_] if known else None,
             rivals=self.rivals_ if searched else None,
             noise=None if self.noise_ is None else (self.noise_[0], self.noise_[1].tolist()),
-            path=self.path_,
-            input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
         )
 

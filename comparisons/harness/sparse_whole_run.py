@@ -56,13 +56,6 @@ class SparseWholeRunFit(WholeRunFit):
     candidate_terms_: tuple[str, ...]
     path_: tuple[PathRow, ...]
 
-    @property
-    def _phi_range(self) -> FloatArray:
-        """Least and greatest φ that was scored, of shape (2, 1); NaN where none was."""
-        inputs, scored = self.stacked()
-        phi = inputs.phi[scored] if scored.any() else np.array([math.nan])
-        return np.array([[phi.min()], [phi.max()]])
-
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
         values = evaluate_terms(self.terms_, np.ravel(np.asarray(phi, dtype=np.float64)))
@@ -86,8 +79,6 @@ class SparseWholeRunFit(WholeRunFit):
             parts,
             self.fit_state_,
             n_candidates=len(self.candidate_terms_),
-            path=self.path_,
-            input_ranges=self._phi_range,
         )
 
     def equation(self) -> str:
