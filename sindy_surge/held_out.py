@@ -201,11 +201,10 @@ def with_held_out(
     rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
     for support, tau in trials.lags.items():
         terms = tuple(names[i] for i in support)
-        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False, False)
+        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False)
         rows[terms] = replace(
             rows.get(terms, none),
             time_constant_s=tau,
-            refitted=True,
             chosen=support == chosen,
             held_out_rms=trials.mean(support) ** 0.5,
         )

@@ -44,14 +44,12 @@ class PathRow:
     terms : tuple of str
         Their names.
     score : float
-        Extended BIC about the structure's own fit, or about the fit with all terms when
-        `refitted` is false. The lower the better, but only within one linearisation.
+        Extended BIC about the structure's own fit, or about the fit with all terms where τ is
+        nan. The lower the better, but only within one linearisation.
     chi2 : float
         Sum of the squared whitened residuals.
     time_constant_s : float
-        τ of the fit in seconds; nan when not refitted.
-    refitted : bool
-        Whether the structure had a fit of its own.
+        τ of the structure's own fit in seconds; nan where it had none.
     consistent : bool
         Whether no other structure beats it about its own fit.
     chosen : bool
@@ -65,7 +63,6 @@ class PathRow:
     score: float
     chi2: float
     time_constant_s: float
-    refitted: bool
     consistent: bool
     chosen: bool
     held_out_rms: float = float("nan")
@@ -298,7 +295,6 @@ class _Search:
                     self.scores[support] if fit else self.rough[support],
                     fit.chi2 if fit else self.about.chi2(support),
                     fit.time_constant_s if fit else float("nan"),
-                    fit is not None,
                     support in self.consistent,
                     support == chosen,
                 )

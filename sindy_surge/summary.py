@@ -113,13 +113,9 @@ class ModelSummary:
 
     def _terms(self) -> Grid:
         parts = self.parts
-        header = ["term", "coefficient ± std error", "95 % interval"]
+        header = ["term", "coefficient ± std error"]
         rows = [
-            [
-                pretty_term(term),
-                round_to_error(value, error),
-                _interval(interval95(value, error), error),
-            ]
+            [pretty_term(term), round_to_error(value, error)]
             for term, value, error in zip(parts.terms, parts.coef, parts.stderr, strict=True)
         ]
         if self.inclusion is not None:
