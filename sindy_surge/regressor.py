@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from sindy_surge.noise import NoiseLevels
 from sindy_surge.segments import Segments
 from sindy_surge.state_terms import physical_form
 from sindy_surge.summary import ModelSummary
-from sindy_surge.text import EquationParts, RateFunction, pysindy_equations, write_equation
+from sindy_surge.text import EquationParts, pysindy_equations, rate_of, write_equation
 from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
@@ -391,12 +392,12 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         return pysindy_equations(self._parts(), precision)
 
-    def as_function(self) -> RateFunction:
+    def as_function(self) -> Callable[..., Any]:
         """Return dψ'/dt as a function of ψ' and the inputs, for any integrator.
 
         Returns
         -------
-        RateFunction
+        callable
             ``rate(psi_p, phi)`` in 1/s; it can be pickled.
 
         Raises
@@ -407,7 +408,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         parts = self._parts()
         parts.rate_or_refuse()
-        return RateFunction(parts, self._physical.values)
+        return partial(rate_of, parts, self._physical.values)
 
     def _parts(self) -> EquationParts:
         return EquationParts(

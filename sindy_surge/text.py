@@ -19,9 +19,9 @@ from surge_core.validation import whole_number
 
 __all__ = [
     "EquationParts",
-    "RateFunction",
     "TermValues",
     "pysindy_equations",
+    "rate_of",
     "signed_sum",
     "uncertain",
     "write_equation",
@@ -190,9 +190,10 @@ def _whole_words(names: Sequence[str]) -> re.Pattern[str]:
     return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
 
 
-@dataclass(frozen=True)
-class RateFunction:
-    """The fitted dψ'/dt = (Σ β_i s_i(φ(t − d), ψ') − ψ')/τ, to be called or integrated.
+def rate_of(
+    parts: EquationParts, evaluate: TermValues, psi_p: ArrayLike, *inputs: ArrayLike
+) -> Any:
+    """Return the fitted dψ'/dt = (Σ β_i s_i(φ(t − d), ψ') − ψ')/τ in 1/s.
 
     Parameters
     ----------
@@ -200,32 +201,20 @@ class RateFunction:
         The equation; not a static one.
     evaluate : callable
         From inputs (n, n_inputs) and ψ' (n,) to the terms (n, n_terms) of `parts`.
+    psi_p : float or array-like
+        Pressure coefficient now.
+    *inputs : float or array-like
+        φ, or every input in the order of the columns, the dead time `parts.dead_time_s` ago.
+
+    Returns
+    -------
+    float or ndarray
+        Of the common shape of ψ' and the inputs.
     """
-
-    parts: EquationParts
-    evaluate: TermValues
-
-    def __call__(self, psi_p: ArrayLike, *inputs: ArrayLike) -> Any:
-        """Return dψ'/dt in 1/s, of the common shape of the arguments.
-
-        Parameters
-        ----------
-        psi_p : float or array-like
-            Pressure coefficient now.
-        *inputs : float or array-like
-            φ, or every input in the order of the columns, the dead time `parts.dead_time_s` ago.
-        """
-        names = self.parts.input_names
-        if len(inputs) != len(names):
-            raise InputError(
-                "inputs",
-                expected=f"one argument for each of {', '.join(names)}",
-                found=f"{len(inputs)}",
-            )
-        state, *columns = np.broadcast_arrays(
-            *(np.asarray(value, dtype=np.float64) for value in (psi_p, *inputs))
-        )
-        flat = state.ravel()
-        values = self.evaluate(np.column_stack([column.ravel() for column in columns]), flat)
-        rates = (values @ np.array(self.parts.coef) - flat) / self.parts.time_constant_s
-        return rates.reshape(state.shape) if state.ndim else float(rates[0])
+    state, *columns = np.broadcast_arrays(
+        *(np.asarray(v, dtype=np.float64) for v in (psi_p, *inputs))
+    )
+    flat = state.ravel()
+    values = evaluate(np.column_stack([column.ravel() for column in columns]), flat)
+    rates = (values @ np.array(parts.coef) - flat) / parts.time_constant_s
+    return rates.reshape(state.shape) if state.ndim else float(rates[0])
