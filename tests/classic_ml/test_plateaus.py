@@ -16,7 +16,6 @@ from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.search import inspect_readings
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
-from classic_ml.reduction import reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run
 
 PSI = 6894.757
@@ -86,20 +85,6 @@ def test_what_clips_in_counts_clips_in_any_unit(rig: Path) -> None:
         n for n in counted.channels if n.startswith("fault_")
     }
     assert "looked for clipped readings, " in found.history[-1].did
-
-
-def test_the_reduction_is_that_of_the_counts(rig: Path) -> None:
-    expected = reduce_record(*read(rig))
-    found = reduce_record(*read(in_other_units(rig)))
-    assert found.window_s == expected.window_s
-    # A digit of a psia is worth a row at a switch here and there.
-    assert np.count_nonzero(found.series.free_run != expected.series.free_run) < 5
-    assert np.count_nonzero(found.series.segment != expected.series.segment) < 5
-    off = np.abs(found.series.psi_p - expected.series.psi_p)
-    assert np.quantile(off, 0.99) < 1e-3
-    (chosen,) = (e for e in found.record.history if e.step == "choose channels")
-    assert [d.what for d in chosen.dropped] == ["T31_A", "T31_B", "W31 and ψ"]
-    assert "clipped in" in chosen.dropped[0].why
 
 
 def test_stated_limits_are_believed(rig: Path) -> None:
