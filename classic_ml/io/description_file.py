@@ -60,7 +60,8 @@ class Planes(Table):
 
 def _threshold(value: Any) -> Any:
     # Here, since pydantic would say of each of the types by itself what is wrong.
-    if value != "none" and (isinstance(value, bool) or not isinstance(value, float | int)):
+    is_number = isinstance(value, float | int) and not isinstance(value, bool) and value > 0.0
+    if value != "none" and not is_number:
         raise InputError("", expected='a number above 0 or "none"', found=repr(value))
     return value
 
@@ -68,17 +69,6 @@ def _threshold(value: Any) -> Any:
 class Segmentation(Table):
     threshold_lbm_s: Annotated[float | Literal["none"] | None, BeforeValidator(_threshold)] = None
     hysteresis_lbm_s: float = key("a number from 0 on", default=0.0, ge=0.0)
-
-    @model_validator(mode="after")
-    def _above_the_band(self) -> Segmentation:
-        threshold = self.threshold_lbm_s
-        if isinstance(threshold, float | int) and threshold <= self.hysteresis_lbm_s:
-            raise InputError(
-                "threshold_lbm_s",
-                expected=f"more than the hysteresis ({self.hysteresis_lbm_s:g})",
-                found=f"{threshold:g}",
-            )
-        return self
 
 
 def _model_of(table: Any) -> str:
