@@ -49,12 +49,12 @@ def range_ends(values: FloatArray) -> tuple[float, ...]:
         everywhere.
     """
     low, high = float(values.min()), float(values.max())
-    if low == high or held_rows(values) > 1:
+    if low == high:
         return ()
     found = []
     for level in (low, high):
         at = values == level
-        if np.count_nonzero(at) < LEAST_ROWS:
+        if np.count_nonzero(at) < LEAST_ROWS or held_rows(values) > 1:
             continue
         steps = np.abs(np.diff(values))
         step = float(np.min(steps[steps > 0.0]))
