@@ -104,9 +104,7 @@ def compare_records(
     cautions = (
         *_held_out_caution(table, results, target),
         *([biased] if biased else []),
-        *comparison_cautions(
-            records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
-        ),
+        *comparison_cautions(records, rows, results),
     )
     valid_phi = trusted_range(rows.phi)
     return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
