@@ -11,7 +11,7 @@ import numpy as np
 from classic_ml.noise_models import NoiseKind
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.segments import scored_pieces, with_known_inputs
+from surge_core.segments import scored_pieces
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
     "drift_of_runs",
     "lag_data",
     "nearly_orthogonal",
-    "rows_late",
 ]
 
 # A knot every other row leaves nothing for the lag to explain.
@@ -31,10 +30,6 @@ FEWEST_ROWS_A_KNOT = 4
 MILD = 1e-8
 # Values of the hats that are kept as a plain table: 16 MB.
 MOST_DENSE = 2_000_000
-# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
-MOST_DEAD_SAMPLES = 250
-MOST_OF_A_RUN = 0.1
-MOST_OF_A_GIVEN_RUN = 0.5
 
 
 @dataclass(frozen=True)
@@ -159,17 +154,6 @@ def drift_of_runs(runs: list[slice], sample_period_s: float, knot_spacing_s: flo
     return Drift(tuple(first), tuple(intervals), tuple(steps), hats)
 
 
-def rows_late(dead: float) -> int:
-    """Return how many rows of a run answer to inputs from before it.
-
-    Parameters
-    ----------
-    dead : float
-        Dead time, in samples.
-    """
-    return int(np.ceil(dead)) + 1 if dead > 0.0 else 0
-
-
 @dataclass(frozen=True)
 class Piece:
     """Rows that are predicted as one, without a gap.
@@ -218,12 +202,6 @@ class LagData:
         Give the errors before each stretch their share in the likelihood.
     held_log_tau : float, optional
         log τ, where it is not to be fitted.
-    dead : float
-        Dead time in samples, held or to start from.
-    longest_dead : float
-        Longest dead time that is tried, in samples.
-    fit_dead : bool
-        Fit the dead time.
     drift : Drift, optional
         A slow drift of zero mean; the constant belongs to the characteristic.
     """
@@ -238,9 +216,6 @@ class LagData:
     order: int = 0
     exact_start: bool = True
     held_log_tau: float | None = None
-    dead: float = 0.0
-    longest_dead: float = 0.0
-    fit_dead: bool = False
     drift: Drift | None = None
 
     @property
@@ -255,8 +230,8 @@ class LagData:
 
     @cached_property
     def free(self) -> BoolArray:
-        """Which of [log τ, dead time, ρ] are fitted."""
-        moves = [self.held_log_tau is None, self.fit_dead, *[True] * self.order]
+        """Which of [log τ, ρ] are fitted."""
+        moves = [self.held_log_tau is None, *[True] * self.order]
         return np.array(moves, dtype=np.bool_)
 
     @property
@@ -332,10 +307,9 @@ class LagData:
         starts = (1 if self.is_output_error else self.ahead) * len(self.pieces)
         return int(self.free.sum()) + n_terms + hats + starts
 
-    def lag(self, log_tau: float, dead: float) -> FirstOrderLag:
-        """Return the lag of a trial time constant and dead time in samples."""
-        period = self.sample_period_s
-        return FirstOrderLag(float(np.exp(log_tau)), period, self.hold, dead * period)
+    def lag(self, log_tau: float) -> FirstOrderLag:
+        """Return the lag of a trial time constant."""
+        return FirstOrderLag(float(np.exp(log_tau)), self.sample_period_s, self.hold)
 
     def head(self, n_rows: int) -> LagData:
         """Return the same on the first runs, up to about ``n_rows`` rows."""
@@ -363,7 +337,6 @@ def lag_data(
     terms: FloatArray,
     weight: FloatArray,
     runs: list[slice],
-    about: float | None = None,
 ) -> LagData:
     """Set up the fit.
 
@@ -379,18 +352,13 @@ def lag_data(
         Weight of each row.
     runs : list of slice
         The segments.
-    about : float, optional
-        The dead time in samples, where it is roughly known.
 
     Raises
     ------
     InputError
-        When the dead time or the drift's knots do not suit the segments.
+        When the drift's knots are too close.
     """
     period, held = float(settings.sample_period_s), settings.time_constant_s
-    dead, longest = _dead_samples(settings, runs, about)
-    if longest > 0.0:
-        weight = with_known_inputs(weight, runs, rows_late(longest))
     drift = None
     if settings.drift is not None:
         drift = drift_of_runs(runs, period, settings.knot_spacing_s)
@@ -405,25 +373,5 @@ def lag_data(
         settings.noise_order if settings.noise == "armax" else 0,
         bool(settings.exact_start),
         None if held is None else float(np.log(held)),
-        dead,
-        longest,
-        settings.dead_time_s == "fit",
         drift,
     )
-
-
-def _dead_samples(settings: Any, runs: list[slice], about: float | None) -> tuple[float, float]:
-    """Return the dead time to start from and the longest that is tried, in samples."""
-    period = float(settings.sample_period_s)
-    shortest = min(run.stop - run.start for run in runs)
-    if settings.dead_time_s == "fit":
-        longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
-        return (0.0, longest) if about is None else (about, min(longest, about + 1.0))
-    dead = float(settings.dead_time_s) / period
-    if dead > MOST_OF_A_GIVEN_RUN * shortest:
-        raise InputError(
-            "dead_time_s",
-            expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
-            found=f"{settings.dead_time_s:g}",
-        )
-    return dead, dead

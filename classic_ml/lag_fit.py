@@ -33,7 +33,6 @@ FEW_SCAN_POINTS = 4
 SCAN_ROWS = 4_000
 # A search is brought to its end on this share of a long record before the first pass over all.
 HEAD_SHARE = 0.05
-BEST_DEAD_TIMES = 3
 MAXIMUM_ITERATIONS = 200
 # With C near the unit circle the last steps shrink slowly: a hundredth of a standard error short of
 # the minimum is still at it.
@@ -57,13 +56,13 @@ class LagFit:
     Parameters
     ----------
     shape : ndarray
-        Logarithm of τ in seconds, dead time in samples, ρ of C.
+        Logarithm of τ in seconds, ρ of C.
     coef : ndarray of shape (q,)
         β of the terms as the user knows them.
     drift : ndarray
         Values of the drift at its knots.
-    moves : ndarray of shape (n_blocks, 2 + q)
-        By how much log τ, dead time and β move without each block.
+    moves : ndarray of shape (n_blocks, 1 + q)
+        By how much log τ and β move without each block.
     curve_moves : ndarray of shape (n_blocks, r)
         Moves of the coefficients of nearly orthogonal terms, their mean taken out. In powers of
         φ the moves of β all but cancel in those of the curve; these do not.
@@ -87,13 +86,13 @@ class LagFit:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of log τ, dead time in samples and β."""
+        """Covariance of log τ and β."""
         return scatter(self.moves)
 
     @property
     def moving_average(self) -> FloatArray:
         """Coefficients of C."""
-        return MovingAverage(self.shape[2:]).coefficients
+        return MovingAverage(self.shape[1:]).coefficients
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class Newton:
     Parameters
     ----------
     slope : ndarray of shape (s,)
-        Half the downhill slope of the cost; 0 for a dead time pressed against a bound.
+        Half the downhill slope of the cost.
     curvature : ndarray of shape (s, s)
         Half its curvature (Gauss-Newton), everything linear following.
     jacobian : ndarray of shape (m, s + r)
@@ -135,7 +134,7 @@ class Newton:
         return float(self.slope @ np.linalg.lstsq(self.curvature, self.slope)[0])
 
 
-def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
+def newton(data: LagData, at: Profile) -> Newton:
     """Return slope and curvature of the cost in the free shape parameters.
 
     Parameters
@@ -144,8 +143,6 @@ def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
         Record and model.
     at : Profile
         Where.
-    at_kink : bool
-        Hold the dead time: the cost has a kink in it at whole samples, and it came to one.
     """
     s = int(data.free.sum())
     both = jacobian(data, at)
@@ -156,18 +153,10 @@ def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
     cross = gram[:s, s:]
     curvature = gram[:s, :s] - cross @ np.linalg.lstsq(gram[s:, s:], cross.T)[0]
     slope = -both[:, :s].T @ at.errors
-    if data.fit_dead:
-        place, dead = s - data.order - 1, float(at.shape[1])
-        outward = (dead <= 0.0 and slope[place] < 0.0) or (
-            dead >= data.longest_dead and slope[place] > 0.0
-        )
-        if outward or at_kink:
-            slope[place] = curvature[place] = curvature[:, place] = 0.0
-            curvature[place, place] = 1.0
     return Newton(slope, curvature, both, gram[s:, s:])
 
 
-def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
+def fit_lag(data: LagData, terms: Terms) -> LagFit:
     """Fit a lag model to a record.
 
     Parameters
@@ -176,12 +165,9 @@ def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
         Record and model, its terms those of ``terms``.
     terms : Terms
         How they come from the user's.
-    start : LagFit, optional
-        An earlier fit to start from, in place of a scan.
     """
-    starts = _starts(data) if start is None else [start.shape]
     is_long = data.rows_of_errors.size > LONG_RECORD
-    at, near, state = _search(data, starts, NEWTON_DECREMENT if is_long else FINE_DECREMENT)
+    at, near, state = _search(data, _starts(data), NEWTON_DECREMENT if is_long else FINE_DECREMENT)
     scored = at.errors[data.scored]
     n_lags = correlation_length(scored, data.piece_lengths)
     shortest = n_lags
@@ -189,8 +175,8 @@ def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
         shortest = min(n_lags, slow_correlation_length(scored, data.piece_lengths))
     rest = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
     s = int(data.free.sum())
-    moves = np.zeros((len(rest.moves), 2))
-    moves[:, data.free[:2]] = rest.moves[:, : s - data.order]
+    moves = np.zeros((len(rest.moves), 1))
+    moves[:, data.free[:1]] = rest.moves[:, : s - data.order]
     curve_moves = rest.moves[:, s:]
     if terms.deficient or _is_deficient(near.normal):
         state = FitState.RANK_DEFICIENT
@@ -271,22 +257,19 @@ def _refine(
     data: LagData, at: Profile, near: Newton, tolerance: float
 ) -> tuple[Profile, Newton, FitState]:
     n_errors = max(data.scored.size, 1)
-    damping, state, at_kink = 1e-6, FitState.NOT_CONVERGED, False
+    damping, state = 1e-6, FitState.NOT_CONVERGED
     left = near.decrement
     for _ in range(MAXIMUM_ITERATIONS):
         if left <= tolerance * at.cost / n_errors:
             state = FitState.CONVERGED
             break
         trial, damping = _step(data, at, near, damping, left)
-        if trial is None and (at_kink or not data.fit_dead):
+        if trial is None:
             # No downhill step is left within rounding: that is the minimum.
             state = FitState.CONVERGED
             break
-        if trial is None:
-            damping, at_kink = 1e-3, True
-        else:
-            at = trial
-        near = newton(data, at, at_kink=at_kink)
+        at = trial
+        near = newton(data, at)
         left = near.decrement
     if left <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
@@ -310,8 +293,6 @@ def _step(
         shape[data.free] += near.step(damping)
         if data.held_log_tau is None:
             shape[0] = np.clip(shape[0], *data.log_tau_bounds)
-        if data.fit_dead:
-            shape[1] = np.clip(shape[1], 0.0, data.longest_dead)
         trial = profile(data, shape)
         if trial.cost < at.cost or (blind and trial.cost <= at.cost * (1.0 + BLIND)):
             return trial, max(damping / 10.0, 1e-12)
@@ -343,42 +324,21 @@ def _shapes(data: LagData) -> list[FloatArray]:
     """Return the shapes from which to search: armax starts from arx and from output error."""
     if data.is_output_error or data.order == 0:
         points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
-        return [np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(data, points)]
-    plain = replace(data, noise="arx", order=0)
-    shapes = [
-        np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(plain, FEW_SCAN_POINTS)
-    ]
-    free_run = replace(data, noise="output-error", order=0)
-    for pair in _pairs(free_run, FEW_SCAN_POINTS):
-        # Output error is armax with C = A: the other end of the family.
-        c = np.zeros(data.order)
-        c[0] = -data.lag(pair[0], 0.0).a
-        shapes.append(np.concatenate([pair, MovingAverage.from_coefficients(c).free]))
-    return shapes
+        return [np.array([_scanned(data, points), *np.zeros(data.order)])]
+    plain = _scanned(replace(data, noise="arx", order=0), FEW_SCAN_POINTS)
+    free_run = _scanned(replace(data, noise="output-error", order=0), FEW_SCAN_POINTS)
+    # Output error is armax with C = A: the other end of the family.
+    c = np.zeros(data.order)
+    c[0] = -data.lag(free_run).a
+    free = MovingAverage.from_coefficients(c).free
+    return [np.array([plain, *np.zeros(data.order)]), np.array([free_run, *free])]
 
 
-def _pairs(data: LagData, points: int) -> list[FloatArray]:
-    """Scan log τ, and the dead time where it is fitted; several dead times may be worth a try."""
+def _scanned(data: LagData, points: int) -> float:
+    """Return the best log τ of a few, or the one that is held."""
+    if data.held_log_tau is not None:
+        return data.held_log_tau
     low, high = data.log_tau_bounds
     grid = np.linspace(low + np.log(10.0), high - np.log(20.0), points)
-    held = data.held_log_tau
-    if held is not None:
-        grid = np.array([held])
-    if not data.fit_dead and held is not None:
-        return [np.array([held, data.dead])]
-    found = []
-    for dead in _dead_times(data.longest_dead) if data.fit_dead else [data.dead]:
-        costs = [profile(data, np.array([value, dead])).cost for value in grid]
-        best = int(np.argmin(costs))
-        found.append((costs[best], float(grid[best]), dead))
-    found.sort()
-    return [np.array([log_tau, dead]) for _, log_tau, dead in found[:BEST_DEAD_TIMES]]
-
-
-def _dead_times(longest: float) -> list[float]:
-    """Return trial dead times in samples, each half as long again as the one before."""
-    times, step = [0.5], 1.0
-    while times[-1] + step < longest:
-        times.append(times[-1] + step)
-        step = max(1.0, 0.5 * times[-1])
-    return times
+    costs = [profile(data, np.array([value, *np.zeros(data.order)])).cost for value in grid]
+    return float(grid[int(np.argmin(costs))])

@@ -1,8 +1,8 @@
-"""Prediction errors of the lag model, linear in all but τ, dead time and C, and their derivatives.
+"""Prediction errors of the lag model, linear in all but τ and C, and their derivatives.
 
 Minimising Σ w e² over the one-step (arx, armax) or free-run (output-error) errors e is maximum
-likelihood for Gaussian e (Åström 1980, the paper's Reference 5). For a shape (log τ, dead time, ρ)
-the errors are target - columns β - drift - starts, so that all of these follow by linear least
+likelihood for Gaussian e (Åström 1980, the paper's Reference 5). For a shape (log τ, ρ) the
+errors are target - columns β - drift - starts, so that all of these follow by linear least
 squares and a search runs over the shape alone (variable projection, Golub and Pereyra 1973).
 """
 
@@ -53,7 +53,7 @@ class Profile:
     Parameters
     ----------
     shape : ndarray
-        log τ, dead time in samples, ρ.
+        log τ, ρ.
     beta : ndarray of shape (r,)
         Coefficients of the terms.
     errors : ndarray of shape (m,)
@@ -93,11 +93,11 @@ def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) ->
     data : LagData
         Record and model.
     shape : ndarray
-        log τ, dead time in samples, ρ.
+        log τ, ρ.
     beta : ndarray of shape (r,), optional
         Coefficients of the terms, where they are given.
     """
-    lag, whitener = data.lag(shape[0], shape[1]), MovingAverage(shape[2:])
+    lag, whitener = data.lag(shape[0]), MovingAverage(shape[1:])
     both = _columns_and_target(data, lag, whitener)
     starts = _starts(data, lag, whitener)
     taken = _project(starts, both)
@@ -317,14 +317,12 @@ def _whitened_hats(
 
 
 def _slopes_of_free_run(data: LagData, at: Profile, slopes: FloatArray) -> None:
-    """Fill in ∂e/∂(log τ, dead time), everything linear held."""
-    lag = data.lag(at.shape[0], at.shape[1])
-    rows, _, _ = _predicted(data)
-    quasi_steady = data.terms @ at.beta
-    if data.fit_dead:
-        slopes[:, -1] = -lag.d_respond(quasi_steady, quasi_steady, 2)[rows]
+    """Fill in ∂e/∂(log τ), everything linear held."""
     if data.held_log_tau is not None:
         return
+    lag = data.lag(at.shape[0])
+    rows, _, _ = _predicted(data)
+    quasi_steady = data.terms @ at.beta
     state = lag.respond(quasi_steady, quasi_steady[0])
     slopes[:, 0] = -lag.d_respond(quasi_steady, state)[rows]
     for start, offset in zip(at.starts, at.offsets, strict=True):
@@ -335,8 +333,8 @@ def _slopes_of_free_run(data: LagData, at: Profile, slopes: FloatArray) -> None:
 
 
 def _slopes_of_equations(data: LagData, at: Profile, slopes: FloatArray) -> None:
-    """Fill in ∂e/∂(log τ, dead time, ρ), everything linear held."""
-    lag, whitener = data.lag(at.shape[0], at.shape[1]), MovingAverage(at.shape[2:])
+    """Fill in ∂e/∂(log τ, ρ), everything linear held."""
+    lag, whitener = data.lag(at.shape[0]), MovingAverage(at.shape[1:])
     _, before, where = _predicted(data)
     quasi_steady = data.terms @ at.beta
     if data.held_log_tau is None:
@@ -344,8 +342,6 @@ def _slopes_of_equations(data: LagData, at: Profile, slopes: FloatArray) -> None
         if data.drift is not None:
             measured = measured - data.drift.hats @ at.levels
         slopes[where, 0] = -lag.d_a * measured[before] - lag.drive(quasi_steady, 1)[before]
-    if data.fit_dead:
-        slopes[where, -1 - data.order] = -lag.drive(quasi_steady, 2)[before]
     if data.order:
         slopes[:, -data.order :] = _late_errors(data, at) @ -whitener.jacobian
     slopes[data.ahead_places] = 0.0

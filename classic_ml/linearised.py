@@ -24,7 +24,7 @@ class LinearisedFit:
     errors : ndarray of shape (n,)
         Prediction errors of the scored rows, times the root of their weights.
     jacobian : ndarray of shape (n, p)
-        ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms, dead time, C).
+        ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms, C).
     back : ndarray of shape (q, r)
         What turns those coefficients into β.
     rows : ndarray of int, shape (n,)
@@ -62,7 +62,7 @@ def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray)
     terms : Terms
         How its terms come from the user's.
     shape : ndarray
-        log τ, dead time in samples, ρ.
+        log τ, ρ.
     beta : ndarray of shape (r,)
         Coefficients of the nearly orthogonal terms.
     """
