@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.emptied_band import emptied_above_hz
 from comparisons.harness.fit_quality import block_errors, paired_difference, rms
 from comparisons.results import Comparison, FitRows, TauTrial
 from surge_core.errors import InputError
@@ -110,32 +109,15 @@ def reconstruction_error_over_tau(
     given 243 ms where 18 ms reconstructs).
     """
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
-
-    def refitted_at(tau_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the curve's coefficients by least squares, and the errors."""
-        measured, answers = _scored(rows, terms, keep, tau_s, hold)
-        coef = np.asarray(np.linalg.lstsq(answers, measured)[0])
-        return coef, measured - answers @ coef
-
-    fits = [refitted_at(tau_s) for tau_s in taus_s]
-    errors = [error for _, error in fits]
-    refitted = np.array([rms(error) for error in errors])
-    best = int(np.argmin(refitted))
-    held = []
+    errors = []
     for tau_s in taus_s:
         measured, answers = _scored(rows, terms, keep, tau_s, hold)
-        held.append(rms(measured - answers @ fits[best][0]))
+        errors.append(measured - answers @ np.linalg.lstsq(answers, measured)[0])
+    refitted = np.array([rms(error) for error in errors])
+    best = int(np.argmin(refitted))
     best_tau = _vertex(taus_s, refitted, best)
-    return TauTrial(
-        taus_s,
-        refitted,
-        np.array(held),
-        best_tau,
-        _interval(taus_s, best_tau, errors, best, rows, keep),
-        min(rms(refitted_at(best_tau)[1]), float(refitted[best])),
-        _noise(rows),
-        rows.target,
-    )
+    interval = _interval(taus_s, best_tau, errors, best, rows, keep)
+    return TauTrial(taus_s, refitted, best_tau, interval, float(refitted[best]), rows.target)
 
 
 def trial_of(comparison: Comparison) -> TauTrial:
@@ -166,8 +148,7 @@ def trial_of(comparison: Comparison) -> TauTrial:
         trial = reconstruction_error_over_tau(
             averaged, inputs.terms, taus, hold=hold, scored=scored
         )
-        # The noise of averages is no longer white.
-        return replace(trial, noise_rms=math.nan, estimates=(estimate,))
+        return replace(trial, estimates=(estimate,))
     estimates = tuple(result.estimate for result in fitted)
     powers = [term for term in comparison.results[0].model.terms if term.startswith("phi")]
     terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
@@ -223,12 +204,3 @@ def _interval(
     low = int(far[far < best].max(initial=-1)) + 1
     high = int(far[far > best].min(initial=taus.size)) - 1
     return min(float(taus[low]), best_tau), max(float(taus[high]), best_tau)
-
-
-def _noise(rows: FitRows) -> float:
-    """Return the white noise on the measurement, from its third differences."""
-    if emptied_above_hz(rows.measured, rows.labels, sample_period_s=rows.sample_period_s):
-        return math.nan
-    # Their variance is 1 + 9 + 9 + 1 times that of white noise; a smooth signal hardly shows.
-    steps = np.concatenate([np.diff(rows.measured[run], n=3) for run in rows.runs])
-    return rms(steps) / math.sqrt(20.0) if steps.size else math.nan
