@@ -13,10 +13,8 @@ from classic_ml.noise_models import MovingAverage
 from surge_core.fit_state import FitState
 from surge_core.leave_out import (
     BLOCKS,
-    Rest,
     block_edges,
     correlation_length,
-    eliminate,
     leave_out,
     scatter,
     slow_correlation_length,
@@ -59,8 +57,8 @@ class LagFit:
         Logarithm of τ in seconds, ρ of C.
     coef : ndarray of shape (q,)
         β of the terms as the user knows them.
-    drift : ndarray
-        Values of the drift at its knots.
+    drift : ndarray of shape (d,)
+        Coefficients of the drift.
     moves : ndarray of shape (n_blocks, 1 + q)
         By how much log τ and β move without each block.
     curve_moves : ndarray of shape (n_blocks, r)
@@ -105,8 +103,8 @@ class Newton:
         Half the downhill slope of the cost.
     curvature : ndarray of shape (s, s)
         Half its curvature (Gauss-Newton), everything linear following.
-    jacobian : ndarray of shape (m, s + r)
-        ∂e/∂(free shape, β).
+    jacobian : ndarray of shape (m, s + r + d)
+        ∂e/∂(free shape, β, drift).
     normal : ndarray of shape (r, r)
         Inner products of its columns of β, the drift apart.
     """
@@ -147,13 +145,17 @@ def newton(data: LagData, at: Profile) -> Newton:
     s = int(data.free.sum())
     both = jacobian(data, at)
     gram = both.T @ both
-    if at.local is not None:
-        columns = at.local.columns
-        gram, _ = eliminate(gram, columns.T @ both, columns.T @ columns, at.local.mean)
-    cross = gram[:s, s:]
-    curvature = gram[:s, :s] - cross @ np.linalg.lstsq(gram[s:, s:], cross.T)[0]
+    if at.levels.size:
+        gram = _eliminated(gram, s + at.beta.size)
+    curvature = _eliminated(gram, s)
     slope = -both[:, :s].T @ at.errors
     return Newton(slope, curvature, both, gram[s:, s:])
+
+
+def _eliminated(gram: FloatArray, kept: int) -> FloatArray:
+    """Return inner products of the first columns, all others at their optimum."""
+    cross = gram[:kept, kept:]
+    return np.asarray(gram[:kept, :kept] - cross @ np.linalg.lstsq(gram[kept:, kept:], cross.T)[0])
 
 
 def fit_lag(data: LagData, terms: Terms) -> LagFit:
@@ -173,11 +175,11 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     shortest = n_lags
     if n_lags > scored.size / BLOCKS:
         shortest = min(n_lags, slow_correlation_length(scored, data.piece_lengths))
-    rest = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
+    found = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
     s = int(data.free.sum())
-    moves = np.zeros((len(rest.moves), 1))
-    moves[:, data.free[:1]] = rest.moves[:, : s - data.order]
-    curve_moves = rest.moves[:, s:]
+    moves = np.zeros((len(found), 1))
+    moves[:, data.free[:1]] = found[:, : s - data.order]
+    curve_moves = found[:, s : s + at.beta.size]
     if terms.deficient or _is_deficient(near.normal):
         state = FitState.RANK_DEFICIENT
     return LagFit(
@@ -193,8 +195,8 @@ def fit_lag(data: LagData, terms: Terms) -> LagFit:
     )
 
 
-def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> Rest:
-    """Return the fits without each block of errors, linearised.
+def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> FloatArray:
+    """Return by how much the parameters move without each block of errors, linearised.
 
     Parameters
     ----------
@@ -202,20 +204,23 @@ def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[sl
         Record and model.
     at : Profile
         The whole fit.
-    both : ndarray of shape (m, s + r)
-        Its ∂e/∂(free shape, β).
+    both : ndarray of shape (m, s + r + d)
+        Its ∂e/∂(free shape, β, drift).
     blocks : list of slice
         Errors of each block, in one stretch.
     """
-    if at.local is None or data.drift is None:
-        return leave_out(both, at.errors, blocks)
-    # The drift of the other rows has zero mean over them: within the block it is extrapolated.
-    means = np.zeros((len(blocks), at.local.mean.size))
-    for number, block in enumerate(blocks):
-        rows = np.unique(data.rows_of_errors[block])
-        means[number] = data.drift.hats[rows].T @ data.weight[rows]
-    errors = at.errors + at.local.columns @ at.levels
-    return leave_out(both, errors, blocks, at.local, means)
+    moves = leave_out(both, at.errors, blocks).moves
+    r, d = at.beta.size, at.levels.size
+    constant = np.linalg.lstsq(data.terms, np.ones(data.y.size))[0]
+    if d == 0 or not np.allclose(data.terms @ constant, 1.0):
+        return moves
+    # The drift of the other rows has zero mean over them: what it has there is the constant's.
+    for move, block in zip(moves, blocks, strict=True):
+        weight = data.weight.copy()
+        weight[data.rows_of_errors[block]] = 0.0
+        mean = weight @ data.drift / weight.sum()
+        move[-r - d : -d] += constant * (mean @ (at.levels + move[-d:]))
+    return moves
 
 
 def _blocks(data: LagData, n_lags: int) -> list[slice]:

@@ -84,7 +84,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     moving_average_ : ndarray of shape (order,)
         Coefficients of C.
     drift_coef_ : ndarray
-        Coefficients of the drift.
+        Levels of the drift at its knots above that at the last.
     fit_state_ : FitState
         How the fit ended, with advice.
     residual_std_ : float
@@ -404,8 +404,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.coef_ = fit.coef
         self.covariance_ = self.parameter_covariance_[1:, 1:]
         self._curve_back, self._curve_moves = terms.back, fit.curve_moves
-        # The last knot as the zero: the mean of a drift belongs to the characteristic.
-        self.drift_coef_ = (fit.drift - fit.drift[-1:])[:-1]
+        self.drift_coef_ = fit.drift
         self.moving_average_ = fit.moving_average
         self.fit_state_ = fit.state
         scored = data.weight[data.weight > 0.0]
@@ -428,7 +427,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.parameter_covariance_ = np.full((n_terms + 1, n_terms + 1), np.nan)
         self.covariance_ = self.parameter_covariance_[1:, 1:]
         self._curve_back, self._curve_moves = np.zeros((n_terms, 1)), np.full((1, 1), np.nan)
-        self.drift_coef_ = np.zeros(0 if data.drift is None else data.drift.n_hats - 1)
+        self.drift_coef_ = np.zeros(data.drift.shape[1])
         self.moving_average_ = np.zeros(data.order)
         self.fit_state_ = state
         self.residual_std_ = float(np.sqrt(np.mean(error**2)))
