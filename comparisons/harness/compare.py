@@ -29,13 +29,7 @@ from comparisons.harness.estimators import (
     psi_breakpoints,
     structure_of,
 )
-from comparisons.harness.fit_quality import (
-    block_errors,
-    block_rms,
-    paired_difference,
-    score_fit,
-    trusted_range,
-)
+from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import (
     SYMBOLS,
@@ -48,6 +42,7 @@ from comparisons.results import (
     LagModel,
 )
 from surge_core.lag import Hold
+from surge_core.paired import block_errors, block_rms, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["compare_records"]

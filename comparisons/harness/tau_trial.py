@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.harness.fit_quality import block_errors, paired_difference, rms
+from comparisons.harness.fit_quality import rms
 from comparisons.results import Comparison, FitRows, TauTrial
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
+from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["parse_tau", "reconstruction_error_over_tau", "trial_of", "trial_taus"]

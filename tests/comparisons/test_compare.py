@@ -13,13 +13,14 @@ from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators, psi_breakpoints
-from comparisons.harness.fit_quality import block_errors, block_rms, paired_difference, score_fit
+from comparisons.harness.fit_quality import score_fit
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
 from comparisons.show.json_output import comparison_document
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
+from surge_core.paired import block_errors, block_rms, paired_difference
 
 CLASSICAL = default_estimators()[:4]
 
