@@ -169,7 +169,6 @@ def _run(
         held_out=held_out,
         reconstruction=reconstruction,
         trained=reconstruction if trained is None else trained,
-        errors_one_step=errors,
         held_out_blocks=blocks,
         checks=_checks(estimator, errors, rows, model.valid_phi),
         seconds=seconds,

@@ -57,8 +57,6 @@ class EstimatorResult:
         Free run over the fitted rows from each segment's measured start.
     trained : ndarray of shape (n,)
         The same by the fit to the training rows alone: what the held-out rows are scored with.
-    errors_one_step : ndarray of shape (n,)
-        One-step errors.
     held_out_blocks : ndarray of shape (n_blocks, 2)
         Squared error and rows of each held-out block, for paired differences.
     checks : tuple of CheckRow
@@ -86,7 +84,6 @@ class EstimatorResult:
     held_out: FitScore | None
     reconstruction: FloatArray
     trained: FloatArray
-    errors_one_step: FloatArray
     held_out_blocks: FloatArray
     checks: tuple[CheckRow, ...]
     seconds: float

@@ -105,7 +105,6 @@ def made_comparison(
                 held_out=FitScore(held_out_rms, 91.0, 0.99, 800) if scored else None,
                 reconstruction=rows.measured + error,
                 trained=rows.measured + error,
-                errors_one_step=rng.standard_normal(rows.phi.size),
                 held_out_blocks=(
                     block_errors(error[~rows.train], [slice(0, int(np.sum(~rows.train)))])
                     if scored
