@@ -9,12 +9,13 @@ import numpy as np
 from comparisons.results import FitScore
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["rms", "score_fit", "trusted_range"]
+__all__ = ["dwelt_on", "rms", "score_fit", "trusted_range"]
 
 # The paper calls the curve reliable where φ has "high significant amplitude density" (Fig 24) and
 # gives no level; the true in-stall φ of the simulated rig lies between these percentiles much as
 # the paper's range does. On filtered data the low end holds the filter's overshoot too.
 TRUSTED_PERCENTILES = (5.0, 95.0)
+NEARBY_SHARE = 0.02
 
 
 def rms(values: FloatArray) -> float:
@@ -52,3 +53,19 @@ def trusted_range(phi: FloatArray) -> tuple[float, float]:
     """
     low, high = np.percentile(phi, TRUSTED_PERCENTILES)
     return float(low), float(high)
+
+
+def dwelt_on(grid: FloatArray, phi: FloatArray) -> BoolArray:
+    """Return where on a grid there are rows nearby, within 2 % of the range of φ.
+
+    Parameters
+    ----------
+    grid : ndarray of shape (n,)
+        Points at which a characteristic is drawn.
+    phi : ndarray of shape (m,)
+        Flow coefficient of the fitted rows.
+    """
+    known = np.sort(phi)
+    after = np.clip(np.searchsorted(known, grid), 1, known.size - 1)
+    nearest = np.minimum(np.abs(grid - known[after - 1]), np.abs(grid - known[after]))
+    return np.asarray(nearest <= NEARBY_SHARE * float(np.ptp(phi)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any
 
 from classic_ml.checks import CheckRow
 from classic_ml.series import CoefficientSeries
@@ -65,8 +64,6 @@ class EstimatorResult:
         Time of the fit.
     whole_run : WholeRunFit or None
         The free run through whole records behind it; None where it was fitted to the rows.
-    structure : dict or None
-        How sure the choice of terms is, as the JSON has it; None where they were given.
     remarks : tuple of str
         What the estimator itself warns of.
     extended : LagModel or None
@@ -88,7 +85,6 @@ class EstimatorResult:
     checks: tuple[CheckRow, ...]
     seconds: float
     whole_run: WholeRunFit | None = None
-    structure: dict[str, Any] | None = None
     remarks: tuple[str, ...] = ()
     extended: LagModel | None = None
 
