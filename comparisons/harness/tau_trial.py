@@ -3,64 +3,22 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
 
 from comparisons.harness.fit_quality import rms
 from comparisons.results import Comparison, FitRows, TauTrial
-from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["parse_tau", "reconstruction_error_over_tau", "trial_of", "trial_taus"]
+__all__ = ["reconstruction_error_over_tau", "trial_of", "trial_taus"]
 
 N_TAUS = 61
 # Half a decade and more to either side shows both arms of the curve.
 REACH = 4.0
-LONGEST_TAU_S = 10.0
 RUN_AWAY_S = 1.0
-_TAU = re.compile(r"([0-9.eE+-]+)\s*(s|ms|us|µs)?")
-_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
-
-
-def parse_tau(text: str) -> float:
-    """Read a time constant as a user writes it.
-
-    Parameters
-    ----------
-    text : str
-        A number with a unit, ``18ms`` or ``0.018 s``, or a plain number of seconds.
-
-    Returns
-    -------
-    float
-        In seconds.
-
-    Raises
-    ------
-    InputError
-        When it is no number, has another unit, or no compressor has such a τ: a plain ``18`` is
-        18 ms without its unit, not 18 s.
-    """
-    match = _TAU.fullmatch(text.strip())
-    number, unit = match.groups() if match else ("nan", None)
-    try:
-        seconds = float(number) * _UNITS[unit]
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 < seconds <= LONGEST_TAU_S:
-        expected = "a time constant such as 18ms or 0.018 (seconds), above 0 and up to"
-        remedy = f"write {text.strip()}ms if milliseconds are meant"
-        raise InputError(
-            "--tau",
-            expected=f"{expected} {LONGEST_TAU_S:g} s",
-            found=f"{seconds:g} s" if math.isfinite(seconds) else repr(text),
-            remedy=remedy if seconds > LONGEST_TAU_S and unit is None else "",
-        )
-    return seconds
 
 
 def trial_taus(*around_s: float) -> FloatArray:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
+
 import numpy as np
 import pytest
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
+from comparisons.cli.shared import time_constant
 from comparisons.harness.tau_trial import (
-    parse_tau,
     reconstruction_error_over_tau,
     trial_taus,
 )
 from comparisons.results import FitRows, TauTrial
-from surge_core.errors import InputError
 
 
 def rows_of(seed: int, noise: float = 0.003, n: int = 2400) -> FitRows:
@@ -68,11 +69,11 @@ def test_where_the_values_end_the_interval_ends() -> None:
 
 @pytest.mark.parametrize("text", ["0.018", "18ms", " 18 ms ", "1.8e-2s", "18000us"])
 def test_a_time_constant_is_read_in_seconds_or_with_its_unit(text: str) -> None:
-    assert parse_tau(text) == pytest.approx(0.018)
+    assert time_constant(text) == pytest.approx(0.018)
 
 
 @pytest.mark.parametrize("text", ["18", "0", "-0.018", "nan", "18 min", "1.2.3ms", "", "20000ms"])
 def test_what_is_no_time_constant_is_refused_in_one_sentence(text: str) -> None:
-    with pytest.raises(InputError, match="--tau: expected a time constant such as 18ms") as error:
-        parse_tau(text)
+    with pytest.raises(ArgumentTypeError, match="a time constant such as 18ms") as error:
+        time_constant(text)
     assert ("write 18ms" in str(error.value)) is (text == "18")
