@@ -30,8 +30,6 @@ from comparisons.harness.estimators import (
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import (
-    SYMBOLS,
-    Caution,
     Comparison,
     ComparisonRow,
     EstimatorResult,
@@ -95,7 +93,6 @@ def compare_records(
     histories = [record.history for record in records]
     biased = tau_caution(histories, target=target, quotable=quotable)
     cautions = (
-        *_held_out_caution(table, results, target),
         *([biased] if biased else []),
         *comparison_cautions(records, rows, results),
     )
@@ -294,18 +291,3 @@ def _trust(result: EstimatorResult, difference: float, paired_error: float) -> s
     if result.failed:
         words.append("failed: " + ", ".join(result.failed))
     return "; ".join(words) or "nothing speaks against it"
-
-
-def _held_out_caution(
-    table: tuple[ComparisonRow, ...], results: tuple[EstimatorResult, ...], target: str
-) -> list[Caution]:
-    """Say what the held-out error is not, where the least belongs to a fit that failed a check.
-
-    What a model lacks repeats in every cycle: a flexible curve learns it, and is rewarded on
-    held-out cycles too.
-    """
-    known = [row for row in table if math.isfinite(row.held_out_rms)]
-    least = min(known, key=lambda row: row.held_out_rms).estimator if known else None
-    if not any(result.failed for result in results if result.name == least):
-        return []
-    return [Caution.of("held_out_is_prediction", symbol=SYMBOLS[target])]

@@ -17,13 +17,11 @@ _BIAS = (
     "errors and intervals state scatter and do not contain this bias"
 )
 SENTENCES: Mapping[str, str] = {
-    # Which τ to quote, and what the ranking of held-out errors is worth.
+    # Which τ to quote.
     "quote_tau": "which τ to quote: that of {estimators}, which comes from one free run through "
     "the unfiltered signals. For the others " + _BIAS,
     "tau_biased": "what τ can be trusted for: " + _BIAS + ": compare estimators on the same data, "
     "but do not quote this τ as the time constant of the compressor",
-    "held_out_is_prediction": "held-out rms says how well {symbol} is predicted from this record's "
-    "φ, not how near the characteristic is",
     # Of the records.
     "ledger": "{finding}",
     "no_ledger": "no ledger lies beside it, so it is not known how it was filtered; a low-pass "
