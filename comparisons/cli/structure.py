@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -16,6 +18,7 @@ from comparisons.cli.shared import (
     command_line,
     read_records,
     seed,
+    time_constant,
     whole,
     write_asked,
     writes,
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
     from comparisons.harness.structure_fit import FoundStructure
 
 __all__ = ["COMMAND"]
+
+WORDS = ("required", "forbidden", "positive", "negative")
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
@@ -62,6 +67,9 @@ def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> F
         psi_terms=not given.no_psi_terms,
         seed=given.seed,
         degree=given.degree,
+        knots=given.knots,
+        constraints=_joined(given.constraint),
+        dead_time_s=given.dead_time,
         n_bootstrap=given.bootstrap,
     )
     if found.refused and given.python:
@@ -74,6 +82,50 @@ def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> F
     return found
 
 
+def _joined(constraints: Sequence[tuple[str, str]] | None) -> dict[str, str] | None:
+    """Join what was said of one term in several options."""
+    if constraints is None:
+        return None
+    joined: dict[str, str] = {}
+    for name, words in constraints:
+        joined[name] = f"{joined[name]} {words}" if name in joined else words
+    return joined
+
+
+def _constraint(text: str) -> tuple[str, str]:
+    name, equals, words = text.rpartition("=")
+    known = words.split()
+    if not equals or not name.strip() or not known or not set(known) <= set(WORDS):
+        raise argparse.ArgumentTypeError(
+            f"expected a term and one of {', '.join(WORDS)}, as 'phi^2=negative': '{text}'"
+        )
+    return name.strip(), " ".join(known)
+
+
+def _dead_time(text: str) -> float | str:
+    if text in ("auto", "fit"):
+        return text
+    size = text.strip().removeprefix("-")
+    # No time constant may be zero; a dead time may.
+    if re.fullmatch(r"0+(\.0*)?\s*(s|ms|us|µs)?", size):
+        return 0.0
+    try:
+        seconds = time_constant(size)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"auto, fit or a time: {error}") from None
+    return -seconds if text.strip().startswith("-") else seconds
+
+
+def _knots(text: str) -> list[float]:
+    try:
+        knots = [float(part) for part in text.split(",")]
+    except ValueError:
+        knots = [math.nan]
+    if not all(map(math.isfinite, knots)):
+        raise argparse.ArgumentTypeError(f"expected values of φ, as 0.05,0.1: '{text}'")
+    return knots
+
+
 COMMAND = Command(
     "structure",
     help="which terms the characteristic has, and how sure that is",
@@ -81,7 +133,7 @@ COMMAND = Command(
     "inclusion probabilities, rivals, time constant, dead time, noise, and the structures "
     "tried. A series that carries whole unfiltered runs is fitted by one free run through "
     "them, unless --rows or an option that needs rows is given (--target psi, --degree, "
-    "--bootstrap).",
+    "--knots, --constraint, --dead-time, --bootstrap).",
     arguments=(
         SERIES,
         argument(
@@ -99,6 +151,12 @@ COMMAND = Command(
             help="highest power in the library (default: 5)",
         ),
         argument(
+            "--knots",
+            type=_knots,
+            metavar="0.05,0.1",
+            help="knots of the hinges (default: found)",
+        ),
+        argument(
             "--optimizer",
             choices=("SSR", "STLSQ", "FROLS", "best-subset"),
             default="SSR",
@@ -110,6 +168,21 @@ COMMAND = Command(
             default=6,
             metavar="N",
             help="largest structure (default: 6)",
+        ),
+        argument(
+            "--constraint",
+            type=_constraint,
+            action="append",
+            metavar="TERM=WORD",
+            help="known beforehand, as 'phi^2=negative': required, forbidden, positive or "
+            "negative; may be given again",
+        ),
+        argument(
+            "--dead-time",
+            type=_dead_time,
+            metavar="auto|fit|TIME",
+            help="how much later than φ ψ' was measured, as 5ms; --dead-time=-5ms where φ is late "
+            "(default: auto, tested for)",
         ),
         argument(
             "--no-psi-terms", action="store_true", help="look for no terms that hold ψ' itself"

@@ -12,9 +12,10 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import has_whole_run
 from comparisons.harness.cautions import tau_caution
-from comparisons.harness.rows import stack_rows
+from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, stack_rows
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from surge_core.display import Displayed, Field, Sheet
+from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from sindy_surge.summary import ModelSummary
@@ -23,6 +24,15 @@ if TYPE_CHECKING:
 __all__ = ["FoundStructure", "find_structure"]
 
 CURVE_POINTS = 201
+# What the free run through whole records cannot take, by the name of the estimator's parameter.
+ROWS_ONLY = {
+    "degree": "--degree",
+    "knots": "--knots",
+    "constraints": "--constraint",
+    "dead_time_s": "--dead-time",
+    "n_bootstrap": "--bootstrap",
+}
+OPTIONS = ROWS_ONLY | {"max_terms": "--max-terms", "optimizer": "--optimizer"}
 
 
 @dataclass(frozen=True)
@@ -120,8 +130,7 @@ def find_structure(
     max_terms: int = 6,
     psi_terms: bool = True,
     seed: int = 0,
-    degree: int | None = None,
-    n_bootstrap: int | None = None,
+    **rows_only: Any,
 ) -> FoundStructure:
     """Choose the terms of the lag model by the sparse regression.
 
@@ -137,8 +146,9 @@ def find_structure(
         Fit the rows of the segments even where the records carry whole unfiltered runs.
     optimizer, max_terms, psi_terms, seed
         See `SparseLagRegressor`; terms in ψ' are looked for in rows alone.
-    degree, n_bootstrap
-        Of `SparseLagRegressor`: either makes the fit one of rows. None stands for the default.
+    **rows_only
+        Its ``degree``, ``knots``, ``constraints``, ``dead_time_s``, ``n_bootstrap``: any of them
+        makes the fit one of rows. None stands for the default.
 
     Returns
     -------
@@ -150,10 +160,9 @@ def find_structure(
     InputError
         When the records do not go together, there is nothing to fit, or an option cannot be used.
     """
-    rows_only = {"degree": degree, "n_bootstrap": n_bootstrap}
     given = {name: value for name, value in rows_only.items() if value is not None}
     settings: dict[str, Any] = {"hold": hold, "optimizer": optimizer, "max_terms": max_terms}
-    needs = [f"--{name.removeprefix('n_')}" for name in given]
+    needs = [flag for name, flag in ROWS_ONLY.items() if name in given]
     whole, reason = _whole_or_rows(records, target, rows, needs)
     if whole:
         run = fit_sparse_whole_runs(records, **settings)
@@ -166,8 +175,21 @@ def find_structure(
 
     settings |= {"psi_terms": psi_terms, "random_state": seed, **given}
     stacked = stack_rows(records, target)
+    longest = max(run.stop - run.start for run in stacked.runs) - MINIMUM_SEGMENT_ROWS
+    dead_time_s, most_s = given.get("dead_time_s"), longest * stacked.sample_period_s
+    if isinstance(dead_time_s, float) and abs(dead_time_s) > most_s:
+        expected = f"at most {most_s:.3g} s, less than the longest segment"
+        raise InputError("--dead-time", expected=expected, found=f"{dead_time_s:g} s")
     fit = SparseLagRegressor(stacked.sample_period_s, output_name=target, **settings)
-    fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
+    try:
+        fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
+    except InputError as error:
+        # The option of the command line in place of the estimator's parameter.
+        name, bracket, rest = error.where.partition("[")
+        where = OPTIONS.get(name, name) + bracket + rest
+        raise InputError(
+            where, expected=error.expected, found=error.found, remedy=error.remedy
+        ) from None
     return FoundStructure(
         fit,
         tuple(records),
