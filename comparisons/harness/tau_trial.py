@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.harness.fit_quality import rms
-from comparisons.results import Comparison, FitRows, TauTrial
+from comparisons.results import Comparison, EstimatorResult, FitRows, TauEstimate, TauTrial
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
@@ -102,18 +102,24 @@ def trial_of(comparison: Comparison) -> TauTrial:
         every = np.ones(inputs.phi.size, dtype=np.bool_)
         signals = inputs.phi, inputs.psi_p, inputs.time_s, inputs.run, inputs.run
         averaged = FitRows(*signals, rows.sample_period_s, "psi_p", every)
-        estimate = replace(result.estimate, rms=result.whole_run.model_.residual_std_)
+        estimate = _estimate(result, float(result.whole_run.model_.residual_std_))
         taus = trial_taus(estimate.tau_s)
         trial = reconstruction_error_over_tau(
             averaged, inputs.terms, taus, hold=hold, scored=scored
         )
         return replace(trial, estimates=(estimate,))
-    estimates = tuple(result.estimate for result in fitted)
+    estimates = tuple(_estimate(result, result.free_run.rms) for result in fitted)
     powers = [term for term in comparison.results[0].model.terms if term.startswith("phi")]
     terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
     taus = trial_taus(*(estimate.tau_s for estimate in estimates))
     trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)
     return replace(trial, estimates=estimates)
+
+
+def _estimate(result: EstimatorResult, rms: float) -> TauEstimate:
+    model = result.model
+    tau = model.time_constant_s, model.time_constant_stderr_s
+    return TauEstimate(result.name, result.label, *tau, rms)
 
 
 def _scored(

@@ -13,7 +13,6 @@ from comparisons.results.caution import Caution, texts_of
 from comparisons.results.lag import FittedLag, LagModel
 from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows, FitScore
-from comparisons.results.tau import TauEstimate
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from surge_core.types import FloatArray
@@ -102,18 +101,6 @@ class EstimatorResult:
     def on_rows(self) -> bool:
         """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
         return self.whole_run is None and self.extended is None
-
-    @property
-    def estimate(self) -> TauEstimate:
-        """Its τ."""
-        model = self.model
-        return TauEstimate(
-            self.name,
-            self.label,
-            model.time_constant_s,
-            model.time_constant_stderr_s,
-            self.free_run.rms,
-        )
 
     @property
     def failed(self) -> tuple[str, ...]:
