@@ -16,7 +16,6 @@ from surge_core.leave_out import (
     block_edges,
     correlation_length,
     leave_out,
-    scatter,
     slow_correlation_length,
 )
 from surge_core.types import FloatArray
@@ -81,16 +80,6 @@ class LagFit:
     n_errors: int
     n_lags: int
     state: FitState
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of log τ and β."""
-        return scatter(self.moves)
-
-    @property
-    def moving_average(self) -> FloatArray:
-        """Coefficients of C."""
-        return MovingAverage(self.shape[1:]).coefficients
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
+from surge_core.leave_out import scatter
 from surge_core.rounding import significant
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
@@ -399,13 +400,13 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         to_user = np.array([tau_s, *np.ones(n_terms)])
         held = self.time_constant_s
         self.time_constant_s_ = tau_s if held is None else float(held)
-        self.parameter_covariance_ = fit.covariance * np.outer(to_user, to_user)
+        self.parameter_covariance_ = scatter(fit.moves) * np.outer(to_user, to_user)
         self.time_constant_stderr_s_ = float(np.sqrt(self.parameter_covariance_[0, 0]))
         self.coef_ = fit.coef
         self.covariance_ = self.parameter_covariance_[1:, 1:]
         self._curve_back, self._curve_moves = terms.back, fit.curve_moves
         self.drift_coef_ = fit.drift
-        self.moving_average_ = fit.moving_average
+        self.moving_average_ = MovingAverage(fit.shape[1:]).coefficients
         self.fit_state_ = fit.state
         scored = data.weight[data.weight > 0.0]
         freedom = max(fit.n_errors - data.n_parameters(n_terms), 1)

@@ -158,8 +158,7 @@ def _of_rows(
         cautions.append(Caution.of("no_whole_run", records=", ".join(without)))
     left_out = sum(int(record.scored.sum()) for record in records) - rows.phi.size
     if left_out:
-        code = "rows_left_out_psi" if rows.target == "psi" else "rows_left_out"
-        cautions.append(Caution.of(code, rows=left_out, fewest=MINIMUM_SEGMENT_ROWS))
+        cautions.append(Caution.of("rows_left_out", rows=left_out, fewest=MINIMUM_SEGMENT_ROWS))
     return cautions
 
 

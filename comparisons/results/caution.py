@@ -33,8 +33,7 @@ SENTENCES: Mapping[str, str] = {
     "(medians of their fitted rows: {each}), and are those of none of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "
     "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
-    "rows_left_out": "{rows} rows in a stretch of fewer than {fewest} were not fitted",
-    "rows_left_out_psi": "{rows} rows without a known ψ or in a stretch of fewer than {fewest} "
+    "rows_left_out": "{rows} rows without a known value or in a stretch of fewer than {fewest} "
     "were not fitted",
     "psi_unknown": "ψ is not known: {why}",
     # Of the fits.
