@@ -167,7 +167,7 @@ def fit_work_characteristic(
     Parameters
     ----------
     record : Record
-        Plane averages computed without a low-pass filter, the lag of the thermocouples undone:
+        Plane averages with W31, without a low-pass filter, the lag of the thermocouples undone:
         what ``ReductionSettings(phase="none", thermocouple_inversion=True)`` leaves behind.
     test : TestDescription
         Machine and speed.
@@ -189,8 +189,8 @@ def fit_work_characteristic(
     Raises
     ------
     InputError
-        When there is no W31, the thermocouples' lag was not undone, the flow is more than the area
-        passes in many rows, or τ is not positive or longer than a surge cycle.
+        When the flow is more than the area passes in many rows, or τ is not positive or longer than
+        a surge cycle.
 
     Notes
     -----
@@ -215,11 +215,8 @@ def fit_work_characteristic(
     (tubes, anti-alias filter). What one sample changes enters the errors: a millisecond is worth
     0.04 in the curve and 1.2 ms of τ; with τ given 0.06 at φ = 0.02 and 0.1, and 0.09 at 0.05.
     """
-    _check(record)
     if time_constant_s is not None:
         positive("time_constant_s", time_constant_s)
-    if mixing_phi != 0.0:
-        positive("mixing_phi", mixing_phi)
     setup = _setup(record, test, window, breakpoints, mixing_phi)
     cycles = np.unique(setup.cycle[setup.scored])
     n_terms = len(breakpoints) + 2
@@ -265,23 +262,6 @@ def fit_work_characteristic(
         valid_phi=(float(low), float(high)),
         entry=_entry(setup, cycles.size, tau_s, std, given=given),
     )
-
-
-def _check(record: Record) -> None:
-    if "W31_kg_s" not in record:
-        raise InputError(
-            f"{record.source}: ψ",
-            expected="a T31 that counts, without which there is no W31 and no ψ",
-            found="none",
-        )
-    undone = [e.parameters.get("invert") for e in record.history if e.step == "thermocouples"]
-    if undone and undone[-1] is False:
-        raise InputError(
-            f"{record.source}: ψ",
-            expected="thermocouples whose lag was undone",
-            found="a history that says it was not",
-            remedy="reduce with thermocouple_inversion=True",
-        )
 
 
 def _delayed(record: Record, delay_s: float) -> Record:

@@ -188,13 +188,8 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
         document, found = {}, f"no JSON of this kind ({error})"
     if not document or document["schema"] != form.schema:
         raise InputError(str(file), expected=expected, found=found)
-    try:
-        return validated(_Document[kind], document, str(file)).models  # type: ignore[valid-type]
-    except InputError as error:
-        remedy = f"save the model again with `{form.writer}`"
-        raise InputError(
-            error.where, expected=error.expected, found=error.found, remedy=remedy
-        ) from None
+    kinds = _Document[kind]  # type: ignore[valid-type]
+    return validated(kinds, document, str(file)).models
 
 
 def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:

@@ -277,13 +277,6 @@ def test_breakpoints_out_of_order_are_refused() -> None:
         fit_work_characteristic(record, test, everywhere(record), breakpoints=(0.1, 0.05))
 
 
-def test_thermocouples_that_lag_are_refused() -> None:
-    record, test = planes()
-    said = record.after(LedgerEntry("thermocouples", "lag not inverted", {"invert": False}))
-    with pytest.raises(InputError, match="thermocouple_inversion=True"):
-        fitted(said, test)
-
-
 @cache
 def rig_reduction(case: str, seed: int) -> tuple[Reduction, Record]:
     run = simulate(case, seed=seed)
@@ -358,8 +351,6 @@ def test_above_90_percent_one_sentence_says_why_there_is_no_psi(case: str) -> No
     beyond = [d for e in record.history for d in e.dropped if d.what.startswith("T31")]
     assert len(beyond) == 2
     assert all("beyond its limits" in d.why for d in beyond)
-    with pytest.raises(InputError, match="without which there is no W31 and no ψ"):
-        fit_work_characteristic(record, reduction.test, record["window"] > 0.5, breakpoints=BREAKS)
 
 
 def test_a_machine_twice_the_size_has_the_same_characteristic() -> None:
