@@ -44,6 +44,8 @@ SEARCHED_TAU_S = (0.003, 0.1)
 SCAN_POINTS = 16
 # A τ within a hundredth of an end of its range ran into it.
 AT_BOUND = 0.01
+# A standard error of log τ beyond which the record holds no τ.
+UNDETERMINED = 0.5
 # Fewer cycles say nothing of the scatter between them.
 FEWEST_CYCLES = 4
 # Single readings beyond what the area passes are left out; more than these are no accident.
@@ -250,7 +252,9 @@ def fit_work_characteristic(
     covariance += sum(np.outer(error, error) for error in errors)
     log_error = float(np.sqrt(covariance[0, 0]))
     if not given and theta[0] - 2.0 * log_error < np.log(SEARCHED_TAU_S[0]):
-        return replace(blank, fit_state=FitState.AT_LOWER_BOUND)
+        wide = log_error > UNDETERMINED
+        state = FitState.LAG_UNDETERMINED if wide else FitState.AT_LOWER_BOUND
+        return replace(blank, fit_state=state)
     tau_s = float(np.exp(theta[0]))
     low, high = np.percentile(_phi(setup, _flow(setup))[setup.scored], (5.0, 95.0))
     return replace(
