@@ -27,9 +27,8 @@ MOST_GROUPS, MOST_REASONS = 24, 40
 READING = (
     "Mean, loss and median are over the method's own cells; differences over the cells that it "
     "shares with the reference, so that what is hard for both falls out. Errors leave out one "
-    "whole record at a time. Level: the 95 % interval of the difference to the best holds zero "
-    "(Student's t with few records, never less than two standard errors): no difference was "
-    "detected, which is not the same as equal."
+    "whole record at a time. No difference was detected where the 95 % interval holds zero (two "
+    "standard errors, more with few records), which is not the same as equal."
 )
 
 
@@ -91,13 +90,13 @@ def _score_parts(groups: Sequence[GroupComparison]) -> list[Part]:
 
 
 def _method_table(group: GroupComparison) -> Table:
+    words = ("method", "trust")
     heads = tuple(
-        Head(c.heading, c.meaning, c.numeric, c.heading == "trust", "reference" * c.numeric)
-        for c in COLUMNS
+        Head(head, meaning, head not in words, head == "trust", "reference" * (head not in words))
+        for head, meaning in COLUMNS.items()
     )
-    rows = tuple(tuple(column.text(row, group) for column in COLUMNS) for row in group.rows)
     marks = tuple("best" if row.method == group.best else "" for row in group.rows)
-    return Table(group.caption, heads, rows, marks)
+    return Table(group.caption, heads, group.cells(), marks)
 
 
 def _failures(table: pd.DataFrame) -> Table:
