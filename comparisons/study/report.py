@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
+from comparisons.page.blocks import Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
 from comparisons.study.comparison import (
     COLUMNS,
     GroupComparison,
     compare_methods,
 )
-from comparisons.study.plots import draw_differences
 from comparisons.study.spec import StudySpec
 from surge_core.files import write_whole
 
@@ -82,11 +81,7 @@ def render_study_report(
 
 
 def _score_parts(groups: Sequence[GroupComparison]) -> list[Part]:
-    tables: tuple[Block, ...] = tuple(map(_method_table, groups))
-    parts = [Part("Methods", (*tables, Words(READING, "quiet")))]
-    if groups[0].best and len(groups[0].rows) > 1:
-        parts.append(Part("Picture", (draw_differences(groups),)))
-    return parts
+    return [Part("Methods", (*map(_method_table, groups), Words(READING, "quiet")))]
 
 
 def _method_table(group: GroupComparison) -> Table:
