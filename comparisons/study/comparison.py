@@ -32,8 +32,8 @@ __all__ = [
     "MethodRow",
     "Paired",
     "compare_methods",
+    "compare_scores",
     "jackknife",
-    "study_text",
 ]
 
 # States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
@@ -259,13 +259,13 @@ def compare_methods(
     )
 
 
-def study_text(
+def compare_scores(
     table: pd.DataFrame,
     scores: Sequence[Score | str],
     reference: str | None = None,
     by: Sequence[str] = (),
-) -> str:
-    """Return lead sentence and table of each score.
+) -> list[tuple[GroupComparison, ...]]:
+    """Compare methods by each of several scores: over all cells, then split by some axes.
 
     Parameters
     ----------
@@ -276,15 +276,19 @@ def study_text(
     reference : str, optional
         Method that the others are compared with; the best without it.
     by : sequence of str
-        Axes; each combination of their values has a table of its own, after that of all cells.
+        Axes; each combination of their values is a group of its own, after that of all cells.
+
+    Returns
+    -------
+    list of tuple of GroupComparison
+        One tuple a score.
     """
-    groups: list[GroupComparison] = []
+    found = []
     for score in scores:
         whole = compare_methods(table, score, reference)
-        groups += whole
-        if by and whole:
-            groups += compare_methods(table, score, whole[0].reference, by)
-    return "\n\n".join(map(str, groups)) or "No cells: there is nothing to compare."
+        split = compare_methods(table, score, whole[0].reference, by) if by and whole else ()
+        found.append((*whole, *split))
+    return found
 
 
 def jackknife(

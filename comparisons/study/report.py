@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comparisons.page.blocks import Bullets, Head, Part, Table, Words
@@ -11,15 +10,14 @@ from comparisons.page.html import render_page
 from comparisons.study.comparison import (
     COLUMNS,
     GroupComparison,
-    compare_methods,
+    compare_scores,
 )
 from comparisons.study.spec import StudySpec
-from surge_core.files import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["render_study_report", "write_study_report"]
+__all__ = ["render_study_report"]
 
 # Groups of one score and reasons that are shown; the table has all.
 MOST_GROUPS, MOST_REASONS = 24, 40
@@ -29,24 +27,6 @@ READING = (
     "whole record at a time. No difference was detected where the 95 % interval holds zero (two "
     "standard errors, more with few records), which is not the same as equal."
 )
-
-
-def write_study_report(
-    path: Path, table: pd.DataFrame, spec: StudySpec, *, command: str = "sindy-surge study"
-) -> None:
-    """Write the report of a study, whole or not at all.
-
-    Parameters
-    ----------
-    path, table, spec, command
-        Target, and what :func:`render_study_report` takes.
-
-    Raises
-    ------
-    InputError
-        When the target cannot be written.
-    """
-    write_whole(path, render_study_report(table, spec, command=command))
 
 
 def render_study_report(
@@ -63,11 +43,8 @@ def render_study_report(
     command : str
         The command line that made it.
     """
-    groups: list[list[GroupComparison]] = []
-    for score in spec.scores:
-        whole = [*compare_methods(table, score, spec.reference)]
-        split = compare_methods(table, score, whole[0].reference, spec.by) if spec.by else ()
-        groups.append([*whole, *split[:MOST_GROUPS]])
+    scored = compare_scores(table, spec.scores, spec.reference, spec.by)
+    groups = [several[: 1 + MOST_GROUPS] for several in scored]
     extent = (
         f"{len(table)} cells of {table['method'].nunique()} methods on "
         f"{table['record'].nunique()} records; {int((table['state'] == 'failed').sum())} failed. "
