@@ -79,7 +79,7 @@ class Pieces:
 def reduce_longest(
     pieces: Sequence[Piece], test_path: Path, settings: ReductionSettings, entry: LedgerEntry
 ) -> tuple[Piece, Reduction]:
-    """Reduce the longest piece of a record, as a file.
+    """Reduce the longest piece of a record that can be reduced, as a file.
 
     A piece behind a gap has no near-stall reading: it is matched by that of the first piece, since
     the drift of amplifiers that the match makes good holds behind a gap as it does before it.
@@ -98,34 +98,41 @@ def reduce_longest(
     Returns
     -------
     piece : Piece
-        The longest one.
+        Which one.
     reduction : Reduction
         Its reduction.
 
     Raises
     ------
     InputError
-        When it cannot be reduced; its remedy names the files that are kept.
+        When no piece can be reduced: the reason of the longest one, and the files that are kept.
     """
-    piece = max(pieces, key=lambda piece: piece.n_rows)
-    try:
-        record, test = read_raw(piece.path, test_path)
-        if piece.number > 1 and not test.near_stall_shifts:
-            if test.file.start_s is not None:
-                raise InputError(
-                    f"{test_path}: [file] start_s",
-                    expected="none, for a piece behind a gap",
-                    found="a clock that is set at the first row of each file",
-                )
-            shifts = near_stall_shifts(read_raw(pieces[0].path, test)[0], test)
-            test = replace(test, near_stall_shifts=shifts)
-            flag = f"piece {piece.number} is matched by the near-stall reading of piece 1"
-            entry = replace(entry, flags=(*entry.flags, flag))
-        entry = replace(entry, parameters={**entry.parameters, "piece": piece.number})
-        return piece, reduce_record(record.after(entry), test, settings)
-    except InputError as error:
-        kept = ", ".join(str(piece.path) for piece in pieces)
-        remedy = "; ".join(filter(None, [error.remedy, f"the raw record is kept: {kept}"]))
+    reasons: list[InputError] = []
+    for piece in sorted(pieces, key=lambda piece: -piece.n_rows):
+        try:
+            return piece, _reduced(piece, pieces[0], test_path, settings, entry)
+        except InputError as error:
+            reasons.append(error)
+    first, kept = reasons[0], ", ".join(str(piece.path) for piece in pieces)
+    remedy = "; ".join(filter(None, [first.remedy, f"the raw record is kept: {kept}"]))
+    raise InputError(first.where, expected=first.expected, found=first.found, remedy=remedy)
+
+
+def _reduced(
+    piece: Piece, first: Piece, test_path: Path, settings: ReductionSettings, entry: LedgerEntry
+) -> Reduction:
+    record, test = read_raw(piece.path, test_path)
+    flags = entry.flags
+    if piece.number > 1 and test.file.start_s is not None:
         raise InputError(
-            error.where, expected=error.expected, found=error.found, remedy=remedy
-        ) from None
+            f"{test_path}: [file] start_s",
+            expected="none, for a piece behind a gap",
+            found="a clock that is set at the first row of each file",
+        )
+    if piece.number > 1 and not test.near_stall_shifts:
+        shifts = near_stall_shifts(read_raw(first.path, test)[0], test)
+        test = replace(test, near_stall_shifts=shifts)
+        flags += (f"piece {piece.number} is matched by the near-stall reading of piece 1",)
+    parameters = {**entry.parameters, "piece": piece.number}
+    record = record.after(replace(entry, parameters=parameters, flags=flags))
+    return reduce_record(record, test, settings)
