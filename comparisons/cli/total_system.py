@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from comparisons.cli.shared import JSON, RAW, Command, argument, reads, write_asked, writes
 from surge_core.errors import InputError
-from surge_core.progress import shown_count
+from surge_core.progress import shown_count, shown_steps
 
 __all__ = ["COMMAND"]
 
@@ -18,12 +18,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io import read_raw
     from comparisons import total_system as method
     from comparisons.total_system.rig_facility import facility_of_case, rig_case_of_test
-    from comparisons.total_system.sensitivity import (
-        ERRORS,
-        METHODS,
-        sensitivity_rows,
-        sensitivity_table,
-    )
+    from comparisons.total_system.sensitivity import N_ROWS
 
     record, test = read_raw(given.raw, given.test)
     case = rig_case_of_test(test.name)
@@ -39,13 +34,14 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             remedy="only a record of `sindy-surge simulate` brings them along; --save-facility "
             "writes a pattern from such a record",
         )
+    settings = method.TotalSystemSettings(facility)
     with shown_count("fitting", unit=" step") as counted:
         signals = method.measured_signals(record, test)
-        fit = method.fit_total_system(signals, facility, progress=counted)
+        fit = method.fit_total_system(signals, settings, progress=counted)
     rows = []
     if given.table:
-        with shown_count("fitting", unit=" fit", total=len(METHODS) * len(ERRORS)) as counted:
-            rows = sensitivity_rows(record, test, facility, progress=counted)
+        with shown_steps(N_ROWS) as shown:
+            rows = method.sensitivity_rows(record, test, settings, progress=shown)
     document = {
         "schema": TOTAL_SYSTEM_SCHEMA,
         "record": record.source,
@@ -56,7 +52,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     written = write_asked(
         given, json=lambda: document, save_facility=lambda: method.facility_toml(facility)
     )
-    table = [f"\n{sensitivity_table(rows)}"] if rows else []
+    table = [f"\n{method.sensitivity_table(rows)}"] if rows else []
     return f"record:   {record.source}\nfacility: {origin}\n\n{fit}", *table, *written
 
 

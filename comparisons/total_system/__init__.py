@@ -9,18 +9,28 @@ began.
 from __future__ import annotations
 
 from comparisons.total_system.facility import Facility, facility_toml, read_facility
-from comparisons.total_system.fit import TotalSystemFit, TotalSystemState, fit_total_system
+from comparisons.total_system.fit import fit_total_system
+from comparisons.total_system.fitted import TotalSystemFit, TotalSystemSettings, TotalSystemState
 from comparisons.total_system.measured import Measured, measured_signals
 from comparisons.total_system.model import TotalSystemModel
+from comparisons.total_system.sensitivity import (
+    SensitivityRow,
+    sensitivity_rows,
+    sensitivity_table,
+)
 
 __all__ = [
     "Facility",
     "Measured",
+    "SensitivityRow",
     "TotalSystemFit",
     "TotalSystemModel",
+    "TotalSystemSettings",
     "TotalSystemState",
     "facility_toml",
     "fit_total_system",
     "measured_signals",
     "read_facility",
+    "sensitivity_rows",
+    "sensitivity_table",
 ]

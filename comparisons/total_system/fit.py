@@ -2,171 +2,88 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
+from scipy.sparse import block_diag, csr_array, hstack
 
-from comparisons.total_system.facility import Facility
-from comparisons.total_system.measured import Measured, first_reversal_s
-from comparisons.total_system.model import STEP_S, TotalSystemModel
-from surge_core.display import Displayed, Field, Sheet
-from surge_core.rounding import round_to_error, significant
+from comparisons.total_system import kernel
+from comparisons.total_system.fitted import (
+    ALIGNED,
+    MULTIPLE,
+    OUTPUTS,
+    TotalSystemFit,
+    TotalSystemSettings,
+    TotalSystemState,
+)
+from comparisons.total_system.measured import Measured, first_reversal_s, observed_states
+from comparisons.total_system.model import COLUMNS, STEPS_PER_SECOND, TotalSystemModel
+from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["TotalSystemFit", "TotalSystemState", "fit_total_system"]
+__all__ = ["fit_total_system"]
 
-# Channels that are fitted, and their units.
-OUTPUTS = {"P31": "Pa", "P25": "Pa", "W25": "kg/s"}
-# Where the search starts: β₁, β₂, β₃ and τ in s; and a unit step of each. That of τ is its
-# logarithm.
-_FIRST = np.array([1.0, 2.0, 40.0, 0.02])
+_FITTED = [COLUMNS.index(name) for name in OUTPUTS]
+# Of β, of order (1, 3, 50); the logarithm of τ is its own scale.
 _SCALES = np.array([1.0, 1.0, 10.0, 1.0])
-# Small against what the scaled parameters are to be known to, large against rounding.
-_DIFFERENCE = 1e-4
-# The cost of a long run has many minima, that of its first 60 ms one: each search starts where the
-# one over a shorter part of the surge ended. The last part comes twice, once with its own weights.
-_HORIZONS_S: tuple[float, ...] = (0.06, 0.12, 0.25, 0.5, 0.5)
-# A run is scored from a little before the collapse, which an early start would otherwise miss. The
-# flow collapses some 17 ms before it reverses; the state that it starts from is the mean over what
-# ends well ahead.
-_BEFORE_REVERSAL_S = 0.03
+_N_COMMON = _SCALES.size
+# States that are fitted at the begin of a segment, the size of a unit step (kg/s, ψ', P31 and P_in
+# over their means) and what a state read off the record may be wrong by in such steps. Without that
+# a segment's states run off, with all its rows, into a history that never was.
+_NODE_STATES = [0, 1, 3, 5]
+_NODE_SCALES = np.array([1.0, 0.1, 0.01, 0.01])
+_NODE_ERRORS = np.array([2.0, 3.0, 2.0, 2.0])
+_SEGMENT_S = 0.08
+_SHORTEST_SEGMENT_ROWS = 10
+# Around a node the branch must not change: its own switching time would be one more unknown.
+_QUIET_S = 0.012
+# A single run is scored from a little before the collapse, which an early start would otherwise
+# miss, over so much of the surge. The flow collapses some 17 ms before it reverses; the state that
+# it starts from is the mean over what ends well ahead.
+_BEFORE_REVERSAL_S, _HORIZON_S = 0.03, 0.5
 _COLLAPSE_S = 0.017
 _BEFORE_COLLAPSE_S = (0.045, 0.025)
-# At first each channel weighs by this share of its spread, then by its own residual; but never by
-# less than the last, or one channel would take all weight and the search would leave its minimum.
-_FIRST_SIGMA = 0.1
-_SMALLEST_SIGMA = 0.03
-# Residual of P31 over its swing: good fits of the simulated rig stay near 0.01, with a volume that
-# is wrong by 10 % near 0.04; a start that is wrong by 10 ms leaves 0.1 to 0.2.
-_LOST = 0.06
-# The score is summed over blocks of this length for the errors.
+# In the first pass each channel weighs by its noise and this share of its spread; then by its own
+# residual, but never by more than that, or a channel left to itself would lose all weight.
+_FIRST_SIGMA = 0.03
+_SMALLEST_SIGMA = 1e-4
+# Slow residual over the swing of P31 and W25: good fits of the simulated rig stay below 0.1, those
+# in a wrong minimum lie above 0.25 in one of them. Half of the fast noise may be slow as well: flow
+# near zero is rectified.
+_LOST, _SLOW_SHARE = 0.2, 0.5
+# Multiple shooting has one basin: from here, and from far beside, it ends at the same place.
+_FIRST_BETA = (1.0, 2.0, 40.0)
+# A single run has no segments over which to sum the scores; it is cut into blocks.
 _BLOCK_S = 0.05
-
-
-class TotalSystemState(Enum):
-    """How a total-system fit ended; the value is the advice that goes with it."""
-
-    CONVERGED = "The fit converged."
-    NOT_CONVERGED = "The fit stopped before it converged."
-    LOST_THE_CYCLES = (
-        "The simulation does not follow the record: the fit sits in a wrong minimum, or a number "
-        "of the facility or the surge start is wrong. Neither the characteristic nor the time "
-        "constant counts; check volumes and throttle."
-    )
-    DIVERGED = "The simulation did not stay finite: check the facility's numbers."
-
-    @property
-    def code(self) -> str:
-        """The name in lower case, as written to JSON."""
-        return self.name.lower()
-
-
-@dataclass(frozen=True)
-class TotalSystemFit(Displayed):
-    """What a total-system fit found.
-
-    Parameters
-    ----------
-    beta, beta_stderr : tuple of float
-        β₁, β₂, β₃ of ψ'_QS = β₁ + β₂ φ + β₃ φ², and their standard errors, valid for coloured
-        residuals.
-    tau_s, tau_stderr_s : float
-        Time constant and its standard error, in seconds.
-    start_s : float
-        Surge start that the model ran with.
-    state : TotalSystemState
-        How the fit ended, with advice.
-    rms : mapping of str to float
-        Residual of P31 and P25 in Pa and of W25 in kg/s.
-    relative_rms : mapping of str to float
-        The same over the standard deviation of the measured channel.
-    n_rows : int
-        Rows that were scored.
-    """
-
-    beta: tuple[float, ...]
-    beta_stderr: tuple[float, ...]
-    tau_s: float
-    tau_stderr_s: float
-    start_s: float
-    state: TotalSystemState
-    rms: Mapping[str, float]
-    relative_rms: Mapping[str, float]
-    n_rows: int
-
-    def quasi_steady(self, phi: ArrayLike) -> FloatArray:
-        """Return ψ'_QS at φ, of the shape of φ."""
-        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(phi), self.beta))
-
-    def _sheet(self) -> Sheet:
-        beta = zip(("β₁", "β₂", "β₃"), self.beta, self.beta_stderr, strict=True)
-        residuals = tuple(
-            f"{name} {significant(rms, 3)} {OUTPUTS[name]}, "
-            f"{100.0 * self.relative_rms[name]:.1f} % of its swing"
-            for name, rms in self.rms.items()
-        )
-        good = self.state is TotalSystemState.CONVERGED
-        return Sheet(
-            "Total-system fit",
-            (
-                Field("τ", f"{round_to_error(1e3 * self.tau_s, 1e3 * self.tau_stderr_s)} ms"),
-                *(Field(name, round_to_error(value, error)) for name, value, error in beta),
-                Field("surge start", f"{self.start_s:.4f} s"),
-                Field("rows", str(self.n_rows)),
-                Field("residuals", residuals),
-                Field(self.state.code, self.state.value, "good" if good else "advice"),
-            ),
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fit as plain JSON types."""
-        return {
-            "time_constant_s": {"value": self.tau_s, "stderr": self.tau_stderr_s},
-            "terms": [
-                {"name": name, "coefficient": value, "stderr": stderr}
-                for name, value, stderr in zip(
-                    ("1", "phi", "phi^2"), self.beta, self.beta_stderr, strict=True
-                )
-            ],
-            "start_s": self.start_s,
-            "state": {"code": self.state.code, "advice": self.state.value},
-            "rms": dict(self.rms),
-            "relative_rms": dict(self.relative_rms),
-            "rows": self.n_rows,
-        }
+# How well each pass must converge: the first only finds the weights of the last.
+_PASSES = (1e-3, 1e-5)
+# Of the scaled parameters: small against what they are to be known to, large against rounding.
+_DIFFERENCE = 1e-4
 
 
 def fit_total_system(
     measured: Measured,
-    facility: Facility,
+    settings: TotalSystemSettings,
     *,
-    start_error_s: float = 0.0,
-    near: TotalSystemFit | None = None,
     progress: Callable[[], object] = lambda: None,
 ) -> TotalSystemFit:
     """Fit β and τ of a model of the whole system to P31, P25 and W25 (output error).
 
-    Minimises Σ ((P31, P25, W25 measured − simulated)/σ)² over the first half second of the surge,
-    with σ the residual of each channel. The surge start is the one that makes the model's first
-    reversal of the flow coincide with the measured one.
+    Minimises Σ ((P31, P25, W25 measured − simulated)/σ)² with σ the residual of each channel. The
+    flow, ψ', P31 and inlet pressure at the begin of a segment are nuisance parameters of that
+    segment alone: the Jacobian is sparse, and one run of all segments gives one column of each.
 
     Parameters
     ----------
     measured : Measured
         The record; see `measured_signals`.
-    facility : Facility
-        The facility's numbers.
-    start_error_s : float
-        Added to the surge start.
-    near : TotalSystemFit, optional
-        A fit that the search starts from.
+    settings : TotalSystemSettings
+        Facility and switches.
     progress : callable
-        Called after each step of the search.
+        Called after each pass of the search.
 
     Returns
     -------
@@ -176,131 +93,251 @@ def fit_total_system(
     Raises
     ------
     InputError
-        When a number of the facility cannot be used.
+        When the record or a number of the facility cannot be used.
     """
-    first, horizons_s = _FIRST, _HORIZONS_S
-    if near is not None:
-        first, horizons_s = np.array([*near.beta, near.tau_s]), _HORIZONS_S[-2:]
-    run = _Run(measured, facility, start_error_s, first)
-    sigma = _FIRST_SIGMA * np.std(run.measured_rows(horizons_s[0]), axis=0)
-    z, found = np.zeros(_SCALES.size), None
-    for horizon_s in horizons_s:
-        measured_rows = run.measured_rows(horizon_s)
-        try:
-            found = least_squares(
-                run.residuals,
-                # Plus 1: the difference of each is then a share of its scale.
-                z + 1.0,
-                diff_step=np.full(z.size, _DIFFERENCE),
-                ftol=1e-5,
-                xtol=1e-10,
-                gtol=1e-12,
-                max_nfev=30,
-                args=(horizon_s, sigma),
-            )
-        except ValueError:
-            # The residuals are not finite where this search starts.
-            found = None
-            break
-        z = found.x - 1.0
-        spread = np.std(measured_rows, axis=0)
-        residual = run.simulate(z, horizon_s)[0] - measured_rows
-        rms = np.sqrt(np.mean(residual**2, axis=0))
-        sigma = np.maximum(rms, _SMALLEST_SIGMA * spread)
+    if settings.start == ALIGNED and settings.initial_beta is None:
+        # The cost of a single run has many minima.
+        shooting = replace(settings, start=MULTIPLE, start_error_s=0.0)
+        first = fit_total_system(measured, shooting, progress=progress)
+        if first.state is TotalSystemState.CONVERGED:
+            settings = replace(settings, initial_beta=first.beta, initial_tau_s=first.tau_s)
+    runs = _prepare(measured, settings)
+    z, nodes = np.zeros(_N_COMMON), np.zeros((len(runs.segments), 0))
+    outputs = np.concatenate([measured.outputs[rows] for rows in runs.segments])
+    spread = np.std(outputs, axis=0)
+    sigma = heaviest = np.hypot(_FIRST_SIGMA * spread, runs.noise())
+    found, trace = None, []
+    for tolerance in _PASSES:
+        result = _solve(runs, z, sigma, tolerance)
         progress()
-    model, start_s = run.model_at(z), run.simulate(z, horizons_s[-1])[1]
+        if result is None:
+            break
+        found, z, nodes = result
+        trace.append(float(found.cost))
+        residual = np.concatenate(runs.simulate(z, nodes)) - outputs
+        rms = np.sqrt(np.mean(residual**2, axis=0))
+        sigma = np.clip(rms, _SMALLEST_SIGMA * spread, heaviest)
+    model, error, state = runs.model_at(z), np.full(4, np.nan), TotalSystemState.DIVERGED
     if found is None:
-        rms, spread = np.full((2, len(OUTPUTS)), np.nan)
-        error, state = np.full(z.size, np.nan), TotalSystemState.DIVERGED
+        rms = np.full(3, np.nan)
     else:
-        error = _errors(found, (measured.time_s[-1] - measured.time_s[0]) / measured.time_s.size)
-        error *= _SCALES * [1.0, 1.0, 1.0, model.tau_s]
-        state = TotalSystemState.CONVERGED if found.status > 0 else TotalSystemState.NOT_CONVERGED
-        if rms[0] > _LOST * spread[0]:
-            state = TotalSystemState.LOST_THE_CYCLES
+        scale = _SCALES * [1.0, 1.0, 1.0, model.tau_s]
+        error = scale * np.sqrt(np.diag(_covariance(runs, found, nodes.shape[1])))
+        slow = np.std([measured.smooth(column) for column in residual.T], axis=1)
+        # P31 and W25; the spikes of P25 are a row or two wide.
+        follows = np.all((slow <= _LOST * spread + _SLOW_SHARE * runs.noise())[[0, 2]])
+        state = TotalSystemState.LOST_THE_CYCLES
+        if follows:
+            done = found.status > 0
+            state = TotalSystemState.CONVERGED if done else TotalSystemState.NOT_CONVERGED
     return TotalSystemFit(
         beta=model.beta,
         beta_stderr=tuple(error[:3].tolist()),
         tau_s=model.tau_s,
         tau_stderr_s=float(error[3]),
-        start_s=start_s,
+        start_s=runs.aligned(model)[1] if settings.start == ALIGNED else model.start_s,
         state=state,
         rms=dict(zip(OUTPUTS, rms.tolist(), strict=True)),
         relative_rms=dict(zip(OUTPUTS, (rms / spread).tolist(), strict=True)),
-        n_rows=len(measured_rows),
+        cost_trace=tuple(trace),
+        n_segments=len(runs.segments),
+        n_rows=len(outputs),
+        settings=settings,
     )
 
 
 @dataclass(frozen=True)
-class _Run:
-    """The run that one evaluation of the cost makes."""
+class _Runs:
+    """The runs that one evaluation of the cost makes: one of all, or one in each segment.
+
+    ``model`` stands where all scaled departures are zero; ``states`` and ``latches`` are observed.
+    """
 
     measured: Measured
-    facility: Facility
-    start_error_s: float
-    first: FloatArray
+    settings: TotalSystemSettings
+    model: TotalSystemModel
+    states: FloatArray
+    latches: FloatArray
+    segments: list[slice]
 
     def model_at(self, z: FloatArray) -> TotalSystemModel:
-        """Return the model with scaled departures from where the search starts put in."""
-        b1, b2, b3, _ = (self.first + z * _SCALES).tolist()
+        """Return the model with scaled departures put in."""
+        step = z * _SCALES
+        b1, b2, b3 = (np.asarray(self.model.beta) + step[:3]).tolist()
         # Beyond e^±20 a trial step would overflow.
-        tau_s = float(self.first[3] * np.exp(np.clip(z[3], -20.0, 20.0)))
-        flow, start_s = self.measured.near_stall_flow_kg_s, self.measured.reversal_s - _COLLAPSE_S
-        return TotalSystemModel(
-            self.measured.test, self.facility, flow, (b1, b2, b3), tau_s, start_s
-        )
+        tau_s = self.model.tau_s * float(np.exp(np.clip(step[3], -20.0, 20.0)))
+        return replace(self.model, beta=(b1, b2, b3), tau_s=tau_s)
 
-    def rows(self, horizon_s: float) -> slice:
-        """Return the rows that are scored."""
-        reversal_s = self.measured.reversal_s
-        return self.measured.rows(reversal_s - _BEFORE_REVERSAL_S, reversal_s + horizon_s)
+    def noise(self) -> FloatArray:
+        """Return what the measured outputs hold beside their average over the smoothing width."""
+        rows = slice(self.segments[0].start, self.segments[-1].stop)
+        fast = [column - self.measured.smooth(column) for column in self.measured.outputs.T]
+        return np.asarray([np.std(column[rows]) for column in fast])
 
-    def measured_rows(self, horizon_s: float) -> FloatArray:
-        """Return the measured outputs that are scored, of shape (n, 3)."""
-        return self.measured.outputs[self.rows(horizon_s)]
+    def residuals(self, z: FloatArray, nodes: FloatArray, sigma: FloatArray) -> list[FloatArray]:
+        """Return the weighted residuals of each run, and of its node over their errors."""
+        errors = _NODE_ERRORS[: nodes.shape[1]]
+        runs = zip(self.simulate(z, nodes), self.segments, nodes, strict=True)
+        return [
+            np.concatenate([((run - self.measured.outputs[rows]) / sigma).ravel(), node / errors])
+            for run, rows, node in runs
+        ]
 
-    def residuals(self, shifted: FloatArray, horizon_s: float, sigma: FloatArray) -> FloatArray:
-        """Return simulated less measured outputs over their σ, at departures plus 1."""
-        simulated, _ = self.simulate(shifted - 1.0, horizon_s)
-        return np.asarray(((simulated - self.measured_rows(horizon_s)) / sigma).ravel())
+    def simulate(self, z: FloatArray, nodes: FloatArray) -> list[FloatArray]:
+        """Return the outputs of each run.
 
-    def simulate(self, z: FloatArray, horizon_s: float) -> tuple[FloatArray, float]:
-        """Return the outputs of a run that reverses when the record does, and its surge start.
+        In segments the machine goes into stall and out of it when the measured φ says so: with the
+        model's own φ the cost jumps where a trial run recovers late or not at all, and the search
+        sticks.
+        """
+        model, measured = self.model_at(z), self.measured
+        if self.settings.start == ALIGNED:
+            return [self.aligned(model)[0]]
+        c, substeps = model.constants(), max(1, round(measured.period_s * STEPS_PER_SECOND))
+        scale = _NODE_SCALES * [1.0, 1.0, *np.mean(self.states[:, [3, 5]], axis=0)]
+        runs = []
+        for rows, node in zip(self.segments, nodes, strict=True):
+            begin, latches = self.states[rows.start].copy(), self.latches[rows]
+            begin[_NODE_STATES[: node.size]] += scale[: node.size] * node
+            first_s, n = float(measured.time_s[rows.start]), rows.stop - rows.start
+            run = kernel.integrate(
+                c, begin, latches[0], first_s, n, measured.period_s, substeps, latches
+            )
+            runs.append(run[:, _FITTED])
+        return runs
+
+    def aligned(self, model: TotalSystemModel) -> tuple[FloatArray, float]:
+        """Return the outputs of one run that reverses when the record does, and its surge start.
 
         The run is made from a nominal start and moved in time as a whole; before, the model rests.
         """
-        measured, model = self.measured, self.model_at(z)
-        before = measured.rows(*(measured.reversal_s - s for s in _BEFORE_COLLAPSE_S))
-        p31, p25, flow = measured.outputs[before].mean(axis=0).tolist()
-        run = model.simulate(
-            n_rows=round((horizon_s + 2.0 * _BEFORE_REVERSAL_S) / STEP_S),
-            state=model.resting_state(flow, p25, p31, float(measured.T25[before].mean())),
+        measured, (rows,) = self.measured, self.segments
+        early, late = (measured.reversal_s - s for s in _BEFORE_COLLAPSE_S)
+        before = measured.rows(early, late)
+        state = self.states[before].mean(axis=0)
+        state[0], state[3] = measured.W25[before].mean(), measured.P31[before].mean()
+        step_s = 1.0 / STEPS_PER_SECOND
+        run = replace(model, start_s=measured.reversal_s - _COLLAPSE_S).simulate(
+            n_rows=round((_HORIZON_S + 2.0 * _BEFORE_REVERSAL_S) / step_s),
+            period_s=step_s,
+            state=state,
         )
-        since_s: FloatArray = STEP_S * np.arange(run["W25"].size, dtype=np.float64)
+        since_s: FloatArray = step_s * np.arange(run["W25"].size, dtype=np.float64)
         delay_s = first_reversal_s(since_s, run["W25"])
         # A trial characteristic without reversal has no delay of its own.
         start_s = measured.reversal_s - (_COLLAPSE_S if delay_s is None else delay_s)
-        start_s += self.start_error_s
-        times = measured.time_s[self.rows(horizon_s)]
+        start_s += self.settings.start_error_s
+        times = measured.time_s[rows]
+        resting = np.array([state[3], measured.P25[before].mean(), state[0]])
         columns = [
             np.interp(times, start_s + since_s, run[name], left=value)
-            for name, value in zip(OUTPUTS, (p31, p25, flow), strict=True)
+            for name, value in zip(OUTPUTS, resting, strict=True)
         ]
         return np.column_stack(columns), start_s
 
 
-def _errors(found: Any, period_s: float) -> FloatArray:
-    """Return the roots of the diagonal of H⁻¹ (Σ g gᵀ) H⁻¹ over blocks of the rows.
+def _prepare(measured: Measured, settings: TotalSystemSettings) -> _Runs:
+    """Return the runs that a fit will make."""
+    model = TotalSystemModel(
+        measured.test,
+        settings.facility,
+        measured.near_stall_flow_kg_s,
+        settings.initial_beta or _FIRST_BETA,
+        settings.initial_tau_s,
+        measured.reversal_s - _COLLAPSE_S + settings.start_error_s,
+        settings.volume_factor,
+    )
+    states, latches = observed_states(measured, model)
+    if settings.start == MULTIPLE:
+        segments = _segments(measured, settings, latches)
+    else:
+        until_s = measured.reversal_s + _HORIZON_S
+        segments = [measured.rows(measured.reversal_s - _BEFORE_REVERSAL_S, until_s)]
+    return _Runs(measured, settings, model, states, latches, segments)
+
+
+def _segments(
+    measured: Measured, settings: TotalSystemSettings, latches: FloatArray
+) -> list[slice]:
+    """Return the rows of each segment, begun where no branch changes."""
+    window = settings.window_s or measured.window_s
+    rows = measured.rows(*window)
+    quiet = max(1, round(_QUIET_S / measured.period_s))
+    changes = np.abs(np.diff(latches[:, 0], prepend=latches[0, 0]))
+    near = np.convolve(changes, np.ones(2 * quiet + 1), mode="same") > 0.5
+    # Nor where the flow reverses: there states read off the record are least sure.
+    good = np.flatnonzero(~near & (latches[:, 0] > 0.5) & (measured.smooth(measured.W25) > 0.0))
+    good = good[(good >= rows.start) & (good < rows.stop)]
+    length = round(_SEGMENT_S / measured.period_s)
+    nodes: list[int] = []
+    for target in range(rows.start, rows.stop, length) if good.size else ():
+        row = int(good[np.argmin(np.abs(good - target))])
+        if not nodes or row - nodes[-1] >= length // 2:
+            nodes.append(row)
+    if len(nodes) < 2:
+        raise InputError(
+            f"{measured.source}: window {window[0]:.3f} to {window[1]:.3f} s",
+            expected="in-stall rows with forward flow at which at least two segments can begin",
+            found=f"{len(nodes)}",
+            remedy="name a longer window",
+        )
+    ends = [*nodes[1:], min(rows.stop, nodes[-1] + length)]
+    pairs = zip(nodes, ends, strict=True)
+    return [slice(a, b) for a, b in pairs if b - a >= _SHORTEST_SEGMENT_ROWS]
+
+
+def _solve(
+    runs: _Runs, common: FloatArray, sigma: FloatArray, tolerance: float
+) -> tuple[Any, FloatArray, FloatArray] | None:
+    """Minimise the sum of squares from a start; None where the model is not finite there."""
+    n_free = 0 if runs.settings.start == ALIGNED else len(_NODE_STATES)
+    shape = (len(runs.segments), n_free)
+
+    def apart(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        # Departures from the start, plus 1: the difference of each is then a share of its scale.
+        moved = unknowns - 1.0
+        return common + moved[:_N_COMMON], moved[_N_COMMON:].reshape(shape)
+
+    def residuals(unknowns: FloatArray) -> FloatArray:
+        return np.concatenate(runs.residuals(*apart(unknowns), sigma))
+
+    start = np.ones(_N_COMMON + shape[0] * n_free)
+    at_start = runs.residuals(*apart(start), sigma)
+    if not all(np.all(np.isfinite(part)) for part in at_start):
+        return None
+    own: Any = block_diag([np.ones((part.size, n_free)) for part in at_start])
+    shared = np.ones((own.shape[0], _N_COMMON))
+    found = least_squares(
+        residuals,
+        start,
+        jac_sparsity=hstack([csr_array(shared), own]) if n_free else None,
+        diff_step=np.full(start.size, _DIFFERENCE),
+        ftol=tolerance,
+        xtol=1e-10,
+        gtol=1e-12,
+        max_nfev=runs.settings.max_iterations,
+    )
+    return found, *apart(found.x)
+
+
+def _covariance(runs: _Runs, found: Any, n_free: int) -> FloatArray:
+    """Return H⁻¹ (Σ g gᵀ) H⁻¹ of the common parameters, over segments or blocks of a single one.
 
     It holds for coloured residuals and for a model that is not quite right.
     """
-    n_rows, n = found.fun.size // len(OUTPUTS), found.x.size
-    n_blocks = max(1, round(n_rows * period_s / _BLOCK_S))
-    if n_blocks <= n:
-        return np.full(n, np.nan)
-    blocks = np.array_split(np.arange(found.fun.size), n_blocks)
-    g = np.array([found.jac[block].T @ found.fun[block] for block in blocks])
-    inverse = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+    jacobian = found.jac.toarray() if n_free else found.jac
+    own = jacobian[:, _N_COMMON:]
+    # What the segments' own states can take up says nothing of the common parameters.
+    projected = jacobian[:, :_N_COMMON]
+    projected = projected - own @ np.linalg.lstsq(own, projected, rcond=None)[0]
+    rows = [segment.stop - segment.start for segment in runs.segments]
+    edges = np.cumsum([3 * n + n_free for n in rows])[:-1]
+    n_blocks = max(1, round(sum(rows) * runs.measured.period_s / _BLOCK_S))
+    pieces = np.array_split(np.arange(found.fun.size), edges if len(rows) > 1 else n_blocks)
+    if len(pieces) <= _N_COMMON:
+        return np.full((_N_COMMON, _N_COMMON), np.nan)
+    inverse = np.linalg.pinv(projected.T @ projected, hermitian=True)
+    g = np.array([projected[piece].T @ found.fun[piece] for piece in pieces])
     # Small-sample factor n/(n − p) of cluster-robust covariances.
-    middle = g.T @ g * n_blocks / (n_blocks - n)
-    return np.asarray(np.sqrt(np.diag(inverse @ middle @ inverse)))
+    middle = g.T @ g * len(pieces) / (len(pieces) - _N_COMMON)
+    return np.asarray(inverse @ middle @ inverse)

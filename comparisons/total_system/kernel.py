@@ -15,13 +15,15 @@ from numba import njit
 from comparisons.total_system.facility import Facility
 from surge_core.types import FloatArray
 
-__all__ = ["Constants", "integrate", "orifice"]
+__all__ = ["Constants", "integrate", "latches", "observe", "orifice"]
 
 
 # Positions in the state vector and, behind it, in an output row; `model` names them.
 W, PSI_P, PSI, P31, T31, P_IN, T_IN, P_EX, T_EX, T_COIL, T_FACE = range(11)
 P25, PHI, W31, W_THROTTLE, W_EXHAUST, W_SUPPLY = range(11, 17)
 N_STATES, N_COLUMNS = 11, 17
+# States that are read off a record; the others follow from the balances.
+MEASURED = (W, PSI_P, P31, P_IN, T_FACE)
 # Positions in the latch: branch, armed for the other one, and when and from where the blend runs.
 STALLED, ARMED, SINCE, FROM = range(4)
 
@@ -44,11 +46,8 @@ MODEL_FIELDS = (
 _named_tuple: Any = namedtuple
 Constants = _named_tuple("Constants", FACILITY_FIELDS + MODEL_FIELDS)
 
-# Not a number, rather than an exception, where a trial state is beyond the physics.
-_compiled = njit(cache=True, error_model="numpy")
 
-
-@_compiled
+@njit(cache=True)
 def _phi(c: Any, flow: float, pressure: float, temperature: float) -> float:
     """Return φ = C_z/U of a mass flow (Eq 4, inverse of Eq 3, Eq 7)."""
     share = abs(flow) * sqrt(temperature) / (pressure * c.flow_constant)
@@ -68,7 +67,7 @@ def _phi(c: Any, flow: float, pressure: float, temperature: float) -> float:
     return float(size if flow >= 0.0 else -size)
 
 
-@_compiled
+@njit(cache=True)
 def orifice(
     c: Any, area: float, p_up: float, t_up: float, p_down: float, t_down: float
 ) -> tuple[float, float]:
@@ -83,7 +82,7 @@ def orifice(
     return sign * area * high * sqrt(max(head, 0.0) / (c.gas * temperature)), temperature
 
 
-@_compiled
+@njit(cache=True)
 def _stall_point(c: Any, t25: float) -> tuple[float, float]:
     """Return φ_s and ψ'_s at the corrected speed that T25 leaves of the constant rotor speed."""
     x = (c.speed / sqrt(t25) - c.compressor_stall_speed_low_frac) / (
@@ -94,7 +93,7 @@ def _stall_point(c: Any, t25: float) -> tuple[float, float]:
     return phi, psi_low + x * (c.compressor_stall_psi_p_high - psi_low)
 
 
-@_compiled
+@njit(cache=True)
 def _characteristics(c: Any, phi: float, t25: float, q: float) -> tuple[float, float]:
     """Return ψ'_QS and ψ_QS, both branches blended by q; stall never raises the pressure."""
     phi_s, psi_s = _stall_point(c, t25)
@@ -111,7 +110,7 @@ def _characteristics(c: Any, phi: float, t25: float, q: float) -> tuple[float, f
     return free + q * (stalled - free), free_work + q * (work - free_work)
 
 
-@_compiled
+@njit(cache=True)
 def _throttle(c: Any, time: float) -> float:
     """Return the throttle area over its initial one, which the surge start sets to opening."""
     shut_s = max(min(time, c.start) - c.throttle_close_start_s, 0.0)
@@ -122,14 +121,14 @@ def _throttle(c: Any, time: float) -> float:
     return float(c.throttle_open_ratio + (closed - c.throttle_open_ratio) * left)
 
 
-@_compiled
+@njit(cache=True)
 def _blend(c: Any, latch: FloatArray, time: float) -> float:
     """Return the share of the stalled branch: an exponential since the last switch."""
     fade = exp(-max(time - latch[SINCE], 0.0) / c.compressor_blend_s)
     return float(latch[STALLED] + (latch[FROM] - latch[STALLED]) * fade)
 
 
-@_compiled
+@njit(cache=True)
 def _rates(
     c: Any, time: float, s: FloatArray, latch: FloatArray, d: FloatArray, out: FloatArray
 ) -> None:
@@ -195,7 +194,7 @@ def _rates(
     out[W_THROTTLE], out[W_EXHAUST], out[W_SUPPLY] = wt, we, supply
 
 
-@_compiled
+@njit(cache=True)
 def _switch(
     c: Any, latch: FloatArray, t25: float, old: float, new: float, time: float, h: float
 ) -> None:
@@ -226,27 +225,94 @@ def _switch(
     latch[STALLED], latch[ARMED] = 1.0 - latch[STALLED], 0.0
 
 
-@_compiled
+@njit(cache=True)
 def integrate(
-    c: Any, start: FloatArray, stalled: bool, begin: float, n_rows: int, h: float
-) -> FloatArray:
-    """Integrate by classical Runge-Kutta and return a row at ``begin`` and each ``h`` after it."""
+    c: Any, start: FloatArray, begin_latch: FloatArray, begin: float,
+    n_rows: int, row_s: float, substeps: int, forced: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Integrate by classical Runge-Kutta and return a row at ``begin`` and each ``row_s`` after it.
+
+    ``forced`` holds a latch for each row, which the branches then follow in place of φ; with no
+    rows in it the model switches by itself.
+    """
     rows = np.empty((n_rows, N_COLUMNS))
-    s, scratch = start.copy(), np.empty(N_COLUMNS)
-    latch = np.array([1.0 if stalled else 0.0, 0.0, begin, 0.0])
+    s, latch, scratch = start.copy(), begin_latch.copy(), np.empty(N_COLUMNS)
     k1, k2, k3, k4 = (
         np.empty(N_STATES),
         np.empty(N_STATES),
         np.empty(N_STATES),
         np.empty(N_STATES),
     )
+    h, phi = row_s / substeps, np.nan
     for i in range(n_rows):
-        time = begin + i * h
-        _rates(c, time, s, latch, k1, rows[i])
-        if i > 0:
-            _switch(c, latch, s[T_FACE], rows[i - 1, PHI], rows[i, PHI], time, h)
-        _rates(c, time + 0.5 * h, s + 0.5 * h * k1, latch, k2, scratch)
-        _rates(c, time + 0.5 * h, s + 0.5 * h * k2, latch, k3, scratch)
-        _rates(c, time + h, s + h * k3, latch, k4, scratch)
-        s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        for j in range(substeps):
+            time = begin + i * row_s + j * h
+            row = rows[i] if j == 0 else scratch
+            if i < forced.shape[0] - 1:
+                # A switch inside the row is written to the latch of the next one.
+                after = time >= forced[i + 1, SINCE] > begin
+                latch[:] = forced[i + 1] if after else forced[i]
+            _rates(c, time, s, latch, k1, row)
+            if forced.shape[0] == 0 and not np.isnan(phi):
+                _switch(c, latch, s[T_FACE], phi, row[PHI], time, h)
+            phi = row[PHI]
+            _rates(c, time + 0.5 * h, s + 0.5 * h * k1, latch, k2, scratch)
+            _rates(c, time + 0.5 * h, s + 0.5 * h * k2, latch, k3, scratch)
+            _rates(c, time + h, s + h * k3, latch, k4, scratch)
+            s += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return rows
+
+
+@njit(cache=True)
+def latches(c: Any, phi: FloatArray, t25: FloatArray, first: float, row_s: float) -> FloatArray:
+    """Return the latch of each row of a measured φ, in stall from the surge start on."""
+    out = np.empty((phi.size, 4))
+    latch = np.array([0.0, 0.0, first, 0.0])
+    begun = False
+    for i in range(phi.size):
+        time = first + i * row_s
+        if begun:
+            _switch(c, latch, t25[i], phi[i - 1], phi[i], time, row_s)
+        elif time >= c.start:
+            begun = True
+            latch[STALLED], latch[SINCE] = 1.0, c.start
+        out[i] = latch
+    return out
+
+
+@njit(cache=True)
+def _as_measured(c: Any, s: FloatArray, slopes: FloatArray, d: FloatArray) -> None:
+    """Warm the gas of both volumes by what the measured pressures rise beyond their balances."""
+    share = (c.gamma - 1.0) / c.gamma
+    d[T31] += share * s[T31] / s[P31] * (slopes[2] - d[P31])
+    d[T_IN] += share * s[T_IN] / s[P_IN] * (slopes[3] - d[P_IN])
+
+
+@njit(cache=True)
+def observe(
+    c: Any, measured: FloatArray, latch: FloatArray, first: float, row_s: float, start: FloatArray
+) -> FloatArray:
+    """Return the model's states at each row with the columns of `MEASURED` put in.
+
+    What no probe reads (gas temperatures of the volumes, exhaust pressure, ψ) follows from the
+    same balances; nothing unstable is left in them, so that they forget their start.
+    """
+    n = measured.shape[0]
+    rows, row = np.empty((n, N_STATES)), np.empty(N_COLUMNS)
+    s, ahead = start.copy(), start.copy()
+    here, there = np.empty(N_STATES), np.empty(N_STATES)
+    for i in range(n):
+        for j, at in enumerate(MEASURED):
+            s[at] = measured[i, j]
+        rows[i] = s
+        if i < n - 1:
+            time = first + i * row_s
+            _rates(c, time, s, latch[i], here, row)
+            _as_measured(c, s, (measured[i + 1] - measured[i]) / row_s, here)
+            ahead[:] = s + row_s * here
+            for j, at in enumerate(MEASURED):
+                ahead[at] = measured[i + 1, j]
+            _rates(c, time + row_s, ahead, latch[i + 1], there, row)
+            _as_measured(c, ahead, (measured[i + 1] - measured[i]) / row_s, there)
+            s += 0.5 * row_s * (here + there)
     return rows

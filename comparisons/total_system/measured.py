@@ -1,4 +1,4 @@
-"""What was measured, as the total-system fit takes it: three outputs and the surge start."""
+"""What was measured, as the total-system fit takes it: three outputs, the states, the start."""
 
 from __future__ import annotations
 
@@ -6,18 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
-from classic_ml.flow import physical_flow
+from classic_ml.flow import corrected_from_physical, physical_flow
 from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
+from comparisons.total_system import kernel
+from comparisons.total_system.model import TotalSystemModel
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Measured", "first_reversal_s", "measured_signals"]
+__all__ = ["Measured", "measured_signals", "observed_states"]
 
-# Noise would cross zero early. The collapse takes 17 ms: an average over 3 ms moves its zero by
-# less than one.
+# One period of the stall cells (82.5 Hz on this machine, claim 17) leaves no ripple.
+SMOOTHING_S = 1.0 / 82.5
+# The collapse takes 17 ms; a cell period would move its zero by 3 to 4 ms, 3 ms by less than one.
 _CROSSING_S = 0.003
 
 
@@ -37,6 +41,12 @@ class Measured:
         Mean flow of the near-stall reading.
     reversal_s : float
         When the flow first runs backwards.
+    window_s : tuple of float
+        Quasi-steady cycles; all that follows the first reversal where they are not known.
+    smoothing_s : float
+        Width of the moving average behind states that are read off the record.
+    source : str
+        The record.
     """
 
     test: TestDescription
@@ -47,11 +57,23 @@ class Measured:
     T25: FloatArray
     near_stall_flow_kg_s: float
     reversal_s: float
+    window_s: tuple[float, float]
+    smoothing_s: float
+    source: str
+
+    @property
+    def period_s(self) -> float:
+        """Sample period, in seconds."""
+        return float(self.time_s[1] - self.time_s[0])
 
     @property
     def outputs(self) -> FloatArray:
         """P31, P25 and W25, of shape (n, 3), in this order."""
         return np.column_stack([self.P31, self.P25, self.W25])
+
+    def smooth(self, values: FloatArray) -> FloatArray:
+        """Return a signal averaged over the smoothing width."""
+        return period_average(values, self.smoothing_s, 1.0 / self.period_s)
 
     def rows(self, from_s: float, to_s: float) -> slice:
         """Return the rows from one time to another."""
@@ -59,7 +81,9 @@ class Measured:
         return slice(int(first), int(last))
 
 
-def measured_signals(record: Record, test: TestDescription) -> Measured:
+def measured_signals(
+    record: Record, test: TestDescription, smoothing_s: float = SMOOTHING_S
+) -> Measured:
     """Take the signals of the fit out of a record.
 
     Parameters
@@ -69,6 +93,9 @@ def measured_signals(record: Record, test: TestDescription) -> Measured:
         ``P25_Pa``, ``P31_Pa`` and ``T25_K``.
     test : TestDescription
         The test it belongs to.
+    smoothing_s : float
+        Width of the moving average behind states that are read off the record; 0 for signals
+        without noise.
 
     Raises
     ------
@@ -76,9 +103,11 @@ def measured_signals(record: Record, test: TestDescription) -> Measured:
         When a channel is missing, no near-stall reading is in the record, or the flow never
         reverses.
     """
+    window: tuple[float, float] | None = None
     if all(name in record for name in test.channel_names):
         settings = ReductionSettings(phase="none", thermocouple_inversion=True)
-        record = reduce_record(record, test, settings).record
+        reduction = reduce_record(record, test, settings)
+        window, record = reduction.window_s, reduction.record
         p25, p31 = record["P25_unfiltered_Pa"], record["P31_unfiltered_Pa"]
         t25 = record["T25_K"]
         w25 = physical_flow(record["Wc25_unfiltered_kg_s"], p25, t25)
@@ -92,8 +121,8 @@ def measured_signals(record: Record, test: TestDescription) -> Measured:
             expected=f"the near-stall reading of {near.from_s:g} to {near.to_s:g} s in the record",
             found=f"{time_s[0]:g} to {time_s[-1]:g} s",
         )
-    smooth = period_average(w25, _CROSSING_S, record.sample_rate_hz)
-    reversal_s = first_reversal_s(time_s, smooth)
+    width = min(smoothing_s, _CROSSING_S)
+    reversal_s = first_reversal_s(time_s, period_average(w25, width, record.sample_rate_hz))
     if reversal_s is None:
         raise InputError(
             f"{record.source}: plane 25",
@@ -101,8 +130,19 @@ def measured_signals(record: Record, test: TestDescription) -> Measured:
             found="reversed flow in the first row" if w25[0] < 0.0 else "no reversed flow",
             remedy="the total-system method needs the start of the surge",
         )
-    flow = float(np.mean(w25[reading]))
-    return Measured(test, time_s, w25, p25, p31, t25, flow, reversal_s)
+    return Measured(
+        test,
+        time_s,
+        w25,
+        p25,
+        p31,
+        t25,
+        float(np.mean(w25[reading])),
+        reversal_s,
+        window or (reversal_s + SMOOTHING_S, float(time_s[-1])),
+        smoothing_s,
+        record.source,
+    )
 
 
 def first_reversal_s(time_s: FloatArray, flow: FloatArray) -> float | None:
@@ -113,3 +153,47 @@ def first_reversal_s(time_s: FloatArray, flow: FloatArray) -> float | None:
     i = int(back[0])
     share = flow[i - 1] / (flow[i - 1] - flow[i])
     return float(time_s[i - 1] + share * (time_s[i] - time_s[i - 1]))
+
+
+def observed_states(measured: Measured, model: TotalSystemModel) -> tuple[FloatArray, FloatArray]:
+    """Return the model's states and stall latch at each row, as the measurement gives them.
+
+    W25, P31 and the pressure of the inlet volume are read off; ψ' is that of the momentum
+    equation without the unlagged reverse loss; the rest follows from the facility's balances.
+
+    Parameters
+    ----------
+    measured : Measured
+        The record.
+    model : TotalSystemModel
+        The facility, and τ for ψ.
+
+    Returns
+    -------
+    states : ndarray of shape (n, 11)
+        In the order of `STATES`.
+    latches : ndarray of shape (n, 4)
+        Branch, armed, since when and from which blend.
+    """
+    test, machine, c = measured.test, measured.test.compressor, model.constants()
+    flow, p25, p31, t25 = (
+        measured.smooth(v) for v in (measured.W25, measured.P25, measured.P31, measured.T25)
+    )
+    slope = rate_of_change(flow, measured.period_s)
+    phi = flow_coefficient(
+        corrected_from_physical(flow, p25, t25),
+        t25,
+        test.areas_m2[25],
+        test.rotor_velocity_m_s,
+        machine,
+    )
+    psi_p = pressure_coefficient(
+        p25, p31, t25, slope, machine.inertia_per_m, test.rotor_velocity_m_s, machine
+    )
+    lagged = psi_p - c.compressor_reverse_loss * np.minimum(phi, 0.0) ** 2
+    p_in = p25 + c.loss * flow * np.abs(flow) + c.inlet_inertia_per_m * slope
+    first, period_s = float(measured.time_s[0]), measured.period_s
+    latches = kernel.latches(c, phi, t25, first, period_s)
+    columns = np.column_stack([flow, lagged, p31, p_in, t25])
+    states = kernel.observe(c, columns, latches, first, period_s, model.near_stall_state())
+    return states, latches

@@ -13,27 +13,24 @@ from classic_ml.records import Record
 from classic_ml.reduction import ReductionSettings, reduce_record
 from comparisons.harness.estimators import default_estimators
 from comparisons.harness.rows import stack_rows
-from comparisons.total_system.facility import Facility
 from comparisons.total_system.fit import fit_total_system
+from comparisons.total_system.fitted import ALIGNED, MULTIPLE, TotalSystemSettings
 from comparisons.total_system.measured import measured_signals
 from surge_core.display import Field, Grid, Sheet
-from surge_core.rounding import round_to_error, significant
+from surge_core.rounding import NOT_KNOWN, round_to_error, significant
 
-__all__ = ["ERRORS", "METHODS", "SensitivityRow", "sensitivity_rows", "sensitivity_table"]
+__all__ = ["N_ROWS", "SensitivityRow", "sensitivity_rows", "sensitivity_table"]
 
 COMPONENT = "component"
-METHODS = (COMPONENT, "total-system")
+METHODS = (COMPONENT, MULTIPLE, ALIGNED)
 # The paper's own range of trust at 98.5 % ends at 0.175; below 0 nothing is measured well.
 PHI_OF_TABLE = np.array([0.0, 0.05, 0.1, 0.15])
-# Start errors in seconds and factors on the volume, each row's words with it: shifts that the notes
-# on the rig measured the output error of, and a wrong volume.
-ERRORS = {
-    "none": (0.0, 1.0),
-    "start +2 ms": (0.002, 1.0),
-    "start +10 ms": (0.010, 1.0),
-    "start +40 ms": (0.040, 1.0),
-    "volume x 1.1": (0.0, 1.1),
-}
+# Start errors in seconds and factors on the volume: shifts that the notes on the rig measured the
+# output error of, and a wrong volume.
+ERRORS = ((0.002, 1.0), (0.010, 1.0), (0.040, 1.0), (0.0, 1.1))
+NO_ERROR = (0.0, 1.0)
+# Rows of the whole table: each method without an error and under each.
+N_ROWS = len(METHODS) * (1 + len(ERRORS))
 
 
 @dataclass(frozen=True)
@@ -42,30 +39,40 @@ class SensitivityRow:
 
     Parameters
     ----------
-    method : {"component", "total-system"}
-        The method.
+    method : str
+        ``"component"``, or how the total-system method takes the surge start.
     perturbation : str
-        What was wrong: a key of `ERRORS`.
+        What was wrong, in words.
+    start_error_s, volume_factor : float
+        The same in numbers.
     beta, beta_stderr : tuple of float
         Coefficients of ψ'_QS on 1, φ, φ².
     tau_s, tau_stderr_s : float
         Time constant, in seconds.
     state : str
         How the fit ended.
+    P31_rms : float
+        Residual of P31 over its swing; nan for the component method, which does not simulate it.
     tau_change : float
         Change of τ over the same method's τ without the error.
+    beta_change : tuple of float
+        Change of β against the same method without the error.
     curve_change : float
         Largest change of ψ'_QS at φ = 0, 0.05, 0.1 and 0.15.
     """
 
     method: str
     perturbation: str
+    start_error_s: float
+    volume_factor: float
     beta: tuple[float, ...]
     beta_stderr: tuple[float, ...]
     tau_s: float
     tau_stderr_s: float
     state: str
+    P31_rms: float = float("nan")
     tau_change: float = 0.0
+    beta_change: tuple[float, ...] = (0.0, 0.0, 0.0)
     curve_change: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
@@ -79,6 +86,7 @@ class SensitivityRow:
         return replace(
             self,
             tau_change=self.tau_s / right.tau_s - 1.0,
+            beta_change=tuple(change.tolist()),
             curve_change=float(np.max(np.abs(curve))),
         )
 
@@ -86,12 +94,12 @@ class SensitivityRow:
 def sensitivity_rows(
     record: Record,
     test: TestDescription,
-    facility: Facility,
+    settings: TotalSystemSettings,
     *,
-    errors: Sequence[str] = tuple(ERRORS),
-    progress: Callable[[], object] = lambda: None,
+    errors: Sequence[tuple[float, float]] = ERRORS,
+    progress: Callable[[str], object] = lambda _: None,
 ) -> list[SensitivityRow]:
-    """Return β and τ of both methods under each error.
+    """Return β and τ of both methods, each without an error and under each error.
 
     A start error of e says that the surge began e later on the facility's clock than it did. The
     total-system method runs its model from there. The component method gets the record with its
@@ -105,17 +113,17 @@ def sensitivity_rows(
         The raw record.
     test : TestDescription
         Its test.
-    facility : Facility
-        The facility's numbers.
-    errors : sequence of str
-        Keys of `ERRORS`, "none" first.
+    settings : TotalSystemSettings
+        Facility and switches; ``start``, ``start_error_s`` and ``volume_factor`` are set here.
+    errors : sequence of (float, float)
+        Start errors in seconds with volume factors.
     progress : callable
-        Called after each fit.
+        Called with a word on each fit before it runs.
 
     Returns
     -------
     list of SensitivityRow
-        By method, then by error.
+        By method, the one without an error first.
 
     Raises
     ------
@@ -123,51 +131,52 @@ def sensitivity_rows(
         When the record cannot be used.
     """
     measured = measured_signals(record, test)
-    right = fit_total_system(measured, facility)
     rows: list[SensitivityRow] = []
     for method in METHODS:
         own: list[SensitivityRow] = []
-        for words in errors:
-            error_s, factor = ERRORS[words]
+        for error_s, factor in (NO_ERROR, *errors):
+            words = f"start {1e3 * error_s:+g} ms" if error_s else f"volume x {factor:g}"
+            words = "none" if (error_s, factor) == NO_ERROR else words
+            progress(f"{method}: {words}")
             if method == COMPONENT:
-                row = _component(record, test, words)
+                found = _component(record, test, error_s, factor)
             else:
-                volumes = facility.volumes
-                wrong = volumes.model_copy(update={"discharge_m3": factor * volumes.discharge_m3})
-                chosen = facility.model_copy(update={"volumes": wrong})
-                fit = fit_total_system(measured, chosen, start_error_s=error_s, near=right)
-                row = SensitivityRow(
-                    method,
-                    words,
+                chosen = replace(
+                    settings, start=method, start_error_s=error_s, volume_factor=factor
+                )
+                fit = fit_total_system(measured, chosen)
+                found = (
                     fit.beta,
                     fit.beta_stderr,
                     fit.tau_s,
                     fit.tau_stderr_s,
                     fit.state.code,
+                    fit.relative_rms["P31"],
                 )
+            row = SensitivityRow(method, words, error_s, factor, *found)
             own.append(row.against(own[0] if own else row))
-            progress()
         rows += own
     return rows
 
 
-def _component(record: Record, test: TestDescription, words: str) -> SensitivityRow:
+def _component(
+    record: Record, test: TestDescription, error_s: float, factor: float
+) -> tuple[tuple[float, ...], tuple[float, ...], float, float, str, float]:
     """Reduce and fit the component method again with what it would take as known."""
-    error_s, factor = ERRORS[words]
     volume_m3 = factor * test.compressor.internal_volume_m3
     machine = test.compressor.model_copy(update={"internal_volume_m3": volume_m3})
     moved = replace(record, start_s=record.start_s - error_s)
-    series = reduce_record(moved, replace(test, compressor=machine), ReductionSettings()).series
+    reduction = reduce_record(moved, replace(test, compressor=machine), ReductionSettings())
+    rows = stack_rows([reduction.series])
     spec = next(s for s in default_estimators() if s.name == "classic_ml")
-    model = spec.fit_rows(stack_rows([series]), [series])
-    return SensitivityRow(
-        COMPONENT,
-        words,
+    model = spec.fit_rows(rows, [reduction.series])
+    return (
         tuple(model.coef_.tolist()),
         tuple(np.sqrt(np.diag(model.covariance_)).tolist()),
         float(model.time_constant_s_),
         float(model.time_constant_stderr_s_),
         model.fit_state_.code,
+        float("nan"),
     )
 
 
@@ -179,23 +188,26 @@ def sensitivity_table(rows: Sequence[SensitivityRow]) -> str:
     rows : sequence of SensitivityRow
         Rows of `sensitivity_rows`.
     """
-    heads = ("method", "wrong", "β₁", "β₂", "β₃", "τ [ms]", "Δτ", "Δψ'_QS", "state")
+    heads = ("method", "wrong", "β₁", "β₂", "β₃", "τ [ms]", "Δτ", "Δψ'_QS", "P31", "state")
     legend = (
         "Δ: against the same method without the error",
         "Δψ'_QS: largest of φ = 0, 0.05, 0.1, 0.15",
+        "P31: residual over swing",
     )
-    cells = tuple(
-        (
-            row.method,
-            row.perturbation,
-            *map(round_to_error, row.beta, row.beta_stderr),
-            round_to_error(1e3 * row.tau_s, 1e3 * row.tau_stderr_s),
-            f"{100.0 * row.tau_change:+.1f} %",
-            significant(row.curve_change, 2) if row.curve_change else "0",
-            row.state,
-        )
-        for row in rows
-    )
-    grid = Grid("β and τ", heads, cells, frozenset((0, 1, len(heads) - 1)))
+    grid = Grid("β and τ", heads, tuple(map(_cells, rows)), frozenset((0, 1, len(heads) - 1)))
     title = "What wrong numbers do to both methods"
     return Sheet(title, (Field("columns", legend),), (grid,)).text()
+
+
+def _cells(row: SensitivityRow) -> tuple[str, ...]:
+    share = f"{100.0 * row.P31_rms:.1f} %" if np.isfinite(row.P31_rms) else NOT_KNOWN
+    return (
+        row.method,
+        row.perturbation,
+        *(round_to_error(b, e) for b, e in zip(row.beta, row.beta_stderr, strict=True)),
+        round_to_error(1e3 * row.tau_s, 1e3 * row.tau_stderr_s),
+        f"{100.0 * row.tau_change:+.1f} %",
+        significant(row.curve_change, 2) if row.curve_change else "0",
+        share,
+        row.state,
+    )

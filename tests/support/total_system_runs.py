@@ -15,6 +15,7 @@ from comparisons.rig import CASES, RigRun, SensorSettings, simulate, write_run
 from comparisons.total_system import (
     Measured,
     TotalSystemModel,
+    TotalSystemSettings,
     measured_signals,
 )
 from comparisons.total_system.rig_facility import facility_of_case
@@ -37,7 +38,18 @@ def ideal(case: str) -> tuple[RigRun, Record, TestDescription]:
 def signals(case: str) -> Measured:
     """The truth as a record without noise."""
     run, _, test = ideal(case)
-    return measured_signals(run.truth, test)
+    return measured_signals(run.truth, test, smoothing_s=0.0)
+
+
+def settings(case: str, **given: object) -> TotalSystemSettings:
+    """Settings with the rig's own facility."""
+    return TotalSystemSettings(facility_of_case(case), **given)  # type: ignore[arg-type]
+
+
+def near_truth(case: str, **given: object) -> TotalSystemSettings:
+    """The same, started at the truth."""
+    beta = CASES[case].pressure_terms
+    return settings(case, initial_beta=beta, initial_tau_s=TRUE_TAU_S, **given)
 
 
 def model_of(case: str, start_s: float = np.inf) -> TotalSystemModel:
