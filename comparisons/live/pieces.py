@@ -123,12 +123,6 @@ def _reduced(
 ) -> Reduction:
     record, test = read_raw(piece.path, test_path)
     flags = entry.flags
-    if piece.number > 1 and test.file.start_s is not None:
-        raise InputError(
-            f"{test_path}: [file] start_s",
-            expected="none, for a piece behind a gap",
-            found="a clock that is set at the first row of each file",
-        )
     if piece.number > 1 and not test.near_stall_shifts:
         shifts = near_stall_shifts(read_raw(first.path, test)[0], test)
         test = replace(test, near_stall_shifts=shifts)
