@@ -18,36 +18,21 @@ __all__ = [
     "claims_block",
     "claims_json",
     "claims_table",
-    "reading",
 ]
 
 
 class Finding(NamedTuple):
     """What the check of a claim gave.
 
-    ``found`` is the number or the words; ``holds`` is None where the claim holds if that is what
-    is stated; ``how`` says how it was tested and what else was seen.
+    ``found`` is the number or the words; ``how`` says how it was tested and what else was seen.
     """
 
     found: float | str
-    holds: bool | None
+    holds: bool
     how: str
 
 
 Check: TypeAlias = Callable[[Instabilities], Finding]
-
-
-def reading(read: Callable[[Instabilities], float | str], how: str) -> Check:
-    """Return the check of a claim that only reads back how the rig was made.
-
-    Parameters
-    ----------
-    read : callable
-        Takes the runs, returns what the setting is.
-    how : str
-        Where it was read.
-    """
-    return lambda runs: Finding(read(runs), None, how)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Claims 1 to 22: the machine, its rakes and their calibration, the flow equations, the filter."""
+"""Claims 9 to 22: the calibration, the flow equations, the spectra and the filter."""
 
 from __future__ import annotations
 
@@ -15,76 +15,17 @@ from classic_ml.flow import (
     true_mach,
 )
 from classic_ml.planes import local_flows, plane_averages
-from classic_ml.spectra import detrend, peak_frequency_hz, power_spectrum
-from comparisons.paper.claim import Finding, reading
+from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from comparisons.paper.claim import Finding
 from comparisons.paper.instabilities import INSTABILITIES, Instabilities
 from comparisons.paper.truth import LBM_KG, PSI_PA
 from comparisons.rig.gas import probe_pressures_pa
-from comparisons.rig.sensors import rake_temperature_k
 from surge_core.types import FloatArray
 
 MAIN = "985"
 # Fig 3 to 6 are of the 90 % instability.
 SPECTRA = "90"
 MINIMUM_CYCLES = 3
-
-
-def _planes(runs: Instabilities) -> str:
-    test = runs[MAIN].paper.test
-    low, high = sorted(test.areas_m2)
-    ratio = test.near_stall.pressure_Pa(high) / test.near_stall.pressure_Pa(low)
-    return f"planes {low} and {high}, pressure ratio {ratio:.0f}"
-
-
-def _fewest_flows(runs: Instabilities) -> float:
-    test = runs[MAIN].paper.test
-    places = [{(q.forward.rake, q.immersion) for q in test.pairs(p)} for p in (25, 31)]
-    return float(min(len(found) for found in places))
-
-
-def _converter(runs: Instabilities) -> str:
-    return f"{runs[MAIN].paper.test.adc.bits} bits, {runs[MAIN].rig.raw.sample_rate_hz:g} /s"
-
-
-claim_01 = reading(
-    _planes, "planes and near-stall reading of the test description; the rig has no stages"
-)
-claim_02 = reading(_fewest_flows, "probe pairs in the test description")
-claim_03 = reading(lambda runs: len(runs[MAIN].rig.raw.channels), "channels of the raw record")
-claim_04 = reading(
-    lambda runs: runs[MAIN].sensors.tube_frequency_hz or 0.0, "second-order tubes of the rig"
-)
-claim_06 = reading(
-    lambda runs: 1e3 * runs[MAIN].sensors.thermocouple_lag_s, "first-order thermocouples"
-)
-claim_07 = reading(lambda runs: runs[MAIN].sensors.recovery_factor, "factor of the thermocouples")
-claim_13 = reading(_converter, "test description and clock")
-
-
-def claim_05(runs: Instabilities) -> Finding:
-    """Check: the remote transducers read the steady pressure of the tubes."""
-    share = 1.0 / np.hypot(1.0, 2.0 * np.pi * 7.0 * runs[MAIN].sensors.leak_lag_s)
-    return Finding(
-        f"{100 * share:.0f} % of a 7 Hz surge passes",
-        share < 0.1,
-        "gain of the rig's leak path, a first-order low-pass; less than 10 % may pass",
-    )
-
-
-def claim_08(runs: Instabilities) -> Finding:
-    """Check: temperatures of the rakes, which circulation keeps."""
-    run = runs[MAIN]
-    truth = run.rig.truth
-    inlet, leaving = (
-        1.8 * rake_temperature_k(p, truth[f"T{p}_K"], run.sensors, rate_hz=truth.sample_rate_hz)
-        - 459.67
-        for p in (25, 31)
-    )
-    return Finding(
-        f"{inlet.min():.0f} to {inlet.max():.0f} °F; at most {leaving.max():.0f} °F",
-        abs(inlet[0] - 100.0) < 1.0 and float(np.ptp(inlet)) < 10.0 and leaving.max() < 110.0,
-        "rake temperatures of the rig through the surge, plane 25 within 10 °F",
-    )
 
 
 def claim_09(runs: Instabilities) -> Finding:
@@ -140,17 +81,6 @@ def claim_11(runs: Instabilities) -> Finding:
     )
 
 
-def claim_12(runs: Instabilities) -> Finding:
-    """Check: tape and amplifiers: noise, and a gain and an offset of each channel."""
-    sensors = runs[MAIN].sensors
-    scatter = (sensors.noise_percent, 100.0 * sensors.sensitivity_scatter, sensors.bias_scatter_v)
-    return Finding(
-        "noise {:g} % of full scale, gains ±{:g} %, offsets ±{:g} V".format(*scatter),
-        min(scatter) > 0.0,
-        "settings of the rig's tape and amplifiers",
-    )
-
-
 def claim_14(runs: Instabilities) -> Finding:
     """Check: Eq 1 to 4 with the reverse rule, against the rig's own inverse of them."""
     test = runs[MAIN].paper.test
@@ -170,14 +100,6 @@ def claim_14(runs: Instabilities) -> Finding:
         worst < 1e-9,
         "largest relative error of the flow, from pressures that the rig made with its own "
         "equations, M from -0.6 to 0.6 without the dead band",
-    )
-
-
-def claim_15(runs: Instabilities) -> Finding:
-    """Check: the aft probe reads slightly above static pressure."""
-    slopes = [q.forward.probe_slope for p in (25, 31) for q in runs[MAIN].paper.test.pairs(p)]
-    return Finding(
-        f"a {min(slopes):g} to {max(slopes):g}", min(slopes) > 1.0, "constants of the probe pairs"
     )
 
 
@@ -228,14 +150,6 @@ def claim_19(runs: Instabilities) -> Finding:
         abs(first - 7.0) <= 1.0 and abs(second - 16.0) <= 2.0,
         "highest peaks from 3 to 11 and from 11 to 22 Hz of the same spectrum; 1 and 2 Hz allowed",
     )
-
-
-def claim_20(runs: Instabilities) -> Finding:
-    """Check: the first-order trend, removed before the spectrum."""
-    signal = _inlet_pressure(runs)
-    seconds = np.arange(signal.size) / runs[SPECTRA].paper.record.sample_rate_hz
-    left = abs(float(np.polyfit(seconds, detrend(signal), 1)[0])) / PSI_PA
-    return Finding(round(left, 9), left < 1e-9, "slope that is left of P25 at 90 %")
 
 
 def claim_21(runs: Instabilities) -> Finding:

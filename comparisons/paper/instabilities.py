@@ -18,7 +18,7 @@ from comparisons.harness.estimators import psi_breakpoints
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
-from comparisons.rig import RigCase, RigRun, SensorSettings, simulate, write_run
+from comparisons.rig import RigCase, RigRun, simulate, write_run
 from surge_core.types import BoolArray
 
 __all__ = [
@@ -101,11 +101,6 @@ class InstabilityRun:
     def seed(self) -> int:
         """The seed of the rig's sensors."""
         return int(self.rig.truth_parameters["seed"])
-
-    @property
-    def sensors(self) -> SensorSettings:
-        """The settings of the sensors that the run was made with."""
-        return SensorSettings(**self.rig.truth_parameters["sensor_settings"])
 
     def near_stall(self, channel: str) -> float:
         """Return the mean of a reduced channel over the facility's near-stall reading."""

@@ -66,7 +66,8 @@ def remade(
 
 
 def test_every_claim_has_a_row_of_its_kind(rows: dict[int, dict[str, object]]) -> None:
-    assert list(rows) == list(CHECKS) == list(range(1, 49))
+    assert list(rows) == list(CHECKS)
+    assert len(rows) == 36
     for row in rows.values():
         assert list(row) == ["id", "claim", "kind", "stated", "found", "holds"]
         assert row["kind"] in {"conformance", "built in", "tested"}
@@ -74,7 +75,7 @@ def test_every_claim_has_a_row_of_its_kind(rows: dict[int, dict[str, object]]) -
         assert not isinstance(row["stated"], float) or isinstance(row["found"], float)
     assert {number for number, row in rows.items() if not row["holds"]} == DO_NOT_HOLD
     # What the code does as the paper did; the rest is the rig's making or an outcome.
-    assert {n for n, row in rows.items() if row["kind"] == "conformance"} == {11, 14, 20, 21, 22}
+    assert {n for n, row in rows.items() if row["kind"] == "conformance"} == {11, 14, 21, 22}
 
 
 def test_numbers_of_the_long_claims(rows: dict[int, dict[str, object]]) -> None:
@@ -88,11 +89,7 @@ def test_numbers_of_the_long_claims(rows: dict[int, dict[str, object]]) -> None:
 @pytest.mark.parametrize(
     ("sensors", "failing"),
     [
-        (SensorSettings(tube_frequency_hz=100.0), 4),
-        (SensorSettings(leak_lag_s=0.01), 5),
-        (SensorSettings(rake_coupling=0.3), 8),
         (SensorSettings(reading_samples=2), 10),
-        (SensorSettings(noise_percent=0.0), 12),
         (SensorSettings(hub_tip=0.0), 29),
         (SensorSettings(cells=0.0), 32),
     ],
