@@ -90,8 +90,8 @@ def simulate(
     Raises
     ------
     InputError
-        When the case or the effect is unknown, the duration, seed or size is unusable, or the
-        altered plant does not stay finite.
+        When the case or the effect is unknown, the duration or size is unusable, or the altered
+        plant does not stay finite.
     """
     plant = find_case(case)
     settings = SensorSettings() if sensors is None else sensors
@@ -101,9 +101,7 @@ def simulate(
             expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
             found=f"{duration_s!r}",
         )
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError("seed", expected="a whole number that is not negative", found=f"{seed!r}")
-    altered, hidden = hide_effect(hide, hide_size, float(duration_s))
+    altered, hidden = hide_effect(hide, hide_size)
     n_samples = round(duration_s * RAW_RATE_HZ) + 1
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
     run = run_plant(plant, n_rows=n_rows, altered=altered)

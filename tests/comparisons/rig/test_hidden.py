@@ -294,7 +294,6 @@ def test_two_time_constants_by_the_way_of_the_flow_and_by_its_size() -> None:
             {"hide": "flow_inertia", "hide_size": 30.0},
             "0.2 to 3 (stated over true ∫dx/A), found 30",
         ),
-        ({"hide": "sensitivity_drift", "duration_s": 20.0}, "at most 0.0125 1/s either way"),
         ({"hide_size": 1.5}, "hide_size: expected a size only with the name"),
     ],
 )
