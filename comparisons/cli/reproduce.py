@@ -21,8 +21,8 @@ ABOUT = (
     "known, read from their raw counts and reduced and fitted the paper's way: Butterworth "
     "filter of order 3 at 48 Hz on the pressures, run once; 50 lbm/s between the regimes; "
     "maximum likelihood with a moving average and zero-order hold. A claim of the kind “built in” "
-    "follows from how the rig was made, “conformance” says that the code does as the paper says it "
-    "did, and “tested” could have come out otherwise. What does not hold is printed as such."
+    "follows from how the rig was made; one “tested” could have come out otherwise. What does not "
+    "hold is printed as such."
 )
 
 

@@ -47,9 +47,9 @@ class Claim:
         Where in the paper.
     claim : str
         The claim in one sentence.
-    kind : {"conformance", "built in", "tested"}
-        What its check is worth: the code does as the paper says it did; the rig was made so; or
-        it comes from simulated counts and could have come out otherwise.
+    kind : {"built in", "tested"}
+        What its check is worth: the rig was made so, or it comes from simulated counts and could
+        have come out otherwise.
     stated, found : float or str
         The number the paper states and the one found, or words where it states none.
     holds : bool
@@ -128,7 +128,7 @@ def claims_block(claims: Sequence[Claim]) -> Table:
     heads = (
         Head("", numeric=True),
         Head("claim of the paper", "with its section", prose=True),
-        Head("kind", "conformance of the code, built into the rig, or tested"),
+        Head("kind", "built into the rig, or tested"),
         Head("stated", "what the paper says"),
         Head("found", "from the raw counts of the simulated rig"),
         Head("holds"),

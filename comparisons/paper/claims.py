@@ -1,4 +1,4 @@
-"""The 36 claims of the paper that can be tested: what it says (claims.csv) and their checks."""
+"""The 31 claims of the paper that can be tested: what it says (claims.csv) and their checks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from importlib.resources import files
 from typing import Any
 
-from comparisons.paper import claims_facility, claims_identification, claims_surge
+from comparisons.paper import claims_identification, claims_surge
 from comparisons.paper.claim import Check, Claim
 from comparisons.paper.instabilities import Instabilities
 
@@ -16,7 +16,7 @@ __all__ = ["CHECKS", "check_claim", "check_claims"]
 # A function named claim_NN checks claim NN.
 CHECKS: dict[int, Check] = {
     int(name.removeprefix("claim_")): check
-    for module in (claims_facility, claims_surge, claims_identification)
+    for module in (claims_surge, claims_identification)
     for name, check in sorted(vars(module).items())
     if name.startswith("claim_")
 }
