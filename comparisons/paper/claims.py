@@ -1,4 +1,4 @@
-"""The 31 claims of the paper that can be tested: what it says (claims.csv) and their checks."""
+"""The 29 claims of the paper that can be tested: what it says (claims.csv) and their checks."""
 
 from __future__ import annotations
 
