@@ -37,7 +37,7 @@ def line(ax: Axes, label: str) -> tuple[FloatArray, FloatArray]:
 def test_the_characteristic_lies_on_the_truth_and_below_the_steady_points(
     figures: tuple[Picture, ...], runs: Instabilities
 ) -> None:
-    ax = figures[2].figure.axes[0]
+    ax = figures[0].figure.axes[0]
     phi, psi_p = line(ax, "estimate")
     known = np.isfinite(phi)
     assert (phi[known].min(), phi[known].max()) == pytest.approx((-0.025, 0.175), abs=2e-3)
