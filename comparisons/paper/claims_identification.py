@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from classic_ml.flow import LBM_KG
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
@@ -14,13 +15,15 @@ from comparisons.paper.claim import Finding
 from comparisons.paper.claims_surge import cell_power_ratio
 from comparisons.paper.instabilities import (
     STEADY_STALL,
+    THRESHOLD_LBM_S,
     TRIAL_TIME_CONSTANT_S,
     WRONG_TIME_CONSTANT_S,
     Instabilities,
     fit_paper,
+    in_stall_psi,
+    in_stall_psi_p,
     reduce_run,
 )
-from comparisons.paper.truth import LBM_KG, THRESHOLD_LBM_S, in_stall_psi, in_stall_psi_p
 from comparisons.results import FitRows, FitScore, FittedLag
 from comparisons.rig import CASES, simulate
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant

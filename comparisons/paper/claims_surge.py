@@ -7,15 +7,22 @@ import numpy as np
 from classic_ml.calibration import calibrate, volts
 from classic_ml.cycles import find_cycles
 from classic_ml.filters import low_pass
+from classic_ml.flow import LBM_KG
 from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.paper.claim import Finding
-from comparisons.paper.instabilities import INSTABILITIES, Instabilities, InstabilityRun
-from comparisons.paper.truth import LBM_KG, PSI_PA, RANKINE_PER_K, THRESHOLD_LBM_S
+from comparisons.paper.instabilities import (
+    INSTABILITIES,
+    THRESHOLD_LBM_S,
+    Instabilities,
+    InstabilityRun,
+)
+from comparisons.rig.gas import PSI_PA
 
 MAIN, SECOND = "985", "985-second"
 # Fig 3 to 6 are of the 90 % instability.
 SPECTRA = "90"
 MINIMUM_CYCLES = 3
+RANKINE_PER_K = 1.8
 
 
 def claim_10(runs: Instabilities) -> Finding:

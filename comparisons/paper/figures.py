@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,8 +27,6 @@ from comparisons.paper.instabilities import (
     WRONG_TIME_CONSTANT_S,
     Instabilities,
     InstabilityRun,
-)
-from comparisons.paper.truth import (
     in_stall_psi,
     in_stall_psi_p,
 )
@@ -42,10 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_figures", "held_run"]
 
-Drawn: TypeAlias = "tuple[Figure, str]"
-
 PHI = r"flow coefficient $\varphi$ [-]"
-TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"
 HEIGHT_IN = 5.4
 # How the rig's own signals and curves are drawn in every picture.
 TRUTH: dict[str, Any] = {"color": INK, "lw": 1.8, "linestyle": (0, (1, 1.2))}
@@ -69,26 +64,10 @@ def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
     tuple of Picture
         In the order of the paper; each names the figure that it stands beside.
     """
-    low = runs["90"]
-    drawn = (
-        (
-            "In-stall pressure characteristic, 98.5 % speed",
-            "In the paper: Figure 23.",
-            _pressure_characteristic(runs["985"], runs[STEADY_STALL]),
-        ),
-        (
-            "Pressure and work characteristics, 90 % speed",
-            "In the paper: Figure 25.",
-            _low_speed_characteristics(low),
-        ),
-        (
-            "Reconstructed pressure coefficient, 90 % speed",
-            "In the paper: Figure 27.",
-            _reconstruction(low),
-        ),
-    )
-    return tuple(
-        Picture(title, figure, caption, place) for title, place, (figure, caption) in drawn
+    return (
+        _pressure_characteristic(runs["985"], runs[STEADY_STALL]),
+        _low_speed_characteristics(runs["90"]),
+        _reconstruction(runs["90"]),
     )
 
 
@@ -136,7 +115,7 @@ def _curve(
     ax.fill_between(grid, value - band, value + band, color=colour, alpha=0.18, lw=0.0)
 
 
-def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Drawn:
+def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Picture:
     """Draw Fig 23: the identified ψ'_QS beside the truth and beside steady rotating stall."""
     low, high = PAPER_PHI_985
     grid = np.linspace(low - DRAWN_BEYOND, high + DRAWN_BEYOND, 121)
@@ -154,17 +133,19 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Dra
     true = in_stall_psi_p(run, inside)
     off = np.abs(model.quasi_steady(inside) - true).max()
     gap = psi_p - model.quasi_steady(phi)
-    caption = (
+    return Picture(
+        "In-stall pressure characteristic, 98.5 % speed",
+        figure,
         "In-stall pressure characteristic by the paper's estimator from the paper's reduction: "
         f"within φ = {low:g} to {high:g} off the rig's own by at most {off:.2f} of "
         f"{true.min():.1f} to {true.max():.1f}, with a time constant of "
         f"{1e3 * model.time_constant_s:.0f} ms for the rig's {1e3 * run.true_tau_s:.0f}. Steady "
-        f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}."
+        f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}.",
+        "In the paper: Figure 23.",
     )
-    return figure, caption
 
 
-def _low_speed_characteristics(run: InstabilityRun) -> Drawn:
+def _low_speed_characteristics(run: InstabilityRun) -> Picture:
     """Draw Fig 25: ψ'_QS and ψ_QS at 90 % beside the truth."""
     grid = np.linspace(PAPER_PHI_90[0] - DRAWN_BEYOND, 0.2, 121)
     inside = np.linspace(0.05, PAPER_PHI_90[1], 41)
@@ -181,43 +162,41 @@ def _low_speed_characteristics(run: InstabilityRun) -> Drawn:
     ax.set_xlim(grid[0], grid[-1])
     ax.set_ylim(0.0, 1.3 * float(in_stall_psi(run, grid).max()))
     legend_above(figure, ax)
-    caption = (
+    return Picture(
+        "Pressure and work characteristics, 90 % speed",
+        figure,
         "Pressure coefficient (a parabola) and work coefficient (three straight pieces) of the "
         "90 % test, of which no row is taken out as unstalled. From φ = 0.05 to 0.1 ψ' is off the "
         f"rig's own by at most {off[0]:.2f} and ψ by {off[1]:.2f}: ψ is taken from the temperature "
-        "rise alone, which leaves out what is stored between the planes."
+        "rise alone, which leaves out what is stored between the planes.",
+        "In the paper: Figure 25.",
     )
-    return figure, caption
 
 
-def _over_time(ax: Axes, *shown: tuple[Reconstruction, str, Any]) -> None:
-    """Draw measured ψ' and reconstructions of it over the first second of the window."""
-    rows = shown[0][0].rows
+def _reconstruction(run: InstabilityRun) -> Picture:
+    """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
+    good, bad = (held_run(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
+    rows = good.rows
     pieces = runs_of(rows.labels, rows.measured.size)
+    figure, ax = _panel("time [s]", r"instantaneous $\psi'$ [-]")
     actual = broken(rows.time_s, rows.measured, pieces)
     ax.plot(*actual, color=MEASURED, lw=2.4, label="actual")
-    for one, colour, dashes in shown:
+    for one, colour, dashes in ((good, ACCENT, "-"), (bad, MARK, "--")):
         word = f"reconstructed, τ = {1e3 * one.model.time_constant_s:.0f} ms"
         line = broken(rows.time_s, one.reconstructed, pieces)
         ax.plot(*line, color=colour, linestyle=dashes, lw=1.4, label=word)
     from_s = float(rows.time_s[0])
     near = rows.time_s <= from_s + SHOWN_S
     ax.set_xlim(from_s, from_s + SHOWN_S)
-    ax.set_ylim(
-        *robust_limits(rows.measured[near], *(one.reconstructed[near] for one, *_ in shown))
-    )
-
-
-def _reconstruction(run: InstabilityRun) -> Drawn:
-    """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
-    good, bad = (held_run(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
-    figure, ax = _panel(TIME, ACTUAL)
-    _over_time(ax, (good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
+    shown = (rows.measured, good.reconstructed, bad.reconstructed)
+    ax.set_ylim(*robust_limits(*(values[near] for values in shown)))
     legend_above(figure, ax)
-    caption = (
+    return Picture(
+        "Reconstructed pressure coefficient, 90 % speed",
+        figure,
         "Actual ψ' of the 90 % test and its free run from the measured φ through the curve of "
         f"Fig 25. The rms error over the window is {good.score.rms:.2f} "
         f"({good.score.fit_percent:.0f} % fit) with 18 ms and {bad.score.rms:.2f} with the 243 ms "
-        "that the paper found at 98.5 %."
+        "that the paper found at 98.5 %.",
+        "In the paper: Figure 27.",
     )
-    return figure, caption

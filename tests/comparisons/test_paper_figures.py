@@ -10,8 +10,7 @@ from paper_runs import paper_runs
 
 from comparisons.page.blocks import Picture
 from comparisons.paper.figures import draw_figures
-from comparisons.paper.instabilities import Instabilities
-from comparisons.paper.truth import in_stall_psi, in_stall_psi_p
+from comparisons.paper.instabilities import Instabilities, in_stall_psi, in_stall_psi_p
 from surge_core.types import FloatArray
 
 
