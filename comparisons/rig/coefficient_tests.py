@@ -191,12 +191,27 @@ def simulate_test(
     rng = _stream(seed, "noise")
     gap_rng = _stream(seed, "gaps") if gaps else None
     records, clean = [], []
-    for i, time in enumerate(times):
+    for i, (flow, time) in enumerate(zip(plant.flows, times, strict=True)):
         segment = None if gap_rng is None else _segments(gap_rng, time, plant.tau_s)
         offset = None if segment is None else _GAP_OFFSET * plant.psi_std * (segment == 0)
         psi = run_record(plant, i, time, planted, substeps=_SUBSTEPS, curve_offset=offset)
         clean.append(psi)
-        records.append(_measured(plant, i, time, psi, sigma, noise, rng, segment))
+        phi = flow.values(time)
+        measured_psi = psi + sigma * _unit_noise(rng, psi.size, noise)
+        measured_phi = phi
+        if noise in _PHI_NOISE:
+            measured_phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
+        records.append(
+            CoefficientRecord(
+                time_s=time,
+                phi=measured_phi,
+                psi_p=measured_psi,
+                T25_K=plant.temperatures[i].values(time),
+                Nc_frac=plant.speeds[i].values(time),
+                in_stall=phi < plant.stall_phi,
+                segment=segment,
+            )
+        )
     return CoefficientTest(
         records=tuple(records),
         tau_s=plant.tau_s,
@@ -308,33 +323,6 @@ def _size_effect(
             proposed = limit if high >= limit else 0.5 * (low + high)
         size = proposed
     return parameters(size), reached
-
-
-def _measured(
-    plant: Plant,
-    record: int,
-    time_s: FloatArray,
-    psi: FloatArray,
-    sigma: float,
-    noise: Noise,
-    rng: np.random.Generator,
-    segment: IntArray | None,
-) -> CoefficientRecord:
-    """Sample the channels of a record and put the noise on."""
-    phi = plant.flows[record].values(time_s)
-    stalled = phi < plant.stall_phi
-    shown = psi + sigma * _unit_noise(rng, psi.size, noise)
-    if noise in _PHI_NOISE:
-        phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
-    return CoefficientRecord(
-        time_s=time_s,
-        phi=phi,
-        psi_p=shown,
-        T25_K=plant.temperatures[record].values(time_s),
-        Nc_frac=plant.speeds[record].values(time_s),
-        in_stall=stalled,
-        segment=segment,
-    )
 
 
 def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:
