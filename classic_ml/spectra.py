@@ -8,10 +8,15 @@ import scipy.signal
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["peak_frequency_hz", "power_spectrum"]
+__all__ = ["detrend", "peak_frequency_hz", "power_spectrum"]
 
 # 1600 samples at 1 kHz: bins of 0.625 Hz, which hold the paper's 81.2 and 162 Hz.
 RECORD_SAMPLES = 1600
+
+
+def detrend(values: FloatArray) -> FloatArray:
+    """Return the signal without its least-squares straight line."""
+    return np.asarray(scipy.signal.detrend(np.asarray(values, dtype=np.float64), type="linear"))
 
 
 def power_spectrum(values: FloatArray, sample_rate_hz: float) -> tuple[FloatArray, FloatArray]:

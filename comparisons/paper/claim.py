@@ -18,21 +18,36 @@ __all__ = [
     "claims_block",
     "claims_json",
     "claims_table",
+    "reading",
 ]
 
 
 class Finding(NamedTuple):
     """What the check of a claim gave.
 
-    ``found`` is the number or the words; ``how`` says how it was tested and what else was seen.
+    ``found`` is the number or the words; ``holds`` is None where the claim holds if that is what
+    is stated; ``how`` says how it was tested and what else was seen.
     """
 
     found: float | str
-    holds: bool
+    holds: bool | None
     how: str
 
 
 Check: TypeAlias = Callable[[Instabilities], Finding]
+
+
+def reading(read: Callable[[Instabilities], float | str], how: str) -> Check:
+    """Return the check of a claim that only reads back how the rig was made.
+
+    Parameters
+    ----------
+    read : callable
+        Takes the runs, returns what the setting is.
+    how : str
+        Where it was read.
+    """
+    return lambda runs: Finding(read(runs), None, how)
 
 
 @dataclass(frozen=True)
@@ -47,9 +62,9 @@ class Claim:
         Where in the paper.
     claim : str
         The claim in one sentence.
-    kind : {"built in", "tested"}
-        What its check is worth: the rig was made so, or it comes from simulated counts and could
-        have come out otherwise.
+    kind : {"conformance", "built in", "tested"}
+        What its check is worth: the code does as the paper says it did; the rig was made so; or
+        it comes from simulated counts and could have come out otherwise.
     stated, found : float or str
         The number the paper states and the one found, or words where it states none.
     holds : bool
@@ -128,7 +143,7 @@ def claims_block(claims: Sequence[Claim]) -> Table:
     heads = (
         Head("", numeric=True),
         Head("claim of the paper", "with its section", prose=True),
-        Head("kind", "built into the rig, or tested"),
+        Head("kind", "conformance of the code, built into the rig, or tested"),
         Head("stated", "what the paper says"),
         Head("found", "from the raw counts of the simulated rig"),
         Head("holds"),

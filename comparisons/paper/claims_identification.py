@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.flow import LBM_KG
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
@@ -15,15 +14,13 @@ from comparisons.paper.claim import Finding
 from comparisons.paper.claims_surge import cell_power_ratio
 from comparisons.paper.instabilities import (
     STEADY_STALL,
-    THRESHOLD_LBM_S,
     TRIAL_TIME_CONSTANT_S,
     WRONG_TIME_CONSTANT_S,
     Instabilities,
     fit_paper,
-    in_stall_psi,
-    in_stall_psi_p,
     reduce_run,
 )
+from comparisons.paper.truth import LBM_KG, THRESHOLD_LBM_S, in_stall_psi, in_stall_psi_p
 from comparisons.results import FitRows, FitScore, FittedLag
 from comparisons.rig import CASES, simulate
 from comparisons.rig.plant import PLANT_RATE_HZ, run_plant
@@ -31,6 +28,7 @@ from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 
 MAIN, SLOW = "985", "90"
+FASTER = ("95", "985", "985-second")
 # Flows at which curves are compared: the forward part of the range that the paper calls reliable.
 CURVE_PHI = np.linspace(0.0, 0.15, 31)
 RELIABLE_PHI = (-0.025, 0.175)
@@ -124,6 +122,20 @@ def claim_35(runs: Instabilities) -> Finding:
     )
 
 
+def claim_36(runs: Instabilities) -> Finding:
+    """Check: a parabola, as low-speed in-stall data suggest it."""
+    terms = runs[MAIN].fits["psi_p"].terms
+    series = runs[STEADY_STALL].paper.series
+    phi, measured, _ = steady_points(series)
+    off = float(np.max(np.abs(_steady_parabola(series)(phi) / measured - 1.0)))
+    return Finding(
+        len(terms),
+        terms == ("1", "phi", "phi^2") and off < 0.02,
+        f"terms in the fit; {phi.size} steady points of 75 % rotating stall lie within "
+        f"{100 * off:.1f} % of a parabola, 2 % allowed",
+    )
+
+
 def _steady_parabola(series: CoefficientSeries) -> np.polynomial.Polynomial:
     """Return the static parabola of a steady record, as a low-speed test gives it."""
     return np.polynomial.Polynomial.fit(series.phi[series.scored], series.psi_p[series.scored], 2)
@@ -190,6 +202,24 @@ def claim_40(runs: Instabilities) -> Finding:
         f"power of the cells at low over that at high flow {ratio:.1f} "
         f"({cell_power_ratio(runs[MAIN]):.0f} at 98.5 %; below 4 they are there throughout); time "
         "constants " + " and ".join(f"{1e3 * tau:.0f} ms" for tau in taus),
+    )
+
+
+def claim_41(runs: Instabilities) -> Finding:
+    """Check: t31 beyond the acquisition's limit above 90 % speed."""
+    clipped = {}
+    for case in (SLOW, *FASTER):
+        rig = runs[case].rig
+        rows = rig.raw.time_s <= rig.test["near_stall"]["to_s"]
+        clipped[case] = float(np.mean(rig.raw["T31_A"][rows] >= rig.test["limits"]["T31_A"][1]))
+    known = [case for case in clipped if runs[case].paper.series.psi is not None]
+    return Finding(
+        "ψ at " + ", ".join(f"{case} %" for case in known),
+        known == [SLOW]
+        and "W31_kg_s" in runs[SLOW].paper.record
+        and clipped == {SLOW: 0.0} | dict.fromkeys(FASTER, 1.0),
+        "T31 near stall at its limit in "
+        + ", ".join(f"{100 * share:.0f} % of rows ({case})" for case, share in clipped.items()),
     )
 
 

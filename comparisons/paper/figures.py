@@ -1,12 +1,15 @@
-"""Counterparts of the paper's figures that set its estimates beside the truth."""
+"""Six counterparts of the paper's figures: those that show physics."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from classic_ml.calibration import calibrate
+from classic_ml.filters import low_pass
+from classic_ml.spectra import peak_frequency_hz, power_spectrum
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
@@ -27,8 +30,18 @@ from comparisons.paper.instabilities import (
     WRONG_TIME_CONSTANT_S,
     Instabilities,
     InstabilityRun,
+)
+from comparisons.paper.truth import (
+    LBM_KG,
+    PSI_PA,
+    THRESHOLD_LBM_S,
     in_stall_psi,
     in_stall_psi_p,
+    phi_of_flow,
+    pressure_ratio,
+    stall_point,
+    temperature_K,
+    unstalled_psi_p,
 )
 from comparisons.results import FittedLag, Reconstruction
 from surge_core.segments import runs_of
@@ -38,12 +51,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_figures", "held_run"]
+__all__ = ["draw_figures"]
+
+Drawn: TypeAlias = "tuple[Figure, str]"
 
 PHI = r"flow coefficient $\varphi$ [-]"
+TIME, ACTUAL = "time [s]", r"instantaneous $\psi'$ [-]"
 HEIGHT_IN = 5.4
 # How the rig's own signals and curves are drawn in every picture.
 TRUTH: dict[str, Any] = {"color": INK, "lw": 1.8, "linestyle": (0, (1, 1.2))}
+# The two orders that the paper tried, numbered so in its Fig 5, and the probe shown there.
+ORDERS = {3: (ACCENT, "-"), 5: (MARK, (0, (4, 1.5)))}
+PROBE = "P25_A_tip_forward"
+CELL_BAND_HZ = (60.0, 105.0)
 # Ranges of φ in which the paper trusts its curves, at 98.5 % and at 90 %, and what is drawn beyond.
 PAPER_PHI_985 = (-0.025, 0.175)
 PAPER_PHI_90 = (0.0, 0.1)
@@ -52,7 +72,7 @@ SHOWN_S = 1.2
 
 
 def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
-    """Draw Fig 23, 25 and 27, with the truth of the rig.
+    """Draw the six pictures.
 
     Parameters
     ----------
@@ -62,32 +82,44 @@ def draw_figures(runs: Instabilities) -> tuple[Picture, ...]:
     Returns
     -------
     tuple of Picture
-        In the order of the paper; each names the figure that it stands beside.
+        In the order of the paper, the validation last; each names the figure that it stands beside.
     """
-    return (
-        _pressure_characteristic(runs["985"], runs[STEADY_STALL]),
-        _low_speed_characteristics(runs["90"]),
-        _reconstruction(runs["90"]),
+    high, low = runs["985"], runs["90"]
+    drawn = (
+        (
+            "Spectra of the inlet pressure before and after the filters, 90 % speed",
+            "In the paper: Figures 4 and 5.",
+            _spectra(low),
+        ),
+        (
+            "Operating point migration in the quasi-steady cycles, 98.5 % speed",
+            "In the paper: Figure 11.",
+            _migration(high),
+        ),
+        (
+            "In-stall pressure characteristic, 98.5 % speed",
+            "In the paper: Figure 23.",
+            _pressure_characteristic(high, runs[STEADY_STALL]),
+        ),
+        (
+            "Pressure and work characteristics, 90 % speed",
+            "In the paper: Figure 25.",
+            _low_speed_characteristics(low),
+        ),
+        (
+            "Reconstructed pressure coefficient, 90 % speed",
+            "In the paper: Figure 27.",
+            _reconstruction(low),
+        ),
+        (
+            "Validation on the second instability, 98.5 % speed",
+            "The paper validates at 90 % on the record that was fitted.",
+            _validation(high, runs["985-second"]),
+        ),
     )
-
-
-def held_run(
-    run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None
-) -> Reconstruction:
-    """Return the free run of a test's curve with a time constant held.
-
-    Parameters
-    ----------
-    run : InstabilityRun
-        The test that the curve was fitted to.
-    tau_s : float
-        The time constant, in seconds.
-    other : InstabilityRun, optional
-        The test whose measured flow is run through it; by default the same.
-    """
-    model = replace(run.fits["psi_p"], time_constant_s=float(tau_s), time_constant_stderr_s=0.0)
-    over = other or run
-    return reconstruct_record(model, replace(over.paper.series, source=f"case {over.case}"))
+    return tuple(
+        Picture(title, figure, caption, place) for title, place, (figure, caption) in drawn
+    )
 
 
 def _panel(x: str, y: str) -> tuple[Figure, Axes]:
@@ -96,6 +128,81 @@ def _panel(x: str, y: str) -> tuple[Figure, Axes]:
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     return figure, ax
+
+
+def _spectra(run: InstabilityRun) -> Drawn:
+    """Draw Fig 4 and 5: stall cells in the inlet pressure, and what the filters leave of them."""
+    settings, rate_hz = run.paper.settings, run.rig.raw.sample_rate_hz
+    plain = calibrate(run.rig.raw, run.paper.test)[PROBE] / PSI_PA
+    signals = {0: plain} | {
+        order: low_pass(plain, rate_hz, order=order, cutoff_hz=settings.cutoff_hz, phase="causal")
+        for order in ORDERS
+    }
+    figure, ax = _panel("frequency [Hz]", "power spectral density [psi²/Hz]")
+    density: dict[int, FloatArray] = {}
+    for order, signal in signals.items():
+        frequency, density[order] = power_spectrum(signal[run.window], rate_hz)
+        colour, dashes = ORDERS.get(order, (MEASURED, "-"))
+        word = f"({order}) filter of order {order}" if order else "(1) unfiltered"
+        ax.semilogy(
+            frequency[1:], density[order][1:], color=colour, linestyle=dashes, lw=1.2, label=word
+        )
+    ax.axvline(settings.cutoff_hz, color=INK, lw=0.9, linestyle="--", label="cut-off")
+    ax.set_xlim(0.0, 200.0)
+    ax.set_ylim(1e-10 * density[0].max(), 6.0 * density[0].max())
+    legend_above(figure, ax, columns=4)
+    cells = peak_frequency_hz(frequency, density[0], *CELL_BAND_HZ)
+    at = int(np.argmin(np.abs(frequency - cells)))
+    loss = {order: 10.0 * np.log10(density[0][at] / density[order][at]) for order in ORDERS}
+    caption = (
+        "Total pressure of a tip probe at plane 25 over the quasi-steady cycles, first-order trend "
+        f"removed. Rotating stall stands out at {cells:.1f} Hz (paper: 81.2) with its second "
+        f"harmonic; the filters take {loss[3]:.1f} dB (order 3) and {loss[5]:.1f} dB (order 5) "
+        f"from it, and leave what lies well below {settings.cutoff_hz:g} Hz."
+    )
+    return figure, caption
+
+
+def _migration(run: InstabilityRun) -> Drawn:
+    """Draw Fig 11: the operating point in the quasi-steady cycles, over the rig's own curves."""
+    record, rows = run.paper.record, run.window
+    flow, ratio = record["Wc25_kg_s"] / LBM_KG, record["pressure_ratio"]
+    stalled = flow < THRESHOLD_LBM_S
+    figure, ax = _panel(
+        "inlet corrected flow $W_{c25}$ [lbm/s]", "pressure ratio $P_{31}/P_{25}$ [-]"
+    )
+    for state, colour, word in (
+        (stalled, ACCENT, "in stall"),
+        (~stalled, MARK, f"unstalled, above {THRESHOLD_LBM_S:g} lbm/s"),
+    ):
+        # One row more at each end, so that the two colours meet.
+        near = rows & (np.convolve(state, np.ones(3), mode="same") > 0.5)
+        x, y = np.where(near, flow, np.nan), np.where(near, ratio, np.nan)
+        ax.plot(x, y, color=colour, lw=0.8, label=word)
+    speed = float(np.median(record["Nc_frac"][rows & ~stalled]))
+    inlet_K = temperature_K(run, speed)
+    grid = np.linspace(0.0, float(flow[rows].max()) + 8.0, 400)
+    phi = phi_of_flow(run, grid, inlet_K)
+    phi_s, psi_s = stall_point(run, speed)
+    below = in_stall_psi_p(run, phi) <= unstalled_psi_p(run, phi, speed)
+    curve = pressure_ratio(run, in_stall_psi_p(run, phi[below]), inlet_K)
+    ax.plot(grid[below], curve, **TRUTH, label="rig, in stall, quasi-steady")
+    stable = phi >= phi_s
+    line = pressure_ratio(run, unstalled_psi_p(run, phi[stable], speed), inlet_K)
+    ax.plot(grid[stable], line, color=INK, lw=1.6, label=f"rig, speed line at {100 * speed:.0f} %")
+    point = (float(np.interp(phi_s, phi, grid)), float(pressure_ratio(run, psi_s, inlet_K)))
+    ax.plot(*point, "*", markersize=13, color=INK, label="its stall point")
+    ax.axvline(0.0, color=INK, lw=0.6)
+    legend_above(figure, ax)
+    caption = (
+        "Pressure ratio over corrected flow in the quasi-steady cycles, between "
+        f"{ratio[rows].min():.1f} and {ratio[rows].max():.1f} and {flow[rows].min():.0f} and "
+        f"{flow[rows].max():.0f} lbm/s. The recoveries reach towards the rig's speed line at "
+        f"{100 * speed:.0f} %, the speed that the heated inlet leaves, and its stall point "
+        f"({point[1]:.1f} at {point[0]:.0f} lbm/s); the lag keeps the loops off the quasi-steady "
+        "curves."
+    )
+    return figure, caption
 
 
 def _curve(
@@ -115,7 +222,7 @@ def _curve(
     ax.fill_between(grid, value - band, value + band, color=colour, alpha=0.18, lw=0.0)
 
 
-def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Picture:
+def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Drawn:
     """Draw Fig 23: the identified ψ'_QS beside the truth and beside steady rotating stall."""
     low, high = PAPER_PHI_985
     grid = np.linspace(low - DRAWN_BEYOND, high + DRAWN_BEYOND, 121)
@@ -133,19 +240,17 @@ def _pressure_characteristic(run: InstabilityRun, steady: InstabilityRun) -> Pic
     true = in_stall_psi_p(run, inside)
     off = np.abs(model.quasi_steady(inside) - true).max()
     gap = psi_p - model.quasi_steady(phi)
-    return Picture(
-        "In-stall pressure characteristic, 98.5 % speed",
-        figure,
+    caption = (
         "In-stall pressure characteristic by the paper's estimator from the paper's reduction: "
         f"within φ = {low:g} to {high:g} off the rig's own by at most {off:.2f} of "
         f"{true.min():.1f} to {true.max():.1f}, with a time constant of "
         f"{1e3 * model.time_constant_s:.0f} ms for the rig's {1e3 * run.true_tau_s:.0f}. Steady "
-        f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}.",
-        "In the paper: Figure 23.",
+        f"rotating stall at 75 % lies above it, by {gap.min():.2f} to {gap.max():.2f}."
     )
+    return figure, caption
 
 
-def _low_speed_characteristics(run: InstabilityRun) -> Picture:
+def _low_speed_characteristics(run: InstabilityRun) -> Drawn:
     """Draw Fig 25: ψ'_QS and ψ_QS at 90 % beside the truth."""
     grid = np.linspace(PAPER_PHI_90[0] - DRAWN_BEYOND, 0.2, 121)
     inside = np.linspace(0.05, PAPER_PHI_90[1], 41)
@@ -162,41 +267,64 @@ def _low_speed_characteristics(run: InstabilityRun) -> Picture:
     ax.set_xlim(grid[0], grid[-1])
     ax.set_ylim(0.0, 1.3 * float(in_stall_psi(run, grid).max()))
     legend_above(figure, ax)
-    return Picture(
-        "Pressure and work characteristics, 90 % speed",
-        figure,
+    caption = (
         "Pressure coefficient (a parabola) and work coefficient (three straight pieces) of the "
         "90 % test, of which no row is taken out as unstalled. From φ = 0.05 to 0.1 ψ' is off the "
         f"rig's own by at most {off[0]:.2f} and ψ by {off[1]:.2f}: ψ is taken from the temperature "
-        "rise alone, which leaves out what is stored between the planes.",
-        "In the paper: Figure 25.",
+        "rise alone, which leaves out what is stored between the planes."
     )
+    return figure, caption
 
 
-def _reconstruction(run: InstabilityRun) -> Picture:
-    """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
-    good, bad = (held_run(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
-    rows = good.rows
+def _held(run: InstabilityRun, tau_s: float, other: InstabilityRun | None = None) -> Reconstruction:
+    """Return the free run of a test's curve with a time constant held, over its record or other."""
+    model = replace(run.fits["psi_p"], time_constant_s=float(tau_s), time_constant_stderr_s=0.0)
+    return reconstruct_record(model, (other or run).paper.series)
+
+
+def _over_time(ax: Axes, *shown: tuple[Reconstruction, str, Any]) -> None:
+    """Draw measured ψ' and reconstructions of it over the first second of the window."""
+    rows = shown[0][0].rows
     pieces = runs_of(rows.labels, rows.measured.size)
-    figure, ax = _panel("time [s]", r"instantaneous $\psi'$ [-]")
     actual = broken(rows.time_s, rows.measured, pieces)
     ax.plot(*actual, color=MEASURED, lw=2.4, label="actual")
-    for one, colour, dashes in ((good, ACCENT, "-"), (bad, MARK, "--")):
+    for one, colour, dashes in shown:
         word = f"reconstructed, τ = {1e3 * one.model.time_constant_s:.0f} ms"
         line = broken(rows.time_s, one.reconstructed, pieces)
         ax.plot(*line, color=colour, linestyle=dashes, lw=1.4, label=word)
     from_s = float(rows.time_s[0])
     near = rows.time_s <= from_s + SHOWN_S
     ax.set_xlim(from_s, from_s + SHOWN_S)
-    shown = (rows.measured, good.reconstructed, bad.reconstructed)
-    ax.set_ylim(*robust_limits(*(values[near] for values in shown)))
+    ax.set_ylim(
+        *robust_limits(rows.measured[near], *(one.reconstructed[near] for one, *_ in shown))
+    )
+
+
+def _reconstruction(run: InstabilityRun) -> Drawn:
+    """Draw Fig 27: ψ' from the measured flow alone, with the two time constants of the paper."""
+    good, bad = (_held(run, tau) for tau in (TRIAL_TIME_CONSTANT_S, WRONG_TIME_CONSTANT_S))
+    figure, ax = _panel(TIME, ACTUAL)
+    _over_time(ax, (good, ACCENT, "-"), (bad, MARK, (0, (4, 1.5))))
     legend_above(figure, ax)
-    return Picture(
-        "Reconstructed pressure coefficient, 90 % speed",
-        figure,
+    caption = (
         "Actual ψ' of the 90 % test and its free run from the measured φ through the curve of "
         f"Fig 25. The rms error over the window is {good.score.rms:.2f} "
         f"({good.score.fit_percent:.0f} % fit) with 18 ms and {bad.score.rms:.2f} with the 243 ms "
-        "that the paper found at 98.5 %.",
-        "In the paper: Figure 27.",
+        "that the paper found at 98.5 %."
     )
+    return figure, caption
+
+
+def _validation(run: InstabilityRun, other: InstabilityRun) -> Drawn:
+    """Draw the curve of one 98.5 % instability run over the measured flow of the other."""
+    own, new = (_held(run, TRIAL_TIME_CONSTANT_S, over) for over in (run, other))
+    figure, ax = _panel(TIME, ACTUAL)
+    _over_time(ax, (new, ACCENT, "-"))
+    legend_above(figure, ax)
+    caption = (
+        "The curve identified from the first 98.5 % instability, with 18 ms, run over the measured "
+        f"φ of the second, of which it has seen nothing: {new.score.fit_percent:.0f} % fit, rms "
+        f"error {new.score.rms:.2f}; on its own record {own.score.fit_percent:.0f} % and "
+        f"{own.score.rms:.2f}. In-stall intervals only, each from its own first ψ'."
+    )
+    return figure, caption

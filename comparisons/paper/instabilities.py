@@ -1,4 +1,4 @@
-"""The paper's four instabilities and its 75 % steady data: from raw counts to fitted curves."""
+"""The paper's four instabilities and its 75 % steady data: raw counts to fitted curves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from classic_ml import LagRegressor, PiecewiseLinear
 from classic_ml.io import read_raw
@@ -19,21 +18,18 @@ from comparisons.harness.estimators import psi_breakpoints
 from comparisons.harness.fit_quality import trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
-from comparisons.rig import RigCase, RigRun, simulate, write_run
-from surge_core.types import BoolArray, FloatArray
+from comparisons.rig import RigCase, RigRun, SensorSettings, simulate, write_run
+from surge_core.types import BoolArray
 
 __all__ = [
     "INSTABILITIES",
     "PAPER_SETTINGS",
     "STEADY_STALL",
-    "THRESHOLD_LBM_S",
     "TRIAL_TIME_CONSTANT_S",
     "WRONG_TIME_CONSTANT_S",
     "Instabilities",
     "InstabilityRun",
     "fit_paper",
-    "in_stall_psi",
-    "in_stall_psi_p",
     "reduce_run",
     "run_case",
     "run_instabilities",
@@ -48,8 +44,6 @@ TRIAL_TIME_CONSTANT_S = 0.018
 # "1.8 < Time < 3.6 Seconds" (Fig 11); no window is stated for the others, so it is found.
 PAPER_WINDOWS_S: Mapping[str, tuple[float, float]] = {"985": (1.8, 3.6)}
 CURVE_POINTS = 121
-# "Model Identification for 98.5% Corrected Speed": between in-stall and unstalled flow.
-THRESHOLD_LBM_S = 50.0
 
 # What the paper did, every switch that matters named: the defaults of the reduction are another
 # matter and may change.
@@ -107,6 +101,11 @@ class InstabilityRun:
     def seed(self) -> int:
         """The seed of the rig's sensors."""
         return int(self.rig.truth_parameters["seed"])
+
+    @property
+    def sensors(self) -> SensorSettings:
+        """The settings of the sensors that the run was made with."""
+        return SensorSettings(**self.rig.truth_parameters["sensor_settings"])
 
     def near_stall(self, channel: str) -> float:
         """Return the mean of a reduced channel over the facility's near-stall reading."""
@@ -207,25 +206,3 @@ def fit_paper(
     return FittedLag.from_estimator(
         model, "classic_ml", target, "zero", grid, trusted_range(rows.phi)
     )
-
-
-def in_stall_psi_p(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
-    """Return the rig's quasi-steady ψ' in stall, without the loss of reversed flow (Eq 12)."""
-    return np.asarray(
-        np.polynomial.polynomial.polyval(np.asarray(phi), run.rig.truth_parameters["beta"])
-    )
-
-
-def in_stall_psi(run: InstabilityRun, phi: ArrayLike) -> FloatArray:
-    """Return the rig's quasi-steady ψ in stall: three straight pieces (Eq 14)."""
-    known = run.rig.truth_parameters
-    first, second = known["psi_breaks"]
-    flow = np.asarray(phi, dtype=np.float64)
-    pieces = (
-        np.minimum(flow, first),
-        np.clip(flow - first, 0.0, second - first),
-        np.maximum(flow - second, 0.0),
-    )
-    slopes = known["psi_slopes"]
-    steps = [slope * piece for slope, piece in zip(slopes, pieces, strict=True)]
-    return np.asarray(known["psi_intercept"] + np.sum(steps, axis=0))

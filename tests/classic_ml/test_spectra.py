@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from classic_ml.spectra import peak_frequency_hz, power_spectrum
+from classic_ml.spectra import detrend, peak_frequency_hz, power_spectrum
 from surge_core.errors import InputError
 
 RATE = 1000.0
@@ -14,6 +14,7 @@ TIME = np.arange(4000) / RATE
 
 def test_a_straight_line_has_no_spectrum() -> None:
     line = 8.0 + 3.0 * TIME
+    assert np.abs(detrend(line)).max() < 1e-10
     _, density = power_spectrum(line, RATE)
     assert density.max() < 1e-18
 
