@@ -92,7 +92,7 @@ class WholeRecordFit:
     def state(self) -> FitState:
         """How the fit ended; some states withhold τ."""
         if self.n_cycles < FEWEST_CYCLES:
-            return FitState.FEW_CYCLES
+            return FitState.TOO_FEW_CYCLES
         if self.fit.at_end:
             return FitState.AT_SEARCH_END
         if not self.estimated:

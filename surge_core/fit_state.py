@@ -43,8 +43,9 @@ class FitState(AdvisedState):
     )
     AT_LOWER_BOUND = (
         "at_lower_bound",
-        "The time constant ran to its lower bound: the data show no lag at this sample rate; "
-        "sample faster, or check that φ and ψ' were filtered alike.",
+        "The time constant ran to its lower bound: no lag is seen. Where there should be one, the "
+        "noise of φ drives the fit, φ and the coefficient were not filtered alike, or the samples "
+        "are too far apart.",
     )
     AT_UPPER_BOUND = (
         "at_upper_bound",
@@ -61,6 +62,11 @@ class FitState(AdvisedState):
         "too_few_rows",
         "There are fewer scored rows than parameters: no time constant can be had; the terms are "
         "fitted as a static curve of least norm.",
+    )
+    TOO_FEW_CYCLES = (
+        "too_few_cycles",
+        "There are too few cycles to know the scatter between them, and nothing is stated; take a "
+        "longer record, or name a longer window.",
     )
     BLOWDOWN = (
         "blowdown",
@@ -85,11 +91,6 @@ class FitState(AdvisedState):
         "The record, measured again from its own fitted model, gives another time constant by more "
         "than two standard deviations: what is fitted is not what such a machine would leave. Look "
         "for a missing effect, or for a probe that reads wrong.",
-    )
-    FEW_CYCLES = (
-        "few_cycles",
-        "The record has fewer than six surge cycles: no error of the time constant can be had from "
-        "them. Take a longer record.",
     )
     AT_SEARCH_END = (
         "at_search_end",
@@ -129,11 +130,6 @@ class FitState(AdvisedState):
         "a structure was found, but on so few rows that a choice among so many terms is worth "
         "little, and the errors stated are too small: use a longer record, or a smaller library",
     )
-    CONTRADICTED = (
-        "contradicted",
-        "terms with ψ' give a lag that the weak form does not see: strongly coloured noise or a "
-        "missing effect passes for them; fit again with psi_terms=False and compare",
-    )
     CONSTANT_SIGNAL = (
         "constant_signal",
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "
@@ -153,7 +149,7 @@ WITHHOLDING = frozenset(
         FitState.BLOWDOWN,
         FitState.UNCERTAIN,
         FitState.TWIN_BIASED,
-        FitState.FEW_CYCLES,
+        FitState.TOO_FEW_CYCLES,
         FitState.AT_SEARCH_END,
     )
 )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
-import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -18,12 +16,9 @@ from comparisons.cli.shared import (
     command_line,
     read_records,
     seed,
-    time_constant,
     whole,
     write_asked,
-    writes,
 )
-from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
@@ -49,15 +44,14 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             given,
             json=lambda: structure_document(found),
             report=lambda: structure_report(found, command=command_line()),
-            python=lambda: found.equation("python"),
         )
-    return structure_text(found, latex=given.latex), *written
+    return structure_text(found), *written
 
 
 def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> FoundStructure:
     from comparisons.harness.structure_fit import find_structure
 
-    found = find_structure(
+    return find_structure(
         records,
         target=given.target,
         hold=given.hold,
@@ -66,20 +60,9 @@ def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> F
         max_terms=given.max_terms,
         psi_terms=not given.no_psi_terms,
         seed=given.seed,
-        degree=given.degree,
-        knots=given.knots,
         constraints=_joined(given.constraint),
-        dead_time_s=given.dead_time,
         n_bootstrap=given.bootstrap,
     )
-    if found.refused and given.python:
-        raise InputError(
-            "--python",
-            expected="a fit with an equation",
-            found=f"the state {found.state[0]}",
-            remedy="nothing was written; --rows fits the rows of the segments",
-        )
-    return found
 
 
 def _joined(constraints: Sequence[tuple[str, str]] | None) -> dict[str, str] | None:
@@ -102,38 +85,14 @@ def _constraint(text: str) -> tuple[str, str]:
     return name.strip(), " ".join(known)
 
 
-def _dead_time(text: str) -> float | str:
-    if text in ("auto", "fit"):
-        return text
-    size = text.strip().removeprefix("-")
-    # No time constant may be zero; a dead time may.
-    if re.fullmatch(r"0+(\.0*)?\s*(s|ms|us|µs)?", size):
-        return 0.0
-    try:
-        seconds = time_constant(size)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"auto, fit or a time: {error}") from None
-    return -seconds if text.strip().startswith("-") else seconds
-
-
-def _knots(text: str) -> list[float]:
-    try:
-        knots = [float(part) for part in text.split(",")]
-    except ValueError:
-        knots = [math.nan]
-    if not all(map(math.isfinite, knots)):
-        raise argparse.ArgumentTypeError(f"expected values of φ, as 0.05,0.1: '{text}'")
-    return knots
-
-
 COMMAND = Command(
     "structure",
     help="which terms the characteristic has, and how sure that is",
     description="Run the sparse regression alone and report all it finds: terms, errors, "
     "inclusion probabilities, rivals, time constant, dead time, noise, and the structures "
     "tried. A series that carries whole unfiltered runs is fitted by one free run through "
-    "them, unless --rows or an option that needs rows is given (--target psi, --degree, "
-    "--knots, --constraint, --dead-time, --bootstrap).",
+    "them, unless --rows or an option that needs rows is given (--target psi, "
+    "--constraint, --bootstrap).",
     arguments=(
         SERIES,
         argument(
@@ -144,18 +103,6 @@ COMMAND = Command(
         ),
         HOLD,
         argument("--rows", action="store_true", help="fit the rows of the segments always"),
-        argument(
-            "--degree",
-            type=whole(1, 12),
-            metavar="N",
-            help="highest power in the library (default: 5)",
-        ),
-        argument(
-            "--knots",
-            type=_knots,
-            metavar="0.05,0.1",
-            help="knots of the hinges (default: found)",
-        ),
         argument(
             "--optimizer",
             choices=("SSR", "STLSQ", "FROLS", "best-subset"),
@@ -178,13 +125,6 @@ COMMAND = Command(
             "negative; may be given again",
         ),
         argument(
-            "--dead-time",
-            type=_dead_time,
-            metavar="auto|fit|TIME",
-            help="how much later than φ ψ' was measured, as 5ms; --dead-time=-5ms where φ is late "
-            "(default: auto, tested for)",
-        ),
-        argument(
             "--no-psi-terms", action="store_true", help="look for no terms that hold ψ' itself"
         ),
         argument(
@@ -194,10 +134,8 @@ COMMAND = Command(
             help="resampled records for the inclusion probabilities (default: 100)",
         ),
         seed("resamples"),
-        argument("--latex", action="store_true", help="print the equation as LaTeX too"),
         JSON,
         REPORT,
-        writes("--python", metavar="FILE", help="write the equation as Python source"),
     ),
     run=_run,
 )

@@ -12,7 +12,7 @@ import numpy as np
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import has_whole_run
 from comparisons.harness.cautions import tau_caution
-from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS, stack_rows
+from comparisons.harness.rows import stack_rows
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.errors import InputError
@@ -26,10 +26,7 @@ __all__ = ["FoundStructure", "find_structure"]
 CURVE_POINTS = 201
 # What the free run through whole records cannot take, by the name of the estimator's parameter.
 ROWS_ONLY = {
-    "degree": "--degree",
-    "knots": "--knots",
     "constraints": "--constraint",
-    "dead_time_s": "--dead-time",
     "n_bootstrap": "--bootstrap",
 }
 OPTIONS = ROWS_ONLY | {"max_terms": "--max-terms", "optimizer": "--optimizer"}
@@ -98,15 +95,9 @@ class FoundStructure(Displayed):
             cautions=(*own.cautions, *([filtered.text] if filtered else [])),
         )
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
-        """Write the equation, rounded to its uncertainty.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
-        """
-        return str(self.fit.equation(style))
+    def equation(self) -> str:
+        """Write the equation, rounded to its uncertainty."""
+        return str(self.fit.equation())
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""
@@ -147,8 +138,8 @@ def find_structure(
     optimizer, max_terms, psi_terms, seed
         See `SparseLagRegressor`; terms in ψ' are looked for in rows alone.
     **rows_only
-        Its ``degree``, ``knots``, ``constraints``, ``dead_time_s``, ``n_bootstrap``: any of them
-        makes the fit one of rows. None stands for the default.
+        Its ``constraints`` and ``n_bootstrap``: either makes the fit one of rows. None stands for
+        the default.
 
     Returns
     -------
@@ -175,11 +166,6 @@ def find_structure(
 
     settings |= {"psi_terms": psi_terms, "random_state": seed, **given}
     stacked = stack_rows(records, target)
-    longest = max(run.stop - run.start for run in stacked.runs) - MINIMUM_SEGMENT_ROWS
-    dead_time_s, most_s = given.get("dead_time_s"), longest * stacked.sample_period_s
-    if isinstance(dead_time_s, float) and abs(dead_time_s) > most_s:
-        expected = f"at most {most_s:.3g} s, less than the longest segment"
-        raise InputError("--dead-time", expected=expected, found=f"{dead_time_s:g} s")
     fit = SparseLagRegressor(stacked.sample_period_s, output_name=target, **settings)
     try:
         fit.fit(stacked.X, stacked.measured, segments=stacked.labels)

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from comparisons.harness.residual_analysis import dwelt_on
+from comparisons.harness.fit_quality import dwelt_on
 from comparisons.results import Comparison
 from surge_core.rounding import significant
 

@@ -188,14 +188,7 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
     """
     fits = [fit for fit, _ in section.fits]
     characteristics = tuple(plots_fit.characteristics(fit, truth) for fit, truth in section.fits)
-    residuals = tuple(
-        picture
-        for fit in fits
-        for picture in (
-            plots_residuals.errors_in_time(fit),
-            plots_residuals.residual_structure(fit),
-        )
-    )
+    residuals = tuple(plots_residuals.errors_in_time(fit) for fit in fits)
     parts = (
         Part("In short", _summary(section)),
         Part("Operating-point migration", _migration(section)),

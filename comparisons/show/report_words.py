@@ -23,8 +23,8 @@ __all__ = [
     "unknown_work_list",
 ]
 
-# Which τ to quote stands above all, what the ranking is worth below the table.
-SAID_ELSEWHERE = ("quote_tau", "tau_biased", "held_out_is_prediction")
+# Which τ to quote stands above all.
+SAID_ELSEWHERE = ("quote_tau", "tau_biased")
 
 _Histories = Sequence[Sequence[LedgerEntry]]
 
@@ -90,7 +90,6 @@ def summary_list(fit: Comparison) -> Bullets:
     rows = fit.rows
     held_out = int(np.count_nonzero(~rows.train))
     low, high = fit.valid_phi
-    ranking = Caution.of("held_out_is_prediction", symbol=SYMBOLS[rows.target]).text
     items = (
         _tau_sentence(fit),
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
@@ -98,7 +97,8 @@ def summary_list(fit: Comparison) -> Bullets:
         f"the last {held_out} rows were held out for the score.",
         _least_sentence(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
-        f"rewarded on held-out cycles too: {ranking}.",
+        "rewarded on held-out cycles too: held-out rms says how well "
+        f"{SYMBOLS[rows.target]} is predicted, not how near the characteristic is.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
         f"{dwelling_words(fit)}",
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from comparisons.show.json_output import record_document
 
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
-    from sindy_surge.summary import ModelSummary
 
 __all__ = [
     "LEAST_INCLUSION",
@@ -31,27 +29,20 @@ WIDTH = 100
 LEAST_INCLUSION = 0.01
 
 
-def structure_text(found: FoundStructure, *, latex: bool = False) -> str:
+def structure_text(found: FoundStructure) -> str:
     """Return all that is known as text of at most 100 columns.
 
     Parameters
     ----------
     found : FoundStructure
         From :func:`find_structure`.
-    latex : bool
-        Add the equation as LaTeX, on a line of its own.
     """
     lines = _wrapped(opening_words(found))
     if found.refused:
         code, advice = found.state
         return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
-    summary = found.summary
-    lines += ["", replace(summary, path=()).sheet().text()]
+    lines += ["", found.summary.sheet().text()]
     lines += _wrapped(left_out_words(found))
-    if summary.path:
-        lines += ["", *_path_lines(summary)]
-    if latex:
-        lines += ["", "LaTeX:", found.equation("latex")]
     return "\n".join(lines)
 
 
@@ -104,31 +95,6 @@ def _why_no_inclusion(found: FoundStructure) -> str:
     return f"records are not resampled where a fit ended as {found.state[0]}"
 
 
-def _path_lines(summary: ModelSummary) -> list[str]:
-    """Tabulate the structures by size, the terms last, where they can wrap."""
-    table = summary.sheet().grids[1]
-    order = [i for i, head in enumerate(table.header) if head not in ("chosen", "terms")]
-    words = table.header.index("terms")
-    grid = [table.header, *table.rows]
-    widths = {i: max(len(row[i]) for row in grid) for i in order}
-    lines = [table.title]
-    for number, row in enumerate(grid):
-        mark = "*" if number and number - 1 == table.marked else " "
-        cells = (
-            row[i].ljust(widths[i]) if i in table.words else row[i].rjust(widths[i]) for i in order
-        )
-        start = f" {mark}" + "  ".join(cells) + "  "
-        lines += textwrap.wrap(
-            row[words],
-            WIDTH,
-            initial_indent=start,
-            subsequent_indent=" " * len(start),
-            break_on_hyphens=False,
-            break_long_words=False,
-        )
-    return lines
-
-
 def structure_document(found: FoundStructure) -> dict[str, Any]:
     """Return all that is known as plain JSON types.
 
@@ -174,10 +140,8 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         ],
         "candidates": list(fit.candidate_terms_),
         "inclusion_probability": known,
-        "aliases": dict(getattr(fit, "aliases_", {})),
         "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
         "path": [_path_row(row) for row in fit.path_],
-        "weak_form": _weak_form(getattr(fit, "weak_form_", None)),
         "noise": None
         if noise is None
         else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
@@ -192,8 +156,3 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
 def _path_row(row: PathRow) -> dict[str, Any]:
     keys = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
     return {"terms": list(row.terms), **{key: getattr(row, key) for key in keys}}
-
-
-def _weak_form(weak: Any) -> dict[str, float] | None:
-    names = ("forward_s", "reverse_s", "gap", "half_width_s")
-    return None if weak is None else {name: float(getattr(weak, name)) for name in names}

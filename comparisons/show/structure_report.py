@@ -71,8 +71,7 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
     ]
     if found.fit.path_:
         parts.append(Part("Structures tried", (_path_picture(found),)))
-    equations = tuple(Words(found.equation(style), "code") for style in ("latex", "python"))
-    return (*parts, Part("Equation as LaTeX and Python", equations))
+    return tuple(parts)
 
 
 def _summary(found: FoundStructure) -> tuple[Block, ...]:
@@ -168,9 +167,9 @@ def _inclusion_picture(found: FoundStructure) -> Picture:
         "Share of resampled records that hold a term: "
         + ", ".join(f"{pretty_term(name)} {p:.2f}" for name, p in shown)
         + ".",
-        "Cycles are drawn with replacement and the terms chosen again. A term near 1 is needed by "
-        "every such record; two that share the records stand in for each other. Resamples show "
-        "the scatter of this record, not what every cycle of it has wrong.",
+        "Blocks of rows are drawn with replacement and the terms chosen again. A term near 1 is "
+        "needed by every such record; two that share the records stand in for each other. "
+        "Resamples show the scatter of this record, not what every cycle of it has wrong.",
     )
 
 

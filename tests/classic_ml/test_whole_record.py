@@ -216,7 +216,7 @@ def test_what_is_not_known_is_not_printed(
     fit = fitted.fits_[0]
     biased = replace(fit, twins=replace(fit.twins, bias=5.0 * fit.share))
     for wrong, state in (
-        (replace(fit, n_cycles=4), FitState.FEW_CYCLES),
+        (replace(fit, n_cycles=4), FitState.TOO_FEW_CYCLES),
         (biased, FitState.TWIN_BIASED),
         (replace(fit, fit=replace(fit.fit, at_end=True)), FitState.AT_SEARCH_END),
     ):

@@ -60,7 +60,6 @@ def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reducti
         plots_fit.reconstruction(comparison),
         plots_fit.validation(runs),
         plots_residuals.errors_in_time(comparison),
-        plots_residuals.residual_structure(comparison),
         plots_series.loops(comparison.records[0]),
         plots_series.series_in_time(comparison.records[0]),
         plots_record.operating_points(reduction),
@@ -159,7 +158,6 @@ def test_the_words_on_a_comparison_are_its_errors() -> None:
     first = fit.result(fit.table[0].estimator)
     at = int(np.argmax(np.abs(rows.measured - first.trained)))
     assert f"part most at {rows.time_s[at]:.2f} s" in plots_fit.reconstruction(fit).alt
-    assert "of its lags outside the band" in plots_residuals.residual_structure(fit).alt
 
 
 def test_a_refused_fit_is_described_without_numbers() -> None:
