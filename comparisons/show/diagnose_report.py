@@ -14,7 +14,7 @@ from comparisons.missing_effect.quantities import (
     tau_ms,
 )
 from comparisons.missing_effect.ranked import candidate_rows, effect_of, not_fitted
-from comparisons.missing_effect.shown import contributions, residual_runs, tau_before_stderr_s
+from comparisons.missing_effect.shown import tau_before_stderr_s
 from comparisons.missing_effect.terminal import (
     TOO_SHORT,
     candidate_cells,
@@ -29,9 +29,7 @@ from comparisons.missing_effect.words import (
 )
 from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
-from comparisons.show.plots_contributions import contributions_in_time
 from comparisons.show.plots_missing_effect import diagnosis_picture
-from comparisons.show.plots_where import where_picture
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:
@@ -80,10 +78,9 @@ def diagnosis_parts(
             f"What is missing: {d.verdict.replace('_', ' ')}",
             (Words(words, tone), diagnosis_picture(d, before, after), _gap_table(d)),
         ),
-        Part("Where the model and the measurement part", _where(d, before, after)),
+        Part("Where the model and the measurement part", _where(d, before)),
         Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
-        Part("What it changes", (contributions_in_time(d),) if contributions(d) else ()),
         Part("Noise and what is left", _left(d, after)),
         Part("Limits", _lines(limits, LIMITS_HINT if not d.missing else "")),
         Part(
@@ -157,13 +154,12 @@ def _rms_cells(rms: float, floor: float) -> tuple[str, str]:
     return significant(rms, 3), f"{rms / floor:.2f}"
 
 
-def _where(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Block, ...]:
+def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
     if before is None:
         return (Words(TOO_SHORT),)
     return (
         Words(opening_words(d), "quiet"),
         Bullets(before.words),
-        where_picture(residual_runs(d, d.before), before, after if d.missing else None),
     )
 
 

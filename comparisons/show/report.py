@@ -188,19 +188,11 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
     """
     fits = [fit for fit, _ in section.fits]
     characteristics = tuple(plots_fit.characteristics(fit, truth) for fit, truth in section.fits)
-    residuals = tuple(
-        picture
-        for fit in fits
-        for picture in (
-            plots_residuals.errors_in_time(fit),
-            plots_residuals.residual_structure(fit),
-        )
-    )
+    residuals = tuple(map(plots_residuals.errors_in_time, fits))
     parts = (
         Part("In short", _summary(section)),
         Part("Operating-point migration", _migration(section)),
         Part("Surge cycles in time", _in_time(section)),
-        Part("Spectra before and after the filter", _spectra(section)),
         Part("Quasi-steady characteristics", characteristics),
         Part("Reconstruction against measurement", _reconstructions(section)),
         Part("Time constant by trial", _trial(section)),
@@ -244,13 +236,6 @@ def _in_time(section: ReportSection) -> tuple[Block, ...]:
         return (plots_record.surge_cycles(section.reduction),)
     drawn = _records(section)[:RECORDS_DRAWN]
     return (*map(plots_series.series_in_time, drawn), *_left_out(section))
-
-
-def _spectra(section: ReportSection) -> tuple[Block, ...]:
-    """Return the spectra before and after the filter, which only a reduction has."""
-    if section.reduction is None:
-        return ()
-    return (plots_record.inlet_spectra(section.reduction),)
 
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:

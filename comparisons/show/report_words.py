@@ -11,7 +11,6 @@ from classic_ml.records import LedgerEntry
 from comparisons.harness.cautions import tau_caution, unknown_work
 from comparisons.page.blocks import Bullets, Words
 from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Truth, texts_of
-from comparisons.show.agreement import dwelling_words
 from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import round_to_error, significant
 
@@ -100,7 +99,7 @@ def summary_list(fit: Comparison) -> Bullets:
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
         f"rewarded on held-out cycles too: {ranking}.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
-        f"{dwelling_words(fit)}",
+        "Outside it the curves are extrapolated.",
     )
     name = NAMES[rows.target]
     return Bullets(items, "plain", name[0].upper() + name[1:])

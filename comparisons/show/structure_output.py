@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from sindy_surge.summary import ModelSummary
 
 __all__ = [
-    "LEAST_INCLUSION",
     "STRUCTURE_SCHEMA",
     "left_out_words",
     "opening_words",

@@ -60,12 +60,10 @@ def test_every_picture_is_a_readable_image_with_labelled_axes(reduction: Reducti
         plots_fit.reconstruction(comparison),
         plots_fit.validation(runs),
         plots_residuals.errors_in_time(comparison),
-        plots_residuals.residual_structure(comparison),
         plots_series.loops(comparison.records[0]),
         plots_series.series_in_time(comparison.records[0]),
         plots_record.operating_points(reduction),
         plots_record.surge_cycles(reduction),
-        plots_record.inlet_spectra(reduction),
     )
     for picture in pictures:
         assert isinstance(picture, Picture)
@@ -140,9 +138,6 @@ def test_the_words_on_a_reduction_are_its_own_numbers(reduction: Reduction) -> N
             rf"{place} probes -?[\d.]+ to [^;]*reversed (\d+) %", points
         ).group(1)
         assert float(reversed_share) == pytest.approx(share, abs=0.51)
-    changes = re.findall(r"by ([-+][\d.]+) dB", plots_record.inlet_spectra(reduction).alt)
-    assert len(changes) == 2
-    assert all(float(change) < -15.0 for change in changes)
 
 
 def test_the_words_on_a_comparison_are_its_errors() -> None:
@@ -159,7 +154,6 @@ def test_the_words_on_a_comparison_are_its_errors() -> None:
     first = fit.result(fit.table[0].estimator)
     at = int(np.argmax(np.abs(rows.measured - first.trained)))
     assert f"part most at {rows.time_s[at]:.2f} s" in plots_fit.reconstruction(fit).alt
-    assert "of its lags outside the band" in plots_residuals.residual_structure(fit).alt
 
 
 def test_a_refused_fit_is_described_without_numbers() -> None:

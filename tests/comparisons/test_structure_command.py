@@ -162,7 +162,7 @@ def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     # The rig's truth is 18 ms; its rms error over records is a millisecond.
     assert abs(tau["value"] - 0.018) < 0.003
     assert run_through["dead_time_s"] == {"value": None, "stderr": None}
-    assert report.read_text("utf-8").count("<img") == 2
+    assert report.read_text("utf-8").count("<img") == 1
     assert "def characteristic" in source.read_text("utf-8")
     rows = numbers(tmp_path, whole, "--dead-time", 0, "--bootstrap", 0)
     assert rows["fitted_to"] == "rows"
