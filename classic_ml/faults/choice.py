@@ -30,6 +30,8 @@ __all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_brid
 CLIPPED_SHARE = 0.01
 # "Substantial": beyond this share of the window a straight line across the gaps is no reading.
 BEYOND_SHARE = 0.05
+# Of channels with the same finding so many are named.
+NAMES_SHOWN = 3
 ALLOWED_SHARE = {
     CLIPPED: CLIPPED_SHARE,
     STUCK: 0.0,
@@ -169,13 +171,20 @@ def _refusal(record: Record, verdict: Dropped, last: str) -> InputError:
 
 def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Finding]:
     """Return the channels that have faults and stay nevertheless."""
-    findings = []
+    findings, outside = [], []
     for name in test.channel_names:
         marks = marked_rows(kept, name)
-        if marks is not None:
-            inside = int(np.count_nonzero(marks[window]))
-            words = f"{name}: faulty rows outside the window only"
-            if inside:
-                words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
+        if marks is None:
+            continue
+        inside = int(np.count_nonzero(marks[window]))
+        if inside:
+            words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
             findings.append(Finding("kept", words, name))
+        else:
+            outside.append(name)
+    if outside:
+        more = len(outside) - NAMES_SHOWN
+        names = ", ".join(outside[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
+        number = f"{len(outside)} channels, " if len(outside) > 1 else ""
+        findings.append(Finding("kept", f"{number}{names}: faulty rows outside the window only"))
     return findings
