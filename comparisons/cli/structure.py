@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
-import re
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 from comparisons.cli.shared import (
-    HOLD,
     JSON,
     REPORT,
     SERIES,
@@ -17,8 +13,6 @@ from comparisons.cli.shared import (
     argument,
     command_line,
     read_records,
-    seed,
-    time_constant,
     whole,
     write_asked,
     writes,
@@ -26,16 +20,11 @@ from comparisons.cli.shared import (
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
-if TYPE_CHECKING:
-    from classic_ml.series import CoefficientSeries
-    from comparisons.harness.structure_fit import FoundStructure
-
 __all__ = ["COMMAND"]
-
-WORDS = ("required", "forbidden", "positive", "negative")
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
+    from comparisons.harness.structure_fit import find_structure
     from comparisons.show.structure_output import structure_document, structure_text
     from comparisons.show.structure_report import structure_report
 
@@ -43,7 +32,16 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         begin("reading")
         records = read_records(given.series)
         begin("choosing terms")
-        found = _found(given, records)
+        found = find_structure(
+            records, rows=given.rows, degree=given.degree, n_bootstrap=given.bootstrap
+        )
+        if found.refused and given.python:
+            raise InputError(
+                "--python",
+                expected="a fit with an equation",
+                found=f"the state {found.state[0]}",
+                remedy="nothing was written; --rows fits the rows of the segments",
+            )
         begin("writing")
         written = write_asked(
             given,
@@ -51,79 +49,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             report=lambda: structure_report(found, command=command_line()),
             python=lambda: found.equation("python"),
         )
-    return structure_text(found, latex=given.latex), *written
-
-
-def _found(given: argparse.Namespace, records: Sequence[CoefficientSeries]) -> FoundStructure:
-    from comparisons.harness.structure_fit import find_structure
-
-    found = find_structure(
-        records,
-        target=given.target,
-        hold=given.hold,
-        rows=given.rows,
-        optimizer=given.optimizer,
-        max_terms=given.max_terms,
-        psi_terms=not given.no_psi_terms,
-        seed=given.seed,
-        degree=given.degree,
-        knots=given.knots,
-        constraints=_joined(given.constraint),
-        dead_time_s=given.dead_time,
-        n_bootstrap=given.bootstrap,
-    )
-    if found.refused and given.python:
-        raise InputError(
-            "--python",
-            expected="a fit with an equation",
-            found=f"the state {found.state[0]}",
-            remedy="nothing was written; --rows fits the rows of the segments",
-        )
-    return found
-
-
-def _joined(constraints: Sequence[tuple[str, str]] | None) -> dict[str, str] | None:
-    """Join what was said of one term in several options."""
-    if constraints is None:
-        return None
-    joined: dict[str, str] = {}
-    for name, words in constraints:
-        joined[name] = f"{joined[name]} {words}" if name in joined else words
-    return joined
-
-
-def _constraint(text: str) -> tuple[str, str]:
-    name, equals, words = text.rpartition("=")
-    known = words.split()
-    if not equals or not name.strip() or not known or not set(known) <= set(WORDS):
-        raise argparse.ArgumentTypeError(
-            f"expected a term and one of {', '.join(WORDS)}, as 'phi^2=negative': '{text}'"
-        )
-    return name.strip(), " ".join(known)
-
-
-def _dead_time(text: str) -> float | str:
-    if text in ("auto", "fit"):
-        return text
-    size = text.strip().removeprefix("-")
-    # No time constant may be zero; a dead time may.
-    if re.fullmatch(r"0+(\.0*)?\s*(s|ms|us|µs)?", size):
-        return 0.0
-    try:
-        seconds = time_constant(size)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"auto, fit or a time: {error}") from None
-    return -seconds if text.strip().startswith("-") else seconds
-
-
-def _knots(text: str) -> list[float]:
-    try:
-        knots = [float(part) for part in text.split(",")]
-    except ValueError:
-        knots = [math.nan]
-    if not all(map(math.isfinite, knots)):
-        raise argparse.ArgumentTypeError(f"expected values of φ, as 0.05,0.1: '{text}'")
-    return knots
+    return structure_text(found), *written
 
 
 COMMAND = Command(
@@ -132,17 +58,10 @@ COMMAND = Command(
     description="Run the sparse regression alone and report all it finds: terms, errors, "
     "inclusion probabilities, rivals, time constant, dead time, noise, and the structures "
     "tried. A series that carries whole unfiltered runs is fitted by one free run through "
-    "them, unless --rows or an option that needs rows is given (--target psi, --degree, "
-    "--knots, --constraint, --dead-time, --bootstrap).",
+    "them, unless --rows, --degree or --bootstrap is given. SparseLagRegressor takes knots, "
+    "constraints, dead time and optimizers in Python.",
     arguments=(
         SERIES,
-        argument(
-            "--target",
-            choices=("psi_p", "psi"),
-            default="psi_p",
-            help="coefficient that is modelled (default: psi_p)",
-        ),
-        HOLD,
         argument("--rows", action="store_true", help="fit the rows of the segments always"),
         argument(
             "--degree",
@@ -151,50 +70,11 @@ COMMAND = Command(
             help="highest power in the library (default: 5)",
         ),
         argument(
-            "--knots",
-            type=_knots,
-            metavar="0.05,0.1",
-            help="knots of the hinges (default: found)",
-        ),
-        argument(
-            "--optimizer",
-            choices=("SSR", "STLSQ", "FROLS", "best-subset"),
-            default="SSR",
-            help="what proposes structures (default: SSR)",
-        ),
-        argument(
-            "--max-terms",
-            type=whole(1, 20),
-            default=6,
-            metavar="N",
-            help="largest structure (default: 6)",
-        ),
-        argument(
-            "--constraint",
-            type=_constraint,
-            action="append",
-            metavar="TERM=WORD",
-            help="known beforehand, as 'phi^2=negative': required, forbidden, positive or "
-            "negative; may be given again",
-        ),
-        argument(
-            "--dead-time",
-            type=_dead_time,
-            metavar="auto|fit|TIME",
-            help="how much later than φ ψ' was measured, as 5ms; --dead-time=-5ms where φ is late "
-            "(default: auto, tested for)",
-        ),
-        argument(
-            "--no-psi-terms", action="store_true", help="look for no terms that hold ψ' itself"
-        ),
-        argument(
             "--bootstrap",
             type=whole(0, 10000),
             metavar="N",
             help="resampled records for the inclusion probabilities (default: 100)",
         ),
-        seed("resamples"),
-        argument("--latex", action="store_true", help="print the equation as LaTeX too"),
         JSON,
         REPORT,
         writes("--python", metavar="FILE", help="write the equation as Python source"),

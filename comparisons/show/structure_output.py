@@ -30,15 +30,13 @@ WIDTH = 100
 LEAST_INCLUSION = 0.01
 
 
-def structure_text(found: FoundStructure, *, latex: bool = False) -> str:
+def structure_text(found: FoundStructure) -> str:
     """Return all that is known as text of at most 100 columns.
 
     Parameters
     ----------
     found : FoundStructure
         From :func:`find_structure`.
-    latex : bool
-        Add the equation as LaTeX, on a line of its own.
     """
     lines = _wrapped(opening_words(found))
     if found.refused:
@@ -49,8 +47,6 @@ def structure_text(found: FoundStructure, *, latex: bool = False) -> str:
     lines += _wrapped(left_out_words(found))
     if summary.path:
         lines += ["", *_path_lines(summary)]
-    if latex:
-        lines += ["", "LaTeX:", found.equation("latex")]
     return "\n".join(lines)
 
 

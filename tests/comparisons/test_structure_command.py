@@ -1,4 +1,4 @@
-"""The command `structure`: the terms of known truths, what is written, and every bad option."""
+"""The command `structure`: the terms of known truths, what is written, and a refusal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import pytest
 from scipy.signal import lfilter, lfiltic
 
 from comparisons.cli import main
-from comparisons.cli.structure import _dead_time
 
 PERIOD_S = 1e-3
 TAU_S = 0.018
@@ -121,8 +120,6 @@ def test_two_late_samples_are_a_dead_time(
     assert found["inclusion_probability"] == {}
     assert found["terms"][0]["inclusion_probability"] is None
     assert "later than φ" in capsys.readouterr().out
-    held = numbers(tmp_path, file, "--bootstrap", 0, "--dead-time", "2ms")
-    assert held["dead_time_s"] == {"value": 2 * PERIOD_S, "stderr": 0.0}
 
 
 def test_the_python_file_gives_the_same_curve(written: Path) -> None:
@@ -138,19 +135,6 @@ def test_the_python_file_gives_the_same_curve(written: Path) -> None:
     assert pytest.approx(found["time_constant_s"]["value"]) == module.TIME_CONSTANT_S
 
 
-def test_constraints_and_the_library_are_obeyed(clean: Path, tmp_path: Path) -> None:
-    options = ("--bootstrap", 0, "--no-psi-terms", "--degree", 3, "--knots", "0.07,0.13")
-    wish = ("--constraint", "phi^3=required", "--constraint", "phi=forbidden")
-    found = numbers(tmp_path, clean, *options, *wish)
-    terms = [term["name"] for term in found["terms"]]
-    assert "phi^3" in terms
-    assert "phi" not in terms
-    candidates = found["candidates"]
-    assert "phi^4" not in candidates
-    assert not any("psi_p" in name for name in candidates)
-    assert {"relu(phi-0.07)", "relu(phi-0.13)"} <= set(candidates)
-
-
 def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -164,50 +148,10 @@ def test_whole_runs_are_fitted_unless_rows_are_asked_for(
     assert run_through["dead_time_s"] == {"value": None, "stderr": None}
     assert report.read_text("utf-8").count("<img") == 1
     assert "def characteristic" in source.read_text("utf-8")
-    rows = numbers(tmp_path, whole, "--dead-time", 0, "--bootstrap", 0)
+    rows = numbers(tmp_path, whole, "--rows", "--bootstrap", 0)
     assert rows["fitted_to"] == "rows"
-    assert "because of --dead-time and --bootstrap" in capsys.readouterr().out.splitlines()[0]
+    assert "because of --rows and --bootstrap" in capsys.readouterr().out.splitlines()[0]
     assert any("low-passed" in caution for caution in rows["cautions"])
-
-
-@pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("5ms", 5e-3), ("-2ms", -2e-3), ("0.004", 4e-3), ("0", 0.0), ("0 ms", 0.0), ("300us", 3e-4)],
-)
-def test_a_dead_time_is_read_with_its_unit(text: str, seconds: float) -> None:
-    assert _dead_time(text) == pytest.approx(seconds, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (("--constraint", "phi^9=negative"), "relu(phi-0.05)"),
-        (("--constraint", "phi^2=odd"), "forbidden"),
-        (("--constraint", "phi=positive", "--constraint", "phi=negative"), "--constraint"),
-        (("--dead-time", "18"), "18ms"),
-        (("--dead-time", "5 min"), "auto, fit or a time"),
-        (("--dead-time", "9s"), "longest segment"),
-        (("--knots", "0.05,x"), "0.05,x"),
-        (("--target", "psi"), "psi"),
-    ],
-)
-def test_bad_options_are_named_and_nothing_is_written(
-    options: tuple[str, ...],
-    named: str,
-    clean: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    out = tmp_path / "n.json"
-    try:
-        code = run("structure", clean, *options, "--json", out)
-    except SystemExit as stopped:
-        # argparse ends the process itself.
-        code = int(str(stopped.code))
-    assert code == 2
-    last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert named in last
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_blowdown_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
