@@ -40,14 +40,6 @@ if TYPE_CHECKING:
 __all__ = ["diagnosis_parts", "diagnosis_report"]
 
 _WORDS_COLUMNS = ("candidate", "fate")
-LIMITS_HINT = (
-    "Not looked for. `sindy-surge diagnose --limits` plants each effect into these records and "
-    "says how small it may be and still be named in nine trials of ten."
-)
-SEPARATION_HINT = (
-    "Not looked for. `sindy-surge diagnose --separate` says, from simulation, which further "
-    "measurement would separate the names."
-)
 
 
 def diagnosis_parts(
@@ -71,7 +63,6 @@ def diagnosis_parts(
         With ``lines``: what would have been named, and what would separate an alias set.
     """
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
-    several = any(len(item.alias_set) > 1 for item in d.missing)
     tone = "plain" if d.verdict in ("named", "nothing_missing", "alias_set") else "caution"
     parts = (
         Part(
@@ -82,11 +73,8 @@ def diagnosis_parts(
         Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
         Part("Noise and what is left", _left(d, after)),
-        Part("Limits", _lines(limits, LIMITS_HINT if not d.missing else "")),
-        Part(
-            "What would separate an alias set",
-            _lines(separation, SEPARATION_HINT if several else ""),
-        ),
+        Part("Limits", _lines(limits)),
+        Part("What would separate an alias set", _lines(separation)),
         Part("Effects that could not be tried", (_ledger(d),)),
     )
     return tuple(part for part in parts if part.blocks)
@@ -265,11 +253,9 @@ def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _lines(found: Any, hint: str) -> tuple[Block, ...]:
-    if found is not None:
-        # The lines may be those of a table.
-        return (Words("\n".join(found.lines), "code"),)
-    return (Words(hint, "quiet"),) if hint else ()
+def _lines(found: Any) -> tuple[Block, ...]:
+    # The lines may be those of a table.
+    return () if found is None else (Words("\n".join(found.lines), "code"),)
 
 
 def _ledger(d: Diagnosis) -> Block:

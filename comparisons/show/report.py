@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,7 +201,6 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
         Part("Equations", tuple(block for fit in fits for block in _equations(fit))),
         *section.extra,
         Part("Ledger of the reduction", ledger_tables(section.ledgers)),
-        Part("Settings", _settings(section)),
     )
     return tuple(part for part in parts if part.blocks)
 
@@ -232,10 +231,10 @@ def _migration(section: ReportSection) -> tuple[Block, ...]:
 
 
 def _in_time(section: ReportSection) -> tuple[Block, ...]:
-    if section.reduction is not None:
-        return (plots_record.surge_cycles(section.reduction),)
-    drawn = _records(section)[:RECORDS_DRAWN]
-    return (*map(plots_series.series_in_time, drawn), *_left_out(section))
+    """Return the surge cycles in time, of which only a reduction knows more than φ and ψ'."""
+    if section.reduction is None:
+        return ()
+    return (plots_record.surge_cycles(section.reduction),)
 
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
@@ -270,17 +269,6 @@ def _equations(fit: Comparison) -> tuple[Block, ...]:
         if result.equation
     ]
     return (*lines, coefficients_table(fit))
-
-
-def _settings(section: ReportSection) -> tuple[Table, ...]:
-    if section.reduction is None:
-        return ()
-    reduction = section.reduction
-    from_s, to_s = reduction.window_s
-    rows = [("test", reduction.test.name), ("window", f"{from_s:.3f} to {to_s:.3f} s")]
-    for name, value in asdict(reduction.settings).items():
-        rows.append((name, "from the description of the test" if value is None else str(value)))
-    return (Table("Settings of the reduction", (Head("setting"), Head("value")), tuple(rows)),)
 
 
 def _records(section: ReportSection) -> tuple[CoefficientSeries, ...]:

@@ -95,7 +95,6 @@ def summary_list(fit: Comparison) -> Bullets:
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
         f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
-        _least_sentence(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
         f"rewarded on held-out cycles too: {ranking}.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
@@ -171,20 +170,6 @@ def _tau_sentence(fit: Comparison) -> str:
         words += (
             f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
         )
-    return words
-
-
-def _least_sentence(fit: Comparison) -> str:
-    scored = [row for row in fit.table if math.isfinite(row.held_out_rms)]
-    if not scored:
-        return "There were too few rows to hold any out: none is scored."
-    least = min(scored, key=lambda row: row.held_out_rms)
-    score = fit.result(least.estimator).held_out
-    percent = math.nan if score is None else score.fit_percent
-    words = (
-        f"Least held-out error: {least.label}, rms {significant(least.held_out_rms, 3)}, "
-        f"{percent:.0f} % of the signal's spread explained (fit)."
-    )
     return words
 
 

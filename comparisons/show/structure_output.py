@@ -14,7 +14,6 @@ from comparisons.show.json_output import record_document
 
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
-    from sindy_surge.summary import ModelSummary
 
 __all__ = [
     "STRUCTURE_SCHEMA",
@@ -46,7 +45,7 @@ def structure_text(found: FoundStructure) -> str:
     lines += ["", replace(summary, path=()).sheet().text()]
     lines += _wrapped(left_out_words(found))
     if summary.path:
-        lines += ["", *_path_lines(summary)]
+        lines += ["", f"{len(summary.path)} structures were tried: --report and --json list them."]
     return "\n".join(lines)
 
 
@@ -97,31 +96,6 @@ def _why_no_inclusion(found: FoundStructure) -> str:
     if found.settings.get("n_bootstrap") == 0:
         return "no records were resampled"
     return f"records are not resampled where a fit ended as {found.state[0]}"
-
-
-def _path_lines(summary: ModelSummary) -> list[str]:
-    """Tabulate the structures by size, the terms last, where they can wrap."""
-    table = summary.sheet().grids[1]
-    order = [i for i, head in enumerate(table.header) if head not in ("chosen", "terms")]
-    words = table.header.index("terms")
-    grid = [table.header, *table.rows]
-    widths = {i: max(len(row[i]) for row in grid) for i in order}
-    lines = [table.title]
-    for number, row in enumerate(grid):
-        mark = "*" if number and number - 1 == table.marked else " "
-        cells = (
-            row[i].ljust(widths[i]) if i in table.words else row[i].rjust(widths[i]) for i in order
-        )
-        start = f" {mark}" + "  ".join(cells) + "  "
-        lines += textwrap.wrap(
-            row[words],
-            WIDTH,
-            initial_indent=start,
-            subsequent_indent=" " * len(start),
-            break_on_hyphens=False,
-            break_long_words=False,
-        )
-    return lines
 
 
 def structure_document(found: FoundStructure) -> dict[str, Any]:

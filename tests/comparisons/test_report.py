@@ -32,7 +32,6 @@ HEADINGS = (
     "Residual checks",
     "Equations",
     "Ledger of the reduction",
-    "Settings",
 )
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 
