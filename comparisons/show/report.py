@@ -26,7 +26,6 @@ from comparisons.show import plots_fit, plots_record, plots_residuals, plots_ser
 from comparisons.show.plots_tau_trial import tau_trial
 from comparisons.show.report_tables import (
     checks_table,
-    coefficients_table,
     ledger_tables,
     summary_table,
     validation_table,
@@ -263,12 +262,12 @@ def _trial(section: ReportSection) -> tuple[Block, ...]:
 
 
 def _equations(fit: Comparison) -> tuple[Block, ...]:
-    lines = [
+    """Return the equations, which hold τ and the coefficients with their standard errors."""
+    return tuple(
         Words(f"{result.label}:\n    {result.equation}", "code")
         for result in fit.results
         if result.equation
-    ]
-    return (*lines, coefficients_table(fit))
+    )
 
 
 def _records(section: ReportSection) -> tuple[CoefficientSeries, ...]:

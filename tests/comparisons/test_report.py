@@ -125,7 +125,6 @@ def test_the_numbers_are_there_rounded_to_their_uncertainty(html: str) -> None:
     text = Page(html).text
     for cell in ("18.01 ± 0.22", "30.1 ± 1.2", "27.7 … 32.6", "0.0025 ± 0.0011", LINES[1][7]):
         assert cell in text
-    assert "1.20 ± 0.05" in text  # a coefficient of the equation
     assert "sindy-surge compare x.csv" in text
     assert "9.9.9" in text
     assert "scikit-learn" in text
