@@ -148,12 +148,6 @@ class NearStall(Window):
     P31_Pa: Pascal = key(_STALL_PA, "is it in kPa or psi?", ge=1e3, le=1e8)
     T31_K: Kelvin = key(_STALL_K, "is it in °C?", ge=100.0, le=2e3)
 
-    @model_validator(mode="after")
-    def _compressed(self) -> NearStall:
-        _check_above("P31_Pa", self.P31_Pa, "P25_Pa", self.P25_Pa, "are the planes exchanged?")
-        _check_above("T31_K", self.T31_K, "T25_K", self.T25_K, "are the planes exchanged?")
-        return self
-
     def pressure_Pa(self, plane: int) -> float:
         """Return the facility's total pressure at a plane."""
         return {25: self.P25_Pa, 31: self.P31_Pa}[plane]
@@ -170,7 +164,6 @@ class FileLayout(Table):
     time_unit: Text | None = None
     group: Text | None = None
     clock: Literal["column", "from rate"] = "column"
-    start_s: float | None = None
     other_columns: Literal["refuse", "ignore"] = "refuse"
     units: Literal["check", "from test.toml"] = "check"
 
@@ -197,8 +190,8 @@ class PressureChannel(_Channel):
     """
 
     kind: Literal["pressure"] = key('"pressure" or "temperature"')
-    immersion: Literal["hub", "tip"]
-    facing: Literal["forward", "aft"]
+    immersion: Literal["hub", "tip"] = key('"hub" or "tip"')
+    facing: Literal["forward", "aft"] = key('"forward" or "aft"')
     probe_slope: float = key(
         "a number from 0.2 to 5", "it is near 1; is it in per cent?", ge=0.2, le=5.0
     )
@@ -288,11 +281,9 @@ class TemperatureChannel(_Channel):
 AnyChannel = PressureChannel | TemperatureChannel
 
 
-def _check_above(name: str, high: float, other: str, low: float, remedy: str = "") -> None:
+def _check_above(name: str, high: float, other: str, low: float) -> None:
     if high <= low:
-        raise InputError(
-            name, expected=f"more than {other} ({low:g})", found=f"{high:g}", remedy=remedy
-        )
+        raise InputError(name, expected=f"more than {other} ({low:g})", found=f"{high:g}")
 
 
 @dataclass(frozen=True)

@@ -104,23 +104,21 @@ def conversion_to_si(
     if known is None:
         expected = f"a unit of {kind}, such as {_COMMON[kind]}"
         raise InputError(where or "unit", expected=expected, found=f'"{unit[:60]}"')
-    if kind != "pressure" or (reference == "absolute" and not reference_Pa):
+    is_absolute = reference == "absolute"
+    if kind != "pressure" or (is_absolute and not reference_Pa):
         return Conversion(*known)
-    if reference == "absolute":
-        expected = f'none beside the unit "{unit}", which is absolute'
-    elif reference_Pa is None:
-        expected = f'the absolute pressure, in Pa, that a reading of 0 "{unit}" stands for'
-    elif reference == "gauge" and reference_Pa == 0.0:
-        expected = f'the pressure that readings in "{unit}" are taken against'
-    else:
-        return Conversion(known[0], reference_Pa)
-    raise InputError(
-        where or "reference_Pa",
-        expected=expected,
-        found="nothing" if reference_Pa is None else f"{reference_Pa:g}",
-        remedy=f'write "{plain} abs" as the unit of absolute readings, the barometer as the '
-        "reference of gauge readings",
-    )
+    if is_absolute or reference_Pa is None or (reference == "gauge" and reference_Pa == 0.0):
+        what = (
+            "none" if is_absolute else "the absolute pressure in Pa that a reading of 0 stands for"
+        )
+        raise InputError(
+            where or "reference_Pa",
+            expected=f'{what}, beside the unit "{unit}"',
+            found="nothing" if reference_Pa is None else f"{reference_Pa:g}",
+            remedy=f'write "{plain} abs" as the unit of absolute readings, the barometer as the '
+            "reference of gauge readings",
+        )
+    return Conversion(known[0], reference_Pa)
 
 
 def kind_of_unit(unit: str) -> str:

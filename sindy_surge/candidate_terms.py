@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sindy_surge.library import StallLibrary, default_library, hinge_name
-from sindy_surge.linear_problem import least_squares
 from sindy_surge.state_terms import ProductStateTerms
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CandidateTerms", "aliases_of", "independent_columns", "polynomial_degree"]
+__all__ = ["CandidateTerms", "independent_columns", "polynomial_degree"]
 
 # With more inputs their products with ψ' would be most of the library.
 _MOST_INPUTS_WITH_STATE = 2
@@ -32,8 +31,6 @@ class CandidateTerms:
         The inputs.
     input_names : list of str
         Name of each input, used in the names of the terms.
-    degree, knots
-        See `default_library`; unused with a library of one's own.
     psi_p : ndarray of shape (n_rows,) or None
         ψ' at the rows of `X`, for terms that hold it (with one or two inputs); None for none.
     output_name : str
@@ -46,12 +43,10 @@ class CandidateTerms:
         X: FloatArray,
         input_names: list[str],
         *,
-        degree: int = 5,
-        knots: ArrayLike | None = None,
         psi_p: FloatArray | None = None,
         output_name: str = "psi_p",
     ) -> None:
-        chosen = default_library(X, degree=degree, knots=knots) if library is None else library
+        chosen = default_library(X) if library is None else library
         self._library = _fitted(copy.deepcopy(chosen), X)
         n_terms = self._of_inputs(X[:1], strict=False).shape[1]
         self.input_names = tuple(input_names)
@@ -208,38 +203,6 @@ def independent_columns(values: FloatArray, tolerance: float = 1e-9) -> NDArray[
             basis = np.column_stack((basis, rest / size))
             kept.append(j)
     return np.array(kept, dtype=np.intp)
-
-
-def aliases_of(values: FloatArray, kept: NDArray[np.intp], names: Sequence[str]) -> dict[str, str]:
-    """Say what the terms equal that the data cannot tell from others.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n_rows, n_terms)
-        The terms over the data.
-    """
-    found = {}
-    for j in range(values.shape[1]):
-        if j in kept:
-            continue
-        if not np.any(values[:, j]):
-            found[names[j]] = "0"
-            continue
-        share = least_squares(values[:, kept], values[:, j])
-        weights = share * np.linalg.norm(values[:, kept], axis=0)
-        large = np.flatnonzero(np.abs(weights) > 1e-6 * np.linalg.norm(values[:, j]))
-        found[names[j]] = _written_sum([(float(share[i]), names[kept[i]]) for i in large])
-    return found
-
-
-def _written_sum(parts: Sequence[tuple[float, str]]) -> str:
-    text = ""
-    for factor, name in parts:
-        size = f"{abs(factor):.6g}"
-        body = name if size == "1" else f"{size} {name}".removesuffix(" 1")
-        glue = (" - " if text else "-") if factor < 0 else (" + " if text else "")
-        text += glue + body
-    return text or "0"
 
 
 def polynomial_degree(name: str, input_names: Sequence[str]) -> int | None:

@@ -7,17 +7,11 @@ from typing import Any
 import numpy as np
 
 from sindy_surge.identification import Identified
-from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 from surge_core.validation import one_of, positive, whole_number
 
 __all__ = ["cautions_of", "check_parameters", "is_constant"]
-
-
-# Below this gap of forward and reverse weak estimates noise does not matter: at 1 % of noise on
-# both channels it is 0.6 %.
-_WIDE_GAP = 0.3
 
 
 def check_parameters(estimator: Any) -> None:
@@ -30,16 +24,8 @@ def check_parameters(estimator: Any) -> None:
     """
     positive("sample_period_s", estimator.sample_period_s)
     one_of("hold", estimator.hold, ("first", "zero"))
-    for name, least in (("max_terms", 1), ("degree", 1), ("n_bootstrap", 0)):
+    for name, least in (("max_terms", 1), ("n_bootstrap", 0)):
         whole_number(name, getattr(estimator, name), least, 1_000_000)
-    knots = estimator.knots
-    if knots is not None and not np.all(np.isfinite(np.asarray(knots, dtype=float))):
-        raise InputError("knots", expected="finite values of φ", found=repr(knots))
-    dead = estimator.dead_time_s
-    if dead not in ("auto", "fit") and not (isinstance(dead, (int, float)) and np.isfinite(dead)):
-        raise InputError(
-            "dead_time_s", expected='a time in seconds, "auto" or "fit"', found=repr(dead)
-        )
 
 
 def is_constant(values: FloatArray) -> bool:
@@ -52,12 +38,6 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
     """Say what a user should know before the numbers are used."""
     problem, dead_time_s = found.problem, found.model.lag.dead_time_s
     sentences = [] if state is FitState.OK else [state.advice]
-    lost = problem.segments.starts.size - int(np.count_nonzero(problem.usable.segments.lengths > 1))
-    if lost:
-        sentences.append(
-            f"{lost} of {problem.segments.starts.size} segments are too short for an equation and "
-            "add nothing; join what belongs together, or lengthen them"
-        )
     if abs(dead_time_s) > 2 * found.dead_time_stderr_s > 0:
         late, early = ("ψ'", "φ") if dead_time_s > 0 else ("φ", "ψ'")
         sentences.append(
@@ -81,11 +61,5 @@ def cautions_of(found: Identified, state: FitState) -> tuple[str, ...]:
         sentences.append(
             f"the noise is coloured (autoregression of order {problem.noise.colour.size}) and was "
             "whitened for it; a missing effect can look the same"
-        )
-    if found.weak is not None and found.weak.gap > _WIDE_GAP:
-        sentences.append(
-            f"the weak form reads {found.weak.reverse_s * 1e3:.3g} to "
-            f"{found.weak.forward_s * 1e3:.3g} ms, reverse to forward: noise or model error is "
-            "large against the signals"
         )
     return tuple(sentences)

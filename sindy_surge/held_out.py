@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from sindy_surge.constraints import Constraints
-from sindy_surge.free_run import simulate
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import LinearProblem, Support, leave_out_moves, unit_norms
 from sindy_surge.preparation import Prepared
@@ -202,11 +201,10 @@ def with_held_out(
     rows = {row.terms: replace(row, chosen=False, consistent=False) for row in path}
     for support, tau in trials.lags.items():
         terms = tuple(names[i] for i in support)
-        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False, False)
+        none = PathRow(len(support), terms, np.nan, np.nan, np.nan, False, False)
         rows[terms] = replace(
             rows.get(terms, none),
             time_constant_s=tau,
-            refitted=True,
             chosen=support == chosen,
             held_out_rms=trials.mean(support) ** 0.5,
         )
@@ -235,7 +233,6 @@ class HeldOutFit:
     support: Support  # Positions of the terms within the usable columns
     parameters: FloatArray  # (n_support + 1,): β in physical units and, last, τ in seconds
     covariance: FloatArray  # (n_support + 1, n_support + 1): Their covariance
-    initial: FloatArray  # (n_segments,): ψ' at the start of each segment
     # Each structure tried, with the errors of its weak equations on blocks left out and its τ
     trials: Trials
 
@@ -301,8 +298,7 @@ def select_by_held_out(
     parameters, design, residual = weak.fit(chosen)
     covariance = scatter(leave_out_moves(design, residual, [own for _, own in trials.blocks]))
     covariance += _repeated(design, residual) + _spread(problem, weak, chosen)
-    initial = _starts(problem, chosen, parameters)
-    return HeldOutFit(chosen, parameters, covariance, initial, trials)
+    return HeldOutFit(chosen, parameters, covariance, trials)
 
 
 def _blocks(problem: LagProblem, weak: WeakEquations) -> list[tuple[IndexArray, IndexArray]]:
@@ -315,17 +311,6 @@ def _blocks(problem: LagProblem, weak: WeakEquations) -> list[tuple[IndexArray, 
         if own.size:
             blocks.append((np.flatnonzero(touched), own))
     return blocks
-
-
-def _starts(problem: LagProblem, support: Support, parameters: FloatArray) -> FloatArray:
-    """Return ψ' at the start of each segment that its free run fits best."""
-    segments, lag = problem.segments, problem.lag(float(parameters[-1]))
-    wanted = problem.columns[list(support)].tolist()
-    values = problem.late(problem.terms(problem.inputs, wanted=wanted))
-    rest = problem.output - simulate(values @ parameters[:-1], segments, lag)
-    decay = lag.a ** segments.offsets().astype(float)
-    power = np.add.reduceat(decay**2, segments.starts)
-    return np.asarray(np.add.reduceat(decay * rest, segments.starts) / power)
 
 
 def _repeated(design: FloatArray, residual: FloatArray) -> FloatArray:

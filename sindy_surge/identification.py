@@ -24,26 +24,22 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import Support
 from sindy_surge.noise import autoregression
-from sindy_surge.preparation import DeadTimeChoice, Prepared, prepare, weak_estimates
-from sindy_surge.segments import cycle_blocks
+from sindy_surge.preparation import Prepared, prepare
+from sindy_surge.segments import block_slices
 from sindy_surge.selection import PathRow, Selection, information_penalty, select_structure
-from sindy_surge.state_powers import choose_power
-from sindy_surge.uncertainty import held_out_rms, sandwich
-from sindy_surge.weak import WeakLag
+from sindy_surge.uncertainty import sandwich
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray
 
 __all__ = ["Choices", "Identified", "identify"]
 
 
-# Blocks of cycles are left out and drawn whole; none is shorter than this many rows.
+# Blocks of rows are drawn whole; none is shorter than this many rows.
 _SHORTEST_BLOCK = 20
 # More terms than this may stand in for one kink between two knots.
 _LARGE = 4
 # Below 200 equations for the 24 terms of the default library, stated errors were 4 too small.
 _EQUATIONS_A_TERM = 8
-# True structures with ψ' have a lag about their mean within a third of the weak form's.
-_FAR_FROM_WEAK = 2.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,6 @@ class Choices:
     optimizer: Any
     max_terms: int
     constraints: Mapping[str, str] | None
-    dead_time_s: DeadTimeChoice
     n_bootstrap: int
     random_state: Any
 
@@ -67,13 +62,11 @@ class Identified:
     model: FreeModel
     dead_time_stderr_s: float  # Standard error of the dead time in seconds; 0 if it was not fitted
     covariance: FloatArray  # (n_terms + 1, n_terms + 1): Of β and, last, τ
-    initial: FloatArray  # (n_segments,): ψ' at the first usable row of each segment
     state: FitState  # What became of the fit, as far as the search can tell
     path: tuple[PathRow, ...]  # Every structure proposed or tested
     rivals: tuple[tuple[str, ...], ...]  # Structures that the data cannot tell from the chosen one
     # Share of the resamples whose structure holds a term; empty without resamples
     inclusion: dict[str, float]
-    weak: WeakLag | None  # The weak estimates of τ
     knots: tuple[MovedKnot, ...]  # Hinges off the library's grid that were added to it
 
     def fit_state(self) -> FitState:
@@ -99,8 +92,9 @@ class Identified:
 def identify(problem: LagProblem, choices: Choices, input_names: Sequence[str]) -> Identified:
     """Search the structure of a record and estimate its parameters."""
     search = _searched(problem, choices, input_names)
-    if choices.dead_time_s == "auto" and search.prepared.problem.fits_dead_time:
-        search = _simpler(search, _searched(problem, _on_time(choices, search), input_names))
+    if search.prepared.problem.fits_dead_time:
+        on_time = _on_time(choices, search)
+        search = _simpler(search, _searched(problem, on_time, input_names, may_be_late=False))
     if search.may_lack_a_knot:
         search = _with_knots(search, choices, input_names)
     robust = None
@@ -137,10 +131,12 @@ def _searched(
     choices: Choices,
     input_names: Sequence[str],
     knots: tuple[MovedKnot, ...] = (),
+    *,
+    may_be_late: bool = True,
 ) -> _Searched:
     library = problem.terms.names
     columns, constraints = constraints_of(choices.constraints, library, problem.columns)
-    prepared = prepare(replace(problem, columns=columns), choices.dead_time_s, constraints.required)
+    prepared = prepare(replace(problem, columns=columns), constraints.required, may_be_late)
     usable = prepared.problem.columns
     _, constraints = constraints_of(choices.constraints, library, usable)
     names = [library[i] for i in usable]
@@ -154,7 +150,6 @@ def _on_time(choices: Choices, late: _Searched) -> Choices:
     most = len(late.found.fit.support) + 1 if late.found.consistent else choices.max_terms
     return replace(
         choices,
-        dead_time_s=0.0,
         max_terms=min(max(most, len(late.constraints.required)), choices.max_terms),
         # The best subsets hold whatever an optimizer would propose of so few terms.
         optimizer="best-subset" if isinstance(choices.optimizer, str) else choices.optimizer,
@@ -190,9 +185,8 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
     if not knots:
         return search
     wide, _ = with_hinges(search.whole, [moved.knot for moved in knots])
-    if choices.dead_time_s == "auto" and not problem.fits_dead_time:
-        choices = replace(choices, dead_time_s=0.0)
-    again = _searched(wide, choices, input_names, knots)
+    late = problem.fits_dead_time
+    again = _searched(wide, choices, input_names, knots, may_be_late=late)
     stands = again.found.consistent and not model_error_dominates(again.prepared, True)
     first = again.prepared.problem.n_without_state - len(knots)
     uses = any(i >= first for i in again.found.fit.support)
@@ -201,29 +195,13 @@ def _with_knots(search: _Searched, choices: Choices, input_names: Sequence[str])
 
 def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     prepared, found, names = search.prepared, search.found, search.names
-    power = choose_power(*_colour_again(prepared.problem, found.fit))
-    problem, fit = power.problem, power.fit
-    rivals = found.rivals if power.rival is None else (*found.rivals, power.rival)
-    blocks = cycle_blocks(problem.inputs[:, 0], problem.segments, _SHORTEST_BLOCK)
-    runs = {
-        tuple(names[i] for i in support): held_out_rms(prepared.problem, one, blocks)
-        for support, one in found.fits.items()
-        if one.converged
-    }
-    path = [replace(row, held_out_rms=runs.get(row.terms, np.nan)) for row in found.path]
-    if fit.support != found.fit.support:
-        terms = tuple(names[i] for i in fit.support)
-        path = [replace(row, chosen=False) for row in path if row.terms != terms]
-        # A score would belong to another linearisation than the table's.
-        none, tau = float("nan"), fit.time_constant_s
-        path.append(PathRow(len(terms), terms, none, fit.chi2, tau, True, found.consistent, True))
-        path.sort(key=lambda row: row.size)
+    problem, fit = _colour_again(prepared.problem, found.fit)
     inclusion: dict[str, float] = {}
     equations = white_equations(problem, fit)
     if choices.n_bootstrap:
         shares = inclusion_probabilities(
             equations,
-            blocks,
+            block_slices(problem.segments, _SHORTEST_BLOCK),
             choices.max_terms,
             penalty_per_term=information_penalty(equations.target.size, len(names)),
             n_resamples=choices.n_bootstrap,
@@ -235,7 +213,6 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
     dead_time_stderr = float(np.sqrt(covariance[-2, -2])) if problem.fits_dead_time else 0.0
     wanted = [*range(len(fit.support)), -1]
     covariance = covariance[np.ix_(wanted, wanted)]
-    weak = weak_estimates(problem, fit.support) or prepared.weak
     if model_error_dominates(prepared, found.consistent) or not found.consistent:
         state = FitState.NO_CONSISTENT_STRUCTURE
     elif not _explains(equations, fit.support):
@@ -244,8 +221,6 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         state = FitState.NOT_CONVERGED
     elif problem.usable.later.size < _EQUATIONS_A_TERM * len(names):
         state = FitState.FEW_EQUATIONS
-    elif _contradicted(problem, fit, weak):
-        state = FitState.CONTRADICTED
     else:
         state = FitState.OK
     return Identified(
@@ -253,12 +228,10 @@ def _by_likelihood(search: _Searched, choices: Choices) -> Identified:
         problem.model(fit.support, fit.coefficients, fit.time_constant_s, fit.dead_time_s),
         dead_time_stderr,
         covariance,
-        _of_segments(problem, fit.initial),
         state,
-        tuple(path),
-        tuple(tuple(names[i] for i in rival) for rival in rivals),
+        found.path,
+        tuple(tuple(names[i] for i in rival) for rival in found.rivals),
         inclusion,
-        weak,
         search.knots,
     )
 
@@ -269,17 +242,6 @@ def _explains(equations: WhiteEquations, support: Support) -> bool:
     gain = linear.chi2(()) - linear.chi2(support)
     penalty = information_penalty(linear.n_equations, linear.columns.shape[1])
     return gain / linear.variance > penalty * len(support)
-
-
-def _contradicted(problem: LagProblem, fit: StructureFit, weak: WeakLag | None) -> bool:
-    """Return whether terms with ψ' give a lag far from what the weak form sees without them."""
-    if weak is None or not problem.holds_state(fit.support):
-        return False
-    tau = fit.time_constant_s
-    model = problem.model(fit.support, fit.coefficients, tau, fit.dead_time_s)
-    local = tau / (1.0 - problem.mean_gain(model))
-    low, high = sorted((weak.reverse_s, weak.forward_s))
-    return not low / _FAR_FROM_WEAK < local < high * _FAR_FROM_WEAK
 
 
 def _colour_again(problem: LagProblem, fit: StructureFit) -> tuple[LagProblem, StructureFit]:
@@ -318,10 +280,9 @@ def _covariance(problem: LagProblem, fit: StructureFit, knots: tuple[MovedKnot, 
 
 
 def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
-    problem = search.prepared.problem
-    if choices.dead_time_s == "auto":
-        # Tested against noise, of which there is next to none: an error of the model passed for it.
-        problem = problem.with_dead_time(0.0, False)
+    # A dead time is tested against noise, of which there is next to none: an error of the model
+    # passed for it.
+    problem = search.prepared.problem.with_dead_time(0.0, False)
     fit = select_by_held_out(
         problem, choices.optimizer, choices.max_terms, search.degrees, search.constraints
     )
@@ -333,18 +294,9 @@ def _by_held_out(search: _Searched, choices: Choices) -> Identified | None:
         problem.model(fit.support, beta, tau, problem.dead_time_s),
         0.0,
         fit.covariance,
-        fit.initial,
         FitState.MODEL_ERROR_DOMINATES,
         with_held_out(search.found.path, fit.trials, fit.support, search.names),
         (),
         {},
-        search.prepared.weak,
         (),
     )
-
-
-def _of_segments(problem: LagProblem, initial: FloatArray) -> FloatArray:
-    """Return one initial state for each segment; of those too short, the measured ψ'."""
-    result = problem.output[problem.segments.starts].copy()
-    result[problem.usable.home] = initial
-    return result

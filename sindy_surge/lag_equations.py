@@ -14,7 +14,7 @@ from sindy_surge.segments import Segments
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
 
-__all__ = ["Equations", "Point", "equations_about", "free_run", "noise_in_inputs", "start_point"]
+__all__ = ["Equations", "Point", "equations_about", "noise_in_inputs", "start_point"]
 
 
 # Second difference by a parabola through seven points (Savitzky & Golay 1964, table of 2nd
@@ -122,12 +122,6 @@ def equations_about(
         weighted,
         float(run.gain.max()),
     )
-
-
-def free_run(problem: LagProblem, support: tuple[int, ...], point: Point) -> FloatArray:
-    """Return the simulated ψ' of a structure at the usable rows, each run from its start."""
-    lag = problem.lag(point.time_constant_s, point.dead_time_s)
-    return _run(problem, support, point, lag).state
 
 
 def noise_in_inputs(problem: LagProblem, eq: Equations, point: Point) -> FloatArray:

@@ -61,7 +61,6 @@ class StructureFit:
     sensitivity: FloatArray
     prior: FloatArray  # (n_parameters,): Information from outside the record: that on the bend
     groups: Segments  # Runs of the whitened rows
-    rows: IndexArray  # (n_white,): Row of the record at which each whitened equation ends
     converged: bool  # Whether the last step was negligible
     # Whether ψ' comes to rest at every φ of the record; terms with ψ' may drive it away
     settles: bool
@@ -70,11 +69,6 @@ class StructureFit:
     def chi2(self) -> float:
         """Sum of the squared whitened residuals."""
         return float(self.residual @ self.residual)
-
-    @property
-    def prior_pull(self) -> float:
-        """How far the bend lies below what is known of it beforehand."""
-        return _BEND_PRIOR[0] - self.point.bend
 
     @property
     def time_constant_s(self) -> float:
@@ -90,11 +84,6 @@ class StructureFit:
     def coefficients(self) -> FloatArray:
         """β; those of terms with ψ' in the library's own units."""
         return self.point.coefficients
-
-    @property
-    def initial(self) -> FloatArray:
-        """ψ' at the first usable row of each run."""
-        return self.point.initial
 
 
 def fit_structure(
@@ -170,7 +159,6 @@ def fit_structure(
         columns,
         prior,
         eq.whitener.groups,
-        problem.usable.ends[eq.whitener.kept],
         converged,
         eq.greatest_gain < 1.0,
     )
@@ -320,11 +308,8 @@ def output_error(problem: LagProblem, values: FloatArray, tau: float) -> tuple[f
     return float(residual @ residual), beta
 
 
-def scan_lag(problem: LagProblem, extra_s: tuple[float, ...] = ()) -> float:
-    """Find τ of the plain free run with the simplest terms, by a scan and one refinement.
-
-    `extra_s` are further values to try, in seconds (the weak form's).
-    """
+def scan_lag(problem: LagProblem) -> float:
+    """Find τ of the plain free run with the simplest terms, by a scan and one refinement."""
     from scipy.optimize import minimize_scalar
 
     # Six terms follow any characteristic well enough to find the basin of τ.
@@ -332,8 +317,6 @@ def scan_lag(problem: LagProblem, extra_s: tuple[float, ...] = ()) -> float:
     few = problem.columns[:most]
     values = problem.terms(problem.inputs, wanted=few.tolist())
     grid = np.geomspace(0.1 * problem.sample_period_s, problem.longest_lag_s, 16)
-    inside = [t for t in extra_s if grid[0] < t < grid[-1]]
-    grid = np.unique(np.concatenate((grid, inside)))
     costs = [output_error(problem, values, float(tau))[0] for tau in grid]
     best = int(np.argmin(costs))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]

@@ -7,7 +7,7 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
@@ -22,6 +22,8 @@ __all__ = [
 ]
 
 
+# Highest total degree of the polynomials; less for many inputs.
+_DEGREE = 5
 # No record of a few thousand rows separates more polynomial terms than this.
 _MAX_POLYNOMIAL_TERMS = 70
 # Several inputs: the one-variable terms of each are added up to this number of inputs.
@@ -155,9 +157,7 @@ def _round_step(phi: FloatArray) -> float:
     return float(max(m * decade for m in (1.0, 2.5, 5.0) if m * decade <= target))
 
 
-def default_library(
-    X: FloatArray, *, degree: int = 5, knots: ArrayLike | None = None
-) -> StallLibrary:
+def default_library(X: FloatArray) -> StallLibrary:
     """Build the library of candidate terms that suits the range of the data.
 
     Polynomials, hinges, the reverse-flow branch and exponentials: at least 15 terms for one input.
@@ -166,13 +166,8 @@ def default_library(
     ----------
     X : ndarray of shape (n_rows, n_inputs)
         The inputs; only their ranges are used.
-    degree : int
-        Highest total degree of the polynomials; lowered for many inputs so that at most 70
-        polynomial terms remain.
-    knots : array-like of float or None
-        Knots of the hinges; None takes `default_knots`.
     """
-    n_inputs = X.shape[1]
+    n_inputs, degree = X.shape[1], _DEGREE
     while degree > 1 and comb(n_inputs + degree, degree) > _MAX_POLYNOMIAL_TERMS:
         degree -= 1
     if n_inputs > _MAX_INPUTS_WITH_OWN_TERMS:
@@ -181,16 +176,12 @@ def default_library(
     for phi in X.T:
         step = _round_step(phi)
         whole = Segments.from_labels(None, phi.size)
-        each_knots.append(
-            default_knots(phi, difference_noise(phi, whole))
-            if knots is None
-            else tuple(map(float, np.ravel(knots)))
-        )
+        each_knots.append(default_knots(phi, difference_noise(phi, whole)))
         scales = (step, 2 * step) if step else (0.05, 0.1)
         # exp overflows for a range far below zero compared with its own width.
         each_scales.append(tuple(s for s in scales if -float(np.min(phi)) / s < 50))
         missing = _FEWEST_TERMS - (degree + 2 + len(each_knots[-1]) + len(each_scales[-1]))
-        if missing > 0 and knots is None:
+        if missing > 0:
             each_knots[-1] = _finer(each_knots[-1], phi, missing)
     return StallLibrary(degree, each_knots, each_scales)
 

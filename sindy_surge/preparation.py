@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -21,20 +20,16 @@ from sindy_surge.lag_fit import (
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import (
     LinearProblem,
-    Support,
     least_squares,
     unit_norms,
     without_nuisances,
 )
 from sindy_surge.noise import NoiseLevels, autoregression, difference_noise, refine_noise
-from sindy_surge.segments import surge_period_s
 from sindy_surge.sparse_paths import beam_search
 from sindy_surge.uncertainty import sandwich
-from sindy_surge.weak import WeakLag, weak_lag
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["DeadTimeChoice", "Prepared", "prepare", "weak_estimates"]
+__all__ = ["Prepared", "prepare"]
 
 
 # A dead time is believed beyond this many standard errors of the fit of all terms.
@@ -43,27 +38,23 @@ _BELIEVED = 4.0
 _TAKEN_OVER = 0.5
 # A fit of the dead time reaches two samples at a time.
 _MOST_MOVES = 15
-_FEWEST_EQUATIONS = 11
 _FAR_EXCESS = 2.0
 _FAR_SAMPLES = (-40, -30, -20, -14, -10, -6, -3, 3, 6, 10, 14, 20, 30, 40)
-
-DeadTimeChoice = float | Literal["auto", "fit"]
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """The problem with its noise levels, the fit of all terms and the weak estimates."""
+    """The problem with its noise levels, and the fit of all terms."""
 
     problem: LagProblem  # The data with noise levels and colour, and the dead time found
     rich: StructureFit  # The fit of all terms without ψ'
-    weak: WeakLag | None  # The weak estimates of τ
     # χ²/N of all terms, those with ψ' too, before colour is filtered out: the variance of what they
     # leave over that of the white noise which differences show
     excess: float
 
 
 def prepare(
-    problem: LagProblem, dead_time: DeadTimeChoice = 0.0, required: tuple[int, ...] = ()
+    problem: LagProblem, required: tuple[int, ...] = (), may_be_late: bool = True
 ) -> Prepared:
     """Find τ's basin, the noise levels and their colour, and the dead time; fit all terms.
 
@@ -72,26 +63,18 @@ def prepare(
 
     Parameters
     ----------
-    dead_time : float, "fit" or "auto"
-        The dead time in seconds, or whether to fit it: always, or where it shows.
+    required : tuple of int
+        Terms that every structure holds.
+    may_be_late : bool
+        Test for a dead time, and fit it where it shows.
     """
-    given = 0.0 if isinstance(dead_time, str) else float(dead_time)
-    problem = problem.with_dead_time(given, False)
-    if problem.usable.later.size < _FEWEST_EQUATIONS:
-        raise InputError(
-            "dead_time_s",
-            expected="a dead time well within the length of a segment",
-            found=f"{given:g} s, which leaves {problem.usable.later.size} equations",
-            remedy="check its unit (seconds), or use longer segments",
-        )
-    weak = _weak(problem)
-    tau = scan_lag(problem, (weak.reverse_s, weak.forward_s) if weak else ())
+    tau = scan_lag(problem)
     problem = _screened(problem, tau, required)
     problem = replace(problem, noise=_noise(problem, tau))
     everything = tuple(range(problem.n_without_state))
     rich = fit_structure(problem, everything, tau, max_steps=6)
-    if isinstance(dead_time, str):
-        problem, rich = _with_dead_time(problem, rich, always=dead_time == "fit")
+    if may_be_late:
+        problem, rich = _with_dead_time(problem, rich)
     left = _left_by_all(problem, rich)
     excess = float(np.mean(left**2)) if left.size else 0.0
     colour = autoregression(left, rich.groups)
@@ -99,11 +82,11 @@ def prepare(
     if colour.size and excess > 1e-10:
         problem = problem.with_colour(colour)
         rich = refitted(problem, rich, 4)
-        if problem.fits_dead_time and dead_time == "auto" and not _late(problem, rich):
+        if problem.fits_dead_time and not _late(problem, rich):
             # Coloured noise had passed for a time shift.
             problem = problem.with_dead_time(0.0, False)
             rich = refitted(problem, rich, 4)
-    return Prepared(problem, rich, _weak(problem), excess)
+    return Prepared(problem, rich, excess)
 
 
 def _left_by_all(problem: LagProblem, rich: StructureFit) -> FloatArray:
@@ -117,29 +100,7 @@ def _left_by_all(problem: LagProblem, rich: StructureFit) -> FloatArray:
     return left if left @ left < _TAKEN_OVER * rich.chi2 else rich.residual
 
 
-def _weak(problem: LagProblem) -> WeakLag | None:
-    # One weak equation comes every quarter of a half width, so far fewer than rows.
-    most = max(2, min(20, problem.output.size // 100, problem.n_without_state))
-    few = problem.terms(problem.inputs, wanted=problem.columns[:most].tolist())
-    return _weak_lag(problem, problem.late(few))
-
-
-def _weak_lag(problem: LagProblem, values: FloatArray) -> WeakLag | None:
-    segments, sample_s = problem.segments, problem.sample_period_s
-    surge_s = surge_period_s(problem.inputs[:, 0], segments, sample_s)
-    return weak_lag(problem.output, values, segments, sample_s, surge_period_s=surge_s)
-
-
-def weak_estimates(problem: LagProblem, support: Support) -> WeakLag | None:
-    """Estimate τ of a structure in the weak form; None if the segments are too short."""
-    without = [i for i in support if i < problem.n_without_state]
-    values = features(problem, problem.inputs, problem.noise.inputs, without).values
-    return _weak_lag(problem, problem.late(values))
-
-
-def _with_dead_time(
-    problem: LagProblem, rich: StructureFit, *, always: bool
-) -> tuple[LagProblem, StructureFit]:
+def _with_dead_time(problem: LagProblem, rich: StructureFit) -> tuple[LagProblem, StructureFit]:
     """Fit the dead time with all terms, two samples at a time, and keep it where it shows."""
     found, fit = _walked(problem, rich)
     moved = abs(fit.dead_time_s) > problem.sample_period_s
@@ -148,7 +109,7 @@ def _with_dead_time(
         further, other = _walked(problem, _far_off(problem, fit))
         if other.chi2 / other.residual.size < fit.chi2 / fit.residual.size:
             found, fit = further, other
-    if not (found.fits_dead_time and (always or _late(found, fit))):
+    if not (found.fits_dead_time and _late(found, fit)):
         return problem, rich
     found = found.with_dead_time(fit.dead_time_s, True)
     tau, beta = fit.time_constant_s, fit.coefficients

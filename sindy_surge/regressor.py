@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,25 +13,22 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sindy_surge.candidate_terms import CandidateTerms, aliases_of, independent_columns
+from sindy_surge.candidate_terms import CandidateTerms, independent_columns
 from sindy_surge.checks import cautions_of, check_parameters, is_constant
-from sindy_surge.export import RateFunction, python_source
 from sindy_surge.free_run import FreeModel
 from sindy_surge.identification import Choices, identify
 from sindy_surge.lag_problem import LagProblem
 from sindy_surge.linear_problem import unit_norms
 from sindy_surge.noise import NoiseLevels
-from sindy_surge.preparation import DeadTimeChoice
 from sindy_surge.segments import Segments
 from sindy_surge.state_terms import physical_form
 from sindy_surge.summary import ModelSummary
-from sindy_surge.text import EquationParts, pysindy_equations, write_equation
+from sindy_surge.text import EquationParts, pysindy_equations, rate_of, write_equation
 from surge_core.display import FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.types import FloatArray
-from surge_core.validation import one_of
 
 __all__ = ["SparseLagRegressor"]
 
@@ -58,26 +56,19 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         from k to k + 1 (Eq 9-11 of the paper). The wrong one biases τ by 2-3 %.
     library : pysindy feature library, scikit-learn transformer or None
         The candidate terms; None builds polynomials, hinges, the reverse-flow branch and
-        exponentials over the range of the data.
+        exponentials over the range of the data, and moves the knot of a chosen hinge where the
+        data ask for it.
     optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
         What proposes the structures; the best subsets of each size are always looked at too.
     max_terms : int
         Largest structure considered.
-    degree : int
-        Highest degree of the default library's polynomials.
-    knots : array-like of float or None
-        Knots of the default library's hinges; None takes round numbers within the data, and
-        moves a knot of the chosen structure where the data ask for it.
     psi_terms : bool
         Offer terms that hold ψ' beside the lag's own: ψ'², ψ'³ and products with φ and φ².
     constraints : mapping of str to str, or None
         What is known beforehand: for the name of a term "required", "forbidden", "positive" or
         "negative" (two joined by a space). The lag itself is always there, with τ > 0.
-    dead_time_s : float, "auto" or "fit"
-        How much later than φ ψ' was measured, in seconds (negative: φ is late). "auto" tests
-        for it before any structure is read, and fits it with every structure where it shows.
     n_bootstrap : int
-        Resamples of the cycles for `inclusion_probability_`; 0 for none.
+        Resamples of the record for `inclusion_probability_`; 0 for none.
     random_state : int, numpy Generator or None
         Seed of the resamples.
     output_name : str
@@ -97,8 +88,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Covariance of `coef_`: sandwich with Newey-West scores, τ estimated along; where model
         error dominates, a jackknife over cycles, with what a repeated error and the choice of
         the test function add. It holds for the terms as selected.
-    joint_covariance_ : ndarray of shape (n_terms + 1, n_terms + 1)
-        The same with τ as the last row and column.
     candidate_terms_ : tuple of str
         Every name of the library.
     fit_state_ : FitState
@@ -107,26 +96,18 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Every structure proposed or tested, with its score.
     rivals_ : tuple of tuple of str
         Structures of the same size that the data cannot tell from the chosen one.
-    aliases_ : dict of str to str
-        Terms of the library that are zero or a sum of others over this record, and were left out:
-        name and what it equals.
     inclusion_probability_ : dict of str to float
-        For each term that could be chosen the share of resampled records (cycles drawn with
-        replacement) whose structure holds it.
+        For each term that could be chosen the share of resampled records (blocks of rows drawn
+        with replacement) whose structure holds it.
     dead_time_s_ : float
-        Dead time in seconds: how much later than φ ψ' was measured.
+        Dead time in seconds: how much later than φ ψ' was measured (negative: φ is late). It is
+        tested for before any structure is read, and fitted with every structure where it shows.
     dead_time_stderr_s_ : float
         Its standard error in seconds; 0 if it was not fitted.
     cautions_ : tuple of str
         What a user should know before the numbers are used.
-    weak_form_ : WeakLag or None
-        The two weak estimates of τ, whose gap measures the noise.
     noise_ : tuple of (float, ndarray) or None
         Standard deviations found for the noise of ψ' and of each input.
-    initial_states_ : ndarray of shape (n_segments,)
-        ψ' at the start of each segment of the training data.
-    feature_range_ : ndarray of shape (2, n_features_in_)
-        Least and greatest value of each input: where the characteristic is more than a guess.
     n_features_in_ : int
         Number of inputs.
     """
@@ -139,11 +120,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         library: Any = None,
         optimizer: Any = "SSR",
         max_terms: int = 6,
-        degree: int = 5,
-        knots: Sequence[float] | None = None,
         psi_terms: bool = True,
         constraints: Mapping[str, str] | None = None,
-        dead_time_s: DeadTimeChoice = "auto",
         n_bootstrap: int = 100,
         random_state: Any = 0,
         output_name: str = "psi_p",
@@ -153,11 +131,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.library = library
         self.optimizer = optimizer
         self.max_terms = max_terms
-        self.degree = degree
-        self.knots = knots
         self.psi_terms = psi_terms
         self.constraints = constraints
-        self.dead_time_s = dead_time_s
         self.n_bootstrap = n_bootstrap
         self.random_state = random_state
         self.output_name = output_name
@@ -202,16 +177,12 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             self.library,
             X_checked,
             self._input_names,
-            degree=self.degree,
-            knots=self.knots,
             psi_p=y_checked if self.psi_terms else None,
             output_name=self.output_name,
         )
         self.candidate_terms_ = self._candidates.names
-        self.feature_range_ = np.stack((X_checked.min(axis=0), X_checked.max(axis=0)))
         values = self._candidates(X_checked)
         columns = independent_columns(values)
-        self.aliases_ = aliases_of(values, columns, self.candidate_terms_)
         equations = int(runs.later.size)
         if columns.size < 1 or equations < _SPARE_EQUATIONS + 3:
             self._fit_static(values, y_checked, runs, FitState.TOO_FEW_ROWS)
@@ -233,12 +204,11 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         found = identify(problem, choices, self._input_names)
         noise, self._model = found.problem.noise, found.model
         self._candidates = found.problem.terms
-        self.weak_form_, self.path_, self.rivals_ = found.weak, found.path, found.rivals
+        self.path_, self.rivals_ = found.path, found.rivals
         self.inclusion_probability_ = found.inclusion
         self.noise_: tuple[float, FloatArray] | None = (noise.output, noise.inputs)
         self.dead_time_s_ = found.model.lag.dead_time_s
         self.dead_time_stderr_s_ = found.dead_time_stderr_s
-        self.initial_states_ = found.initial
         names = self.candidate_terms_ = self._candidates.names
         form = physical_form(
             [names[i] for i in found.model.selected],
@@ -259,7 +229,6 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             coefficients=form.coefficients,
             lag=replace(found.model.lag, tau_s=form.time_constant_s),
         )
-        self.joint_covariance_ = form.covariance
         self.covariance_ = form.covariance[:-1, :-1]
         self.time_constant_stderr_s_ = float(np.sqrt(form.covariance[-1, -1]))
         self.fit_state_ = found.fit_state()
@@ -280,13 +249,11 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         selected = kept if columns is None else columns[kept]
         self.terms_ = tuple(self.candidate_terms_[i] for i in selected)
         self.coef_ = (solution / norms)[kept]
-        self.joint_covariance_ = np.full((kept.size + 1, kept.size + 1), np.nan)
-        self.covariance_ = self.joint_covariance_[:-1, :-1]
+        self.covariance_ = np.full((kept.size, kept.size), np.nan)
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
         self.dead_time_s_ = self.dead_time_stderr_s_ = 0.0
         self.path_, self.rivals_, self.inclusion_probability_ = (), (), {}
-        self.weak_form_ = self.noise_ = None
-        self.initial_states_ = y[runs.starts]
+        self.noise_ = None
         self.fit_state_ = state
         self.cautions_ = (state.advice,)
         self._model = self._physical = FreeModel(
@@ -389,13 +356,8 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         """
         return float(r2_score(y, self.predict(X, segments=segments), sample_weight=sample_weight))
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
+    def equation(self) -> str:
         """Write the identified equation, rounded to its uncertainty, with units.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
 
         Returns
         -------
@@ -403,10 +365,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             The equation.
         """
         check_is_fitted(self)
-        one_of("style", style, ("text", "latex", "python"))
-        if style == "python":
-            return python_source(self._parts(), self._physical.values, self.feature_range_)
-        return write_equation(self._parts(), style)
+        return write_equation(self._parts())
 
     def print(self) -> None:
         """Print the equation, as pysindy's models do."""
@@ -433,12 +392,12 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         return pysindy_equations(self._parts(), precision)
 
-    def as_function(self) -> RateFunction:
+    def as_function(self) -> Callable[..., Any]:
         """Return dψ'/dt as a function of ψ' and the inputs, for any integrator.
 
         Returns
         -------
-        RateFunction
+        callable
             ``rate(psi_p, phi)`` in 1/s; it can be pickled.
 
         Raises
@@ -449,7 +408,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         parts = self._parts()
         parts.rate_or_refuse()
-        return RateFunction(parts, self._physical.values)
+        return partial(rate_of, parts, self._physical.values)
 
     def _parts(self) -> EquationParts:
         return EquationParts(
@@ -481,11 +440,7 @@ class SparseLagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
             n_candidates=len(self.candidate_terms_),
             inclusion=[known.get(term, float("nan")) for term in self.terms_] if known else None,
             rivals=self.rivals_ if searched else None,
-            aliases=tuple(self.aliases_.items()),
             noise=None if self.noise_ is None else (self.noise_[0], self.noise_[1].tolist()),
-            weak=self.weak_form_,
-            path=self.path_,
-            input_ranges=self.feature_range_,
             cautions=tuple(c for c in self.cautions_ if c != self.fit_state_.advice),
         )
 

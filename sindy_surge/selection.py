@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,21 +44,18 @@ class PathRow:
     terms : tuple of str
         Their names.
     score : float
-        Extended BIC about the structure's own fit, or about the fit with all terms when
-        `refitted` is false. The lower the better, but only within one linearisation.
+        Extended BIC about the structure's own fit, or about the fit with all terms where τ is
+        nan. The lower the better, but only within one linearisation.
     chi2 : float
         Sum of the squared whitened residuals.
     time_constant_s : float
-        τ of the fit in seconds; nan when not refitted.
-    refitted : bool
-        Whether the structure had a fit of its own.
+        τ of the structure's own fit in seconds; nan where it had none.
     consistent : bool
         Whether no other structure beats it about its own fit.
     chosen : bool
         Whether it is the answer.
     held_out_rms : float
-        Error of the free run on cycles left out, in units of ψ'; of the weak equations where
-        model error dominates; nan for structures that were not fitted by themselves.
+        Error on cycles left out, in units of ψ', where these decide; else nan.
     """
 
     size: int
@@ -66,7 +63,6 @@ class PathRow:
     score: float
     chi2: float
     time_constant_s: float
-    refitted: bool
     consistent: bool
     chosen: bool
     held_out_rms: float = float("nan")
@@ -83,7 +79,6 @@ class Selection:
     rivals: tuple[Support, ...]
     # False if every structure tested was refuted; the fit is then the best of them
     consistent: bool
-    fits: Mapping[Support, StructureFit]  # The fit of every structure that had one, by support
 
 
 def information_penalty(n_equations: int, n_terms: int) -> float:
@@ -119,7 +114,7 @@ def select_structure(
     search.run()
     chosen, rivals = search.choose()
     standing = bool(search.consistent)
-    return Selection(search.fits[chosen], search.table(chosen), rivals, standing, search.fits)
+    return Selection(search.fits[chosen], search.table(chosen), rivals, standing)
 
 
 class _Search:
@@ -300,7 +295,6 @@ class _Search:
                     self.scores[support] if fit else self.rough[support],
                     fit.chi2 if fit else self.about.chi2(support),
                     fit.time_constant_s if fit else float("nan"),
-                    fit is not None,
                     support in self.consistent,
                     support == chosen,
                 )

@@ -14,9 +14,9 @@ from surge_core.types import FloatArray
 __all__ = ["PhysicalForm", "ProductStateTerms", "physical_form"]
 
 
-# ψ'², ψ'³, ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
+# ψ'², ψ'φ, ψ'φ²: the ones that take over when the lag is not linear, and the fingerprint of
 # a time shift between the channels.
-_OWN_POWERS = (2, 3)
+_OWN_POWERS = (2,)
 _PRODUCT_POWERS = (1, 2)
 
 

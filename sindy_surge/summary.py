@@ -6,16 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from sindy_surge.selection import PathRow
 from sindy_surge.text import EquationParts, write_equation
-from sindy_surge.weak import WeakLag
 from surge_core.display import Field, Grid, Sheet
 from surge_core.fit_state import FitState
-from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
+from surge_core.rounding import NOT_KNOWN, round_like, round_to_error
 from surge_core.terms import pretty_term
-from surge_core.types import FloatArray
 
 __all__ = ["ModelSummary", "interval95"]
 
@@ -66,16 +61,8 @@ class ModelSummary:
         Probability that a term belongs, one for each term.
     rivals : sequence of sequences of str or None
         Structures that the data cannot tell from the chosen one; None if not looked for.
-    aliases : sequence of sequences of str or None
-        Groups of terms that are the same thing on this data; None if not looked for.
     noise : tuple of (float, sequence of float) or None
         Standard deviation found for the noise of ψ' and of each input.
-    weak : WeakLag or None
-        The two weak estimates of τ.
-    path : sequence of PathRow
-        Structures tried.
-    input_ranges : ndarray of shape (2, n_inputs) or None
-        Least and greatest value of each input.
     cautions : sequence of str
         What to know before the numbers are used.
     """
@@ -86,38 +73,33 @@ class ModelSummary:
     n_candidates: int = 0
     inclusion: Sequence[float] | None = None
     rivals: Sequence[Sequence[str]] | None = None
-    aliases: Sequence[Sequence[str]] | None = None
     noise: tuple[float, Sequence[float]] | None = None
-    weak: WeakLag | None = None
-    path: Sequence[PathRow] = ()
-    input_ranges: FloatArray | None = None
     cautions: Sequence[str] = ()
 
     def sheet(self) -> Sheet:
-        """Return the fields and tables: the terms, and the structures by size where known."""
-        parts, low_high = self.parts, self.input_ranges
+        """Return the fields, and the table of the terms."""
+        parts = self.parts
         names = [pretty_term(name) for name in (parts.output_name, *parts.input_names)]
         noise = () if self.noise is None else (self.noise[0], *self.noise[1])
-        ranges = () if low_high is None else np.asarray(low_high, dtype=np.float64).T.tolist()
         tone = "good" if self.state is FitState.OK else "advice"
         fields = [
             Field("equation", write_equation(parts)),
             Field("state", f"{self.state}: {self.state.advice}", tone),
             *self._times(),
             *(Field(f"noise of {n} (std)", f"{x:.3g}") for n, x in zip(names, noise, strict=False)),
-            *(
-                Field(f"range of {name}", f"{low:.4g} to {high:.4g}")
-                for name, (low, high) in zip(names[1:], ranges, strict=False)
-            ),
-            Field("rivals", _ledger(self.rivals, ", ", "the data cannot tell from it:")),
-            Field("aliases", _ledger(self.aliases, " = ", "the same on this data:")),
+            Field("rivals", self._rivals()),
             *([Field("cautions", tuple(self.cautions))] if self.cautions else []),
         ]
-        grids = (self._terms(), _path_grid(self.path)) if self.path else (self._terms(),)
-        return Sheet(self.name, tuple(fields), grids)
+        return Sheet(self.name, tuple(fields), (self._terms(),))
+
+    def _rivals(self) -> tuple[str, ...]:
+        if self.rivals is None:
+            return ("not looked for",)
+        written = [", ".join(map(pretty_term, rival)) for rival in self.rivals]
+        return ("the data cannot tell from it:", *written) if written else ("none",)
 
     def _times(self) -> list[Field]:
-        parts, weak = self.parts, self.weak
+        parts = self.parts
         tau, error = parts.time_constant_s, parts.time_constant_stderr_s
         rows = [("time constant τ", "none: the fit is static")]
         if not parts.is_static:
@@ -127,22 +109,13 @@ class ModelSummary:
         if parts.has_dead_time:
             dead, error = parts.dead_time_s, parts.dead_time_stderr_s
             rows.append(("dead time d", f"{round_to_error(dead, error)} s"))
-            rows.append(("d, 95 % interval", f"{_interval(interval95(dead, error), error)} s"))
-        if weak is not None:
-            rows.append(("weak τ, forward", f"{significant(weak.forward_s)} s"))
-            rows.append(("weak τ, reverse", f"{significant(weak.reverse_s)} s"))
-            rows.append(("weak gap (noise)", f"{significant(100 * weak.gap, 3)} %"))
         return [Field(*row) for row in rows]
 
     def _terms(self) -> Grid:
         parts = self.parts
-        header = ["term", "coefficient ± std error", "95 % interval"]
+        header = ["term", "coefficient ± std error"]
         rows = [
-            [
-                pretty_term(term),
-                round_to_error(value, error),
-                _interval(interval95(value, error), error),
-            ]
+            [pretty_term(term), round_to_error(value, error)]
             for term, value, error in zip(parts.terms, parts.coef, parts.stderr, strict=True)
         ]
         if self.inclusion is not None:
@@ -158,42 +131,3 @@ def _interval(bounds: tuple[float, float], stderr: float) -> str:
     if not all(map(math.isfinite, bounds)):
         return NOT_KNOWN
     return " to ".join(round_like(bound, stderr) for bound in bounds)
-
-
-def _ledger(groups: Sequence[Sequence[str]] | None, glue: str, heading: str) -> tuple[str, ...]:
-    if groups is None:
-        return ("not looked for",)
-    written = [glue.join(map(pretty_term, group)) for group in groups]
-    return (heading, *written) if written else ("none",)
-
-
-def _path_grid(path: Sequence[PathRow]) -> Grid:
-    """Tabulate the best structure of each size, and the chosen one wherever it stands."""
-
-    def rank(row: PathRow) -> tuple[int, float, float]:
-        # Where cycles were left out they decide, and the score of the likelihood means little.
-        return row.size, *np.nan_to_num([row.held_out_rms, row.score], nan=math.inf).tolist()
-
-    ranked = sorted(path, key=rank)
-    first = {row.size: row for row in reversed(ranked)}
-    shown = [row for row in ranked if row.chosen or row is first[row.size]]
-    held_out = any(math.isfinite(row.held_out_rms) for row in path)
-    rows = []
-    for row in shown:
-        cells = [
-            str(row.size),
-            "yes" if row.chosen else "",
-            ", ".join(map(pretty_term, row.terms)),
-            f"{row.score:.1f}" if math.isfinite(row.score) else NOT_KNOWN,
-            "own fit" if row.refitted else "all terms",
-        ]
-        rows.append((*cells, significant(row.held_out_rms)) if held_out else tuple(cells))
-    header = ("size", "chosen", "terms", "score", "score about")
-    return Grid(
-        f"Structures by size: the best of {len(path)} tried",
-        (*header, "held-out rms") if held_out else header,
-        tuple(rows),
-        frozenset({1, 2, 4}),
-        next((number for number, row in enumerate(shown) if row.chosen), None),
-        folded=True,
-    )

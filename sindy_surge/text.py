@@ -1,4 +1,4 @@
-"""The identified equation as text, as LaTeX and as pysindy writes it; its terms as formulas."""
+"""The identified equation as text, as pysindy writes it, and as a function to integrate."""
 
 from __future__ import annotations
 
@@ -6,32 +6,29 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from surge_core.errors import InputError
 from surge_core.rounding import bracketed
 from surge_core.terms import pretty_term
+from surge_core.types import FloatArray
 from surge_core.validation import whole_number
 
-if TYPE_CHECKING:
-    import sympy
-
 __all__ = [
-    "FUNCTIONS",
     "EquationParts",
-    "formula",
+    "TermValues",
     "pysindy_equations",
+    "rate_of",
     "signed_sum",
-    "symbol_of",
     "uncertain",
     "write_equation",
 ]
 
-# Functions that the name of a term may call, and those that sympy has under another name.
-_CALLED = "relu abs sign sqrt exp log sin cos tan sinh cosh tanh arctan"
-FUNCTIONS = frozenset(_CALLED.split())
-_IN_SYMPY = {"abs": "Abs", "arctan": "atan"}
-_LATEX_NAMES = {"phi": r"\varphi", "psi_p": r"{\psi'}", "psi": r"\psi"}
+# From the inputs (n, n_inputs), delayed already, and ψ' (n,) to the terms (n, n_terms) in order.
+TermValues = Callable[[FloatArray, FloatArray], FloatArray]
 # An error below this share of the value is rounding: the value is taken as exact.
 _EXACT = 1e-12
 
@@ -77,11 +74,6 @@ class EquationParts:
         """Whether a dead time was fitted or given."""
         return self.dead_time_s != 0.0 or math.isfinite(self.dead_time_stderr_s)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the inputs, then of ψ'."""
-        return (*self.input_names, self.output_name)
-
     def rate_or_refuse(self) -> float:
         """Return τ, or refuse a fit without one where dψ'/dt is asked for."""
         if not self.time_constant_s > 0:
@@ -106,35 +98,30 @@ def uncertain(value: float, stderr: float) -> str:
     return bracketed(value, stderr) if known else f"{value:.6g}"
 
 
-def signed_sum(
-    terms: Sequence[tuple[str, float, float]], write: Callable[[str], str] = pretty_term
-) -> str:
+def signed_sum(terms: Sequence[tuple[str, float, float]]) -> str:
     """Write a sum of terms, each coefficient rounded to its error.
 
     Parameters
     ----------
     terms : sequence of (str, float, float)
         Name, coefficient and standard error.
-    write : callable
-        How to write a name.
     """
     text = ""
     for name, value, error in terms:
         sign = "−" if value < 0 else "+"
         glue = f" {sign} " if text else ("−" if value < 0 else "")
-        text += f"{glue}{uncertain(abs(value), error)}{'' if name == '1' else ' ' + write(name)}"
+        written = "" if name == "1" else " " + pretty_term(name)
+        text += f"{glue}{uncertain(abs(value), error)}{written}"
     return text or "0"
 
 
-def write_equation(parts: EquationParts, style: Literal["text", "latex"] = "text") -> str:
+def write_equation(parts: EquationParts) -> str:
     """Write τ dψ'/dt + ψ' = Σ β_i s_i(φ(t − d), ψ') with its numbers, rounded to their errors.
 
     Parameters
     ----------
     parts : EquationParts
         Terms, coefficients and times.
-    style : {"text", "latex"}
-        How to write it.
 
     Returns
     -------
@@ -145,16 +132,6 @@ def write_equation(parts: EquationParts, style: Literal["text", "latex"] = "text
     dead = uncertain(abs(parts.dead_time_s), parts.dead_time_stderr_s)
     late = "−" if parts.dead_time_s >= 0 else "+"
     terms = list(zip(parts.terms, parts.coef, parts.stderr, strict=True))
-    if style == "latex":
-        output = {"psi_p": r"\psi'"}.get(parts.output_name, _latex_name(parts.output_name))
-        slope = rf"{tau}\,\mathrm{{s}}\,\frac{{\mathrm{{d}}{output}}}{{\mathrm{{d}}t}} + "
-        right = signed_sum(terms, lambda name: r"\," + _latex_term(name, parts.names))
-        text = f"{'' if parts.is_static else slope}{output} = {right}"
-        if parts.has_dead_time:
-            inputs = r",\,".join(map(_latex_name, parts.input_names))
-            text += rf",\quad {inputs}\;\text{{at}}\;t {late} {dead}\,\mathrm{{s}}"
-        text = re.sub(r"e([+-]\d+)", lambda m: rf"\times 10^{{{int(m.group(1))}}}", text)
-        return text.replace("−", "-")
     output = pretty_term(parts.output_name)
     left = output if parts.is_static else f"{tau} s · d{output}/dt + {output}"
     delayed = ""
@@ -165,23 +142,6 @@ def write_equation(parts: EquationParts, style: Literal["text", "latex"] = "text
     if any(re.search(r"\bphi\b", term) for term in parts.terms):
         units = "φ, " + units
     return f"{left} = {signed_sum(terms)}{delayed}   [{units}]"
-
-
-def _latex_name(name: str) -> str:
-    if name in _LATEX_NAMES:
-        return _LATEX_NAMES[name]
-    escaped = re.sub(r"([#$%&_{}])", r"\\\1", " ".join(name.replace("\\", " ").split()))
-    escaped = re.sub(r"([~^])", r"\\\1{}", escaped)
-    return rf"\text{{{escaped}}}"
-
-
-def _latex_term(term: str, names: Sequence[str]) -> str:
-    from sympy import latex
-
-    expression = formula(term, names)
-    if expression is None:
-        return _latex_name(term)
-    return str(latex(expression, symbol_names={symbol_of(n): _latex_name(n) for n in names}))
 
 
 def pysindy_equations(parts: EquationParts, precision: int = 3) -> list[str]:
@@ -230,45 +190,31 @@ def _whole_words(names: Sequence[str]) -> re.Pattern[str]:
     return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
 
 
-def symbol_of(name: str) -> sympy.Symbol:
-    """Return the real symbol of an input or of ψ'."""
-    from sympy import Symbol
-
-    return Symbol(name, real=True)
-
-
-def formula(term: str, names: Sequence[str]) -> sympy.Expr | None:
-    """Read the name of a term as a formula.
+def rate_of(
+    parts: EquationParts, evaluate: TermValues, psi_p: ArrayLike, *inputs: ArrayLike
+) -> Any:
+    """Return the fitted dψ'/dt = (Σ β_i s_i(φ(t − d), ψ') − ψ')/τ in 1/s.
 
     Parameters
     ----------
-    term : str
-        E.g. ``phi^2[phi<0]`` or ``relu(phi-0.05)``.
-    names : sequence of str
-        Names of the inputs and of ψ'; they may hold anything.
+    parts : EquationParts
+        The equation; not a static one.
+    evaluate : callable
+        From inputs (n, n_inputs) and ψ' (n,) to the terms (n, n_terms) of `parts`.
+    psi_p : float or array-like
+        Pressure coefficient now.
+    *inputs : float or array-like
+        φ, or every input in the order of the columns, the dead time `parts.dead_time_s` ago.
 
     Returns
     -------
-    sympy expression or None
-        Of real symbols with these names; None if something else is in it, e.g. ``f0(phi)``.
+    float or ndarray
+        Of the common shape of ψ' and the inputs.
     """
-    import sympy
-
-    space: dict[str, Any] = {f"_{i}": symbol_of(name) for i, name in enumerate(names)}
-    text = _whole_words(names).sub(lambda match: f"_{list(names).index(match.group())}", term)
-    text = re.sub(r"\|([^|]+)\|", r"abs(\1)", text)
-    words = set(re.findall(r"(?<![\w.])[^\W\d]\w*", text))
-    # Nothing but known names, numbers, operators and functions is handed to sympy to evaluate.
-    if not words <= space.keys() | FUNCTIONS or re.search(r"[^\w\s.+\-*/^()\[\]<>=]|\.\D", text):
-        return None
-    space |= {name: getattr(sympy, _IN_SYMPY.get(name, name), None) for name in FUNCTIONS}
-    space["relu"] = lambda x: sympy.Max(x, 0)
-    space["only"] = lambda condition: sympy.Piecewise((1, condition), (0, True))
-    text = text.replace("[", " only(").replace("]", ")").replace("^", "**")
-    # A product is written without a sign.
-    text = re.sub(r"(?<=[\w)])\s+(?=[\w(])|(?<=\))(?=\w)", "*", text.strip())
-    try:
-        found = sympy.sympify(text, locals=space)
-    except (sympy.SympifyError, SyntaxError, TypeError, ValueError):
-        return None
-    return found if isinstance(found, sympy.Expr) else None
+    state, *columns = np.broadcast_arrays(
+        *(np.asarray(v, dtype=np.float64) for v in (psi_p, *inputs))
+    )
+    flat = state.ravel()
+    values = evaluate(np.column_stack([column.ravel() for column in columns]), flat)
+    rates = (values @ np.array(parts.coef) - flat) / parts.time_constant_s
+    return rates.reshape(state.shape) if state.ndim else float(rates[0])

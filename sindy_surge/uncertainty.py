@@ -1,25 +1,21 @@
-"""Standard errors that hold when the residuals are coloured, and errors on what is left out."""
+"""Standard errors that hold when the residuals are coloured."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from sindy_surge.lag_equations import free_run
-from sindy_surge.lag_fit import StructureFit, moved_point
+from sindy_surge.lag_fit import StructureFit
 from sindy_surge.lag_problem import LagProblem
-from sindy_surge.linear_problem import leave_out_moves
 from surge_core.types import FloatArray
 
-__all__ = ["held_out_rms", "sandwich"]
+__all__ = ["sandwich"]
 
 
 # Scores further apart than two time constants are taken for independent.
 _LAG_IN_TAU = 2.0
 _MOST_LAGS_SHARE = 0.05
-_FOLDS = 5
 
 
 def sandwich(problem: LagProblem, fit: StructureFit, known: FloatArray | None = None) -> FloatArray:
@@ -83,51 +79,3 @@ def _newey_west(scores: FloatArray, runs: Sequence[slice], reach: int) -> FloatA
                 cross = later.T @ scores[rows.start : rows.stop - lag]
                 middle += weight * (cross + cross.T)
     return middle
-
-
-def held_out_rms(problem: LagProblem, fit: StructureFit, blocks: Sequence[slice]) -> float:
-    """Return the rms error of the free run over blocks, each by a fit that has not seen it.
-
-    Block i is in fold i mod 5. The parameters without a fold follow from the whitened
-    sensitivities by one step (exact for a linear regression), with the prior kept and τ within
-    its bounds. Each block then runs freely from measured φ; of its ψ' only the initial state
-    is taken, by least squares. The noise of φ passes through the characteristic and the lag and
-    is in the error of every structure.
-
-    Parameters
-    ----------
-    blocks : sequence of slice
-        Rows of the record, none across two segments, from `segments.cycle_blocks`; fewer than two
-        give nan.
-    """
-    usable = problem.usable
-    edges = [np.searchsorted(usable.rows, (block.start, block.stop)) for block in blocks]
-    held = [np.arange(low, high) for low, high in edges]
-    freedom = sum(max(rows.size - 1, 0) for rows in held)
-    if len(blocks) < 2 or not freedom:
-        return float("nan")
-    n_folds = min(_FOLDS, len(blocks))
-    fold_of_row = np.full(problem.output.size, -1)
-    for number, block in enumerate(blocks):
-        fold_of_row[block] = number % n_folds
-    home = fold_of_row[fit.rows]
-    # The prior is information that no fold takes away.
-    columns = np.vstack((fit.sensitivity, np.diag(np.sqrt(fit.prior))))
-    errors = np.concatenate((fit.residual, np.sqrt(fit.prior) * fit.prior_pull))
-    folds = [np.flatnonzero(home == k) for k in range(n_folds)]
-    moves = leave_out_moves(columns, errors, folds)
-    # At the measured inputs: a prediction has no others.
-    silent = np.zeros_like(problem.inputs)
-    total = 0.0
-    for fold, move in enumerate(moves):
-        point = moved_point(problem, fit.point, move)
-        there = replace(point, input_noise=silent, blur=np.zeros(silent.shape[1]))
-        rest = problem.output[usable.rows] - free_run(problem, fit.support, there)
-        pole = problem.lag(point.time_constant_s).a
-        for rows in held[fold::n_folds]:
-            if rows.size > 1:
-                decay = pole ** np.arange(rows.size, dtype=np.float64)
-                own = rest[rows]
-                own = own - decay * float(decay @ own) / float(decay @ decay)
-                total += float(own @ own)
-    return float(np.sqrt(total / freedom))

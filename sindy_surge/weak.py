@@ -14,9 +14,7 @@ from surge_core.types import FloatArray, IndexArray
 __all__ = [
     "MIN_HALF_WIDTH",
     "WeakEquations",
-    "WeakLag",
     "half_width_samples",
-    "weak_lag",
 ]
 
 
@@ -26,48 +24,16 @@ MIN_HALF_WIDTH = 4
 _EXPONENT = 4
 # 2 τ lies between the 1.5 and 3 τ within which the study found no bias (30-50 ms at 18 ms).
 _HALF_WIDTH_IN_TAU = 2.0
-_HALF_WIDTH_IN_PERIODS = 0.25
 # τ in samples with which the search for a width begins.
 _FIRST_GUESS = 20
-
-
-@dataclass(frozen=True)
-class WeakLag:
-    """Two weak estimates of τ that bracket it when the signals are noisy.
-
-    Parameters
-    ----------
-    forward_s : float
-        τ from regressing dψ'/dt on ψ' and the terms, in seconds: noise in ψ' pulls it up.
-    reverse_s : float
-        τ from regressing ψ' on dψ'/dt and the terms, in seconds: noise pulls it down.
-    half_width_s : float
-        Half width of the test function in seconds.
-    n_rows : int
-        Number of weak equations.
-    """
-
-    forward_s: float
-    reverse_s: float
-    half_width_s: float
-    n_rows: int
-
-    @property
-    def gap(self) -> float:
-        """Relative distance of the two estimates: a measure of the noise (0 without any)."""
-        return (self.forward_s - self.reverse_s) / self.reverse_s
 
 
 def half_width_samples(
     segments: Segments,
     time_constant_s: float,
     sample_period_s: float,
-    surge_period_s: float | None = None,
 ) -> int | None:
-    """Return the half width in samples: 2 τ, at most a quarter of a surge period.
-
-    Never more than the segments allow either. A test function as long as the cycle averages the
-    cycle away: with 0.25 s at 6 Hz τ came out three times too large at 5 % noise.
+    """Return the half width in samples: 2 τ, never more than the segments allow.
 
     Half of the rows must lie in segments that hold at least one whole test function; with
     segments too short for a half width of 4 samples the answer is None.
@@ -80,8 +46,6 @@ def half_width_samples(
         A guess at τ in seconds.
     sample_period_s : float
         Sample period in seconds.
-    surge_period_s : float or None
-        Period of the surge cycles in seconds, if any are seen.
     """
     lengths = np.sort(segments.lengths)[::-1]
     # The longest width that still leaves half of all rows in segments long enough.
@@ -89,8 +53,6 @@ def half_width_samples(
     # Twice as many rows as one test function spans, so that it can slide.
     room = (longest - 1) // 4 if longest > 8 * MIN_HALF_WIDTH else (longest - 1) // 2
     wanted = _HALF_WIDTH_IN_TAU * time_constant_s / sample_period_s
-    if surge_period_s is not None:
-        wanted = min(wanted, _HALF_WIDTH_IN_PERIODS * surge_period_s / sample_period_s)
     width = int(min(max(round(min(wanted, 1e9)), MIN_HALF_WIDTH), room))
     return width if width >= MIN_HALF_WIDTH else None
 
@@ -166,10 +128,9 @@ class WeakEquations:
         segments, period = problem.segments, problem.sample_period_s
         if half_width is None:
             # The first terms of a library are its simplest; with all of them τ drifts up.
-            found = weak_lag(problem.output, values[:, :3], segments, period)
-            if found is None:
+            half_width = _half_width(problem.output, values[:, :3], segments, period)
+            if half_width is None:
                 return None
-            half_width = round(found.half_width_s / period)
         return cls.integrate(problem.output, values, segments, half_width, period)
 
     def fit(self, support: Support) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -205,42 +166,25 @@ class WeakEquations:
         return without_nuisances(self.derivative[:, None], self.columns, self.signal)
 
 
-def weak_lag(
-    y: FloatArray,
-    terms: FloatArray,
-    segments: Segments,
-    sample_period_s: float,
-    surge_period_s: float | None = None,
-) -> WeakLag | None:
-    """Estimate τ by weak regression in both directions, the width following from the first.
+def _half_width(
+    y: FloatArray, terms: FloatArray, segments: Segments, sample_period_s: float
+) -> int | None:
+    """Return a half width of about 2 τ in samples, τ by weak regression on a few terms.
 
-    Parameters
-    ----------
-    y : ndarray of shape (n_rows,)
-        ψ'.
-    terms : ndarray of shape (n_rows, n_terms)
-        The candidate terms.
-    segments, sample_period_s, surge_period_s
-        See `half_width_samples`.
-
-    Returns
-    -------
-    WeakLag or None
-        None if the segments are too short or the equations too few.
+    None if the segments are too short or no lag shows.
     """
     guess = _FIRST_GUESS * sample_period_s
-    result: WeakLag | None = None
+    result: int | None = None
     for _ in range(2):
-        width = half_width_samples(segments, guess, sample_period_s, surge_period_s)
+        width = half_width_samples(segments, guess, sample_period_s)
         if width is None:
             return None
         weak = WeakEquations.integrate(y, terms, segments, width, sample_period_s)
         every = tuple(range(terms.shape[1]))
         if weak.signal.size < len(every) + 3:
             return result
-        forward, reverse = weak.fit_forward(every), float(weak.fit(every)[0][-1])
-        if forward is None or not reverse > 0:
+        guess = float(weak.fit(every)[0][-1])
+        if weak.fit_forward(every) is None or not guess > 0:
             return result
-        guess = reverse
-        result = WeakLag(float(forward[-1]), guess, width * sample_period_s, weak.signal.size)
+        result = width
     return result

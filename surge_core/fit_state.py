@@ -101,11 +101,6 @@ class FitState(AdvisedState):
         "a structure was found, but on so few rows that a choice among so many terms is worth "
         "little, and the errors stated are too small: use a longer record, or a smaller library",
     )
-    CONTRADICTED = (
-        "contradicted",
-        "terms with ψ' give a lag that the weak form does not see: strongly coloured noise or a "
-        "missing effect passes for them; fit again with psi_terms=False and compare",
-    )
     CONSTANT_SIGNAL = (
         "constant_signal",
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "

@@ -15,7 +15,6 @@ from classic_ml.faults.findings import (
     MARK_WORDS,
     SPIKED,
     STUCK,
-    Finding,
     marked_rows,
 )
 from classic_ml.faults.probes import Agreement, compare_probes, disagreements, slow_pressures
@@ -30,8 +29,6 @@ __all__ = ["BEYOND_SHARE", "CLIPPED_SHARE", "choose_channels", "with_faults_brid
 CLIPPED_SHARE = 0.01
 # "Substantial": beyond this share of the window a straight line across the gaps is no reading.
 BEYOND_SHARE = 0.05
-# Of channels with the same finding so many are named.
-NAMES_SHOWN = 3
 ALLOWED_SHARE = {
     CLIPPED: CLIPPED_SHARE,
     STUCK: 0.0,
@@ -72,13 +69,12 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
             dropped.append(Dropped("W31 and ψ", record.n_samples, "no thermocouple left there"))
     kept = record.without([*gone, *map(fault_name, gone)])
     used = {name: means for name, means in slow.items() if name not in gone}
-    findings = [*_kept_faults(kept, test, window), *disagreements(used, test, agreements)]
     entry = LedgerEntry(
         "choose channels",
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
         {"clipped_share": CLIPPED_SHARE, "beyond_limits_share": BEYOND_SHARE},
         tuple(dropped),
-        tuple(finding.sentence for finding in findings),
+        tuple(disagreements(used, test, agreements)),
     )
     kept = with_faults_bridged(kept.after(entry), [c.name for c in test.temperatures])
     return with_faults_bridged(kept, [p.name for p in test.pressures], SPIKED)
@@ -167,24 +163,3 @@ def _refusal(record: Record, verdict: Dropped, last: str) -> InputError:
         remedy="are its unit (psia or psig?), reference_Pa and [limits] right? else choose a "
         "window without the fault, or widen the range of the transducer",
     )
-
-
-def _kept_faults(kept: Record, test: TestDescription, window: slice) -> list[Finding]:
-    """Return the channels that have faults and stay nevertheless."""
-    findings, outside = [], []
-    for name in test.channel_names:
-        marks = marked_rows(kept, name)
-        if marks is None:
-            continue
-        inside = int(np.count_nonzero(marks[window]))
-        if inside:
-            words = f"{name}: {inside} faulty rows in the window, few enough to keep it"
-            findings.append(Finding("kept", words, name))
-        else:
-            outside.append(name)
-    if outside:
-        more = len(outside) - NAMES_SHOWN
-        names = ", ".join(outside[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
-        number = f"{len(outside)} channels, " if len(outside) > 1 else ""
-        findings.append(Finding("kept", f"{number}{names}: faulty rows outside the window only"))
-    return findings

@@ -1,9 +1,8 @@
-"""What the searches for faults find: marks of single readings, and findings about channels."""
+"""Marks of single readings that do not count, and groups of channels that are alike."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ __all__ = [
     "MARK_WORDS",
     "SPIKED",
     "STUCK",
-    "Finding",
     "alike",
     "marked_rows",
 ]
@@ -33,19 +31,6 @@ MARK_WORDS = {
     BEYOND_LIMITS: "beyond its limits",
     SPIKED: "spiked",
 }
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that a search has found.
-
-    ``kind`` is what was searched for, e.g. ``"marked"``, ``"held"`` or ``"gain"``; ``sentence`` is
-    what the ledger prints; ``channel`` is empty where it is several.
-    """
-
-    kind: str
-    sentence: str
-    channel: str = ""
 
 
 def alike(channels: Iterable[PressureChannel | TemperatureChannel], *keys: str) -> list[list[str]]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from classic_ml.description import TestDescription
-from classic_ml.faults.findings import Finding, alike, marked_rows
+from classic_ml.faults.findings import alike, marked_rows
 from classic_ml.records import Record
 from surge_core.types import FloatArray
 
@@ -24,9 +23,6 @@ FEWEST_AVERAGES = 16
 LEAST_MOVEMENT = 0.01
 # Of two probes that differ either may be wrong.
 FEWEST_PROBES = 3
-# Where hub and tip of two rakes are nearer crosswise than straight by this factor, one of the
-# rakes is upside down: straight they are nearer by 1.4 and more on 12 records of two rigs.
-CROSSWISE = 1.5
 # Mean pressures of two rakes at one immersion are within 0.4 % of each other on those records once
 # they are matched near stall; a zero that drifts by 1 % of P25 moves φ by 0.04.
 LEVELS_APART = 0.01
@@ -91,19 +87,15 @@ def compare_probes(slow: SlowPressures, test: TestDescription) -> dict[str, Agre
 
 def disagreements(
     slow: SlowPressures, test: TestDescription, agreements: Mapping[str, Agreement]
-) -> list[Finding]:
+) -> list[str]:
     """Return the probes in use, matched near stall, that do not go with those beside them."""
     gains = [
-        Finding(
-            "gain",
-            f"{name} moves {found.gain:.2f} times as much as the probes beside it, "
-            f"{found.apart:.0%} apart from them: check its zero and calibrate readings",
-            name,
-        )
+        f"{name} moves {found.gain:.2f} times as much as the probes beside it, {found.apart:.0%} "
+        "apart from them: check its zero and calibrate readings"
         for name, found in agreements.items()
         if name in slow and (abs(found.gain - 1.0) > GAIN_DOUBTED or found.apart > APART_DOUBTED)
     ]
-    return [*gains, *_exchanged_immersions(slow, test), *_drifted_apart(slow, test)]
+    return [*gains, *_drifted_apart(slow, test)]
 
 
 def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
@@ -113,30 +105,7 @@ def _smooth(slow: SlowPressures, names: Sequence[str]) -> FloatArray:
     return np.asarray(means[:, np.isfinite(means).all(axis=0)])
 
 
-def _exchanged_immersions(slow: SlowPressures, test: TestDescription) -> list[Finding]:
-    """Return rakes of a plane of which the hub of one goes with the tip of the other."""
-    found = []
-    for plane in test.areas_m2:
-        rakes: dict[str, dict[str, list[str]]] = {}
-        for pair in test.pairs(plane):
-            names = [pair.forward.name, pair.aft.name]
-            if all(name in slow for name in names):
-                rakes.setdefault(pair.forward.rake, {})[pair.immersion] = names
-        whole = {rake: [*p["hub"], *p["tip"]] for rake, p in rakes.items() if len(p) == 2}
-        for first, second in combinations(whole, 2):
-            values = _smooth(slow, [*whole[first], *whole[second]])
-            hub_1, tip_1, hub_2, tip_2 = values[0::2] - values[1::2]
-            straight = np.sum(np.abs(hub_1 - hub_2) + np.abs(tip_1 - tip_2))
-            if straight > CROSSWISE * np.sum(np.abs(hub_1 - tip_2) + np.abs(tip_1 - hub_2)):
-                words = (
-                    f"plane {plane}: the hub of rake {first} goes with the tip of rake {second}, "
-                    "and the reverse: are hub and tip exchanged on one of them?"
-                )
-                found.append(Finding("exchanged immersions", words))
-    return found
-
-
-def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:
+def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[str]:
     """Return probes at one immersion that agree near stall and no longer in the surge cycles."""
     found = []
     for names in alike(test.pressures, "plane", "immersion", "facing"):
@@ -147,9 +116,8 @@ def _drifted_apart(slow: SlowPressures, test: TestDescription) -> list[Finding]:
         low, high = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         apart = means[high] / means[low] - 1.0
         if apart > LEVELS_APART:
-            words = (
+            found.append(
                 f"{high} is {apart:.1%} above {low} in the window, though both were matched near "
                 "stall: has the zero of one drifted, or is its sensitivity wrong?"
             )
-            found.append(Finding("drifted apart", words, high))
     return found

@@ -19,7 +19,6 @@ from classic_ml.faults.findings import (
     MARK_WORDS,
     SPIKED,
     STUCK,
-    Finding,
     alike,
 )
 from classic_ml.faults.held import check_held
@@ -63,11 +62,9 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
         When some pressures were recorded at a lower rate than others.
     """
     marks: dict[str, Marks] = {}
-    doubts: list[Finding] = []
     channels: list[PressureChannel | TemperatureChannel] = [*test.pressures, *test.temperatures]
     for channel in channels:
-        marks[channel.name], doubtful = _cut_off(record[channel.name], channel, test)
-        doubts += doubtful
+        marks[channel.name] = _cut_off(record[channel.name], channel, test)
     for names in [*alike(test.pressures, "plane", "facing"), *alike(test.temperatures, "plane")]:
         for name in names:
             for start, stop in _still_runs(record, name, names).tolist():
@@ -79,60 +76,49 @@ def inspect_readings(record: Record, test: TestDescription) -> Record:
             marks[name][rows[~np.any(marks[name][around], axis=1)]] = SPIKED
     marks = {name: mark for name, mark in marks.items() if mark.any()}
     findings = [found for name, mark in marks.items() for found in _marked(record, name, mark)]
-    findings += doubts + check_held(record, test)
+    check_held(record, test)
     ends = "readings" if test.converter is None else f"codes (0 and {test.adc.top_code})"
     entry = LedgerEntry(
         "inspect readings",
         f"looked for clipped {ends}, stuck channels, spikes and readings beyond their limits: "
         f"{len(findings) or 'no'} findings",
         {"stuck_s": STUCK_S},
-        flags=tuple(finding.sentence for finding in findings),
+        flags=tuple(findings),
     )
     return record.after(
         entry, add=[Channel.adopt(fault_name(name), mark, "1") for name, mark in marks.items()]
     )
 
 
-def _marked(record: Record, name: str, mark: Marks) -> list[Finding]:
+def _marked(record: Record, name: str, mark: Marks) -> list[str]:
     found = []
     for kind, word in MARK_WORDS.items():
         rows = np.flatnonzero(mark & kind)
         if rows.size:
             first_s, last_s = record.time_at_s(int(rows[0])), record.time_at_s(int(rows[-1]))
-            words = f"{name}: {rows.size} rows {word}, {first_s:.3f} to {last_s:.3f} s"
-            found.append(Finding("marked", words, name))
+            found.append(f"{name}: {rows.size} rows {word}, {first_s:.3f} to {last_s:.3f} s")
     return found
 
 
 def _cut_off(
     values: FloatArray, channel: PressureChannel | TemperatureChannel, test: TestDescription
-) -> tuple[Marks, list[Finding]]:
-    """Mark readings at the ends of a range and beyond the limits; return what is in doubt."""
-    name, findings = channel.name, []
-    in_counts, limited = channel.record_unit == "count", name in test.limits
-    low, high = test.limits.get(name, (-np.inf, np.inf))
+) -> Marks:
+    """Mark readings at the ends of a range and beyond the limits, which are believed."""
     cut_off = np.zeros(values.size, dtype=np.bool_)
-    if in_counts:
+    if channel.record_unit == "count":
         cut_off |= (values <= 0) | (values >= test.adc.top_code)
-    for end in range_ends(values):
-        if not limited:
-            cut_off |= end.beyond(values)
-        elif not in_counts and low < end.reading < high:
-            # What [limits] says of a channel is believed.
-            words = (
-                f"{name}: {end.rows} rows at its {'largest' if end.upper else 'least'} reading of "
-                f"{end.reading:.6g} {channel.record_unit}, where it stands still again and again: "
-                f"does its range end there? [limits] of {test.source} lets them count"
-            )
-            findings.append(Finding("range end within limits", words, name))
+    if channel.name not in test.limits:
+        for end in range_ends(values):
+            cut_off |= values == end
     mark = np.where(cut_off, CLIPPED, 0).astype(np.uint8)
-    if limited:
+    if channel.name in test.limits:
+        low, high = test.limits[channel.name]
         physical = values
         if isinstance(channel, PressureChannel):
             physical = probe_pressure_Pa(channel, test, values)
         # A reading at the limit is one that the acquisition has cut off there.
         mark[(physical <= low) | (physical >= high)] += BEYOND_LIMITS
-    return mark, findings
+    return mark
 
 
 def _still_runs(record: Record, name: str, alike: Sequence[str]) -> IntArray:

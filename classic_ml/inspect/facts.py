@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from classic_ml.description import FileLayout
 from classic_ml.faults.plateaus import range_ends
 from classic_ml.io.formats import open_stored
-from classic_ml.io.raw import CLOCK_NAMES
-from classic_ml.io.table import Columns, StoredTable
-from classic_ml.units import Conversion, conversion_to_si, kind_of_unit
+from classic_ml.io.table import StoredTable
+from classic_ml.units import conversion_to_si, kind_of_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = ["ChannelFacts", "ClockFacts", "Inspection", "inspect_file"]
 
-# Rows that are looked at together: what is shorter than this is found whole.
-SEARCHED_ROWS = 1 << 20
+# How the name of a clock begins, in small letters.
+CLOCK_NAMES = ("time", "elapsed time")
 # A step this much longer than the usual one is a gap: 1.5 leaves room for any jitter below.
 GAP_STEPS = 1.5
 # A surge cycle lasts from a tenth of a second to some seconds: sections in which it shows, and
@@ -43,18 +43,14 @@ class ChannelFacts:
         Its name in the file.
     unit : str
         The unit that the file states; empty without.
-    rows : int
-        Rows that were read.
-    not_finite : int
-        Of these, rows without a finite number.
-    first_not_finite : int or None
-        The first of them, counted from 1.
+    rows, not_finite : int
+        Rows that were read, and those of them without a finite number.
     minimum, mean, maximum : float
         Of the finite values; NaN without any.
     at_minimum, at_maximum : int
         Rows at the extreme values themselves.
-    longest_run, longest_run_row : int
-        The longest run of one value, and its first row, counted from 1.
+    longest_run : int
+        Rows of the longest run of one value.
     whole_numbers : bool
         Whether all values are whole, as codes are.
     plateaus : tuple of str
@@ -65,14 +61,12 @@ class ChannelFacts:
     unit: str
     rows: int
     not_finite: int
-    first_not_finite: int | None
     minimum: float
     mean: float
     maximum: float
     at_minimum: int
     at_maximum: int
     longest_run: int
-    longest_run_row: int
     whole_numbers: bool
     plateaus: tuple[str, ...] = ()
 
@@ -92,8 +86,6 @@ class ClockFacts:
         Its name in the file.
     unit : str
         Its unit; ``"s"`` where the file states none.
-    about : str
-        What its seconds count from where it is a column of dates.
     first_s, last_s : float
         Its ends.
     rate_hz : float
@@ -107,7 +99,6 @@ class ClockFacts:
 
     name: str
     unit: str
-    about: str
     first_s: float
     last_s: float
     rate_hz: float
@@ -117,7 +108,7 @@ class ClockFacts:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in a file, as far as it can be read.
+    """What is in a file.
 
     Parameters
     ----------
@@ -126,13 +117,11 @@ class Inspection:
     rows : int
         Rows that were read.
     channels : tuple of ChannelFacts
-        Every column, that of the clock among them.
+        Every column of numbers, that of the clock among them.
     clock : ClockFacts or None
         The clock; None where no column looks like one.
     left_aside : mapping of str to str
-        What is in the file and no column of the record, and why.
-    fault : str
-        The sentence that the reading ended with; empty where it went through.
+        What is in the file and no column of numbers, and why.
     surges_s : tuple of float or None
         From when to when the machine surges, by the clock of the file; None where no part of the
         record stands out.
@@ -143,7 +132,6 @@ class Inspection:
     channels: tuple[ChannelFacts, ...]
     clock: ClockFacts | None
     left_aside: dict[str, str]
-    fault: str
     surges_s: tuple[float, float] | None = None
 
     def channel(self, name: str) -> ChannelFacts | None:
@@ -161,202 +149,138 @@ def inspect_file(
     path : str or path
         A raw record or a series of any format that there is a reader for.
     layout : FileLayout, optional
-        Group and clock; without it the clock is found by its name, else by its steps.
+        Group and clock; without it the clock is found by its name.
     group : str, optional
         Group to look into, without a layout.
 
     Returns
     -------
     Inspection
-        What was found before the end, or before what cannot be read.
+        What was found.
 
     Raises
     ------
     InputError
-        When nothing can be read.
+        When the file cannot be read to its end.
     """
-    chosen = layout if layout is not None else FileLayout(group=group)
-    channels: list[ChannelFacts] = []
+    counts: list[dict[str, Any]] = []
     sections: list[FloatArray] = []
-    clock: _ClockTally | None = None
-    rows, fault = 0, ""
-    with open_stored(path, chosen, lenient=True) as stored:
-        try:
-            for block in _searched(stored.blocks(stored.names)):
-                values = {
-                    name: column.astype(np.float64)
-                    for name, column in zip(stored.names, block, strict=True)
-                }
-                if rows == 0:
-                    name = _clock_column(stored, values, chosen, named=layout is not None)
-                    clock = None if name is None else _ClockTally(stored, name, chosen)
-                if clock is not None:
-                    time_s = clock.add(values[clock.name], rows)
-                    others = [v for name, v in values.items() if name != clock.name]
-                    sections += _sections(time_s, clock.usual_s, others)
-                facts = [_facts(n, stored.unit(n), v, rows) for n, v in values.items()]
-                channels = [_joined(*pair) for pair in zip(channels, facts, strict=False)] or facts
-                rows += block[0].size
-        except InputError as error:
-            if rows == 0:
-                raise
-            fault = str(error)
+    times: list[FloatArray] = []
+    clock: str | None = None
+    with open_stored(path, layout or FileLayout(group=group)) as stored:
+        names = tuple(name for name in stored.names if name not in stored.left_aside)
+        if not names:
+            raise InputError(stored.source, expected="columns of numbers", found="text alone")
+        for block in stored.blocks(names):
+            values = {n: column.astype(float) for n, column in zip(names, block, strict=True)}
+            if not counts:
+                clock = _clock_column(values, layout)
+                unit = _clock_unit(stored, clock, layout)
+            counts += [_counts(name, column) for name, column in values.items()]
+            if clock is not None:
+                times.append(conversion_to_si(unit, "time", clock).to_si(values.pop(clock)))
+                sections += _sections(times[-1], _usual(times[0]), list(values.values()))
+    channels = _channels(counts, stored.units)
     return Inspection(
         stored.source,
-        rows,
-        tuple(channels),
-        None if clock is None else clock.facts(),
+        channels[0].rows if channels else 0,
+        channels,
+        None if clock is None else _clock_facts(clock, unit, np.concatenate(times)),
         dict(stored.left_aside),
-        fault,
         _surging(np.concatenate(sections)) if sections else None,
     )
 
 
-def _searched(blocks: Iterator[Columns]) -> Iterator[Columns]:
-    """Yield the rows in blocks large enough to be searched; those before a fault come first."""
-    kept: list[Columns] = []
-    fault: InputError | None = None
-    try:
-        for block in blocks:
-            kept.append(block)
-            if sum(columns[0].size for columns in kept) >= SEARCHED_ROWS:
-                yield tuple(map(np.concatenate, zip(*kept, strict=True)))
-                kept = []
-    except InputError as error:
-        fault = error
-    if sum(columns[0].size for columns in kept):
-        yield tuple(map(np.concatenate, zip(*kept, strict=True)))
-    if fault is not None:
-        raise fault
-
-
-def _clock_column(
-    stored: StoredTable, values: Mapping[str, FloatArray], layout: FileLayout, *, named: bool
-) -> str | None:
+def _clock_column(values: Mapping[str, FloatArray], layout: FileLayout | None) -> str | None:
     """Return which column is the clock; None where none looks like one."""
-    if layout.time in stored.names or named:
-        return layout.time if layout.time in stored.names else None
-    folded = {name.strip().lower(): name for name in stored.names}
-    known = [folded[name] for name in CLOCK_NAMES if name in folded]
-    rising = (name for name, column in values.items() if _rises_evenly(column))
-    return next(iter((*known, *stored.dates, *rising)), None)
+    if layout is not None:
+        return layout.time if layout.time in values else None
+    lower = {name: name.strip().lower() for name in values}
+    return next((n for n, low in lower.items() if low == "t" or low.startswith(CLOCK_NAMES)), None)
 
 
-def _rises_evenly(values: FloatArray) -> bool:
-    """Return whether a column rises, and by the same step nearly always."""
-    steps = np.diff(values)
-    if steps.size < 2 or not np.all(steps > 0.0):
-        return False
-    usual = float(np.median(steps))
-    return bool(np.mean(np.abs(steps - usual) < 0.5 * usual) > 0.99)
+def _clock_unit(stored: StoredTable, clock: str | None, layout: FileLayout | None) -> str:
+    stated = stored.units.get(clock or "", "")
+    unit = (layout.time_unit if layout is not None else None) or stated
+    return unit if kind_of_unit(unit) == "time" else "s"
 
 
-class _ClockTally:
-    """What is found of the clock from block to block."""
-
-    def __init__(self, stored: StoredTable, name: str, layout: FileLayout) -> None:
-        unit = (layout.time_unit if name == layout.time else None) or stored.unit(name)
-        self.name, self.unit, self._conversion = name, "s", Conversion()
-        if kind_of_unit(unit) == "time":
-            self.unit, self._conversion = unit, conversion_to_si(unit, "time", name)
-        self._about = stored.counts_from(name)
-        self.usual_s = self._first_s = self._last_s = np.nan
-        self._n_good, self._good_s, self._jitter = 0, 0.0, 0.0
-        self._troubles: dict[str, tuple[int, int]] = {}
-
-    def add(self, values: FloatArray, first_row: int) -> FloatArray:
-        """Take the next rows of the column into account, and return their times in s."""
-        time_s = self._conversion.to_si(values)
-        # What is no number makes no step.
-        steps = np.diff(time_s, prepend=self._last_s)
-        self._last_s = float(time_s[-1])
-        if first_row == 0:
-            self._first_s = float(time_s[0])
-            self.usual_s = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
-        is_gap = steps > GAP_STEPS * self.usual_s
-        for kind, where in (("gap", is_gap), ("repeat", steps == 0.0), ("step back", steps < 0.0)):
-            if where.any():
-                n, first = self._troubles.get(kind, (0, first_row + int(np.argmax(where)) + 1))
-                self._troubles[kind] = n + int(np.count_nonzero(where)), first
-        good = steps[(steps > 0.0) & ~is_gap]
-        self._n_good += good.size
-        self._good_s += float(np.sum(good))
-        off = np.abs(good - self.usual_s) / self.usual_s
-        self._jitter = max(self._jitter, float(np.max(off, initial=0.0)))
-        return time_s
-
-    def facts(self) -> ClockFacts:
-        """Return what was found."""
-        rate_hz = self._n_good / self._good_s if self._good_s > 0.0 else np.nan
-        ends_s = self._first_s, self._last_s
-        return ClockFacts(
-            self.name, self.unit, self._about, *ends_s, rate_hz, self._jitter, self._troubles
-        )
+def _usual(time_s: FloatArray) -> float:
+    """Return the usual step of a clock; NaN where it never moves on."""
+    steps = np.diff(time_s)
+    return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.nan
 
 
-def _facts(name: str, unit: str, values: FloatArray, first_row: int) -> ChannelFacts:
-    """Return what some rows of a column hold."""
-    good = np.isfinite(values)
-    finite = values[good]
-    low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
-    starts = np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1))
-    lengths = np.diff(np.concatenate((starts, [values.size])))
-    still = np.where(np.isfinite(values[starts]), lengths, 0)
-    longest = int(np.argmax(still))
-    at_maximum, whole = int(np.count_nonzero(finite == high)), bool(np.all(finite % 1.0 == 0.0))
-    plateaus: set[str] = set()
-    if low < high:
-        # The rules are those of a reduction; beside them the top code of a converter is known.
-        plateaus = {"maximum" if end.upper else "minimum" for end in range_ends(finite)}
-        if whole and at_maximum > 1 and high >= 255.0 and np.log2(high + 1.0) % 1.0 == 0.0:
-            plateaus.add("maximum")
-    with np.errstate(over="ignore"):
-        mean = float(np.mean(finite)) if finite.size else np.nan
-    return ChannelFacts(
+def _clock_facts(name: str, unit: str, time_s: FloatArray) -> ClockFacts:
+    # What is no number makes no step.
+    steps, usual_s = np.diff(time_s), _usual(time_s)
+    is_gap = steps > GAP_STEPS * usual_s
+    kinds = {"gap": is_gap, "repeat": steps == 0.0, "step back": steps < 0.0}
+    good = steps[(steps > 0.0) & ~is_gap]
+    return ClockFacts(
         name,
         unit,
-        values.size,
-        values.size - finite.size,
-        None if good.all() else first_row + int(np.argmin(good)) + 1,
-        float(low),
-        mean,
-        float(high),
-        int(np.count_nonzero(finite == low)),
-        at_maximum,
-        int(still[longest]),
-        first_row + int(starts[longest]) + 1,
-        finite.size > 0 and whole,
-        tuple(sorted(plateaus, reverse=True)),
+        float(time_s[0]),
+        float(time_s[-1]),
+        good.size / float(np.sum(good)) if good.size else np.nan,
+        float(np.max(np.abs(good - usual_s) / usual_s, initial=0.0)),
+        {
+            kind: (int(np.count_nonzero(where)), int(np.argmax(where)) + 2)
+            for kind, where in kinds.items()
+            if where.any()
+        },
     )
 
 
-def _joined(one: ChannelFacts, later: ChannelFacts) -> ChannelFacts:
-    """Return what some rows of a column and those behind them hold together."""
-    low, high = np.fmin(one.minimum, later.minimum), np.fmax(one.maximum, later.maximum)
-    lowest = [part for part in (one, later) if part.minimum == low]
-    highest = [part for part in (one, later) if part.maximum == high]
-    longest = max((one, later), key=lambda part: part.longest_run)
-    parts = [part for part in (one, later) if part.rows > part.not_finite]
-    weights = [part.rows - part.not_finite for part in parts]
-    return replace(
-        one,
-        rows=one.rows + later.rows,
-        not_finite=one.not_finite + later.not_finite,
-        first_not_finite=one.first_not_finite or later.first_not_finite,
-        minimum=float(low),
-        mean=float(np.average([p.mean for p in parts], weights=weights)) if parts else np.nan,
-        maximum=float(high),
-        at_minimum=sum(part.at_minimum for part in lowest),
-        at_maximum=sum(part.at_maximum for part in highest),
-        longest_run=longest.longest_run,
-        longest_run_row=longest.longest_run_row,
-        whole_numbers=all(part.whole_numbers for part in parts) and bool(parts),
-        plateaus=tuple(
-            end
-            for end, ends in (("minimum", lowest), ("maximum", highest))
-            if any(end in part.plateaus for part in ends)
-        ),
-    )
+def _counts(name: str, values: FloatArray) -> dict[str, Any]:
+    """Return what some rows of a column hold, by the fields of :class:`ChannelFacts`."""
+    finite = values[np.isfinite(values)]
+    low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
+    starts = np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1, [values.size]))
+    at_maximum, whole = int(np.count_nonzero(finite == high)), bool(np.all(finite % 1.0 == 0.0))
+    ends = range_ends(finite) if low < high else ()
+    # The rules are those of a reduction; beside them the top code of a converter is known.
+    is_code = whole and low < high and high >= 255.0 and np.log2(high + 1.0) % 1.0 == 0.0
+    with np.errstate(over="ignore"):
+        total = np.sum(finite)
+    return {
+        "name": name,
+        "rows": values.size,
+        "not_finite": values.size - finite.size,
+        "minimum": low,
+        "total": total,
+        "maximum": high,
+        "at_minimum": np.count_nonzero(finite == low),
+        "at_maximum": at_maximum,
+        "longest_run": np.max(np.diff(starts)),
+        "whole_numbers": whole and finite.size > 0,
+        "cut_minimum": low in ends,
+        "cut_maximum": high in ends or (is_code and at_maximum > 1),
+    }
+
+
+def _channels(counts: list[dict[str, Any]], units: Mapping[str, str]) -> tuple[ChannelFacts, ...]:
+    """Return what all rows of each column hold, of the counts of its parts."""
+    import pandas as pd
+
+    parts = pd.DataFrame(counts)
+    by_name = parts.groupby("name", sort=False)
+    extremes = {"minimum": "min", "maximum": "max"}
+    reached = by_name["minimum"].transform("min"), by_name["maximum"].transform("max")
+    for end, extreme in zip(extremes, reached, strict=True):
+        # What is at the extreme of a part alone does not count.
+        counted = [f"at_{end}", f"cut_{end}"]
+        parts[counted] = parts[counted].mul(parts[end] == extreme, axis=0)
+    sums = dict.fromkeys(("rows", "not_finite", "total", "at_minimum", "at_maximum"), "sum")
+    others = {"longest_run": "max", "whole_numbers": "all"}
+    others |= {"cut_minimum": "any", "cut_maximum": "any"}
+    whole = parts.groupby("name", sort=False).agg(sums | extremes | others)
+    whole["mean"] = whole.pop("total") / (whole["rows"] - whole["not_finite"])
+    cut = whole[["cut_minimum", "cut_maximum"]].set_axis(list(extremes), axis=1)
+    whole["plateaus"] = [tuple(ends.index[ends]) for _, ends in cut.iterrows()]
+    whole["unit"] = [units.get(name, "") for name in whole.index]
+    rows = whole.drop(columns=["cut_minimum", "cut_maximum"]).reset_index().to_dict("records")
+    return tuple(ChannelFacts(**{str(key): value for key, value in row.items()}) for row in rows)
 
 
 def _sections(time_s: FloatArray, step_s: float, columns: Sequence[FloatArray]) -> list[FloatArray]:

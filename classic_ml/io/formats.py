@@ -31,7 +31,7 @@ _FORMATS = {
 
 @contextmanager
 def open_stored(
-    raw_path: str | os.PathLike[str], layout: FileLayout | None = None, *, lenient: bool = False
+    raw_path: str | os.PathLike[str], layout: FileLayout | None = None
 ) -> Iterator[StoredTable]:
     """Open a raw record as it is: columns, names and units of the file.
 
@@ -41,9 +41,6 @@ def open_stored(
         A file whose suffix names its format.
     layout : FileLayout, optional
         Where in the file the channels are, and which of its columns is the clock.
-    lenient : bool
-        Take a cell of text that is no number as NaN and a doubled name as another, to look at a
-        file that cannot be reduced.
 
     Returns
     -------
@@ -65,7 +62,7 @@ def open_stored(
         if suffix in suffixes:
             with ExitStack() as stack:
                 try:
-                    table = stack.enter_context(reader(file, layout or FileLayout(), lenient))
+                    table = stack.enter_context(reader(file, layout or FileLayout()))
                 except Exception as error:
                     raise fault_of(error, str(file), what) from None
                 yield table

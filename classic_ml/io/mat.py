@@ -17,7 +17,7 @@ __all__ = ["open_mat"]
 
 
 @contextmanager
-def open_mat(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[StoredTable]:
+def open_mat(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
     """Open a MAT file.
 
     Version 7.3 is read slice by slice. Versions up to 7.2 are compressed as a whole and come into
@@ -40,22 +40,17 @@ def open_mat(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[
 def _vectors(
     content: Mapping[str, Any], path: tuple[str, ...], left_aside: dict[str, str]
 ) -> Iterator[Vector]:
-    from scipy.io.matlab import MatlabOpaque
-
     for name, value in content.items():
         place = (*path, str(name))
         if isinstance(value, Mapping):
             yield from _vectors(value, place, left_aside)
             continue
-        is_object = isinstance(value, MatlabOpaque)
-        array = np.asarray(None if is_object else value, dtype=None if np.ndim(value) else object)
-        values = along(array) if array.dtype.kind in "iufb" else None
+        is_vector = isinstance(value, np.ndarray) and value.dtype.kind in "iufb"
+        values = along(value) if is_vector else None
         if values is not None:
             yield Vector(place, values)
         else:
             left_aside["/".join(place)] = (
-                "an object of MATLAB's own (table, timeseries): save it as a struct, "
+                "no vector of numbers; a table or a timeseries of MATLAB is saved as a struct, "
                 "table2struct(T, 'ToScalar', true)"
-                if is_object
-                else "no vector of numbers"
             )

@@ -1,10 +1,11 @@
-"""Raw records as netCDF, 3 or 4: variables of one dimension, as xarray decodes them."""
+"""Raw records as netCDF, 3 or 4: variables of one dimension, as xarray unpacks them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from classic_ml.description import FileLayout
 from classic_ml.io.table import StoredTable, Vector, grouped
@@ -13,25 +14,26 @@ __all__ = ["check_items", "open_netcdf"]
 
 
 @contextmanager
-def open_netcdf(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[StoredTable]:
+def open_netcdf(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
     """Open a netCDF file, version 3 or 4; its rows are read slice by slice.
 
     Values that are ``_FillValue`` or ``missing_value`` are NaN, ``scale_factor`` and
-    ``add_offset`` are applied, a time "since" a date is one. Arguments as
+    ``add_offset`` are applied, a time "since" a date is a number. Arguments as
     :func:`classic_ml.io.formats.open_stored` has them.
     """
     import xarray as xr
 
+    plain: Any = {"decode_times": False, "decode_timedelta": False}
     with ExitStack() as stack:
         opened = stack.enter_context(file.open("rb"))
         is_classic = opened.read(3) == b"CDF"
         opened.seek(0)
         if is_classic:
             # By its name, scipy would map it into memory, and complain when it is closed.
-            groups = {"/": xr.open_dataset(opened, engine="scipy", decode_timedelta=False)}
+            groups = {"/": xr.open_dataset(opened, engine="scipy", **plain)}
         else:
             check_items(file)
-            groups = dict(xr.open_groups(file, engine="h5netcdf", decode_timedelta=False))
+            groups = dict(xr.open_groups(file, engine="h5netcdf", **plain))
         for dataset in groups.values():
             stack.callback(dataset.close)
         vectors, left_aside = [], {}
@@ -39,9 +41,9 @@ def open_netcdf(file: Path, layout: FileLayout, lenient: bool = False) -> Iterat
             above = tuple(part for part in group.split("/") if part)
             for name, variable in dataset.variables.items():
                 path = (*above, str(name))
-                if variable.ndim == 1 and variable.size and variable.dtype.kind in "iufbM":
+                if variable.ndim == 1 and variable.size and variable.dtype.kind in "iufb":
                     unit = variable.attrs.get("units", variable.attrs.get("unit", ""))
-                    vectors.append(Vector(path, variable, str(unit)))
+                    vectors.append(Vector(path, variable, str(unit).partition(" since ")[0]))
                 else:
                     left_aside["/".join(path)] = "no vector of numbers"
         yield grouped(str(file), vectors, layout, left_aside)

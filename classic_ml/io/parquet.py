@@ -18,23 +18,21 @@ __all__ = ["open_parquet"]
 
 
 @contextmanager
-def open_parquet(file: Path, layout: FileLayout, lenient: bool = False) -> Iterator[StoredTable]:
+def open_parquet(file: Path, layout: FileLayout) -> Iterator[StoredTable]:
     """Open a Parquet file; its rows are read batch by batch.
 
     The metadata ``units`` or ``unit`` of a column state its unit; a missing value is NaN; an index
     without a name that pandas wrote is left aside. Arguments as
     :func:`classic_ml.io.formats.open_stored` has them.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(file, pre_buffer=False) as opened:
         fields = {field.name: field for field in opened.schema_arrow}
-        dated = [name for name, field in fields.items() if pa.types.is_timestamp(field.type)]
         kept = [
             name
             for name, field in fields.items()
-            if name in dated or (_is_number(field.type) and not name.startswith("__index_level_"))
+            if _is_number(field.type) and not name.startswith("__index_level_")
         ]
         if not kept or not opened.metadata.num_rows:
             found = "no rows" if kept else "no column of numbers"
@@ -44,14 +42,12 @@ def open_parquet(file: Path, layout: FileLayout, lenient: bool = False) -> Itera
             for batch in opened.iter_batches(BLOCK_ROWS, columns=list(names)):
                 yield tuple(_array(batch.column(name)) for name in names)
 
-        first = next(opened.iter_batches(1, columns=dated)) if dated else {}
         yield StoredTable(
             str(file),
             tuple(kept),
             read,
             {name: unit for name in kept if (unit := _unit(fields[name]))},
             {n: f"a column of {f.type}" for n, f in fields.items() if n not in kept},
-            {name: _array(first[name])[0] for name in dated},
         )
 
 
@@ -68,10 +64,9 @@ def _unit(field: Any) -> str:
 
 
 def _array(column: Any) -> NDArray[Any]:
-    """Return a column as whole numbers, dates or float64."""
+    """Return a column as whole numbers or float64."""
     import pyarrow as pa
 
-    whole = pa.types.is_integer(column.type) and not column.null_count
-    if not (whole or pa.types.is_timestamp(column.type)):
+    if not pa.types.is_integer(column.type) or column.null_count:
         column = column.cast(pa.float64(), safe=False)
     return np.asarray(column.to_numpy(zero_copy_only=False))

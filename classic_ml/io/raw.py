@@ -19,7 +19,7 @@ from classic_ml.units import conversion_to_si, kind_of_unit, same_unit
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["CLOCK_NAMES", "MOST_VALUES", "read_raw"]
+__all__ = ["MOST_VALUES", "read_raw"]
 
 # Readings that are held at once: 1.6 GB, an hour of 20 channels at 2.8 kHz. A reduction takes a
 # few times as much.
@@ -28,11 +28,6 @@ MOST_VALUES = 200_000_000
 RATE_TOLERANCE = 1e-3
 # Beyond these no gas of a compressor is, nor a thermocouple that measures it.
 POSSIBLE_K = (50.0, 3000.0)
-
-# What a clock is called, in small letters.
-CLOCK_NAMES = ("time_s", "time", "t", "time (s)", "time [s]", "timestamp", "elapsed time")
-# Of a step: channels that start further apart were not sampled together.
-SAME_START = 0.01
 
 Window = tuple[float, float]
 # The columns of a part of a file, its clock in s, and the rows of the file before it.
@@ -77,10 +72,6 @@ def read_raw(
     """
     if not isinstance(test, TestDescription):
         test = read_test_description(test)
-    if window is not None and not window[0] < window[1]:
-        raise InputError(
-            "window", expected="its start before its end", found=f"{window[0]:g} to {window[1]:g} s"
-        )
     with open_stored(raw_path, test.file) as stored:
         _check_columns(stored, test)
         read = _read(stored, test, window, progress)
@@ -94,7 +85,7 @@ def read_raw(
 
 def _clock_unit(stored: StoredTable, test: TestDescription) -> str:
     """Return the unit of the clock: that of test.toml, else that of the file, else seconds."""
-    stated = stored.unit(test.file.time) if test.file.units == "check" else ""
+    stated = stored.units.get(test.file.time, "") if test.file.units == "check" else ""
     return test.file.time_unit or (stated if kind_of_unit(stated) == "time" else "s")
 
 
@@ -110,7 +101,8 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
     if layout.clock == "column":
         titles = {layout.time: f"column {layout.time}", **titles}
     missing = [column for column in titles if column not in stored.names]
-    extra = [name for name in stored.names if name not in {*titles, *_own_clock(stored, test)}]
+    clock = [layout.time] if layout.clock == "from rate" else []
+    extra = [name for name in stored.names if name not in {*titles, *clock}]
     if missing:
         raise _missing(stored, test, titles[missing[0]], missing, extra)
     if extra and layout.other_columns == "refuse":
@@ -123,35 +115,24 @@ def _check_columns(stored: StoredTable, test: TestDescription) -> None:
         )
     if layout.units == "check":
         _check_units(stored, test, titles)
-    sampled = [(name, stored.sampled[name]) for name in stored.sampled if name in titles]
-    for name, (start_s, step_s) in sampled[1:]:
-        other, (first_s, usual_s) = sampled[0]
-        if abs(step_s / usual_s - 1.0) > 1e-9 or abs(start_s - first_s) > SAME_START * usual_s:
-            raise InputError(
-                f"{stored.source}: channels {other} and {name}",
-                expected="one start and one wf_increment for all channels that are read",
-                found=f"steps of {usual_s:g} and {step_s:g} s, starts at {first_s:g} and "
-                f"{start_s:g} s",
-                remedy="resample them to one clock, or correct the properties that are wrong",
-            )
 
 
 def _missing(
     stored: StoredTable, test: TestDescription, title: str, missing: list[str], spare: list[str]
 ) -> InputError:
     """Return the refusal of a table that lacks columns, with what the file has instead."""
+    left_aside = {
+        name.split("/")[-1]: f"'{name}': {why}" for name, why in stored.left_aside.items()
+    }
     others = f" (nor {', '.join(missing[1:])[:200]})" if missing[1:] else ""
     found = f"no such column{others}; those that feed nothing: {', '.join(spare)[:200] or 'none'}"
-    for name, why in stored.left_aside.items():
-        if name.split("/")[-1] == missing[0]:
-            found = f"'{name}': {why}"
     remedy = 'name what is meant, column = "..."; a dead probe is left out with its mate'
     if title.startswith("column"):
         remedy = 'name it in [file], time = "...", or write clock = "from rate"'
     return InputError(
         f"{stored.source}: {title}",
         expected=f"it in the header of the table, as {test.source} describes it",
-        found=found,
+        found=left_aside.get(missing[0], found),
         remedy=remedy,
     )
 
@@ -165,7 +146,7 @@ def _check_units(stored: StoredTable, test: TestDescription, titles: dict[str, s
     units.setdefault(test.file.time, (_clock_unit(stored, test), None))
     for column, title in titles.items():
         unit, reference_Pa = units[column]
-        stated = stored.unit(column)
+        stated = stored.units.get(column, "")
         if not same_unit(stated, unit, reference_Pa):
             raise InputError(
                 f"{stored.source}: {title}",
@@ -187,21 +168,17 @@ def _read(
     has_clock = layout.clock == "column"
     where = f"{test.source}: file.time_unit"
     clock = conversion_to_si(_clock_unit(stored, test), "time", where)
-    watched = _own_clock(stored, test)
-    fed = (*(channel.file_column for channel in test.channels), *watched)
+    fed = tuple(channel.file_column for channel in test.channels)
     names = (layout.time, *fed) if has_clock else fed
     low_s, high_s = _span(test, window)
     kept: list[tuple[NDArray[np.generic], ...]] = []
     times: list[FloatArray] = []
-    rows, rows_before, shift_s = 0, 0, None
+    rows = rows_before = 0
     for block in stored.blocks(names):
         n_rows = block[0].size
         time_s = np.arange(rows, rows + n_rows) / test.sample_rate_hz
         if has_clock:
             time_s = clock.to_si(np.asarray(block[0], dtype=np.float64))
-        if shift_s is None and n_rows:
-            shift_s = 0.0 if layout.start_s is None else layout.start_s - time_s[0]
-        time_s = time_s + (shift_s or 0.0)
         if progress is not None:
             progress(n_rows)
         # What is no number is kept, and refused with the number of its row.
@@ -225,39 +202,7 @@ def _read(
     joined = {
         name: np.concatenate([block[number] for block in kept]) for number, name in enumerate(names)
     }
-    for name in watched:
-        _check_own_clock(stored, test, name, np.asarray(joined[name], dtype=np.float64))
     return joined, np.concatenate(times), rows_before
-
-
-def _own_clock(stored: StoredTable, test: TestDescription) -> tuple[str, ...]:
-    """Return the clock that a file has although its time is made from the rate, if there is one."""
-    if test.file.clock == "column":
-        return ()
-    fed = {channel.file_column for channel in test.channels}
-    named = (name for name in CLOCK_NAMES if name in stored.names)
-    return tuple(name for name in (*stored.dates, *named) if name not in fed)[:1]
-
-
-def _check_own_clock(
-    stored: StoredTable, test: TestDescription, name: str, values: FloatArray
-) -> None:
-    """Refuse a file whose own clock, in s, ms, us or ns, contradicts the one that is made."""
-    steps = np.diff(values)
-    usual = float(np.median(steps))
-    if not usual > 0.0:
-        # A clock that is too coarse to say when a row was taken.
-        return
-    ratio = float(np.mean(steps[np.abs(steps - usual) <= 0.5 * usual])) * test.sample_rate_hz
-    agreed = any(abs(ratio / unit - 1.0) <= RATE_TOLERANCE for unit in (1.0, 1e3, 1e6, 1e9))
-    if not agreed or steps.max() > 1.5 * usual:
-        raise InputError(
-            f"{stored.source}: column {name}",
-            expected=f"uniform steps at {test.sample_rate_hz:g} samples a second, as "
-            f"{test.source} [test] sample_rate_hz says",
-            found=f"steps of {usual:.6g}, and one of {steps.max():.6g}",
-            remedy="correct the one that is wrong, or take the column out of the file",
-        )
 
 
 def _span(test: TestDescription, window: Window | None) -> Window:
@@ -312,12 +257,11 @@ def _record(
         _check_readings(stored, test, channel, values, rows_before)
         channels[channel.name] = Channel.adopt(channel.name, values, channel.record_unit)
     rate_hz = test.sample_rate_hz
-    is_made = test.file.clock == "from rate"
-    made = "from the sample rate" if is_made else stored.counts_from(test.file.time)
+    made = "; the clock is made from the sample rate" if test.file.clock == "from rate" else ""
     entry = LedgerEntry(
         "read",
         f"{time_s.size} rows of {len(channels)} channels, {time_s[0]:.3f} to {time_s[-1]:.3f} s "
-        f"at {rate_hz:g} Hz{part}" + (f"; the clock is {made}" if made else ""),
+        f"at {rate_hz:g} Hz{part}{made}",
         {"raw": stored.source, "test": test.source, "rows": int(time_s.size)},
     )
     return Record(channels, rate_hz, float(time_s[0]), stored.source, (entry,))

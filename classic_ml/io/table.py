@@ -36,15 +36,11 @@ class StoredTable:
         Column names as the file has them, that of the clock among them.
     read : callable
         ``read(names)`` yields some of the columns in file order, from the first row on: a tuple of
-        one array a column, of numbers or dates.
+        one array of numbers a column.
     units : mapping of str to str
         Units that the file itself states, by column.
     left_aside : mapping of str to str
-        What else is in the file, and why it is no column: text, another length, no vector.
-    dates : mapping of str to date
-        Columns of dates, and the first of each: their seconds count from it.
-    sampled : mapping of str to (float, float)
-        By column, the start and the step in s, where the file states them for each (TDMS).
+        What else is in the file, and why it is no column of numbers: text, another length.
     """
 
     source: str
@@ -52,8 +48,6 @@ class StoredTable:
     read: Callable[[tuple[str, ...]], Iterator[Columns]]
     units: Mapping[str, str] = field(default_factory=dict)
     left_aside: Mapping[str, str] = field(default_factory=dict)
-    dates: Mapping[str, Any] = field(default_factory=dict)
-    sampled: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, count in Counter(self.names).items():
@@ -65,17 +59,8 @@ class StoredTable:
                     remedy="" if name else "does every row end with a comma?",
                 )
 
-    def unit(self, name: str) -> str:
-        """Return the unit of a column; a date is in seconds here."""
-        return "s" if name in self.dates else self.units.get(name, "")
-
-    def counts_from(self, name: str) -> str:
-        """Return what the seconds of a column of dates count from; empty for another column."""
-        first = self.dates.get(name)
-        return "" if first is None else f"seconds from the first sample at {first}"
-
     def blocks(self, names: tuple[str, ...]) -> Iterator[Columns]:
-        """Yield columns of the file block by block, dates in seconds from the first row.
+        """Yield columns of the file block by block.
 
         Parameters
         ----------
@@ -89,17 +74,12 @@ class StoredTable:
         """
         try:
             for block in self.read(names):
-                yield tuple(
-                    _numbers(v, self.dates.get(n)) for n, v in zip(names, block, strict=True)
-                )
+                yield tuple(map(_numbers, block))
         except Exception as error:
             raise fault_of(error, self.source, "rows that can be read") from None
 
 
-def _numbers(values: NDArray[Any], first: Any) -> NDArray[Any]:
-    if first is not None:
-        # The difference first: a date in nanoseconds is no double.
-        return (values - np.datetime64(first)) / np.timedelta64(1, "s")
+def _numbers(values: NDArray[Any]) -> NDArray[Any]:
     whole = values.dtype.kind in "iu" and values.dtype.isnative
     return values if whole else values.astype(np.float64, copy=False)
 
@@ -129,7 +109,7 @@ def fault_of(error: Exception, source: str, what: str) -> Exception:
 
 @dataclass(frozen=True)
 class Vector:
-    """A vector of numbers or dates in a file with groups.
+    """A vector of numbers in a file with groups.
 
     Parameters
     ----------
@@ -139,14 +119,11 @@ class Vector:
         What gives some of them when it is sliced, and has a length.
     unit : str
         Unit that the file states; empty without.
-    sampled : (float, float), optional
-        Start and step in s, where the file states them beside it.
     """
 
     path: tuple[str, ...]
     values: Any
     unit: str = ""
-    sampled: tuple[float, float] | None = None
 
 
 class _Along:
@@ -230,16 +207,8 @@ def grouped(
         for v in vectors
         if len(v.values) != size
     }
-    firsts = {name: np.asarray(vector.values[0:1]) for name, vector in columns.items()}
-    return StoredTable(
-        source,
-        tuple(columns),
-        read,
-        {name: " ".join(v.unit.split()) for name, v in columns.items() if v.unit.strip()},
-        {**left_aside, **others},
-        {name: first[0] for name, first in firsts.items() if first.dtype.kind == "M"},
-        {name: v.sampled for name, v in columns.items() if v.sampled is not None},
-    )
+    units = {name: " ".join(v.unit.split()) for name, v in columns.items() if v.unit.strip()}
+    return StoredTable(source, tuple(columns), read, units, {**left_aside, **others})
 
 
 def _listed(vectors: Sequence[Vector]) -> str:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
 
 from comparisons.cli.shared import Command, argument, reads, write_asked, writes
 from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
 __all__ = ["COMMAND"]
-
-SERIES_COLUMNS = frozenset(("time_s", "phi", "psi_p"))
 
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
@@ -23,7 +19,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
 
     _check_options(given)
     test = None if given.test is None else read_test_description(given.test)
-    match, remarks = None, tuple[str, ...]()
+    match = None
     with shown_steps(1 if test is None else 2) as begin:
         begin("looking through the file")
         layout = None if test is None else test.file
@@ -31,16 +27,13 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         if test is not None:
             begin("setting it beside the test and reducing it")
             match = match_test(given.file, test, inspection)
-    if test is None and {channel.name for channel in inspection.channels} >= SERIES_COLUMNS:
-        remarks = (_series_remark(given.file),)
-    found: dict[str, Any] = {"match": match, "remarks": remarks}
     # The files first: a reader of the text may go away after its first lines.
     written = write_asked(
         given,
-        json=lambda: inspect_document(inspection, **found),
+        json=lambda: inspect_document(inspection, match),
         draft=lambda: draft_test_toml(inspection, group=given.group),
     )
-    return ["\n\n".join([inspect_text(inspection, **found), *written])]
+    return ["\n\n".join([inspect_text(inspection, match), *written])]
 
 
 def _check_options(given: argparse.Namespace) -> None:
@@ -60,27 +53,12 @@ def _check_options(given: argparse.Namespace) -> None:
         )
 
 
-def _series_remark(file: Path) -> str:
-    from classic_ml.io.series import read_series
-
-    try:
-        series = read_series(file)
-    except InputError as error:
-        return f"a series that cannot be used: {error}"
-    n = len(set(series.segment.tolist()) - {0})
-    return (
-        f"a series of φ and ψ', ready for compare: {n} segment{'' if n == 1 else 's'}, "
-        f"{int((series.segment > 0).sum())} of {series.segment.size} rows in them"
-    )
-
-
 COMMAND = Command(
     "inspect",
     help="show what is in a raw record or a series, and draft its test.toml",
     description="Show the channels of a file (CSV, MAT, netCDF, HDF5, TDMS, Parquet) with units, "
     "rate, gaps, ranges and saturation; with --test also which column feeds which channel, the "
-    "ranges in SI and what reduce would make of the record. A file that is broken is shown as far "
-    "as it goes.",
+    "ranges in SI and what reduce would make of the record.",
     arguments=(
         reads("file", metavar="FILE", help="raw record or series"),
         reads("--test", metavar="TEST.toml", help="description of its test"),

@@ -15,9 +15,7 @@ from comparisons.cli.shared import (
     read_records,
     whole,
     write_asked,
-    writes,
 )
-from surge_core.errors import InputError
 from surge_core.progress import shown_steps
 
 __all__ = ["COMMAND"]
@@ -32,22 +30,12 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         begin("reading")
         records = read_records(given.series)
         begin("choosing terms")
-        found = find_structure(
-            records, rows=given.rows, degree=given.degree, n_bootstrap=given.bootstrap
-        )
-        if found.refused and given.python:
-            raise InputError(
-                "--python",
-                expected="a fit with an equation",
-                found=f"the state {found.state[0]}",
-                remedy="nothing was written; --rows fits the rows of the segments",
-            )
+        found = find_structure(records, rows=given.rows, n_bootstrap=given.bootstrap)
         begin("writing")
         written = write_asked(
             given,
             json=lambda: structure_document(found),
             report=lambda: structure_report(found, command=command_line()),
-            python=lambda: found.equation("python"),
         )
     return structure_text(found), *written
 
@@ -58,17 +46,11 @@ COMMAND = Command(
     description="Run the sparse regression alone and report all it finds: terms, errors, "
     "inclusion probabilities, rivals, time constant, dead time, noise, and the structures "
     "tried. A series that carries whole unfiltered runs is fitted by one free run through "
-    "them, unless --rows, --degree or --bootstrap is given. SparseLagRegressor takes knots, "
-    "constraints, dead time and optimizers in Python.",
+    "them, unless --rows or --bootstrap is given. SparseLagRegressor takes a library, "
+    "constraints and optimizers in Python.",
     arguments=(
         SERIES,
         argument("--rows", action="store_true", help="fit the rows of the segments always"),
-        argument(
-            "--degree",
-            type=whole(1, 12),
-            metavar="N",
-            help="highest power in the library (default: 5)",
-        ),
         argument(
             "--bootstrap",
             type=whole(0, 10000),
@@ -77,7 +59,6 @@ COMMAND = Command(
         ),
         JSON,
         REPORT,
-        writes("--python", metavar="FILE", help="write the equation as Python source"),
     ),
     run=_run,
 )

@@ -186,20 +186,19 @@ def structure_of(estimator: Any) -> dict[str, Any] | None:
     -------
     dict or None
         ``n_candidates``, the terms that were searched; ``rivals``, structures that the data do not
-        separate from the chosen one; ``aliases``, terms left out because they are sums of others
-        on this record; ``inclusion_probability``, share of resampled records that hold a term;
-        ``path``, the best structure of each size with its held-out rms (NaN where unknown).
+        separate from the chosen one; ``inclusion_probability``, share of resampled records that
+        hold a term; ``path``, the best structure of each size with its held-out rms (NaN where
+        unknown).
     """
     if not hasattr(estimator, "candidate_terms_"):
         return None
     best: dict[int, Any] = {}
-    # Of each size the chosen structure, else that of the least error; unknown errors last.
+    # Of each size the chosen structure, else that of the least error, or score where none is known.
     for row in sorted(estimator.path_, key=_by_merit, reverse=True):
         best[row.size] = row
     return {
         "n_candidates": len(estimator.candidate_terms_),
         "rivals": [list(terms) for terms in getattr(estimator, "rivals_", ())],
-        "aliases": dict(getattr(estimator, "aliases_", {})),
         "inclusion_probability": dict(getattr(estimator, "inclusion_probability_", {})),
         "path": [
             {
@@ -212,6 +211,6 @@ def structure_of(estimator: Any) -> dict[str, Any] | None:
     }
 
 
-def _by_merit(row: Any) -> tuple[bool, float]:
-    error = float(row.held_out_rms)
-    return not row.chosen, error if math.isfinite(error) else math.inf
+def _by_merit(row: Any) -> tuple[bool, float, float]:
+    error, score = np.nan_to_num([row.held_out_rms, row.score], nan=math.inf).tolist()
+    return not row.chosen, error, score

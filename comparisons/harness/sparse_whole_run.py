@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,13 +56,6 @@ class SparseWholeRunFit(WholeRunFit):
     candidate_terms_: tuple[str, ...]
     path_: tuple[PathRow, ...]
 
-    @property
-    def _phi_range(self) -> FloatArray:
-        """Least and greatest φ that was scored, of shape (2, 1); NaN where none was."""
-        inputs, scored = self.stacked()
-        phi = inputs.phi[scored] if scored.any() else np.array([math.nan])
-        return np.array([[phi.min()], [phi.max()]])
-
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
         values = evaluate_terms(self.terms_, np.ravel(np.asarray(phi, dtype=np.float64)))
@@ -86,27 +79,13 @@ class SparseWholeRunFit(WholeRunFit):
             parts,
             self.fit_state_,
             n_candidates=len(self.candidate_terms_),
-            path=self.path_,
-            input_ranges=self._phi_range,
         )
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
-        """Write the equation, rounded to its uncertainty.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
-        """
-        from sindy_surge.export import python_source
+    def equation(self) -> str:
+        """Write the equation, rounded to its uncertainty."""
         from sindy_surge.text import write_equation
 
-        parts = self.summary().parts
-        if style != "python":
-            return write_equation(parts, style)
-        return python_source(
-            parts, lambda phi, _: evaluate_terms(self.terms_, phi[:, 0]), self._phi_range
-        )
+        return write_equation(self.summary().parts)
 
 
 def fit_sparse_whole_runs(

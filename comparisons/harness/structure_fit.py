@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["FoundStructure", "find_structure"]
 
 CURVE_POINTS = 201
-# What the free run through whole records cannot take, by the name of the parameter.
-ROWS_ONLY = {"degree": "--degree", "n_bootstrap": "--bootstrap"}
 
 
 @dataclass(frozen=True)
@@ -90,15 +88,9 @@ class FoundStructure(Displayed):
             cautions=(*own.cautions, *([filtered.text] if filtered else [])),
         )
 
-    def equation(self, style: Literal["text", "latex", "python"] = "text") -> str:
-        """Write the equation, rounded to its uncertainty.
-
-        Parameters
-        ----------
-        style : {"text", "latex", "python"}
-            "python" gives the source of a function that returns ψ'_QS.
-        """
-        return str(self.fit.equation(style))
+    def equation(self) -> str:
+        """Write the equation, rounded to its uncertainty."""
+        return str(self.fit.equation())
 
     def curve(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return φ over the range of the data, ψ'_QS and its standard error there."""
@@ -117,7 +109,6 @@ def find_structure(
     *,
     rows: bool = False,
     max_terms: int = 6,
-    degree: int | None = None,
     n_bootstrap: int | None = None,
 ) -> FoundStructure:
     """Choose the terms of the lag model of ψ' by the sparse regression.
@@ -130,8 +121,8 @@ def find_structure(
         Fit the rows of the segments even where the records carry whole unfiltered runs.
     max_terms : int
         The largest structure.
-    degree, n_bootstrap : int, optional
-        See `SparseLagRegressor`; either makes the fit one of rows.
+    n_bootstrap : int, optional
+        See `SparseLagRegressor`; it makes the fit one of rows.
 
     Returns
     -------
@@ -143,10 +134,9 @@ def find_structure(
     InputError
         When the records do not go together, or there is nothing to fit.
     """
-    asked = {"degree": degree, "n_bootstrap": n_bootstrap}
-    given = {name: value for name, value in asked.items() if value is not None}
+    given = {} if n_bootstrap is None else {"n_bootstrap": n_bootstrap}
     settings: dict[str, Any] = {"hold": "first", "optimizer": "SSR", "max_terms": max_terms}
-    needs = ["--rows"] * rows + [ROWS_ONLY[name] for name in given]
+    needs = ["--rows"] * rows + ["--bootstrap"] * bool(given)
     whole, reason = _whole_or_rows(records, needs)
     if whole:
         run = fit_sparse_whole_runs(records, **settings)

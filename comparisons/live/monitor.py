@@ -201,11 +201,7 @@ class Monitor:
             raise InputError(
                 where, expected=error.expected, found=error.found, remedy=error.remedy
             ) from None
-        start_s = record.start_s
-        if self._test.file.start_s is not None:
-            # The clock is set at the first row of all, not at that of these rows.
-            start_s += (self._n_rows - len(lines)) / record.sample_rate_hz
-        return replace(record, start_s=start_s, source=FEED)
+        return replace(record, source=FEED)
 
     def _matched(self, newest: Record) -> list[str]:
         """Match at near stall once the reading of the facility has passed."""

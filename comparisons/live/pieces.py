@@ -144,12 +144,6 @@ def _reduced(
     piece: Piece, test_path: Path, settings: ReductionSettings, entry: LedgerEntry
 ) -> Reduction:
     record, test = read_raw(piece.path, piece.test or test_path)
-    if piece.number > 1 and test.file.start_s is not None:
-        raise InputError(
-            f"{test_path}: [file] start_s",
-            expected="none, for a piece behind a gap",
-            found="a clock that is set at the first row of each file",
-        )
     flags = entry.flags
     if piece.test is not None:
         flags += (f"piece {piece.number} is matched by the near-stall reading of piece 1",)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
-from itertools import islice
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["INSPECT_SCHEMA", "inspect_document", "inspect_text"]
 
 INSPECT_SCHEMA = "sindy-surge/inspect/1"
-# Beyond this share of the facility's reading the near-stall match refuses a channel.
-FAR_OFF = 0.2
-MOST_LEFT_ASIDE = 12
 # A surging machine moves every probe by many counts in 50 ms; what stands still longer is named,
 # whatever the rate from so many rows on.
 STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
@@ -29,12 +26,7 @@ STILL_S, STILL_ROWS, STILL_LEAST_ROWS = 0.05, 50, 5
 SURGING_SHARE = 0.8
 
 
-def inspect_text(
-    inspection: Inspection,
-    *,
-    match: TestMatch | None = None,
-    remarks: tuple[str, ...] = (),
-) -> str:
+def inspect_text(inspection: Inspection, match: TestMatch | None = None) -> str:
     """Return the findings as text.
 
     Parameters
@@ -43,38 +35,20 @@ def inspect_text(
         What is in the file.
     match : TestMatch, optional
         The file beside its test.toml, and what reduce would make of it.
-    remarks : tuple of str
-        What else was found: a test.toml that cannot be read, what kind of series it is.
     """
     parts = [_file_text(inspection)]
-    if inspection.fault:
-        parts.append(f"reading ended: {inspection.fault}")
-    parts += remarks
     if match is not None:
         parts += [_match_text(match), _reduction_text(match)]
     return "\n\n".join(parts)
 
 
-def inspect_document(
-    inspection: Inspection,
-    *,
-    match: TestMatch | None = None,
-    remarks: tuple[str, ...] = (),
-) -> dict[str, Any]:
+def inspect_document(inspection: Inspection, match: TestMatch | None = None) -> dict[str, Any]:
     """Return the findings as plain JSON types; arguments as for :func:`inspect_text`."""
+    found = asdict(inspection)
     return {
         "schema": INSPECT_SCHEMA,
-        "file": inspection.source,
-        "rows": inspection.rows,
-        "fault": inspection.fault,
-        "clock": None if inspection.clock is None else asdict(inspection.clock),
-        "channels": [
-            {**asdict(c), "constant": c.constant, "plateaus": list(c.plateaus)}
-            for c in inspection.channels
-        ],
-        "left_aside": dict(inspection.left_aside),
-        "surges_s": None if inspection.surges_s is None else list(inspection.surges_s),
-        "remarks": list(remarks),
+        "file": found.pop("source"),
+        **found,
         "test": None if match is None else asdict(match),
     }
 
@@ -97,25 +71,14 @@ def _file_text(inspection: Inspection) -> str:
             f"{channel.name:{width}s}  {channel.unit or '-':{units}s}{channel.minimum:12.6g}"
             f"{channel.mean:12.6g}{channel.maximum:12.6g}  {'; '.join(notes)}".rstrip()
         )
-    return "\n".join((*lines, *_beside(inspection)))
-
-
-def _beside(inspection: Inspection) -> Iterator[str]:
-    """Yield lines on what is in the file beside the columns of the record."""
     if inspection.left_aside:
-        yield from ("", "left aside:", *_listed(inspection.left_aside))
-
-
-def _listed(items: Mapping[str, str]) -> Iterator[str]:
-    yield from (f"  {name}: {what}" for name, what in islice(items.items(), MOST_LEFT_ASIDE))
-    if len(items) > MOST_LEFT_ASIDE:
-        yield f"  and {len(items) - MOST_LEFT_ASIDE} more (--json holds all)"
+        lines += ["", "left aside:", *(f"  {n}: {why}" for n, why in inspection.left_aside.items())]
+    return "\n".join(lines)
 
 
 def _clock_text(clock: ClockFacts) -> str:
-    about = f" ({clock.about})" if clock.about else ""
     text = (
-        f"clock: {clock.name} [{clock.unit}]{about}, {clock.first_s:.9g} to {clock.last_s:.9g} s, "
+        f"clock: {clock.name} [{clock.unit}], {clock.first_s:.9g} to {clock.last_s:.9g} s, "
         f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
     )
     troubles = [
@@ -142,8 +105,7 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
     if channel.not_finite == channel.rows:
         return ("no number in it",)
     if channel.not_finite:
-        first = channel.first_not_finite
-        notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite, from row {first}")
+        notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite")
     if channel.constant:
         return (*notes, "constant")
     for end in channel.plateaus:
@@ -152,7 +114,7 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
         notes.append(f"{rows} rows ({share:.2%}) at its {end}: saturated?")
     still_rows = STILL_S * rate_hz if rate_hz > 0.0 else STILL_ROWS
     if channel.longest_run >= max(STILL_LEAST_ROWS, still_rows):
-        notes.append(f"{channel.longest_run} rows alike from row {channel.longest_run_row}: stuck?")
+        notes.append(f"{channel.longest_run} rows alike: stuck?")
     return tuple(notes)
 
 
@@ -162,51 +124,22 @@ def _counted(count: int, one: str, more: str) -> str:
 
 def _match_text(match: TestMatch) -> str:
     lines = [f"as the test '{match.test}':"]
-    rows = [
-        (
-            c.channel,
-            c.column,
-            c.unit,
-            f"{_in_shown_unit(c.minimum, c.si_unit)} to {_in_shown_unit(c.maximum, c.si_unit)}"
-            if c.present
-            else "",
-            _near_stall_text(c),
-            _match_notes(c),
-        )
-        for c in match.channels
-    ]
-    head = ("channel", "column", "unit", "range", "near stall (facility)", "notes")
+    rows = [(c.channel, c.column, c.unit, _range_text(c)) for c in match.channels]
+    head = ("channel", "column", "unit", "range")
     widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     for row in (head, *rows):
         cells = (f"{cell:{width}s}" for cell, width in zip(row, widths, strict=True))
         lines.append("  ".join(cells).rstrip())
     if match.left_over:
         lines.append("columns that feed nothing: " + ", ".join(match.left_over))
-    exchanged = {pair: above_Pa for pair, above_Pa in match.above_Pa.items() if not above_Pa > 0.0}
-    lines += [
-        f"{pair}: the aft probe is {-above_Pa / 1e3:.3g} kPa above the forward one near stall: "
-        "exchanged?"
-        for pair, above_Pa in exchanged.items()
-    ]
-    if match.above_Pa and not exchanged:
-        lines.append("near stall every forward probe is above its aft one, as it should be")
     return "\n".join(lines)
 
 
-def _match_notes(match: ChannelMatch) -> str:
-    if not match.present:
-        return "no such column" + (f": {match.why_not}" if match.why_not else "")
-    notes = []
-    if abs(match.near_stall - match.facility) > FAR_OFF * match.facility:
-        notes.append("far off the facility's reading: its unit?")
-    return "; ".join(notes)
-
-
-def _near_stall_text(match: ChannelMatch) -> str:
-    if not (match.near_stall == match.near_stall and match.facility == match.facility):
-        return ""
-    found = _in_shown_unit(match.near_stall, match.si_unit)
-    return f"{found} ({_in_shown_unit(match.facility, match.si_unit)})"
+def _range_text(match: ChannelMatch) -> str:
+    if isnan(match.minimum):
+        return "no such column"
+    ends = (_in_shown_unit(end, match.si_unit) for end in (match.minimum, match.maximum))
+    return " to ".join(ends)
 
 
 def _in_shown_unit(value: float, si_unit: str) -> str:

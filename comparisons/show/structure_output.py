@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,11 +40,8 @@ def structure_text(found: FoundStructure) -> str:
     if found.refused:
         code, advice = found.state
         return "\n".join([*lines, "", *_wrapped(f"no structure ({code}): {advice}")])
-    summary = found.summary
-    lines += ["", replace(summary, path=()).sheet().text()]
+    lines += ["", found.summary.sheet().text()]
     lines += _wrapped(left_out_words(found))
-    if summary.path:
-        lines += ["", f"{len(summary.path)} structures were tried: --report and --json list them."]
     return "\n".join(lines)
 
 
@@ -143,10 +139,8 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
         ],
         "candidates": list(fit.candidate_terms_),
         "inclusion_probability": known,
-        "aliases": dict(getattr(fit, "aliases_", {})),
         "rivals": [list(terms) for terms in getattr(fit, "rivals_", ())],
         "path": [_path_row(row) for row in fit.path_],
-        "weak_form": _weak_form(getattr(fit, "weak_form_", None)),
         "noise": None
         if noise is None
         else {found.target: float(noise[0]), "phi": float(np.ravel(noise[1])[0])},
@@ -161,8 +155,3 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
 def _path_row(row: PathRow) -> dict[str, Any]:
     keys = "size", "score", "chi2", "time_constant_s", "held_out_rms", "consistent", "chosen"
     return {"terms": list(row.terms), **{key: getattr(row, key) for key in keys}}
-
-
-def _weak_form(weak: Any) -> dict[str, float] | None:
-    names = ("forward_s", "reverse_s", "gap", "half_width_s")
-    return None if weak is None else {name: float(getattr(weak, name)) for name in names}

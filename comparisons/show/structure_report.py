@@ -55,11 +55,9 @@ def _parts(found: FoundStructure) -> tuple[Part, ...]:
     if found.refused:
         refusal = Words(f"No structure ({code}): {advice}", "caution")
         return (Part("Structure", (opening, refusal)),)
-    equations = tuple(Words(found.equation(style), "code") for style in ("latex", "python"))
     return (
         Part("Structure", (opening, *_summary(found), Words(left_out_words(found)))),
         Part("Characteristic", (_curve_picture(found),)),
-        Part("Equation as LaTeX and Python", equations),
     )
 
 

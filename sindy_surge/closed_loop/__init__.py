@@ -4,6 +4,5 @@ from __future__ import annotations
 
 from sindy_surge.closed_loop.discovery import discover_surge_model
 from sindy_surge.closed_loop.model import CycleRow, LoopState, SurgeModel
-from sindy_surge.closed_loop.terms import surge_library
 
-__all__ = ["CycleRow", "LoopState", "SurgeModel", "discover_surge_model", "surge_library"]
+__all__ = ["CycleRow", "LoopState", "SurgeModel", "discover_surge_model"]

@@ -22,11 +22,10 @@ from sindy_surge.closed_loop.shooting import (
     fit_jointly,
 )
 from sindy_surge.closed_loop.structure import proposed_structure, settle_structure
-from sindy_surge.closed_loop.terms import StateTerms, surge_library
+from sindy_surge.closed_loop.terms import surge_library
 from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
 from surge_core.types import FloatArray
-from surge_core.validation import whole_number
 
 __all__ = ["discover_surge_model"]
 
@@ -35,6 +34,8 @@ __all__ = ["discover_surge_model"]
 # standard deviations. Below it, rounding and the integrator's error would ask for terms.
 _LEAST_NOISE = 3.5e-4
 _AGREEMENT = 0.05
+# Largest number of terms of one equation.
+_MOST_TERMS = 6
 # Of the right structure the residual is the noise that differences show, up to a few per cent.
 _EXCESS = 1.5
 # A cycle that dies away leaves fewer crossings than the nine or ten of a lasting one.
@@ -46,9 +47,6 @@ def discover_surge_model(
     psi_p: ArrayLike,
     plenum: ArrayLike | None,
     sample_period_s: float,
-    *,
-    library: StateTerms | None = None,
-    max_terms: int = 6,
 ) -> SurgeModel:
     """Discover the autonomous surge model behind measured surge cycles.
 
@@ -70,10 +68,6 @@ def discover_surge_model(
         losses between compressor and plenum.
     sample_period_s : float
         Sample period in seconds.
-    library : StateTerms or None
-        Candidate terms; None takes `surge_library`.
-    max_terms : int
-        Largest number of terms of one equation.
 
     Returns
     -------
@@ -85,8 +79,6 @@ def discover_surge_model(
     InputError
         If a channel cannot be used, or has fewer than four surge cycles.
     """
-    chosen = surge_library() if library is None else library
-    whole_number("max_terms", max_terms, 1, len(chosen))
     record, cycles = read_record(phi, psi_p, plenum, sample_period_s)
     period_samples = cycles.period_s / sample_period_s
     half_width = half_width_samples(record[:, 0], period_samples)
@@ -96,14 +88,14 @@ def discover_surge_model(
     )
     if plenum is None:
         record = np.column_stack((record, hidden_plenum(record, sample_period_s, half_width)[0]))
-    windows = Windows.cut(record, noise, float(sample_period_s), period_samples, chosen)
-    support, coefficients = proposed_structure(windows, half_width, max_terms)
+    windows = Windows.cut(record, noise, float(sample_period_s), period_samples, surge_library())
+    support, coefficients = proposed_structure(windows, half_width, _MOST_TERMS)
     fit = fit_jointly(windows, support, coefficients, windows.states[:, 0])
     # What the first structure leaves counts as noise in the choice between structures.
     if np.isfinite(fit.chi2):
         windows = replace(windows, noise=noise * np.maximum(fit.channel_rms, 1.0))
         fit = fit_jointly(windows, support, fit.coefficients, fit.starts)
-    fit, settled = settle_structure(windows, fit, max_terms)
+    fit, settled = settle_structure(windows, fit, _MOST_TERMS)
     return _judged(_model(windows, fit, record, cycles), noise, fit.converged and settled)
 
 
@@ -143,14 +135,10 @@ def _judged(model: SurgeModel, noise: FloatArray, settled: bool) -> SurgeModel:
     if finite:
         model = replace(model, simulated_cycles=measure_cycles(states, model.sample_period_s))
     state = LoopState.OK if settled else LoopState.NOT_CONVERGED
-    if not finite:
-        state = LoopState.LEAVES_RANGE
-    elif model.simulated_cycles.n_cycles < _FEWEST_SIMULATED:
+    if not finite or model.simulated_cycles.n_cycles < _FEWEST_SIMULATED:
         state = LoopState.DOES_NOT_CYCLE
     elif any(abs(row.difference) > _AGREEMENT for row in model.cycle_rows()):
         state = LoopState.CYCLES_DIFFER
-    elif np.max(model.noise / noise) > _EXCESS:
+    elif np.max(model.noise / noise) > _EXCESS or not model.is_lag:
         state = LoopState.MODEL_ERROR
-    elif not model.is_lag:
-        state = LoopState.NOT_A_LAG
     return replace(model, state=state)

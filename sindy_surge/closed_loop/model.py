@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from sindy_surge.closed_loop.record import Cycles
 from sindy_surge.closed_loop.terms import STATES, StateTerms
-from sindy_surge.text import EquationParts, signed_sum, write_equation
-from surge_core.errors import InputError
+from sindy_surge.text import signed_sum
 from surge_core.fit_state import AdvisedState
 from surge_core.terms import pretty_term
 from surge_core.types import FloatArray
@@ -29,15 +28,10 @@ class LoopState(AdvisedState):
     """How the discovery ended; each member carries its advice."""
 
     OK = ("ok", "simulated from its own start, the model repeats the cycles within 5 %")
-    LEAVES_RANGE = (
-        "leaves_range",
-        "simulated, the model runs away from the range of the record: use more cycles, fewer "
-        "terms (max_terms), or look for clipped or shifted signals",
-    )
     DOES_NOT_CYCLE = (
         "does_not_cycle",
-        "simulated, the model settles instead of cycling: the record may be a transient, or the "
-        "channels may be shifted in time against each other",
+        "simulated, the model settles or runs away instead of cycling: use more cycles, and look "
+        "for clipped signals, a transient, or channels shifted in time against each other",
     )
     CYCLES_DIFFER = (
         "cycles_differ",
@@ -46,18 +40,13 @@ class LoopState(AdvisedState):
     )
     MODEL_ERROR = (
         "model_error",
-        "the cycles agree, but what the equations leave is well above the white noise: an effect "
-        "that the library lacks, or coloured noise; trust the cycles, not the terms",
-    )
-    NOT_A_LAG = (
-        "not_a_lag",
-        "the cycles agree, but ψ' follows more than φ, and its τ means nothing; a channel that is "
-        "late by a sample does that: align the channels, and trust the cycles, not the terms",
+        "the cycles agree, but what the equations leave is well above the white noise, or ψ' "
+        "follows more than φ: an effect that the library lacks, coloured noise, or a channel late "
+        "by a sample; trust the cycles, not the terms",
     )
     NOT_CONVERGED = (
         "not_converged",
-        "the cycles agree, but the last steps still changed the equations: use more cycles or "
-        "fewer terms (max_terms)",
+        "the cycles agree, but the last steps still changed the equations: use more cycles",
     )
 
 
@@ -147,16 +136,10 @@ class SurgeModel:
         ndarray of shape (n_samples, 3)
             φ, ψ' and Ψ; nan from where the model has left the range of the record for good.
 
-        Raises
-        ------
-        InputError
-            If the start is not three finite numbers.
         """
         from scipy.integrate import solve_ivp
 
         first = np.asarray(self.start if start is None else start, dtype=np.float64)
-        if first.shape != (len(STATES),) or not np.all(np.isfinite(first)):
-            raise InputError("start", expected="three finite numbers φ, ψ', Ψ", found=str(first))
         step = self.sample_period_s
         if n_samples is None:
             n_samples = int(np.ceil(10 * self.measured_cycles.period_s / step)) + 1
@@ -192,27 +175,25 @@ class SurgeModel:
 
     @property
     def time_constant_s(self) -> float:
-        """τ of the compressor's lag in seconds; nan if dψ'/dt has no term -ψ'/τ."""
-        return self._lag().time_constant_s
+        """τ of the compressor's lag in seconds, from -ψ'/τ in dψ'/dt; nan without such a term."""
+        return -1.0 / self._decay()[0]
 
     @property
     def time_constant_stderr_s(self) -> float:
         """Standard error of τ in seconds."""
-        return self._lag().time_constant_stderr_s
+        rate, error = self._decay()
+        return error / rate**2
 
     @property
     def is_lag(self) -> bool:
         """Whether ψ' lags behind a function of φ alone."""
-        lag = self._lag()
-        coupled = any("psi_p" in term or "plenum" in term for term in lag.terms)
-        return not (lag.is_static or coupled)
+        others = [name for name in self.terms[1].names if name != "psi_p"]
+        coupled = any("psi_p" in name or "plenum" in name for name in others)
+        return self.time_constant_s > 0 and not coupled
 
-    def equations(self) -> tuple[str, str, str]:
-        """Return the three equations as text, each coefficient rounded to its error.
-
-        The second is written as the lag τ dψ'/dt + ψ' = ψ'_QS where it has the term -ψ'/τ.
-        """
-        flow, pressure, plenum = (
+    def equations(self) -> tuple[str, ...]:
+        """Return the three equations as text, each coefficient rounded to its error."""
+        return tuple(
             f"d{pretty_term(name)}/dt = "
             + signed_sum(list(zip(terms.names, values.tolist(), errors.tolist(), strict=True)))
             + "   [1/s; φ, ψ', Ψ dimensionless]"
@@ -220,30 +201,11 @@ class SurgeModel:
                 STATES, self.terms, self.coefficients, self.standard_errors, strict=True
             )
         )
-        lag = self._lag()
-        return flow, pressure if lag.is_static else write_equation(lag), plenum
 
-    def _lag(self) -> EquationParts:
-        """Return dψ'/dt = Σ c_i s_i as τ = -1/c_ψ' and β_i = τ c_i; static without -ψ'/τ."""
-        names, rates = self.terms[1].names, self.coefficients[1]
-        decay = names.index("psi_p") if "psi_p" in names else -1
-        if decay < 0 or rates[decay] >= 0:
-            return EquationParts((), (), (), math.nan, math.nan)
-        tau = -1 / rates[decay]
-        slopes = tau * np.eye(rates.size)
-        slopes[:, decay] += tau**2 * rates
-        # β of ψ' itself is -1 whatever the rates; its place is that of τ.
-        slopes[decay] = 0.0
-        slopes[decay, decay] = tau**2
-        first = len(self.terms[0])
-        own = slice(first, first + rates.size)
-        variances = np.einsum("ij,jk,ik->i", slopes, self.covariance[own, own], slopes)
-        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()
-        others = [i for i in range(rates.size) if i != decay]
-        return EquationParts(
-            tuple(names[i] for i in others),
-            tuple((tau * rates[others]).tolist()),
-            tuple(errors[i] for i in others),
-            float(tau),
-            errors[decay],
-        )
+    def _decay(self) -> tuple[float, float]:
+        """Return the coefficient of ψ' in dψ'/dt and its error, per second; nan without one."""
+        names = self.terms[1].names
+        if "psi_p" not in names:
+            return math.nan, math.nan
+        at = names.index("psi_p")
+        return float(self.coefficients[1][at]), float(self.standard_errors[1][at])

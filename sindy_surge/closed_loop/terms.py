@@ -66,28 +66,16 @@ def _name(exponents: IndexArray) -> str:
     return " ".join(parts) or "1"
 
 
-def surge_library(degree: int = 2, flow_degree: int = 5) -> StateTerms:
-    """Build the candidate terms, one list for all three equations.
+def surge_library() -> StateTerms:
+    """Build the 15 candidate terms, one list for all three equations.
 
-    Polynomials of the three states (pysindy's `PolynomialLibrary`), higher powers of φ for the
-    characteristic, φ² of reversed flow, and √Ψ for the throttle: 15 terms by default.
-
-    Parameters
-    ----------
-    degree : int
-        Highest total degree of the products of the states, at least 1.
-    flow_degree : int
-        Highest power of φ alone.
-
-    Returns
-    -------
-    StateTerms
-        The library.
+    Quadratic polynomials of the three states (pysindy's `PolynomialLibrary`), powers of φ up to
+    the fifth for the characteristic, φ² of reversed flow, and √Ψ for the throttle.
     """
     from pysindy.feature_library import PolynomialLibrary
 
-    products = PolynomialLibrary(degree=degree).fit(np.zeros((2, len(STATES)))).powers_
+    products = PolynomialLibrary(degree=2).fit(np.zeros((2, len(STATES)))).powers_
     unit = np.eye(len(_FACTORS), dtype=np.intp)
-    higher = [power * unit[0] for power in range(degree + 1, flow_degree + 1)]
+    higher = [power * unit[0] for power in (3, 4, 5)]
     special = [2 * unit[_REVERSED], unit[_ROOT]]
     return StateTerms(np.vstack((products @ unit[:3], *higher, *special)).astype(np.intp))

@@ -94,20 +94,11 @@ def test_a_bad_probe_is_named_and_left_out_with_its_mate(
     assert PROBE in dropped.why
 
 
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ((400, 430), "faulty rows outside the window only"),
-        ((900, 904), "4 faulty rows in the window, few enough to keep it"),
-    ],
-)
-def test_few_faults_are_flagged_and_the_probe_kept(
-    made: RawTest, rows: tuple[int, int], words: str
-) -> None:
+@pytest.mark.parametrize("rows", [(400, 430), (900, 904)], ids=["outside", "few"])
+def test_with_few_faults_a_probe_is_kept(made: RawTest, rows: tuple[int, int]) -> None:
     kept = chosen(*spoiled(made, PROBE, between(*rows, 4095.0)))
     assert PROBE in kept
     assert kept.history[-1].dropped == ()
-    assert kept.history[-1].flags == (f"{PROBE}: {words}",)
 
 
 def test_the_last_pair_of_an_immersion_is_not_left_out_but_refused(made: RawTest) -> None:

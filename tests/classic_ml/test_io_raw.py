@@ -214,17 +214,3 @@ def test_a_row_at_fault_behind_the_start_of_a_window_has_its_number_in_the_file(
     with pytest.raises(InputError, match=r"P31_A_tip_aft: .* in row 900"):
         read_raw(raw, test, window=(0.8, 1.25))
     assert read_raw(raw, test, window=(1.0, 1.25))[0].n_samples == 251
-
-
-@pytest.mark.parametrize("spoil", ["gap", "other rate"])
-def test_a_clock_that_contradicts_the_rate_it_is_replaced_by_is_refused(
-    made: RawTest, tmp_path: Path, spoil: str
-) -> None:
-    raw, toml = made.write(tmp_path)
-    toml.write_text(to_toml({**made.description, "file": {"clock": "from rate"}}), "utf-8")
-    assert read_raw(raw, toml)[0].n_samples == 501
-    time_s = made.columns["time_s"]
-    time_s = time_s * 1.02 if spoil == "other rate" else time_s + 0.5 * (time_s > 0.2)
-    write_csv(raw, {**made.columns, "time_s": time_s})
-    with pytest.raises(InputError, match="column time_s: expected uniform steps at 1000"):
-        read_raw(raw, toml)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from clean_records import CLEAN, clean_record, with_channels
-from raw_data import make_test
 
-from classic_ml.io import TestDescription, read_raw
+from classic_ml.io import TestDescription
 from classic_ml.records import Record
 from classic_ml.reduction import reduce_record
-from surge_core.errors import InputError
 
 
 def flagged(record: Record, test: TestDescription) -> list[str]:
@@ -62,10 +59,3 @@ def test_the_drift_of_single_amplifiers_is_what_the_match_is_for(name: str) -> N
                 )
             flags = flagged(drifted, test)
             assert not [f for f in flags if f.startswith("near stall all probes")]
-
-
-def test_without_inertia_there_is_no_compressor(tmp_path: Path) -> None:
-    made = make_test(seconds=0.5)
-    made.description["compressor"]["inertia_per_m"] = 0.0
-    with pytest.raises(InputError, match=r"inertia_per_m: expected .* above 0"):
-        read_raw(*made.write(tmp_path))

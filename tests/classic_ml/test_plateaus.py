@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -13,19 +12,17 @@ import pytest
 from raw_data import make_test, to_toml, write_csv
 
 from classic_ml.faults.findings import CLIPPED
-from classic_ml.faults.plateaus import RangeEnd, range_ends
+from classic_ml.faults.plateaus import range_ends
 from classic_ml.faults.search import inspect_readings
 from classic_ml.io import TestDescription, read_raw
 from classic_ml.records import FloatArray, Record
-from classic_ml.reduction import reduce_record
 from comparisons.rig import SensorSettings, simulate, write_run
-from surge_core.errors import InputError
 
 PSI = 6894.757
 COUNT_KEYS = ("zoc_reference_Pa", "zero_count", "calibrate_count", "calibrate_pressure_Pa")
 
 
-def ends_of(values: FloatArray) -> tuple[RangeEnd, ...]:
+def ends_of(values: FloatArray) -> tuple[float, ...]:
     return range_ends(np.ascontiguousarray(values, dtype=np.float64))
 
 
@@ -90,33 +87,14 @@ def test_what_clips_in_counts_clips_in_any_unit(rig: Path) -> None:
     assert "looked for clipped readings, " in found.history[-1].did
 
 
-def test_the_reduction_is_that_of_the_counts(rig: Path) -> None:
-    expected = reduce_record(*read(rig))
-    found = reduce_record(*read(in_other_units(rig)))
-    assert found.window_s == expected.window_s
-    # A digit of a psia is worth a row at a switch here and there.
-    assert np.count_nonzero(found.series.free_run != expected.series.free_run) < 5
-    assert np.count_nonzero(found.series.segment != expected.series.segment) < 5
-    off = np.abs(found.series.psi_p - expected.series.psi_p)
-    assert np.quantile(off, 0.99) < 1e-3
-    (chosen,) = (e for e in found.record.history if e.step == "choose channels")
-    assert [d.what for d in chosen.dropped] == ["T31_A", "T31_B", "W31 and ψ"]
-    assert "clipped in" in chosen.dropped[0].why
-
-
-def test_stated_limits_are_believed_and_what_they_let_through_is_flagged(rig: Path) -> None:
+def test_stated_limits_are_believed(rig: Path) -> None:
     """Of one channel the end is known, another is said to go on beyond its end."""
-    known, doubtful = "P25_A_tip_forward", "P25_B_tip_aft"
-    limits = {known: [2e4, 1.42e5], doubtful: [2e4, 3e5], "T31_A": [200.0, 600.0]}
+    known, wider = "P25_A_tip_forward", "P25_B_tip_aft"
+    limits = {known: [2e4, 1.42e5], wider: [2e4, 3e5], "T31_A": [200.0, 600.0]}
     found = inspect_readings(*read(in_other_units(rig, limits=limits)))
-    assert f"fault_{doubtful}" not in found
+    assert f"fault_{wider}" not in found
     assert set(np.unique(found[f"fault_{known}"])) == {0.0, 4.0}
     assert np.max(found["fault_P25_A_tip_aft"]) == CLIPPED
-    flags = [flag for flag in found.history[-1].flags if "does its range end there?" in flag]
-    assert len(flags) == 1
-    assert flags[0].startswith(f"{doubtful}: ")
-    assert "at its largest reading of 1" in flags[0]
-    assert "test.toml lets them count" in flags[0]
 
 
 # ------------------------------------------------------------------------------- false alarms
@@ -163,9 +141,7 @@ def recorded(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         yield f"{bits} bits in psi", (read_off / PSI).round(4)
         for held in (2, 4, 10):
             yield f"{bits} bits held {held}", np.repeat(read_off[::held], held)[: rows.size]
-        for every in (4, 20):
-            slow = np.interp(rows, rows[::every], read_off[::every])
-            yield f"{bits} bits, lines between {every}", slow
+        yield f"{bits} bits, lines between", np.interp(rows, rows[::4], read_off[::4])
     smooth = np.convolve(values, np.hanning(33) / 16.0, "valid")
     for bits in (4, 6, 8, 10):
         yield f"smooth, {bits} bits", coarse(smooth, bits)
@@ -208,9 +184,8 @@ def test_an_amplifier_that_saturates_below_its_own_noise_is_found(share: float) 
     top = np.quantile(wave, 1.0 - share)
     codes = np.minimum(np.round(np.minimum(wave, top) + rng.normal(0.0, 6.0, n)), np.floor(top))
     for gain in (1.0, 4.813e-3):
-        (end,) = ends_of(np.round(gain * codes, 6))
-        assert end.upper
-        assert end.rows == np.count_nonzero(codes == codes.max())
+        read_off = np.round(gain * codes, 6)
+        assert ends_of(read_off) == (read_off.max(),)
 
 
 def test_constant_and_switching_channels_are_not_cut_off() -> None:
@@ -234,8 +209,7 @@ def test_a_channel_without_noise_may_rest_at_its_extreme(sign: float) -> None:
     pumps = 2e5 + 1e5 * np.maximum(np.sin(2.0 * np.pi * 3.3 * time_s), 0.0) ** 2
     assert ends_of(sign * pumps) == ()
     noise = np.random.default_rng(4).normal(0.0, 50.0, time_s.size)
-    (end,) = ends_of(sign * np.maximum(pumps + noise, 2.01e5))
-    assert end.upper == (sign < 0.0)
+    assert ends_of(sign * np.maximum(pumps + noise, 2.01e5)) == (sign * 2.01e5,)
 
 
 def test_dropouts_to_the_least_reading_are_no_end_of_the_range() -> None:
@@ -261,57 +235,12 @@ def test_a_surge_that_is_cut_off_is_found_at_any_resolution(bits: int, share: fl
                 continue
             cut = np.minimum(values, np.quantile(values, 1.0 - share))
             cut = coarse(cut, bits) if bits else cut
-            (end,) = ends_of(cut)
-            assert end.upper
-            assert (end.reading, end.rows) == (cut.max(), np.count_nonzero(cut == cut.max()))
-            np.testing.assert_array_equal(end.beyond(cut), cut == cut.max())
+            assert ends_of(cut) == (cut.max(),)
             # Turned over it is the other end.
-            (end,) = ends_of(-cut)
-            assert not end.upper
-            np.testing.assert_array_equal(end.beyond(-cut), cut == cut.max())
+            assert ends_of(-cut) == (-cut.max(),)
 
 
 def test_both_ends_are_found_at_once() -> None:
     rng = np.random.default_rng(1)
     wave = 300.0 * np.sin(np.arange(3000) / 9.0) + rng.normal(0.0, 4.0, 3000)
-    low, high = ends_of(np.clip(np.round(wave), -200.0, 230.0))
-    assert (low.upper, low.reading, high.upper, high.reading) == (False, -200.0, True, 230.0)
-
-
-# ------------------------------------------------------------------------- impossible pressures
-
-
-@pytest.mark.parametrize(
-    ("unit", "more", "value", "words"),
-    [
-        ("psia", {}, 0.0, "found 0 Pa in row 301; .* reference_Pa"),
-        ("psig", {"reference_Pa": 1e5}, -14.6, "found -6.* reference_Pa"),
-    ],
-)
-def test_no_pressure_is_below_nothing(
-    unit: str, more: dict[str, float], value: float, words: str, tmp_path: Path
-) -> None:
-    raw = one_in(unit, **more)
-    raw.columns[ODD][300] = value
-    with pytest.raises(
-        InputError, match=f"channel {ODD}: expected absolute pressures above 0 Pa, {words}"
-    ):
-        raw.load()
-
-
-ODD = "P25_A_tip_aft"
-
-
-def one_in(unit: str, **more: float) -> Any:
-    """A test with one pressure in a unit of its own."""
-    made = make_test(seconds=0.5)
-    table = made.description["channels"][ODD]
-    gain = (table["calibrate_count"] - table["zero_count"]) / table["calibrate_pressure_Pa"]
-    pascals = (made.columns[ODD] - table["zero_count"]) / gain + table["zoc_reference_Pa"]
-    size = 1e3 if unit.startswith("kPa") else PSI
-    kept = {key: value for key, value in table.items() if key not in COUNT_KEYS}
-    columns = {**made.columns, ODD: (pascals - more.get("reference_Pa", 0.0)) / size}
-    channels = {**made.description["channels"], ODD: {**kept, "unit": unit, **more}}
-    return dataclasses.replace(
-        made, columns=columns, description={**made.description, "channels": channels}
-    )
+    assert ends_of(np.clip(np.round(wave), -200.0, 230.0)) == (-200.0, 230.0)

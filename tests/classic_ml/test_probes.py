@@ -1,4 +1,4 @@
-"""Probes beside each other: a lost one, a wrong sensitivity, a rake upside down."""
+"""Probes beside each other: a lost one, a wrong sensitivity, a zero that drifts."""
 
 from __future__ import annotations
 
@@ -70,29 +70,13 @@ def test_two_probes_or_a_quiet_record_tell_nothing(
     assert compare_probes(slow_pressures(record, test, slice(700, 900)), test) == {}
 
 
-def test_a_rake_upside_down_is_found(loaded: tuple[Record, TestDescription]) -> None:
-    record, test = loaded
-    assert disagreements(slow_pressures(record, test, CYCLES), test, {}) == []
-    channels = dict(record.channels)
-    for facing in ("forward", "aft"):
-        hub, tip = (f"P25_A_{place}_{facing}" for place in ("hub", "tip"))
-        channels[hub] = Channel(hub, record[tip], "Pa")
-        channels[tip] = Channel(tip, record[hub], "Pa")
-    upside_down = record.after(record.history[-1], add=list(channels.values()))
-    slow = slow_pressures(upside_down, test, CYCLES)
-    (found,) = (f for f in disagreements(slow, test, {}) if f.kind == "exchanged immersions")
-    assert found.sentence.startswith("plane 25: the hub of rake A goes with the tip of rake B")
-    others = disagreements({n: v for n, v in slow.items() if n != "P25_B_tip_aft"}, test, {})
-    assert not [f for f in others if f.kind == "exchanged immersions"]
-
-
 def test_a_zero_that_drifts_between_near_stall_and_the_cycles_is_found(
     loaded: tuple[Record, TestDescription],
 ) -> None:
     record, test = loaded
+    assert disagreements(slow_pressures(record, test, CYCLES), test, {}) == []
     name = "P25_A_hub_forward"
     spoiled = changed(record, name, 1.03 * record[name])
-    found = disagreements(slow_pressures(spoiled, test, CYCLES), test, {})
-    assert [f.kind for f in found] == ["drifted apart"]
-    assert found[0].channel == name
-    assert "above P25_B_hub_forward" in found[0].sentence
+    (found,) = disagreements(slow_pressures(spoiled, test, CYCLES), test, {})
+    assert found.startswith(name)
+    assert "above P25_B_hub_forward" in found

@@ -250,31 +250,6 @@ def test_a_netcdf_file_whose_clock_is_called_time_is_told_to_rename_it(
     np.testing.assert_array_equal(read_series(file).time_s, time_s)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".nc"])
-def test_every_double_survives_its_file(tmp_path: Path, suffix: str) -> None:
-    rng = np.random.default_rng(11)
-    n = 100_000
-    bits = rng.integers(0, 2**64, n, dtype=np.uint64)
-    # Exponents from the smallest subnormal up to what ψ may be.
-    bits &= np.uint64(0x800FFFFFFFFFFFFF)
-    bits |= rng.integers(0, 1023 + 9, n, dtype=np.uint64) << np.uint64(52)
-    psi = bits.view(np.float64)
-    psi[:6] = [0.0, -0.0, 5e-324, -2.225073858507201e-308, 441.0, 1e-5]
-    series = CoefficientSeries(
-        time_s=np.arange(n) / 1000.0,
-        phi=rng.standard_normal(n) * 0.1,
-        psi_p=rng.standard_normal(n),
-        segment=np.ones(n),
-        psi=psi,
-    )
-    file = tmp_path / f"run{suffix}"
-    write_series(series, file)
-    back = read_series(file)
-    for name, values in series.columns().items():
-        # Bit for bit: a zero keeps its sign.
-        assert getattr(back, name).tobytes() == values.tobytes()
-
-
 def test_a_netcdf_series_says_what_its_columns_are(tmp_path: Path) -> None:
     import xarray as xr
 

@@ -119,10 +119,10 @@ def test_what_a_pressure_is_taken_against_is_read_from_its_name(unit: str, refer
 @pytest.mark.parametrize(
     ("unit", "reference_Pa", "words"),
     [
-        ("psi", None, 'reading of 0 "psi" stands for, found nothing; write "psi abs"'),
+        ("psi", None, 'stands for, beside the unit "psi", found nothing; write "psi abs"'),
         ("psig", None, "found nothing; .* the barometer"),
-        ("psig", 0.0, "taken against, found 0"),
-        ("psia", 101325.0, 'none beside the unit "psia", which is absolute, found 101325'),
+        ("psig", 0.0, "reading of 0 stands for, .* found 0"),
+        ("psia", 101325.0, 'none, beside the unit "psia", found 101325'),
         ("furlong", 0.0, 'a unit of pressure, such as Pa, .* found "furlong"$'),
         ("degC", 0.0, 'a unit of pressure, .* found "degC"'),
         ("MPA", 0.0, "a unit of pressure"),

@@ -54,7 +54,7 @@ def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
         "codes": np.minimum(rng.integers(0, 4200, n), 4095),
     }
     found = inspected(tmp_path, columns)
-    assert (found.rows, found.fault, len(found.channels)) == (n, "", 7)
+    assert (found.rows, len(found.channels)) == (n, 7)
     for channel in found.channels:
         values = columns[channel.name][np.isfinite(columns[channel.name])]
         assert (channel.minimum, channel.maximum) == (values.min(), values.max())
@@ -62,13 +62,12 @@ def test_ranges_and_faults_are_those_of_the_columns(tmp_path: Path) -> None:
         assert channel.at_minimum == np.count_nonzero(values == values.min())
         assert channel.not_finite == n - values.size
     facts = {channel.name: channel for channel in found.channels}
-    assert facts["spoiled"].first_not_finite == 42
     assert facts["still"].constant
     assert facts["noise"].plateaus == ()
     assert facts["clipped"].plateaus == ("minimum",)
     assert facts["codes"].plateaus == ("maximum",)
     assert facts["codes"].whole_numbers
-    assert (facts["stuck"].longest_run, facts["stuck"].longest_run_row) == (40, 1001)
+    assert facts["stuck"].longest_run == 40
     clock = found.clock
     assert clock is not None
     assert clock.rate_hz == pytest.approx(500.0)
@@ -105,15 +104,13 @@ def test_a_file_that_is_looked_through_in_pieces_is_found_the_same(
     whole = inspected(tmp_path, columns)
     facts = {channel.name: channel for channel in whole.channels}
     assert facts["cut"].plateaus == ("maximum",)
-    monkeypatch.setattr("classic_ml.inspect.facts.SEARCHED_ROWS", 500)
-    monkeypatch.setattr("classic_ml.io.csv.BLOCK_BYTES", 4000)
+    monkeypatch.setattr("classic_ml.io.csv.BLOCK_BYTES", 16_000)
     pieces = inspect_file(tmp_path / "raw.csv")
     for one, other in zip(whole.channels, pieces.channels, strict=True):
         assert one.mean == pytest.approx(other.mean, rel=1e-12)
-        for name in ("rows", "not_finite", "first_not_finite", "minimum", "maximum"):
+        for name in ("rows", "not_finite", "minimum", "maximum", "at_minimum", "at_maximum"):
             assert getattr(one, name) == getattr(other, name)
-        for name in ("at_minimum", "at_maximum", "plateaus"):
-            assert getattr(one, name) == getattr(other, name)
+        assert one.plateaus == other.plateaus
     for found in (whole, pieces):
         assert found.clock is not None
         assert found.clock.troubles == {"gap": (1, 501)}
@@ -157,74 +154,48 @@ def test_a_record_is_shown_with_its_test(
     assert (code, err) == (0, "")
     assert "3001 rows, 21 columns" in out
     assert "1000 rows a second" in out
-    assert "near stall every forward probe is above its aft one" in out
     assert "reduce would do this:" in out
     assert re.search(r"window: .* cycles of 1\d\d ms that repeat each other", out)
     found = json.loads((tmp_path / "found.json").read_text("utf-8"))
     assert found["schema"] == "sindy-surge/inspect/1"
     assert len(found["test"]["channels"]) == 20
     for channel in found["test"]["channels"]:
-        # Within 1 % of what the facility read, but for the wake behind the aft probes.
-        assert channel["near_stall"] == pytest.approx(channel["facility"], rel=0.15)
-        assert channel["minimum"] <= channel["near_stall"] <= channel["maximum"]
+        assert (
+            2e4 < channel["minimum"] < 2e6
+            if channel["si_unit"] == "Pa"
+            else channel["minimum"] > 250.0
+        )
     assert found["test"]["refusal"] == ""
-    assert 0.3 < found["test"]["window_s"][0] < found["test"]["window_s"][1] <= 3.0
 
 
 def test_what_does_not_fit_the_test_is_reported(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns = {n.replace("T25_A", "T25 A"): v for n, v in made.columns.items()}
-    forward, aft = "P25_B_hub_forward", "P25_B_hub_aft"
     raw, toml = tmp_path / "raw.csv", tmp_path / "test.toml"
     write_csv(raw, columns)
     toml.write_text(to_toml(made.description), "utf-8")
     code, out, _ = run(capsys, raw, "--test", toml)
     assert code == 0
-    assert re.search(r"T25_A +T25_A +K .*no such column", out)
+    assert re.search(r"T25_A +T25_A +K +no such column", out)
     assert "columns that feed nothing: T25 A" in out
     assert "reduce would refuse it:" in out
-    tables = {**made.description, "channels": dict(made.description["channels"])}
-    for one, other in ((forward, aft), (aft, forward)):
-        tables["channels"][one] = {**tables["channels"][one], "column": other}
-    toml.write_text(to_toml(tables), "utf-8")
-    write_csv(raw, made.columns)
-    code, out, _ = run(capsys, raw, "--test", toml)
-    assert code == 0
-    assert re.search(r"P25_B_hub: the aft probe is .* kPa above the forward one", out)
-    assert "reduce would refuse it:" in out
 
 
-BROKEN = {
-    "cut": (lambda t: t[: len(t) * 2 // 3].rsplit(",", 5)[0], r"reading ended: .* in row 3\d\d;"),
-    "words": (lambda t: t.replace("0.05,", "0.05,OVER", 1), "1 row not finite, from row 51"),
-    "doubled": (lambda t: t.replace("T25_A", "T25_B", 1), r"T25_B \(column \d+\)"),
-    "no clock": (lambda t: t.replace("time_s", "P99", 1), "clock: P99"),
-}
-
-
-@pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_file_is_shown_as_far_as_it_goes(
-    made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str
-) -> None:
-    raw, _ = made.write(tmp_path)
-    change, words = BROKEN[case]
-    raw.write_text(change(raw.read_text("utf-8")), "utf-8")
-    code, out, err = run(capsys, raw)
-    assert (code, err) == (0, "")
-    assert re.search(words, out)
-    assert "P25_A_tip_aft" in out
-
-
-def test_what_cannot_be_read_at_all_is_refused(
+def test_what_cannot_be_read_is_refused(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     raw, toml = made.write(tmp_path)
     toml.write_text("[test]\n", "utf-8")
     (tmp_path / "raw.h5").write_bytes(b"no HDF5")
+    text = raw.read_text("utf-8")
+    (tmp_path / "text.csv").write_text("state,note\non,start\n", "utf-8")
+    (tmp_path / "cut.csv").write_text(text[: len(text) * 2 // 3].rsplit(",", 5)[0], "utf-8")
     for arguments, words in (
         ([tmp_path / "raw.h5"], "expected an HDF5 file, found what cannot be read"),
         ([tmp_path / "none.csv"], "no such file"),
+        ([tmp_path / "cut.csv"], "expected 21 values in every row"),
+        ([tmp_path / "text.csv"], "expected columns of numbers, found text alone"),
         ([raw, "--test", toml], "test.toml: test.name: expected a value"),
         ([tmp_path / "raw.h5", "--group", "a", "--test", toml], "--group: expected it without"),
     ):
@@ -234,9 +205,15 @@ def test_what_cannot_be_read_at_all_is_refused(
         assert err.count("\n") == 1
 
 
-def test_a_group_is_chosen_and_a_series_is_known(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_column_of_text_is_left_aside(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 1000},on,{k**2}\n" for k in range(200))
+    (tmp_path / "raw.csv").write_text("time_s,state,P\n" + rows, "utf-8")
+    found = inspect_file(tmp_path / "raw.csv")
+    assert [channel.name for channel in found.channels] == ["time_s", "P"]
+    assert found.left_aside == {"state": "text"}
+
+
+def test_a_group_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time_s = np.arange(400) / 100.0
     with h5py.File(tmp_path / "two.h5", "w") as file:
         for group, shift in (("one", 0.0), ("two", 5.0)):
@@ -249,13 +226,6 @@ def test_a_group_is_chosen_and_a_series_is_known(
     code, out, _ = run(capsys, tmp_path / "two.h5", "--group", "two")
     assert code == 0
     assert re.search(r"P +psia +4\.\d+ ", out)
-    phi = 0.3 + 0.1 * np.sin(9.0 * time_s)
-    write_csv(tmp_path / "s.csv", {"time_s": time_s, "phi": phi, "psi_p": 4.0 + phi**2})
-    code, out, _ = run(capsys, tmp_path / "s.csv")
-    assert "a series of φ and ψ', ready for compare: 1 segment, 400 of 400 rows" in out
-    write_csv(tmp_path / "s.csv", {"time_s": time_s, "phi": 0.0 * phi, "psi_p": 4.0 + phi**2})
-    code, out, _ = run(capsys, tmp_path / "s.csv")
-    assert "a series that cannot be used:" in out
 
 
 def filled_in(draft: str, made: RawTest) -> str:
@@ -278,7 +248,7 @@ def filled_in(draft: str, made: RawTest) -> str:
 def test_the_draft_filled_in_is_the_description_of_the_test(
     made: RawTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Planes, rakes, facings, units and the rate are guessed; the rest is in comments."""
+    """Kinds, units and the rate are in it; the rest is in comments."""
     raw, toml = made.write(tmp_path)
     draft = tmp_path / "draft.toml"
     code, out, _ = run(capsys, raw, "--draft", draft)
@@ -313,18 +283,11 @@ def test_a_draft_of_users_names_is_toml_and_keeps_their_units(tmp_path: Path) ->
     found = tomllib.loads(draft_test_toml(inspect_file(tmp_path / "raw.csv")))
     assert found["test"]["sample_rate_hz"] == 2000.0
     assert found["file"] == {"time": "Time [ms]", "time_unit": "ms", "other_columns": "ignore"}
-    one, two, three = found["channels"].values()
-    assert one == {
-        "column": 'PT25 "A" tip fwd [psia]',
-        "kind": "pressure",
-        "unit": "psia",
-        "plane": 25,
-        "rake": "A",
-        "immersion": "tip",
-        "facing": "forward",
-    }
-    assert (two["kind"], two["unit"], two["plane"], two["rake"]) == ("temperature", "degF", 31, "B")
-    assert (three["rake"], three["facing"], three["unit"]) == ("C", "aft", "kPa")
+    assert list(found["channels"].values()) == [
+        {"column": 'PT25 "A" tip fwd [psia]', "kind": "pressure", "unit": "psia"},
+        {"column": "TT31-B (degF)", "kind": "temperature", "unit": "degF"},
+        {"column": "P31 rake C hub aft [kPa]", "kind": "pressure", "unit": "kPa"},
+    ]
     assert "adc" not in found
 
 

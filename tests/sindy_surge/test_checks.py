@@ -7,34 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pysindy.feature_library import CustomLibrary, PolynomialLibrary
 
 from sindy_surge import FitState, SparseLagRegressor
-from sindy_surge.candidate_terms import aliases_of, independent_columns
-
-from .conftest import TERMS
-
-
-def test_collinear_library_is_reported_as_aliases(surge: Callable[..., Any]) -> None:
-    record = surge("reverse", 0.01, 3)
-    library = PolynomialLibrary(2) + CustomLibrary(
-        [lambda x: x**2 * (x < 0), lambda x: x * np.abs(x), lambda x: 3 * x + 1],
-        [lambda n: f"{n}^2[{n}<0]", lambda n: f"{n} |{n}|", lambda n: f"3{n}+1"],
-    )
-    model = SparseLagRegressor(library=library, psi_terms=False, n_bootstrap=0)
-    model.fit(record.phi[:, None], record.psi_p)
-    assert model.aliases_ == {"phi |phi|": "phi^2 - 2 phi^2[phi<0]", "3phi+1": "1 + 3 phi"}
-    assert set(model.terms_) == set(TERMS["reverse"])
-
-
-def test_aliases_are_exact_sums() -> None:
-    rng = np.random.default_rng(0)
-    free = rng.normal(size=(50, 3))
-    values = np.column_stack((free, free @ [1.0, -2.0, 0.0], np.zeros(50), 0.5 * free[:, 2]))
-    kept = independent_columns(values)
-    assert kept.tolist() == [0, 1, 2]
-    names = ["a", "b", "c", "d", "e", "f"]
-    assert aliases_of(values, kept, names) == {"d": "a - 2 b", "e": "0", "f": "0.5 c"}
 
 
 def test_bad_fits_carry_their_advice_among_the_cautions() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sindy_surge import InputError, SparseLagRegressor
+from sindy_surge import SparseLagRegressor
 
 from .conftest import CURVES, PERIOD_S, TAU_S, TERMS, lag, relaxation_wave
 
@@ -45,17 +45,6 @@ def test_late_channel_is_found_with_its_structure(curve: str, noise: float, samp
     assert any("later than" in caution for caution in model.cautions_)
 
 
-def test_delay_has_its_share_in_the_error_of_tau() -> None:
-    phi, psi_p = _late("quadratic", 0.02, 3, 1.0)
-    fitted = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
-    given = SparseLagRegressor(dead_time_s=PERIOD_S, n_bootstrap=0).fit(phi[:, None], psi_p)
-    assert given.dead_time_s_ == PERIOD_S
-    assert given.dead_time_stderr_s_ == 0.0
-    assert set(given.terms_) == set(fitted.terms_)
-    assert fitted.time_constant_stderr_s_ > 1.2 * given.time_constant_stderr_s_
-    assert abs(given.time_constant_s_ - TAU_S) < 4 * given.time_constant_stderr_s_
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 @pytest.mark.parametrize("curve", list(CURVES))
 def test_no_delay_is_seen_where_there_is_none(
@@ -67,13 +56,6 @@ def test_no_delay_is_seen_where_there_is_none(
     assert set(model.terms_) == set(TERMS[curve])
 
 
-@pytest.mark.parametrize("value", ["late", np.nan])
-def test_bad_dead_times_are_named(value: Any) -> None:
-    phi = np.linspace(0, 1, 100)[:, None]
-    with pytest.raises(InputError, match="dead_time_s"):
-        SparseLagRegressor(dead_time_s=value, n_bootstrap=0).fit(phi, phi[:, 0])
-
-
 @pytest.mark.parametrize("samples", [3, 8])
 def test_delay_is_kept_where_no_term_with_psi_p_competes(samples: int) -> None:
     # Colour that a delay leaves behind must not stand in for it; a long one lies beyond a hill.
@@ -83,12 +65,3 @@ def test_delay_is_kept_where_no_term_with_psi_p_competes(samples: int) -> None:
     assert set(model.terms_) == set(TERMS["quadratic"])
     assert abs(model.dead_time_s_ - samples * PERIOD_S) < 4 * model.dead_time_stderr_s_
     assert abs(model.time_constant_s_ - TAU_S) < 4 * model.time_constant_stderr_s_
-
-
-def test_a_dead_time_longer_than_the_segments_is_refused(surge: Callable[..., Any]) -> None:
-    record = surge("quadratic", 0.02, 2)
-    labels = np.arange(record.phi.size) // 100
-    with pytest.raises(InputError, match=r"dead_time_s.*segment"):
-        SparseLagRegressor(dead_time_s=2.0, n_bootstrap=0).fit(
-            record.phi[:, None], record.psi_p, segments=labels
-        )

@@ -84,7 +84,6 @@ def test_hidden_effect_in_short_segments() -> None:
         at = np.linspace(0, 0.2, 20)
         value, stderr = model.characteristic(at)
         assert np.sqrt(np.mean(((value - _quadratic(at)) / stderr) ** 2)) < 1.8
-        assert model.initial_states_.size == np.unique(labels[rows]).size
 
 
 def test_a_kink_that_explains_nearly_all_is_taken() -> None:

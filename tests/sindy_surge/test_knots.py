@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sindy_surge import FitState, SparseLagRegressor
+from sindy_surge.library import StallLibrary
 
 from .conftest import PERIOD_S, TAU_S, lag, relaxation_wave
 
@@ -42,7 +43,8 @@ def test_kink_between_the_knots_is_one_hinge_where_it_is(knot: float, noise: flo
 def test_a_knot_that_was_searched_widens_the_errors() -> None:
     phi, psi_p = _record(0.27, 0.02, 3)
     searched = SparseLagRegressor(n_bootstrap=0).fit(phi[:, None], psi_p)
-    given = SparseLagRegressor(knots=[0.1, 0.27, 0.4], n_bootstrap=0).fit(phi[:, None], psi_p)
+    library = StallLibrary(5, [[0.1, 0.27, 0.4]], [[]])
+    given = SparseLagRegressor(library=library, n_bootstrap=0).fit(phi[:, None], psi_p)
     assert set(given.terms_) == {"1", "phi", "relu(phi-0.27)"}
     assert not any("kink" in c for c in given.cautions_)
     order = [searched.terms_.index(term) for term in given.terms_]

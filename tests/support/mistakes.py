@@ -191,7 +191,7 @@ READINGS = (
     refused("disconnected", "raw.csv|P25_B_hub_aft", channel("P25_B_hub_aft", noise)),
     flagged(
         "clipped-outside",
-        f"{PROBE}|outside the window",
+        f"{PROBE}|clipped",
         channel(PROBE, at_rows(slice(330, 345), 4095.0)),
         SAME,
     ),
@@ -236,7 +236,7 @@ TEST_TOML = (
     harmless("toml-crlf", as_text(lambda text: text.replace("\n", "\r\n"), "test.toml")),
     refused(
         "zero-calibrate-exchanged",
-        f"{PROBE}|zero and calibrate",
+        "raw.csv|W25 and W31|zero and calibrate",
         toml(
             (
                 f"channels/{PROBE}",

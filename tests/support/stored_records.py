@@ -18,13 +18,6 @@ from scipy.io import savemat
 __all__ = ["FORMS", "write_stored"]
 
 Columns = dict[str, np.ndarray]
-START = np.datetime64("2024-05-01T12:00:00", "us")
-
-
-def dated(columns: Columns) -> Columns:
-    """Return the columns with dates for the clock."""
-    ticks = np.round(columns["time_s"] * 1e6).astype("timedelta64[us]")
-    return {**columns, "time_s": START + ticks}
 
 
 def _csv_with(separator: str, decimal: str) -> Callable[[Path, Columns], None]:
@@ -56,10 +49,7 @@ def _mat_73(path: Path, columns: Columns) -> None:
 
 def _netcdf(path: Path, columns: Columns, engine: str = "h5netcdf") -> None:
     variables = {name: ("row", values) for name, values in columns.items()}
-    encoding = {}
-    if columns["time_s"].dtype.kind == "M":
-        encoding = {"time_s": {"units": "microseconds since 2024-05-01T11:00:00", "dtype": "i8"}}
-    xr.Dataset(variables).to_netcdf(path, engine=engine, encoding=encoding)
+    xr.Dataset(variables).to_netcdf(path, engine=engine)
 
 
 def _hdf5(path: Path, columns: Columns) -> None:
@@ -82,13 +72,6 @@ def _tdms(path: Path, columns: Columns) -> None:
         file.write_segment([ChannelObject("daq", name, v) for name, v in columns.items()])
 
 
-def _tdms_waveforms(path: Path, columns: Columns) -> None:
-    stated = {"wf_start_time": START, "wf_start_offset": 0.0, "wf_increment": 1e-3}
-    channels = {name: values for name, values in columns.items() if name != "time_s"}
-    with TdmsWriter(path) as file:
-        file.write_segment([ChannelObject("daq", name, v, stated) for name, v in channels.items()])
-
-
 def _parquet(path: Path, columns: Columns) -> None:
     pq.write_table(pa.table(columns), path, row_group_size=100)
 
@@ -97,20 +80,15 @@ FORMS: dict[str, tuple[str, Callable[[Path, Columns], None]]] = {
     "CSV": (".csv", write_csv),
     "CSV of semicolons and decimal commas": (".csv", _csv_with(";", ",")),
     "CSV of tabs": (".csv", _csv_with("\t", ".")),
-    "CSV with dates": (".csv", lambda path, columns: _csv_with(",", ".")(path, dated(columns))),
     "MAT": (".mat", _mat),
     "MAT struct": (".mat", _mat_struct),
     "MAT 7.3": (".mat", _mat_73),
     "netCDF": (".nc", _netcdf),
     "netCDF-3": (".nc", lambda path, columns: _netcdf(path, columns, "scipy")),
-    "netCDF with dates": (".nc", lambda path, columns: _netcdf(path, dated(columns))),
     "HDF5": (".h5", _hdf5),
     "HDF5 compound": (".h5", _hdf5_compound),
     "TDMS": (".tdms", _tdms),
-    "TDMS waveforms": (".tdms", _tdms_waveforms),
-    "TDMS with dates": (".tdms", lambda path, columns: _tdms(path, dated(columns))),
     "Parquet": (".parquet", _parquet),
-    "Parquet with dates": (".parquet", lambda path, columns: _parquet(path, dated(columns))),
 }
 
 

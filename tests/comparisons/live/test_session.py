@@ -88,17 +88,6 @@ def test_a_table_with_semicolons_decimal_commas_and_units_is_read_as_a_file_is(
     assert played.out.read_bytes() == series_of(raw, record.test_path)
 
 
-def test_a_clock_that_test_toml_sets_is_set_as_in_a_file(
-    record: LiveRecord, tmp_path: Path
-) -> None:
-    later = changed(record, tmp_path / "later", "[adc]", "[file]\nstart_s = 0.01\n\n[adc]")
-    played = play(later, tmp_path / "play", later.rows)
-    played.reduce()
-    assert played.out.read_bytes() == later.series
-    assert played.monitor.point is not None
-    assert played.monitor.point.time_s[-1] == pytest.approx(3.009)
-
-
 BAD: dict[str, tuple[str, str, bytes, bytes, str]] = {
     "no rows": ("", "", b"", b"", "expected rows, found none"),
     "no header": ("", "", b"time_s", b"0.0", "a table with a header and a column time_s"),
