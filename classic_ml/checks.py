@@ -22,12 +22,11 @@ from classic_ml.whitening import (
     lagged_correlation,
 )
 from surge_core.segments import runs_of
-from surge_core.types import BoolArray, FloatArray, IntArray
+from surge_core.types import FloatArray
 
 __all__ = [
     "CheckRow",
     "coverage",
-    "dwelling",
     "input_correlation",
     "leverage",
     "normality",
@@ -38,12 +37,6 @@ __all__ = [
 # Down and up again, and once more: less than three sweeps is a single excursion.
 FEWEST_SWEEPS = 3
 FALSE_ALARM = 0.01
-PARTS = 10
-# A tenth of the range is visited by even dwelling in a tenth of the rows; the flow of surge cycles
-# hurries through the middle of its range and still leaves a fiftieth of them there.
-VISITED_SHARE = 0.01
-# The extremes of an irregular flow belong to one cycle each: that leaves seven of ten parts.
-SHARE_OF_RANGE = 0.65
 # Below this the omnibus test's approximations do not hold (D'Agostino, Belanger, D'Agostino 1990).
 FEWEST_FOR_NORMALITY = 20
 CURVE_PERCENTILES = (5.0, 50.0, 95.0)
@@ -106,8 +99,8 @@ def residual_checks(
     Returns
     -------
     tuple of CheckRow
-        Whiteness, correlation with each input, normality, leverage of single cycles, and, of the
-        first input, sweeps, range and cycles of φ; none where the fit has no lag.
+        Whiteness, correlation with each input, normality, leverage of single cycles, and
+        sweeps of the first input; none where the fit has no lag.
     """
     if math.isnan(model.time_constant_s_):
         return ()
@@ -128,7 +121,6 @@ def residual_checks(
     stated = stated_phi or (float(phi.min()), float(phi.max()))
     cycles = runs_of(fit.segment, fit.segment.size)
     rows.append(coverage(phi, cycles, stated))
-    rows += dwelling(phi, cycles, stated)
     return tuple(rows)
 
 
@@ -288,7 +280,11 @@ def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> 
     valid : tuple of float
         Range whose outer thirds count as its ends.
     """
-    sweeps = sum(int(_sweeps(phi[run], valid)[-1]) for run in runs)
+    low, high = valid
+    third = (high - low) / 3.0
+    side = np.where(phi > high - third, 1, np.where(phi < low + third, -1, 0))
+    ends = [side[run][side[run] != 0] for run in runs]
+    sweeps = sum(int(np.count_nonzero(np.diff(own))) for own in ends)
     passed = sweeps >= FEWEST_SWEEPS
     meaning = (
         "φ sweeps its range several times"
@@ -296,71 +292,6 @@ def coverage(phi: FloatArray, runs: list[slice], valid: tuple[float, float]) -> 
         else f"φ sweeps its range fewer than {FEWEST_SWEEPS} times: the curve rests on one event"
     )
     return CheckRow("phi_coverage", float(sweeps), ">=", float(FEWEST_SWEEPS), passed, meaning)
-
-
-def dwelling(
-    phi: FloatArray, runs: list[slice], stated: tuple[float, float]
-) -> tuple[CheckRow, CheckRow]:
-    """Check that φ dwells in all parts of a range, and that several cycles went to each.
-
-    Parameters
-    ----------
-    phi : ndarray of shape (n,)
-        Flow coefficient of the fitted rows.
-    runs : list of slice
-        Their segments. Each is a cycle of its own, or several: a new one begins with every
-        second sweep.
-    stated : tuple of float
-        Range in which the curve is to be stated.
-    """
-    edges = np.linspace(*stated, PARTS + 1)
-    cycle = np.zeros(phi.size, dtype=np.int64)
-    n_cycles = 0
-    for run in runs:
-        cycle[run] = n_cycles + _sweeps(phi[run], stated) // 2
-        n_cycles = int(cycle[run][-1]) + 1
-    visits = np.histogram2d(phi, cycle, bins=(edges, np.arange(n_cycles + 1)))[0]
-    rare = visits.sum(axis=1) < VISITED_SHARE * phi.size
-    single = np.count_nonzero(visits, axis=1) < FEWEST_SWEEPS
-    visited, repeated = 1.0 - float(np.mean(rare)), 1.0 - float(np.mean(single))
-    seen, low, high = visited >= SHARE_OF_RANGE, *np.percentile(phi, (25.0, 75.0))
-    half = f"half of the rows lie between φ = {low:.3g} and {high:.3g}"
-    seen_meaning = (
-        f"φ dwells all over the stated range ({half})"
-        if seen
-        else f"φ hardly visits {_gaps(edges, rare)}, so that the curve is a guess there ({half})"
-    )
-    again = repeated >= SHARE_OF_RANGE
-    again_meaning = (
-        "each part of the stated range is visited by several cycles"
-        if again
-        else f"fewer than {FEWEST_SWEEPS} cycles visit {_gaps(edges, single)}: the curve and its "
-        "error there rest on single events"
-    )
-    return (
-        CheckRow("phi_range", visited, ">=", SHARE_OF_RANGE, seen, seen_meaning),
-        CheckRow("phi_cycles", repeated, ">=", SHARE_OF_RANGE, again, again_meaning),
-    )
-
-
-def _gaps(edges: FloatArray, missing: BoolArray) -> str:
-    """Name the stretches of a range that are missing."""
-    return " and ".join(
-        f"φ = {edges[run.start]:.3g} to {edges[run.stop]:.3g}"
-        for run in runs_of(missing, missing.size)
-        if missing[run.start]
-    )
-
-
-def _sweeps(phi: FloatArray, stated: tuple[float, float]) -> IntArray:
-    """Return for each row how many sweeps from one outer third to the other came before."""
-    low, high = stated
-    third = (high - low) / 3.0
-    side = np.where(phi > high - third, 1, np.where(phi < low + third, -1, 0))
-    at = np.flatnonzero(side)
-    crossed = np.zeros(phi.size, dtype=np.int64)
-    crossed[at[1:]] = np.diff(side[at]) != 0
-    return np.cumsum(crossed)
 
 
 def _contrasts(model: LagRegressor, fit: LinearisedFit, inputs: FloatArray) -> FloatArray:

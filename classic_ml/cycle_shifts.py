@@ -73,8 +73,8 @@ def cycle_shifts(fit: LinearisedFit) -> CycleShifts:
         Each segment is a cycle; fewer than ten are cut into a dozen pieces.
     """
     cycles = _cycles(fit)
-    rest = leave_out(fit.jacobian, fit.before, cycles, fit.local)
-    nothing = leave_out(fit.jacobian, fit.before, [slice(0, 0)], fit.local)
+    rest = leave_out(fit.jacobian, fit.errors, cycles)
+    nothing = leave_out(fit.jacobian, fit.errors, [slice(0, 0)])
     edges = np.array([[fit.rows[cycle.start], fit.rows[cycle.stop - 1]] for cycle in cycles])
     return CycleShifts(rest.moves, rest.inverse - nothing.inverse, edges[:, 0], edges[:, 1])
 

@@ -13,6 +13,7 @@ __all__ = [
     "P_STANDARD_PA",
     "T_STANDARD_K",
     "calculated_mach",
+    "choked_flow",
     "corrected_flow",
     "corrected_from_physical",
     "mach_from_corrected_flow",
@@ -93,6 +94,19 @@ def corrected_flow(mach: FloatArray, area_m2: float, compressor: Compressor) -> 
     return _flow_constant_kg_s(area_m2, compressor) * mach / _expansion(mach, compressor.gamma)
 
 
+def choked_flow(area_m2: float, compressor: Compressor) -> float:
+    """Return the largest corrected flow that an area passes, that of M = 1 in Eq 3, in kg/s.
+
+    Parameters
+    ----------
+    area_m2 : float
+        Flow area of the plane.
+    compressor : Compressor
+        For γ and R.
+    """
+    return _flow_constant_kg_s(area_m2, compressor) * _choked_share(compressor.gamma)
+
+
 def pair_flow(
     forward_Pa: FloatArray,
     aft_Pa: FloatArray,
@@ -150,7 +164,7 @@ def mach_from_corrected_flow(
     gamma = compressor.gamma
     constant_kg_s = _flow_constant_kg_s(area_m2, compressor)
     share = np.abs(corrected_kg_s) / constant_kg_s
-    choked = float((2.0 / (gamma + 1.0)) ** _exponent(gamma))
+    choked = _choked_share(gamma)
     largest = float(np.max(share, initial=0.0))
     if largest > choked:
         raise InputError(
@@ -198,6 +212,11 @@ def _flow_constant_kg_s(area_m2: float, compressor: Compressor) -> float:
     """Return A P_o √(γ/(R T_o)) of Eq 3 in kg/s: 416.86 for 1 m² of air."""
     gas = compressor.gamma / (compressor.gas_constant_J_kg_K * T_STANDARD_K)
     return float(area_m2 * P_STANDARD_PA * np.sqrt(gas))
+
+
+def _choked_share(gamma: float) -> float:
+    """Return the share of that constant that passes at M = 1."""
+    return float((2.0 / (gamma + 1.0)) ** _exponent(gamma))
 
 
 def _exponent(gamma: float) -> float:

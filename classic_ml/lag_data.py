@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,30 +12,24 @@ import numpy as np
 from classic_ml.noise_models import NoiseKind
 from surge_core.errors import InputError
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.segments import scored_pieces, with_known_inputs
+from surge_core.segments import scored_pieces
 from surge_core.types import BoolArray, FloatArray, IntArray
 
 __all__ = [
-    "Drift",
     "LagData",
     "Piece",
     "Terms",
     "drift_of_runs",
     "lag_data",
     "nearly_orthogonal",
-    "rows_late",
 ]
 
 # A knot every other row leaves nothing for the lag to explain.
 FEWEST_ROWS_A_KNOT = 4
 # Up to here the eigenvectors of the Gram matrix keep half of all digits; beyond, QR is called.
 MILD = 1e-8
-# Values of the hats that are kept as a plain table: 16 MB.
-MOST_DENSE = 2_000_000
-# Longest dead time that is tried: transport over a few metres, and no more than a tenth of a run.
-MOST_DEAD_SAMPLES = 250
-MOST_OF_A_RUN = 0.1
-MOST_OF_A_GIVEN_RUN = 0.5
+# Values of the hats at all rows: 0.8 GB.
+MOST_VALUES = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -81,53 +76,36 @@ def nearly_orthogonal(terms: FloatArray) -> Terms:
     return Terms(np.asfortranarray(terms @ back), back)
 
 
-@dataclass(frozen=True)
-class Drift:
-    """A slow drift of the output: hats at the knots of each run, a continuous broken line.
+def drift_of_runs(
+    runs: Sequence[slice], weight: FloatArray, sample_period_s: float, knot_spacing_s: float
+) -> FloatArray:
+    """Return the columns of a continuous piecewise-linear drift of zero mean.
 
     Parameters
     ----------
-    first : tuple of int
-        Number of the first hat of each run.
-    intervals : tuple of int
-        Intervals between the knots of each run; 0 is one level for the whole run.
-    steps : tuple of float
-        Knots passed from row to row in each run.
-    hats : ndarray or sparse array of shape (n, n_hats)
-        Value of each hat at each row; sparse where there are many.
-    """
-
-    first: tuple[int, ...]
-    intervals: tuple[int, ...]
-    steps: tuple[float, ...]
-    hats: Any
-
-    @property
-    def n_hats(self) -> int:
-        """Number of all hats."""
-        return int(self.hats.shape[1])
-
-
-def drift_of_runs(runs: list[slice], sample_period_s: float, knot_spacing_s: float) -> Drift:
-    """Return the hats of a continuous piecewise-linear drift.
-
-    Parameters
-    ----------
-    runs : list of slice
+    runs : sequence of slice
         The segments. The time between two of them is not known, so each drifts on its own: as
         a spline where it is longer than the knots are apart, else as one level.
+    weight : ndarray of shape (n,)
+        Weights of the rows, for the mean.
     sample_period_s : float
         Sample period, in seconds.
     knot_spacing_s : float
         Distance of the knots, in seconds; 0.25 to 2 s serve equally well where the lag is tens
         of milliseconds.
 
+    Returns
+    -------
+    ndarray of shape (n, n_knots - 1)
+        A hat at each knot of each run but the last, less its mean: the coefficients are the
+        levels at the knots above that at the last.
+
     Raises
     ------
     InputError
-        When there would be a knot every few rows.
+        When there would be a knot every few rows, or more values than memory is to hold.
     """
-    from scipy.sparse import coo_array
+    from scipy.linalg import block_diag
 
     if knot_spacing_s < FEWEST_ROWS_A_KNOT * sample_period_s:
         raise InputError(
@@ -136,38 +114,22 @@ def drift_of_runs(runs: list[slice], sample_period_s: float, knot_spacing_s: flo
             found=f"{knot_spacing_s:g} s",
             remedy="raise knot_spacing_s to many times the time constant",
         )
-    first, intervals, steps, parts = [], [], [], []
-    at = 0
-    for run in runs:
-        n = run.stop - run.start
-        count = round((n - 1) * sample_period_s / knot_spacing_s)
-        step = count / (n - 1) if count else 0.0
-        place = np.arange(n) * step
-        left = np.clip(np.floor(place + 1e-9), 0, max(count - 1, 0)).astype(np.int64)
-        rows = np.arange(run.start, run.stop)
-        parts.append((rows, at + left, 1.0 - (place - left)))
-        if count:
-            parts.append((rows, at + left + 1, place - left))
-        first.append(at)
-        intervals.append(count)
-        steps.append(step)
-        at += count + 1
-    rows, numbers, values = (np.concatenate(part) for part in zip(*parts, strict=True))
-    hats: Any = coo_array((values, (rows, numbers)), shape=(runs[-1].stop, at)).tocsr()
-    if hats.shape[0] * hats.shape[1] <= MOST_DENSE:
-        hats = hats.toarray()
-    return Drift(tuple(first), tuple(intervals), tuple(steps), hats)
-
-
-def rows_late(dead: float) -> int:
-    """Return how many rows of a run answer to inputs from before it.
-
-    Parameters
-    ----------
-    dead : float
-        Dead time, in samples.
-    """
-    return int(np.ceil(dead)) + 1 if dead > 0.0 else 0
+    lengths = [run.stop - run.start for run in runs]
+    intervals = [round((n - 1) * sample_period_s / knot_spacing_s) for n in lengths]
+    n_knots = sum(intervals) + len(runs)
+    if n_knots * weight.size > MOST_VALUES:
+        raise InputError(
+            "knot_spacing_s",
+            expected=f"at most {MOST_VALUES // weight.size} knots over {weight.size} rows",
+            found=f"{n_knots}",
+            remedy="raise knot_spacing_s or shorten the record",
+        )
+    parts = []
+    for n, count in zip(lengths, intervals, strict=True):
+        place = np.arange(n) * (count / max(n - 1, 1))
+        parts.append(np.maximum(1.0 - np.abs(place[:, None] - np.arange(count + 1)), 0.0))
+    hats = block_diag(*parts)
+    return np.asarray((hats - weight @ hats / weight.sum())[:, :-1])
 
 
 @dataclass(frozen=True)
@@ -218,14 +180,9 @@ class LagData:
         Give the errors before each stretch their share in the likelihood.
     held_log_tau : float, optional
         log τ, where it is not to be fitted.
-    dead : float
-        Dead time in samples, held or to start from.
-    longest_dead : float
-        Longest dead time that is tried, in samples.
-    fit_dead : bool
-        Fit the dead time.
-    drift : Drift, optional
-        A slow drift of zero mean; the constant belongs to the characteristic.
+    knot_spacing_s : float, optional
+        Distance of the knots of a slow drift of zero mean; the constant belongs to the
+        characteristic.
     """
 
     y: FloatArray
@@ -238,10 +195,14 @@ class LagData:
     order: int = 0
     exact_start: bool = True
     held_log_tau: float | None = None
-    dead: float = 0.0
-    longest_dead: float = 0.0
-    fit_dead: bool = False
-    drift: Drift | None = None
+    knot_spacing_s: float | None = None
+
+    @cached_property
+    def drift(self) -> FloatArray:
+        """Columns of the drift, of shape (n, d); none without one."""
+        if self.knot_spacing_s is None:
+            return np.zeros((self.y.size, 0))
+        return drift_of_runs(self.runs, self.weight, self.sample_period_s, self.knot_spacing_s)
 
     @property
     def is_output_error(self) -> bool:
@@ -255,8 +216,8 @@ class LagData:
 
     @cached_property
     def free(self) -> BoolArray:
-        """Which of [log τ, dead time, ρ] are fitted."""
-        moves = [self.held_log_tau is None, self.fit_dead, *[True] * self.order]
+        """Which of [log τ, ρ] are fitted."""
+        moves = [self.held_log_tau is None, *[True] * self.order]
         return np.array(moves, dtype=np.bool_)
 
     @property
@@ -328,14 +289,12 @@ class LagData:
         n_terms : int
             Terms of the characteristic, as the user counts them.
         """
-        hats = 0 if self.drift is None else max(self.drift.n_hats - 1, 0)
         starts = (1 if self.is_output_error else self.ahead) * len(self.pieces)
-        return int(self.free.sum()) + n_terms + hats + starts
+        return int(self.free.sum() + n_terms + self.drift.shape[1] + starts)
 
-    def lag(self, log_tau: float, dead: float) -> FirstOrderLag:
-        """Return the lag of a trial time constant and dead time in samples."""
-        period = self.sample_period_s
-        return FirstOrderLag(float(np.exp(log_tau)), period, self.hold, dead * period)
+    def lag(self, log_tau: float) -> FirstOrderLag:
+        """Return the lag of a trial time constant."""
+        return FirstOrderLag(float(np.exp(log_tau)), self.sample_period_s, self.hold)
 
     def head(self, n_rows: int) -> LagData:
         """Return the same on the first runs, up to about ``n_rows`` rows."""
@@ -353,7 +312,6 @@ class LagData:
             terms=self.terms[:end],
             weight=self.weight[:end],
             runs=tuple(runs),
-            drift=None if self.drift is None else replace(self.drift, hats=self.drift.hats[:end]),
         )
 
 
@@ -363,7 +321,6 @@ def lag_data(
     terms: FloatArray,
     weight: FloatArray,
     runs: list[slice],
-    about: float | None = None,
 ) -> LagData:
     """Set up the fit.
 
@@ -379,21 +336,13 @@ def lag_data(
         Weight of each row.
     runs : list of slice
         The segments.
-    about : float, optional
-        The dead time in samples, where it is roughly known.
 
     Raises
     ------
     InputError
-        When the dead time or the drift's knots do not suit the segments.
+        When the drift's knots are too close.
     """
     period, held = float(settings.sample_period_s), settings.time_constant_s
-    dead, longest = _dead_samples(settings, runs, about)
-    if longest > 0.0:
-        weight = with_known_inputs(weight, runs, rows_late(longest))
-    drift = None
-    if settings.drift is not None:
-        drift = drift_of_runs(runs, period, settings.knot_spacing_s)
     return LagData(
         y,
         terms,
@@ -405,25 +354,5 @@ def lag_data(
         settings.noise_order if settings.noise == "armax" else 0,
         bool(settings.exact_start),
         None if held is None else float(np.log(held)),
-        dead,
-        longest,
-        settings.dead_time_s == "fit",
-        drift,
+        None if settings.drift is None else float(settings.knot_spacing_s),
     )
-
-
-def _dead_samples(settings: Any, runs: list[slice], about: float | None) -> tuple[float, float]:
-    """Return the dead time to start from and the longest that is tried, in samples."""
-    period = float(settings.sample_period_s)
-    shortest = min(run.stop - run.start for run in runs)
-    if settings.dead_time_s == "fit":
-        longest = max(1.0, min(MOST_DEAD_SAMPLES, MOST_OF_A_RUN * shortest))
-        return (0.0, longest) if about is None else (about, min(longest, about + 1.0))
-    dead = float(settings.dead_time_s) / period
-    if dead > MOST_OF_A_GIVEN_RUN * shortest:
-        raise InputError(
-            "dead_time_s",
-            expected=f"at most half of the shortest segment, {0.5 * shortest * period:g} s",
-            found=f"{settings.dead_time_s:g}",
-        )
-    return dead, dead

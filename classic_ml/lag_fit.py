@@ -13,12 +13,9 @@ from classic_ml.noise_models import MovingAverage
 from surge_core.fit_state import FitState
 from surge_core.leave_out import (
     BLOCKS,
-    Rest,
     block_edges,
     correlation_length,
-    eliminate,
     leave_out,
-    scatter,
     slow_correlation_length,
 )
 from surge_core.types import FloatArray
@@ -33,7 +30,6 @@ FEW_SCAN_POINTS = 4
 SCAN_ROWS = 4_000
 # A search is brought to its end on this share of a long record before the first pass over all.
 HEAD_SHARE = 0.05
-BEST_DEAD_TIMES = 3
 MAXIMUM_ITERATIONS = 200
 # With C near the unit circle the last steps shrink slowly: a hundredth of a standard error short of
 # the minimum is still at it.
@@ -57,13 +53,13 @@ class LagFit:
     Parameters
     ----------
     shape : ndarray
-        Logarithm of τ in seconds, dead time in samples, ρ of C.
+        Logarithm of τ in seconds, ρ of C.
     coef : ndarray of shape (q,)
         β of the terms as the user knows them.
-    drift : ndarray
-        Values of the drift at its knots.
-    moves : ndarray of shape (n_blocks, 2 + q)
-        By how much log τ, dead time and β move without each block.
+    drift : ndarray of shape (d,)
+        Coefficients of the drift.
+    moves : ndarray of shape (n_blocks, 1 + q)
+        By how much log τ and β move without each block.
     curve_moves : ndarray of shape (n_blocks, r)
         Moves of the coefficients of nearly orthogonal terms, their mean taken out. In powers of
         φ the moves of β all but cancel in those of the curve; these do not.
@@ -85,16 +81,6 @@ class LagFit:
     n_lags: int
     state: FitState
 
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of log τ, dead time in samples and β."""
-        return scatter(self.moves)
-
-    @property
-    def moving_average(self) -> FloatArray:
-        """Coefficients of C."""
-        return MovingAverage(self.shape[2:]).coefficients
-
 
 @dataclass(frozen=True)
 class Newton:
@@ -103,11 +89,11 @@ class Newton:
     Parameters
     ----------
     slope : ndarray of shape (s,)
-        Half the downhill slope of the cost; 0 for a dead time pressed against a bound.
+        Half the downhill slope of the cost.
     curvature : ndarray of shape (s, s)
         Half its curvature (Gauss-Newton), everything linear following.
-    jacobian : ndarray of shape (m, s + r)
-        ∂e/∂(free shape, β).
+    jacobian : ndarray of shape (m, s + r + d)
+        ∂e/∂(free shape, β, drift).
     normal : ndarray of shape (r, r)
         Inner products of its columns of β, the drift apart.
     """
@@ -135,7 +121,7 @@ class Newton:
         return float(self.slope @ np.linalg.lstsq(self.curvature, self.slope)[0])
 
 
-def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
+def newton(data: LagData, at: Profile) -> Newton:
     """Return slope and curvature of the cost in the free shape parameters.
 
     Parameters
@@ -144,30 +130,24 @@ def newton(data: LagData, at: Profile, *, at_kink: bool = False) -> Newton:
         Record and model.
     at : Profile
         Where.
-    at_kink : bool
-        Hold the dead time: the cost has a kink in it at whole samples, and it came to one.
     """
     s = int(data.free.sum())
     both = jacobian(data, at)
     gram = both.T @ both
-    if at.local is not None:
-        columns = at.local.columns
-        gram, _ = eliminate(gram, columns.T @ both, columns.T @ columns, at.local.mean)
-    cross = gram[:s, s:]
-    curvature = gram[:s, :s] - cross @ np.linalg.lstsq(gram[s:, s:], cross.T)[0]
+    if at.levels.size:
+        gram = _eliminated(gram, s + at.beta.size)
+    curvature = _eliminated(gram, s)
     slope = -both[:, :s].T @ at.errors
-    if data.fit_dead:
-        place, dead = s - data.order - 1, float(at.shape[1])
-        outward = (dead <= 0.0 and slope[place] < 0.0) or (
-            dead >= data.longest_dead and slope[place] > 0.0
-        )
-        if outward or at_kink:
-            slope[place] = curvature[place] = curvature[:, place] = 0.0
-            curvature[place, place] = 1.0
     return Newton(slope, curvature, both, gram[s:, s:])
 
 
-def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
+def _eliminated(gram: FloatArray, kept: int) -> FloatArray:
+    """Return inner products of the first columns, all others at their optimum."""
+    cross = gram[:kept, kept:]
+    return np.asarray(gram[:kept, :kept] - cross @ np.linalg.lstsq(gram[kept:, kept:], cross.T)[0])
+
+
+def fit_lag(data: LagData, terms: Terms) -> LagFit:
     """Fit a lag model to a record.
 
     Parameters
@@ -176,22 +156,19 @@ def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
         Record and model, its terms those of ``terms``.
     terms : Terms
         How they come from the user's.
-    start : LagFit, optional
-        An earlier fit to start from, in place of a scan.
     """
-    starts = _starts(data) if start is None else [start.shape]
     is_long = data.rows_of_errors.size > LONG_RECORD
-    at, near, state = _search(data, starts, NEWTON_DECREMENT if is_long else FINE_DECREMENT)
+    at, near, state = _search(data, _starts(data), NEWTON_DECREMENT if is_long else FINE_DECREMENT)
     scored = at.errors[data.scored]
     n_lags = correlation_length(scored, data.piece_lengths)
     shortest = n_lags
     if n_lags > scored.size / BLOCKS:
         shortest = min(n_lags, slow_correlation_length(scored, data.piece_lengths))
-    rest = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
+    found = without_blocks(data, at, near.jacobian, _blocks(data, shortest))
     s = int(data.free.sum())
-    moves = np.zeros((len(rest.moves), 2))
-    moves[:, data.free[:2]] = rest.moves[:, : s - data.order]
-    curve_moves = rest.moves[:, s:]
+    moves = np.zeros((len(found), 1))
+    moves[:, data.free[:1]] = found[:, : s - data.order]
+    curve_moves = found[:, s : s + at.beta.size]
     if terms.deficient or _is_deficient(near.normal):
         state = FitState.RANK_DEFICIENT
     return LagFit(
@@ -207,8 +184,8 @@ def fit_lag(data: LagData, terms: Terms, start: LagFit | None = None) -> LagFit:
     )
 
 
-def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> Rest:
-    """Return the fits without each block of errors, linearised.
+def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[slice]) -> FloatArray:
+    """Return by how much the parameters move without each block of errors, linearised.
 
     Parameters
     ----------
@@ -216,20 +193,23 @@ def without_blocks(data: LagData, at: Profile, both: FloatArray, blocks: list[sl
         Record and model.
     at : Profile
         The whole fit.
-    both : ndarray of shape (m, s + r)
-        Its ∂e/∂(free shape, β).
+    both : ndarray of shape (m, s + r + d)
+        Its ∂e/∂(free shape, β, drift).
     blocks : list of slice
         Errors of each block, in one stretch.
     """
-    if at.local is None or data.drift is None:
-        return leave_out(both, at.errors, blocks)
-    # The drift of the other rows has zero mean over them: within the block it is extrapolated.
-    means = np.zeros((len(blocks), at.local.mean.size))
-    for number, block in enumerate(blocks):
-        rows = np.unique(data.rows_of_errors[block])
-        means[number] = data.drift.hats[rows].T @ data.weight[rows]
-    errors = at.errors + at.local.columns @ at.levels
-    return leave_out(both, errors, blocks, at.local, means)
+    moves = leave_out(both, at.errors, blocks).moves
+    r, d = at.beta.size, at.levels.size
+    constant = np.linalg.lstsq(data.terms, np.ones(data.y.size))[0]
+    if d == 0 or not np.allclose(data.terms @ constant, 1.0):
+        return moves
+    # The drift of the other rows has zero mean over them: what it has there is the constant's.
+    for move, block in zip(moves, blocks, strict=True):
+        weight = data.weight.copy()
+        weight[data.rows_of_errors[block]] = 0.0
+        mean = weight @ data.drift / weight.sum()
+        move[-r - d : -d] += constant * (mean @ (at.levels + move[-d:]))
+    return moves
 
 
 def _blocks(data: LagData, n_lags: int) -> list[slice]:
@@ -271,22 +251,19 @@ def _refine(
     data: LagData, at: Profile, near: Newton, tolerance: float
 ) -> tuple[Profile, Newton, FitState]:
     n_errors = max(data.scored.size, 1)
-    damping, state, at_kink = 1e-6, FitState.NOT_CONVERGED, False
+    damping, state = 1e-6, FitState.NOT_CONVERGED
     left = near.decrement
     for _ in range(MAXIMUM_ITERATIONS):
         if left <= tolerance * at.cost / n_errors:
             state = FitState.CONVERGED
             break
         trial, damping = _step(data, at, near, damping, left)
-        if trial is None and (at_kink or not data.fit_dead):
+        if trial is None:
             # No downhill step is left within rounding: that is the minimum.
             state = FitState.CONVERGED
             break
-        if trial is None:
-            damping, at_kink = 1e-3, True
-        else:
-            at = trial
-        near = newton(data, at, at_kink=at_kink)
+        at = trial
+        near = newton(data, at)
         left = near.decrement
     if left <= COARSE_DECREMENT * at.cost / n_errors:
         state = FitState.CONVERGED
@@ -310,8 +287,6 @@ def _step(
         shape[data.free] += near.step(damping)
         if data.held_log_tau is None:
             shape[0] = np.clip(shape[0], *data.log_tau_bounds)
-        if data.fit_dead:
-            shape[1] = np.clip(shape[1], 0.0, data.longest_dead)
         trial = profile(data, shape)
         if trial.cost < at.cost or (blind and trial.cost <= at.cost * (1.0 + BLIND)):
             return trial, max(damping / 10.0, 1e-12)
@@ -343,42 +318,21 @@ def _shapes(data: LagData) -> list[FloatArray]:
     """Return the shapes from which to search: armax starts from arx and from output error."""
     if data.is_output_error or data.order == 0:
         points = SCAN_POINTS if data.is_output_error else FEW_SCAN_POINTS
-        return [np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(data, points)]
-    plain = replace(data, noise="arx", order=0)
-    shapes = [
-        np.concatenate([pair, np.zeros(data.order)]) for pair in _pairs(plain, FEW_SCAN_POINTS)
-    ]
-    free_run = replace(data, noise="output-error", order=0)
-    for pair in _pairs(free_run, FEW_SCAN_POINTS):
-        # Output error is armax with C = A: the other end of the family.
-        c = np.zeros(data.order)
-        c[0] = -data.lag(pair[0], 0.0).a
-        shapes.append(np.concatenate([pair, MovingAverage.from_coefficients(c).free]))
-    return shapes
+        return [np.array([_scanned(data, points), *np.zeros(data.order)])]
+    plain = _scanned(replace(data, noise="arx", order=0), FEW_SCAN_POINTS)
+    free_run = _scanned(replace(data, noise="output-error", order=0), FEW_SCAN_POINTS)
+    # Output error is armax with C = A: the other end of the family.
+    c = np.zeros(data.order)
+    c[0] = -data.lag(free_run).a
+    free = MovingAverage.from_coefficients(c).free
+    return [np.array([plain, *np.zeros(data.order)]), np.array([free_run, *free])]
 
 
-def _pairs(data: LagData, points: int) -> list[FloatArray]:
-    """Scan log τ, and the dead time where it is fitted; several dead times may be worth a try."""
+def _scanned(data: LagData, points: int) -> float:
+    """Return the best log τ of a few, or the one that is held."""
+    if data.held_log_tau is not None:
+        return data.held_log_tau
     low, high = data.log_tau_bounds
     grid = np.linspace(low + np.log(10.0), high - np.log(20.0), points)
-    held = data.held_log_tau
-    if held is not None:
-        grid = np.array([held])
-    if not data.fit_dead and held is not None:
-        return [np.array([held, data.dead])]
-    found = []
-    for dead in _dead_times(data.longest_dead) if data.fit_dead else [data.dead]:
-        costs = [profile(data, np.array([value, dead])).cost for value in grid]
-        best = int(np.argmin(costs))
-        found.append((costs[best], float(grid[best]), dead))
-    found.sort()
-    return [np.array([log_tau, dead]) for _, log_tau, dead in found[:BEST_DEAD_TIMES]]
-
-
-def _dead_times(longest: float) -> list[float]:
-    """Return trial dead times in samples, each half as long again as the one before."""
-    times, step = [0.5], 1.0
-    while times[-1] + step < longest:
-        times.append(times[-1] + step)
-        step = max(1.0, 0.5 * times[-1])
-    return times
+    costs = [profile(data, np.array([value, *np.zeros(data.order)])).cost for value in grid]
+    return float(grid[int(np.argmin(costs))])

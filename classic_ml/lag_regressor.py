@@ -14,7 +14,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 
 from classic_ml.characteristics import feature_names, polynomial_names, term_names
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, factor, milliseconds
-from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal, rows_late
+from classic_ml.lag_data import LagData, Terms, lag_data, nearly_orthogonal
 from classic_ml.lag_fit import LagFit, fit_lag
 from classic_ml.linearised import LinearisedFit, linearised
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, MovingAverage, NoiseKind
@@ -22,8 +22,9 @@ from surge_core.display import Field, FittedDisplay, Sheet
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
+from surge_core.leave_out import scatter
 from surge_core.rounding import significant
-from surge_core.segments import runs_of, with_known_inputs
+from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 from surge_core.validation import one_of, positive, whole_number
 
@@ -68,9 +69,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         by a per cent or two on segments of some sixty rows with white output noise.
     time_constant_s : float, optional
         Hold τ at this value, in seconds, and fit all else (for trial fits).
-    dead_time_s : float or "fit"
-        How much later the inputs act, in seconds; any fraction of a sample period. ``"fit"``
-        fits it along with τ. Rows whose inputs lie before their segment are not scored.
 
     Attributes
     ----------
@@ -87,7 +85,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
     moving_average_ : ndarray of shape (order,)
         Coefficients of C.
     drift_coef_ : ndarray
-        Coefficients of the drift.
+        Levels of the drift at its knots above that at the last.
     fit_state_ : FitState
         How the fit ended, with advice.
     residual_std_ : float
@@ -99,10 +97,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         Equations (or rows, for output error) that were scored.
     residual_lag_ : int
         Rows over which the errors hang together.
-    dead_time_s_, dead_time_stderr_s_ : float
-        Dead time and its standard error, in seconds; 0.0 where it was given.
-    joint_covariance_ : ndarray of shape (n_terms + 2, n_terms + 2)
-        Covariance of (τ in seconds, dead time in seconds, β).
 
     Notes
     -----
@@ -124,7 +118,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         link_segments: bool = False,
         exact_start: bool = True,
         time_constant_s: float | None = None,
-        dead_time_s: float | Literal["fit"] = 0.0,
     ) -> None:
         self.sample_period_s = sample_period_s
         self.noise = noise
@@ -137,7 +130,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         self.link_segments = link_segments
         self.exact_start = exact_start
         self.time_constant_s = time_constant_s
-        self.dead_time_s = dead_time_s
 
     def fit(
         self,
@@ -178,12 +170,7 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         if self.time_constant_s is None and _is_constant(y[data.weight > 0.0]):
             self._store_static(y, terms, data, FitState.RANK_DEFICIENT)
             return self
-        fit = fit_lag(data, combined)
-        if self.dead_time_s == "fit":
-            # Now that it is known within a sample, few rows need to be left unscored for it.
-            data = lag_data(self, y, combined.columns, weight, runs, float(fit.shape[1]))
-            fit = fit_lag(data, combined, fit)
-        self._store(fit, data, combined)
+        self._store(fit_lag(data, combined), data, combined)
         return self
 
     def predict(
@@ -329,13 +316,10 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         runs = self._runs(segments, y.size)
         terms = nearly_orthogonal(self.terms_at(X))
         beta = np.asarray(np.linalg.lstsq(terms.back, self.coef_)[0], dtype=np.float64)
-        dead = self.dead_time_s_ / float(self.sample_period_s)
-        if self._n_late:
-            weight = with_known_inputs(weight, runs, self._n_late)
-        data = lag_data(self, y, terms.columns, weight, runs, dead)
+        data = lag_data(self, y, terms.columns, weight, runs)
         free = MovingAverage.from_coefficients(self.moving_average_).free
-        shape = np.concatenate([[np.log(self.time_constant_s_), dead], free])
-        return linearised(replace(data, weight=weight, exact_start=False), terms, shape, beta)
+        shape = np.concatenate([[np.log(self.time_constant_s_)], free])
+        return linearised(replace(data, exact_start=False), terms, shape, beta)
 
     def _sheet(self) -> Sheet | None:
         if not hasattr(self, "fit_state_"):
@@ -345,21 +329,15 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         tone = "good" if state is FitState.CONVERGED else "advice"
         lag = self.time_constant_s_, self.time_constant_stderr_s_
         curve = self.terms_, self.coef_, self.covariance_
-        fields = [
+        fields = (
             Field("equation", equation_with_errors(lag, *curve)),
             Field("state", f"{state.code}: {state.advice}", tone),
             Field("time constant τ", milliseconds(*lag) + held),
-        ]
-        if self.dead_time_s_:
-            fields.append(
-                Field("dead time", milliseconds(self.dead_time_s_, self.dead_time_stderr_s_))
-            )
-        fields += [
             Field("noise", f"{self.noise}, hold “{self.hold}”"),
             Field("residual (std)", significant(self.residual_std_, 3)),
             Field("scored", f"{self.n_scored_} rows; errors from {self.n_blocks_} blocks"),
-        ]
-        return Sheet("LagRegressor", tuple(fields), (characteristic_grid(*curve),))
+        )
+        return Sheet("LagRegressor", fields, (characteristic_grid(*curve),))
 
     def __sklearn_tags__(self) -> Any:
         """Declare what scikit-learn's checks should know."""
@@ -378,14 +356,6 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         whole_number("noise_order", self.noise_order, 0, MAXIMUM_ORDER)
         if self.time_constant_s is not None:
             positive("time_constant_s", self.time_constant_s)
-        value = self.dead_time_s
-        if isinstance(value, str) and value == "fit":
-            return
-        number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-        if not number or not np.isfinite(value) or value < 0:
-            raise InputError(
-                "dead_time_s", expected="a non-negative number or 'fit'", found=repr(value)
-            )
 
     def _validated(
         self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, *, reset: bool
@@ -417,34 +387,27 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         return self.basis is None and self.n_features_in_ == 1
 
     def _lag(self) -> FirstOrderLag:
-        period = float(self.sample_period_s)
-        return FirstOrderLag(self.time_constant_s_, period, self.hold, self.dead_time_s_)
+        return FirstOrderLag(self.time_constant_s_, float(self.sample_period_s), self.hold)
 
     def _runs(self, segments: ArrayLike | None, n_rows: int) -> list[slice]:
         runs = runs_of(segments, n_rows)
         return [slice(0, n_rows)] if self.link_segments else runs
 
     def _store(self, fit: LagFit, data: LagData, terms: Terms) -> None:
-        tau_s, period = float(np.exp(fit.shape[0])), float(self.sample_period_s)
+        tau_s = float(np.exp(fit.shape[0]))
         n_terms = terms.back.shape[0]
         # The search runs over log τ: dτ = τ d(log τ), the delta method of Eq 10.
-        to_user = np.concatenate([[tau_s, period], np.ones(n_terms)])
-        self.joint_covariance_ = fit.covariance * np.outer(to_user, to_user)
-        keep = [0, *range(2, n_terms + 2)]
+        to_user = np.array([tau_s, *np.ones(n_terms)])
         held = self.time_constant_s
         self.time_constant_s_ = tau_s if held is None else float(held)
-        self.dead_time_s_ = float(fit.shape[1]) * period
-        self.parameter_covariance_ = self.joint_covariance_[np.ix_(keep, keep)]
-        self.time_constant_stderr_s_ = float(np.sqrt(self.joint_covariance_[0, 0]))
-        self.dead_time_stderr_s_ = float(np.sqrt(self.joint_covariance_[1, 1]))
+        self.parameter_covariance_ = scatter(fit.moves) * np.outer(to_user, to_user)
+        self.time_constant_stderr_s_ = float(np.sqrt(self.parameter_covariance_[0, 0]))
         self.coef_ = fit.coef
         self.covariance_ = self.parameter_covariance_[1:, 1:]
         self._curve_back, self._curve_moves = terms.back, fit.curve_moves
-        # The last knot as the zero: the mean of a drift belongs to the characteristic.
-        self.drift_coef_ = (fit.drift - fit.drift[-1:])[:-1]
-        self.moving_average_ = fit.moving_average
+        self.drift_coef_ = fit.drift
+        self.moving_average_ = MovingAverage(fit.shape[1:]).coefficients
         self.fit_state_ = fit.state
-        self._n_late = rows_late(data.longest_dead)
         scored = data.weight[data.weight > 0.0]
         freedom = max(fit.n_errors - data.n_parameters(n_terms), 1)
         self.residual_std_ = float(np.sqrt(fit.cost / freedom / scored.mean()))
@@ -461,16 +424,13 @@ class LagRegressor(FittedDisplay, RegressorMixin, BaseEstimator):
         coef = np.asarray(np.linalg.lstsq(terms * root[:, None], y * root)[0])
         error = (y - terms @ coef) * root
         self.time_constant_s_ = self.time_constant_stderr_s_ = float("nan")
-        self.dead_time_s_ = self.dead_time_stderr_s_ = float("nan")
         self.coef_ = np.asarray(coef, dtype=np.float64)
-        self.joint_covariance_ = np.full((n_terms + 2, n_terms + 2), np.nan)
-        self.parameter_covariance_ = self.joint_covariance_[1:, 1:]
-        self.covariance_ = self.joint_covariance_[2:, 2:]
+        self.parameter_covariance_ = np.full((n_terms + 1, n_terms + 1), np.nan)
+        self.covariance_ = self.parameter_covariance_[1:, 1:]
         self._curve_back, self._curve_moves = np.zeros((n_terms, 1)), np.full((1, 1), np.nan)
-        self.drift_coef_ = np.zeros(0 if data.drift is None else data.drift.n_hats - 1)
+        self.drift_coef_ = np.zeros(data.drift.shape[1])
         self.moving_average_ = np.zeros(data.order)
         self.fit_state_ = state
-        self._n_late = rows_late(data.longest_dead)
         self.residual_std_ = float(np.sqrt(np.mean(error**2)))
         self.residual_lag_ = 1
         self.n_blocks_ = 0

@@ -1,30 +1,26 @@
-"""Prediction errors of the lag model, linear in all but τ, dead time and C, and their derivatives.
+"""Prediction errors of the lag model, linear in all but τ and C, and their derivatives.
 
 Minimising Σ w e² over the one-step (arx, armax) or free-run (output-error) errors e is maximum
-likelihood for Gaussian e (Åström 1980, the paper's Reference 5). For a shape (log τ, dead time, ρ)
-the errors are target - columns β - drift - starts, so that all of these follow by linear least
+likelihood for Gaussian e (Åström 1980, the paper's Reference 5). For a shape (log τ, ρ) the
+errors are target - columns β - drift - starts, so that all of these follow by linear least
 squares and a search runs over the shape alone (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from classic_ml.lag_data import Drift, LagData, Piece
+from classic_ml.lag_data import LagData
 from classic_ml.noise_models import MovingAverage
 from surge_core.lag import FirstOrderLag
-from surge_core.leave_out import LocalColumns, eliminate
 from surge_core.types import FloatArray, IntArray
 
 __all__ = ["Profile", "jacobian", "profile"]
 
-# Below this a start, or what the recursion of C keeps of a hat, adds less than a rounding error.
+# Below this a start adds less than a rounding error.
 FORGOTTEN = 1e-17
-FORGOTTEN_HAT = 1e-13
-MOST_INTERVALS = 20
 
 
 @dataclass(frozen=True)
@@ -53,31 +49,28 @@ class Profile:
     Parameters
     ----------
     shape : ndarray
-        log τ, dead time in samples, ρ.
+        log τ, ρ.
     beta : ndarray of shape (r,)
         Coefficients of the terms.
+    levels : ndarray of shape (d,)
+        Coefficients of the drift.
     errors : ndarray of shape (m,)
         Weighted errors.
-    columns : ndarray of shape (m, r)
-        -∂e/∂β, the starts projected out.
+    columns : ndarray of shape (m, r + d)
+        -∂e/∂(β, drift), the starts projected out.
     starts : tuple of Start
         The starts of the pieces.
     offsets : ndarray of shape (n_starts,)
         Coefficient of each start, for output error.
-    local : LocalColumns, optional
-        Columns of the drift, the starts projected out.
-    levels : ndarray of shape (n_hats,)
-        The drift at its knots.
     """
 
     shape: FloatArray
     beta: FloatArray
+    levels: FloatArray
     errors: FloatArray
     columns: FloatArray
     starts: tuple[Start, ...]
     offsets: FloatArray
-    local: LocalColumns | None
-    levels: FloatArray
 
     @property
     def cost(self) -> float:
@@ -93,38 +86,30 @@ def profile(data: LagData, shape: FloatArray, beta: FloatArray | None = None) ->
     data : LagData
         Record and model.
     shape : ndarray
-        log τ, dead time in samples, ρ.
+        log τ, ρ.
     beta : ndarray of shape (r,), optional
         Coefficients of the terms, where they are given.
     """
-    lag, whitener = data.lag(shape[0], shape[1]), MovingAverage(shape[2:])
+    lag, whitener = data.lag(shape[0]), MovingAverage(shape[1:])
     both = _columns_and_target(data, lag, whitener)
     starts = _starts(data, lag, whitener)
     taken = _project(starts, both)
-    if data.drift is None:
-        local, levels = None, np.zeros(0)
-        if beta is None:
-            beta = _least_squares(both.T @ both)
+    gram = both.T @ both
+    r = data.terms.shape[1]
+    if beta is None:
+        linear = _least_squares(gram)
     else:
-        local, taken_local = _local_columns(data, data.drift, lag, whitener, starts)
-        columns = local.columns
-        reduced, back = eliminate(both.T @ both, columns.T @ both, columns.T @ columns, local.mean)
-        if beta is None:
-            beta = _least_squares(reduced)
-        levels = back[:, -1] - back[:, :-1] @ beta
-    errors = both[:, -1] - both[:, :-1] @ beta
-    if local is not None:
-        errors -= local.columns @ levels
+        right = gram[r:-1, -1] - gram[r:-1, :r] @ beta
+        linear = np.concatenate([beta, np.linalg.lstsq(gram[r:-1, r:-1], right)[0]])
+    errors = both[:, -1] - both[:, :-1] @ linear
     offsets = np.zeros(0)
     if data.is_output_error:
-        offsets = taken[:, -1] - taken[:, :-1] @ beta
-        if local is not None:
-            offsets -= taken_local @ levels
-    return Profile(shape, beta, errors, both[:, :-1], starts, offsets, local, levels)
+        offsets = taken[:, -1] - taken[:, :-1] @ linear
+    return Profile(shape, linear[:r], linear[r:], errors, both[:, :-1], starts, offsets)
 
 
 def jacobian(data: LagData, at: Profile) -> FloatArray:
-    """Return ∂e/∂(free shape, β), the starts projected out.
+    """Return ∂e/∂(free shape, β, drift), the starts projected out.
 
     Parameters
     ----------
@@ -135,10 +120,10 @@ def jacobian(data: LagData, at: Profile) -> FloatArray:
 
     Returns
     -------
-    ndarray of shape (m, n_shape + r)
+    ndarray of shape (m, n_shape + r + d)
     """
     n_shape = int(data.free.sum())
-    both = np.zeros((at.errors.size, n_shape + at.beta.size), order="F")
+    both = np.zeros((at.errors.size, n_shape + at.columns.shape[1]), order="F")
     slopes = both[:, :n_shape]
     if data.is_output_error:
         _slopes_of_free_run(data, at, slopes)
@@ -174,20 +159,23 @@ def _predicted(data: LagData) -> tuple[slice | IntArray, slice | IntArray, slice
 
 
 def _columns_and_target(data: LagData, lag: FirstOrderLag, whitener: MovingAverage) -> FloatArray:
-    """Return the columns of β with the target behind them, weighted.
+    """Return the columns of β and of the drift with the target behind them, weighted.
 
     Output error: the free run of each term (Eq 6). It runs on from segment to segment: what that
     adds to a segment is its start, which is projected out. Equation error: the terms as they act in
-    Eq 9, and ψ'[k] - a ψ'[k-1], sent through 1/C.
+    Eq 9, and ψ'[k] - a ψ'[k-1], sent through 1/C. The drift adds to ψ' itself.
     """
     rows, before, where = _predicted(data)
-    both = np.zeros((data.rows_of_errors.size, data.terms.shape[1] + 1), order="F")
+    r, d = data.terms.shape[1], data.drift.shape[1]
+    both = np.zeros((data.rows_of_errors.size, r + d + 1), order="F")
     own = both[where]
     if data.is_output_error:
-        own[:, :-1] = lag.respond(data.terms, data.terms[0])[rows]
+        own[:, :r] = lag.respond(data.terms, data.terms[0])[rows]
+        own[:, r:-1] = data.drift[rows]
         own[:, -1] = data.y[rows]
     else:
-        own[:, :-1] = lag.drive(data.terms)[before]
+        own[:, :r] = lag.drive(data.terms)[before]
+        own[:, r:-1] = data.drift[rows] - lag.a * data.drift[before]
         own[:, -1] = data.y[rows] - lag.a * data.y[before]
         both[data.ahead_places] = 0.0
         both = _whitened(data, whitener, both)
@@ -236,95 +224,13 @@ def _starts(data: LagData, lag: FirstOrderLag, whitener: MovingAverage) -> tuple
     return tuple(starts)
 
 
-def _local_columns(
-    data: LagData,
-    drift: Drift,
-    lag: FirstOrderLag,
-    whitener: MovingAverage,
-    starts: tuple[Start, ...],
-) -> tuple[LocalColumns, FloatArray]:
-    """Return the columns of the drift in the errors, and what the starts took of them."""
-    rows, before, where = _predicted(data)
-    hats = drift.hats
-    mean = hats.T @ data.weight
-    if isinstance(hats, np.ndarray):
-        columns = np.zeros((data.rows_of_errors.size, drift.n_hats))
-        columns[where] = hats[rows] if data.is_output_error else hats[rows] - lag.a * hats[before]
-        if not data.is_output_error:
-            columns[data.ahead_places] = 0.0
-            columns = _whitened(data, whitener, columns)
-        if data.root is not None:
-            columns *= data.root[:, None]
-        taken = _project(starts, columns)
-        return LocalColumns(columns, mean), taken
-    from scipy.sparse import coo_array, vstack
-
-    columns = hats[rows]
-    if not data.is_output_error:
-        parts = [_whitened_hats(data, drift, piece, lag, whitener) for piece in data.pieces]
-        columns = vstack(parts, format="csr")
-    if data.root is not None:
-        columns = columns.multiply(data.root[:, None]).tocsr()
-    if not starts:
-        return LocalColumns(columns, mean), np.zeros((0, drift.n_hats))
-    order = starts[0].basis.shape[1]
-    at = [np.arange(s.errors.start, s.errors.stop) for s in starts]
-    places = np.concatenate([np.repeat(part, order) for part in at])
-    numbers = [i * order + np.tile(np.arange(order), part.size) for i, part in enumerate(at)]
-    values = np.concatenate([s.basis.ravel() for s in starts])
-    basis = coo_array(
-        (values, (places, np.concatenate(numbers))),
-        shape=(columns.shape[0], order * len(starts)),
-    ).tocsr()
-    share = (basis.T @ columns).tocsr()
-    return LocalColumns((columns - basis @ share).tocsr(), mean), share[::order].toarray()
-
-
-def _whitened_hats(
-    data: LagData, drift: Drift, piece: Piece, lag: FirstOrderLag, whitener: MovingAverage
-) -> Any:
-    """Return C⁻¹ (hat[k] - a hat[k-1]) of each hat that a piece can see, sparse.
-
-    All windows are of one length: two intervals between knots, and what the recursion of C keeps
-    of them.
-    """
-    from scipy.sparse import coo_array
-
-    rows, begin = piece.rows, piece.run.start
-    first, intervals = drift.first[piece.number], drift.intervals[piece.number]
-    step, n = drift.steps[piece.number], rows.stop - rows.start
-    shape = (data.ahead + n, drift.n_hats)
-    if intervals == 0:
-        level = whitener.whiten(np.full(n, 1.0 - lag.a))
-        where = (data.ahead + np.arange(n), np.full(n, first))
-        return coo_array((level, where), shape=shape).tocsr()
-    decades = np.log(min(max(whitener.largest_root, 1e-3), 1.0 - 1e-9))
-    tail = min(np.log(FORGOTTEN_HAT) / decades, MOST_INTERVALS / step)
-    width = min(n, int(np.ceil(2.0 / step) + tail) + 3)
-    knots = np.arange(intervals + 1)
-    from_row = np.maximum(np.floor((knots - 1) / step).astype(np.int64) + 1, 0)
-    from_row = np.maximum(from_row + begin - rows.start, 0)
-    seen = ((knots + 1) / step + begin >= rows.start - 1) & (from_row < n)
-    knots, from_row = knots[seen], from_row[seen]
-    at = from_row[:, None] + np.arange(width)
-    place = (at + rows.start - begin) * step - knots[:, None]
-    hat = np.maximum(1.0 - np.abs(place), 0.0) - lag.a * np.maximum(1.0 - np.abs(place - step), 0.0)
-    whitened = whitener.whiten(hat.T).T
-    inside = at < n
-    numbers = np.broadcast_to(first + knots[:, None], at.shape)
-    where = (data.ahead + at[inside], numbers[inside])
-    return coo_array((whitened[inside], where), shape=shape).tocsr()
-
-
 def _slopes_of_free_run(data: LagData, at: Profile, slopes: FloatArray) -> None:
-    """Fill in ∂e/∂(log τ, dead time), everything linear held."""
-    lag = data.lag(at.shape[0], at.shape[1])
-    rows, _, _ = _predicted(data)
-    quasi_steady = data.terms @ at.beta
-    if data.fit_dead:
-        slopes[:, -1] = -lag.d_respond(quasi_steady, quasi_steady, 2)[rows]
+    """Fill in ∂e/∂(log τ), everything linear held."""
     if data.held_log_tau is not None:
         return
+    lag = data.lag(at.shape[0])
+    rows, _, _ = _predicted(data)
+    quasi_steady = data.terms @ at.beta
     state = lag.respond(quasi_steady, quasi_steady[0])
     slopes[:, 0] = -lag.d_respond(quasi_steady, state)[rows]
     for start, offset in zip(at.starts, at.offsets, strict=True):
@@ -335,17 +241,13 @@ def _slopes_of_free_run(data: LagData, at: Profile, slopes: FloatArray) -> None:
 
 
 def _slopes_of_equations(data: LagData, at: Profile, slopes: FloatArray) -> None:
-    """Fill in ∂e/∂(log τ, dead time, ρ), everything linear held."""
-    lag, whitener = data.lag(at.shape[0], at.shape[1]), MovingAverage(at.shape[2:])
+    """Fill in ∂e/∂(log τ, ρ), everything linear held."""
+    lag, whitener = data.lag(at.shape[0]), MovingAverage(at.shape[1:])
     _, before, where = _predicted(data)
     quasi_steady = data.terms @ at.beta
     if data.held_log_tau is None:
-        measured = data.y
-        if data.drift is not None:
-            measured = measured - data.drift.hats @ at.levels
+        measured = data.y - data.drift @ at.levels
         slopes[where, 0] = -lag.d_a * measured[before] - lag.drive(quasi_steady, 1)[before]
-    if data.fit_dead:
-        slopes[where, -1 - data.order] = -lag.drive(quasi_steady, 2)[before]
     if data.order:
         slopes[:, -data.order :] = _late_errors(data, at) @ -whitener.jacobian
     slopes[data.ahead_places] = 0.0

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from classic_ml.lag_data import LagData, Terms
 from classic_ml.likelihood import jacobian, profile
-from surge_core.leave_out import LocalColumns
 from surge_core.types import FloatArray, IntArray
 
 __all__ = ["LinearisedFit", "linearised"]
@@ -24,7 +23,8 @@ class LinearisedFit:
     errors : ndarray of shape (n,)
         Prediction errors of the scored rows, times the root of their weights.
     jacobian : ndarray of shape (n, p)
-        ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms, dead time, C).
+        ∂e/∂θ, θ = (τ in seconds, coefficients of nearly orthogonal terms,
+        drift, C).
     back : ndarray of shape (q, r)
         What turns those coefficients into β.
     rows : ndarray of int, shape (n,)
@@ -33,12 +33,6 @@ class LinearisedFit:
         Stretches of ``errors`` that follow each other without a gap.
     segment : ndarray of int, shape (n,)
         Number of the segment, from 0, of each error.
-    aside : ndarray of shape (n,)
-        What the drift of the fit adds to ψ' at each row.
-    local : LocalColumns, optional
-        Columns of the drift, which few rows see.
-    before : ndarray of shape (n,)
-        The errors before the drift takes its part; ``errors`` where there is none.
     """
 
     errors: FloatArray
@@ -47,9 +41,6 @@ class LinearisedFit:
     rows: IntArray
     pieces: tuple[slice, ...]
     segment: IntArray
-    aside: FloatArray
-    local: LocalColumns | None
-    before: FloatArray
 
 
 def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray) -> LinearisedFit:
@@ -62,7 +53,7 @@ def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray)
     terms : Terms
         How its terms come from the user's.
     shape : ndarray
-        log τ, dead time in samples, ρ.
+        log τ, ρ.
     beta : ndarray of shape (r,)
         Coefficients of the nearly orthogonal terms.
     """
@@ -73,23 +64,14 @@ def linearised(data: LagData, terms: Terms, shape: FloatArray, beta: FloatArray)
     tau = both[:, :1] / np.exp(shape[0]) if fitted else np.zeros((both.shape[0], 1))
     keep = data.scored
     rows = data.rows_of_errors[keep]
-    errors, local, aside = at.errors[keep], at.local, np.zeros(data.y.size)
-    before = errors
-    if local is not None and data.drift is not None:
-        local = replace(local, columns=local.columns[keep])
-        aside = data.drift.hats @ at.levels
-        before = errors + local.columns @ at.levels
     segment = _numbers(list(data.runs))[rows]
     return LinearisedFit(
-        errors,
+        at.errors[keep],
         np.column_stack([tau, both[:, n_shape:], both[:, fitted:n_shape]])[keep],
         terms.back,
         rows,
         _stretches(rows, segment),
         segment,
-        aside[rows],
-        local,
-        before,
     )
 
 

@@ -94,10 +94,9 @@ class MovingAverage:
         Columns from the oldest error to the newest: e[0] adds c₁ to the first equation and c₂ to
         the second, e[-1] adds c₂ to the first.
         """
-        columns = np.zeros((n_rows, self.order))
-        c = self.coefficients
-        for column in range(self.order):
-            steps_back = self.order - 1 - column
-            for row in range(min(self.order - steps_back, n_rows)):
-                columns[row, column] = c[row + steps_back]
-        return columns
+        from scipy.linalg import toeplitz
+
+        newest_last = self.coefficients[::-1]
+        first = np.zeros(n_rows)
+        first[:1] = newest_last[:1]
+        return np.asarray(toeplitz(first, newest_last))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from classic_ml.lag_regressor import LagRegressor
 from classic_ml.noise_models import MAXIMUM_ORDER, NOISE_KINDS, NoiseKind
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
-from surge_core.leave_out import scatter
+from surge_core.paired import block_errors, block_rms, paired_difference
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray, IntArray
 from surge_core.validation import whole_number
@@ -26,7 +26,6 @@ __all__ = ["OrderRow", "OrderTable", "select_order"]
 
 # As many rows train as in a comparison, and the later ones test.
 TRAIN_SHARE = 2.0 / 3.0
-FEWEST_BLOCKS = 6
 FEWEST_ROWS = 30
 ORDERS_OF_C = tuple(range(1, MAXIMUM_ORDER + 1))
 
@@ -223,7 +222,9 @@ def _earlier(labels: IntArray) -> BoolArray:
 def _fit(
     model: LagRegressor, lag: int, X: FloatArray, y: FloatArray, labels: IntArray, train: BoolArray
 ) -> _Fitted:
-    blocks = _held_out(clone(model).fit(X[train], y[train], labels[train]), X, y, labels, ~train)
+    trained, test = clone(model).fit(X[train], y[train], labels[train]), ~train
+    free_run = trained.predict(X[test], labels[test], start=y[test])
+    blocks = block_errors(y[test] - free_run, runs_of(labels[test], free_run.size))
     model.fit(X, y, labels)
     predicted, known = model.one_step(X, y, labels)
     errors = np.where(known, y - predicted, 0.0)
@@ -232,22 +233,6 @@ def _fit(
     power = float(errors @ errors) / max(y.size - int(labels[-1] + 1), 1)
     log_power = math.log(max(power, np.finfo(np.float64).tiny))
     return _Fitted(model, lag, n_parameters, log_power, white, blocks)
-
-
-def _held_out(
-    trained: LagRegressor, X: FloatArray, y: FloatArray, labels: IntArray, test: BoolArray
-) -> FloatArray:
-    """Return the sum of squares and rows of each held-out block of cycles."""
-    free_run = trained.predict(X[test], labels[test], start=y[test])
-    squares = (y[test] - free_run) ** 2
-    runs = runs_of(labels[test], squares.size)
-    parts = max(1, math.ceil(FEWEST_BLOCKS / len(runs)))
-    blocks = []
-    for run in runs:
-        for low, high in pairwise(np.linspace(run.start, run.stop, parts + 1).astype(int)):
-            if high > low:
-                blocks.append((float(squares[low:high].sum()), float(high - low)))
-    return np.asarray(blocks, dtype=np.float64).reshape(-1, 2)
 
 
 def _table(fitted: list[_Fitted], n: int) -> OrderTable:
@@ -259,7 +244,7 @@ def _table(fitted: list[_Fitted], n: int) -> OrderTable:
     ties: list[OrderRow] = []
     for i in order:
         f = fitted[i]
-        difference, paired = _difference(f.blocks, fitted[chosen].blocks)
+        difference, paired = paired_difference(f.blocks, fitted[chosen].blocks)
         row = OrderRow(
             f.model.noise,
             f.model.noise_order,
@@ -268,7 +253,7 @@ def _table(fitted: list[_Fitted], n: int) -> OrderTable:
             f.n_parameters,
             aicc[i] - min(aicc),
             bic[i] - min(bic),
-            _rms(f.blocks),
+            block_rms(f.blocks)[0],
             paired,
             float(f.model.time_constant_s_),
             float(f.model.time_constant_stderr_s_),
@@ -295,29 +280,14 @@ def _recommend(fitted: list[_Fitted], order: list[int]) -> tuple[int, str]:
     best = ended_well[0]
     if fitted[best].white:
         return best, "least BIC, and its one-step errors are white, so that BIC holds"
-    leader = min(ended_well, key=lambda i: _rms(fitted[i].blocks))
+    leader = min(ended_well, key=lambda i: block_rms(fitted[i].blocks)[0])
     near = []
     for i in ended_well:
-        difference, paired = _difference(fitted[i].blocks, fitted[leader].blocks)
+        difference, paired = paired_difference(fitted[i].blocks, fitted[leader].blocks)
         if difference <= max(paired, 0.0):
             near.append(i)
-    simplest = min(near, key=lambda i: (fitted[i].n_parameters, _rms(fitted[i].blocks)))
+    simplest = min(near, key=lambda i: (fitted[i].n_parameters, block_rms(fitted[i].blocks)[0]))
     return simplest, (
         "simplest within one paired standard error of the best on the later cycles; the one-step "
         "errors of the row of least BIC are not white, so that BIC does not hold"
     )
-
-
-def _rms(blocks: FloatArray) -> float:
-    return math.sqrt(float(blocks[:, 0].sum() / blocks[:, 1].sum()))
-
-
-def _difference(blocks: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """Return the difference of two rms values and its jackknife error over shared blocks."""
-    moves = _without_each(blocks) - _without_each(reference)
-    return _rms(blocks) - _rms(reference), math.sqrt(float(scatter(moves[:, None])[0, 0]))
-
-
-def _without_each(blocks: FloatArray) -> FloatArray:
-    squares, rows = (blocks.sum(axis=0) - blocks).T
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / rows))

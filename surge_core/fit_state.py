@@ -43,8 +43,9 @@ class FitState(AdvisedState):
     )
     AT_LOWER_BOUND = (
         "at_lower_bound",
-        "The time constant ran to its lower bound: the data show no lag at this sample rate; "
-        "sample faster, or check that φ and ψ' were filtered alike.",
+        "The time constant ran to its lower bound: no lag is seen. Where there should be one, the "
+        "noise of φ drives the fit, φ and the coefficient were not filtered alike, or the samples "
+        "are too far apart.",
     )
     AT_UPPER_BOUND = (
         "at_upper_bound",
@@ -61,6 +62,11 @@ class FitState(AdvisedState):
         "too_few_rows",
         "There are fewer scored rows than parameters: no time constant can be had; the terms are "
         "fitted as a static curve of least norm.",
+    )
+    TOO_FEW_CYCLES = (
+        "too_few_cycles",
+        "There are too few cycles to know the scatter between them, and nothing is stated; take a "
+        "longer record, or name a longer window.",
     )
     BLOWDOWN = (
         "blowdown",

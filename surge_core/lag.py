@@ -116,16 +116,15 @@ class FirstOrderLag:
         ----------
         quasi_steady : ndarray of shape (n,) or (n, p)
             Samples of f.
-        derivative : {0, 1, 2}
-            The drive itself, or its derivative with respect to log τ or to the dead time in
-            samples, both for the f that is given.
+        derivative : {0, 1}
+            The drive itself, or its derivative with respect to log τ for the f that is given.
 
         Returns
         -------
         ndarray of shape (n - 1,) or (n - 1, p)
         """
         taps, m, n = self.taps[derivative], self.whole_samples, quasi_steady.shape[0]
-        if self.dead_time_s == 0.0 and derivative < 2:
+        if self.dead_time_s == 0.0:
             before = taps[1] * quasi_steady[:-1]
             both = before if self.hold == "zero" else before + taps[0] * quasi_steady[1:]
             return np.asarray(both)
@@ -149,21 +148,15 @@ class FirstOrderLag:
         """
         return self.accumulate(self.drive(quasi_steady), start)
 
-    def d_respond(
-        self, quasi_steady: FloatArray, state: FloatArray, derivative: int = 1
-    ) -> FloatArray:
-        """Return the derivative of the state x that :meth:`respond` gave, its start held fixed.
+    def d_respond(self, quasi_steady: FloatArray, state: FloatArray) -> FloatArray:
+        """Return ∂x/∂(log τ) of the state x that :meth:`respond` gave, its start held fixed.
 
         Parameters
         ----------
         quasi_steady, state : ndarray of shape (n,) or (n, p)
             Samples of f, and the state.
-        derivative : {1, 2}
-            With respect to log τ, or to the dead time in samples.
         """
-        forcing = self.drive(quasi_steady, derivative)
-        if derivative == 1:
-            forcing = forcing + self.d_a * state[:-1]
+        forcing = self.drive(quasi_steady, 1) + self.d_a * state[:-1]
         return self.accumulate(forcing, np.zeros_like(state[0]))
 
     def accumulate(self, drive: FloatArray, start: FloatArray | float) -> FloatArray:

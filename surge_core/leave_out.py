@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,11 +16,9 @@ from numpy.typing import ArrayLike
 from surge_core.types import FloatArray, IndexArray, IntArray
 
 __all__ = [
-    "LocalColumns",
     "Rest",
     "block_edges",
     "correlation_length",
-    "eliminate",
     "leave_out",
     "scatter",
     "slow_correlation_length",
@@ -35,24 +32,6 @@ BINS_A_BLOCK = 10
 MOST_LAGS = 4000
 # Of a scaled eigenvalue: less is a copy of other columns within the rounding of inner products.
 NO_DIRECTION = 1e-13
-# Of its own diagonal, added to each local unknown: one that no row sees then stays where it is.
-RIDGE = 1e-12
-
-
-@dataclass(frozen=True)
-class LocalColumns:
-    """Columns that few rows see, such as the hats of a slow drift.
-
-    Parameters
-    ----------
-    columns : ndarray or sparse array of shape (n, d)
-        The columns; sparse ones in compressed rows.
-    mean : ndarray of shape (d,)
-        Weights of the sum of their coefficients that is held at zero.
-    """
-
-    columns: Any
-    mean: FloatArray
 
 
 @dataclass(frozen=True)
@@ -79,60 +58,10 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     return np.asarray(half @ np.swapaxes(half, -1, -2))
 
 
-def eliminate(
-    gram: FloatArray, cross: FloatArray, normal: Any, mean: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Optimise local unknowns away from normal equations.
-
-    Parameters
-    ----------
-    gram : ndarray of shape (p, p)
-        Inner products of the dense columns.
-    cross : ndarray of shape (d, p)
-        Those of the local columns with them.
-    normal : ndarray or sparse array of shape (d, d)
-        Those of the local columns.
-    mean : ndarray of shape (d,)
-        Weights of the sum of the local coefficients that is held at zero; zeros hold nothing.
-
-    Returns
-    -------
-    reduced : ndarray of shape (p, p)
-        Inner products of what the local columns leave of the dense ones.
-    back : ndarray of shape (d, p)
-        Local coefficients that fit each dense column.
-    """
-    solved = _solve(normal, np.column_stack([cross, mean]))
-    back, held = solved[:, :-1], solved[:, -1]
-    size = float(mean @ held)
-    if size > 0.0:
-        back = back - np.outer(held, mean @ back) / size
-    return gram - cross.T @ back, back
-
-
-def _solve(normal: Any, right: FloatArray) -> FloatArray:
-    diagonal = normal.diagonal()
-    ridge = np.where(diagonal > 0.0, RIDGE * diagonal, 1.0)
-    if isinstance(normal, np.ndarray):
-        return np.linalg.solve(normal + np.diag(ridge), right)
-    from scipy.sparse import diags_array
-    from scipy.sparse.linalg import splu
-
-    factors = splu(
-        (normal + diags_array(ridge)).tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    return np.asarray(factors.solve(right))
-
-
 def leave_out(
     jacobian: FloatArray,
     errors: FloatArray,
     blocks: Sequence[slice | IndexArray],
-    local: LocalColumns | None = None,
-    block_means: FloatArray | None = None,
 ) -> Rest:
     """Refit without each block, linearised about the whole fit.
 
@@ -141,13 +70,9 @@ def leave_out(
     jacobian : ndarray of shape (n, p)
         ∂e/∂θ.
     errors : ndarray of shape (n,)
-        The errors e at the optimum; with local columns, before these take their part.
+        The errors e at the optimum.
     blocks : sequence of slice or ndarray of int
         Rows of each block.
-    local : LocalColumns, optional
-        Columns that stand in the errors with a minus sign.
-    block_means : ndarray of shape (n_blocks, d), optional
-        What each block adds to ``local.mean``: without it the sum runs over the other rows.
 
     Returns
     -------
@@ -162,8 +87,6 @@ def leave_out(
     both = np.column_stack([jacobian, errors])
     whole = both.T @ both
     rest = whole - np.stack([both[block].T @ both[block] for block in blocks])
-    if local is not None:
-        rest = _without_local(both, rest, blocks, local, block_means)
     scale = np.sqrt(np.diag(whole)[:-1])
     scale[scale == 0.0] = 1.0
     rest[:, :-1] /= scale[:, None]
@@ -172,25 +95,6 @@ def leave_out(
     inverse = _inverse(rest[:, :-1, :-1])
     moves = -np.einsum("gij,gj->gi", inverse, rest[:, :-1, -1]) / scale
     return Rest(moves, inverse / np.outer(scale, scale))
-
-
-def _without_local(
-    both: FloatArray,
-    rest: FloatArray,
-    blocks: Sequence[slice | IndexArray],
-    local: LocalColumns,
-    block_means: FloatArray | None,
-) -> FloatArray:
-    columns = local.columns
-    normal, cross = columns.T @ columns, columns.T @ both
-    reduced = np.empty_like(rest)
-    for number, block in enumerate(blocks):
-        part = columns[block]
-        mean = local.mean if block_means is None else local.mean - block_means[number]
-        reduced[number], _ = eliminate(
-            rest[number], cross - part.T @ both[block], normal - part.T @ part, mean
-        )
-    return reduced
 
 
 def scatter(moves: FloatArray) -> FloatArray:

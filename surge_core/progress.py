@@ -67,7 +67,7 @@ def shown_steps(steps: int, *, lines: bool = False) -> Iterator[Callable[[str], 
 @contextmanager
 def shown_count(
     words: str = "", *, unit: str, total: int | None = None
-) -> Iterator[Callable[..., None]]:
+) -> Iterator[Callable[..., object]]:
     """Give a function to be called with how many more are done; one more without a number.
 
     Parameters
@@ -89,8 +89,4 @@ def shown_count(
         leave=False,
         disable=None,
     ) as bar:
-
-        def count(number: int = 1) -> None:
-            bar.update(number)
-
-        yield count
+        yield bar.update

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["runs_of", "scored_pieces", "with_known_inputs"]
+__all__ = ["runs_of", "scored_pieces"]
 
 
 def runs_of(segments: ArrayLike | None, n_rows: int) -> list[slice]:
@@ -45,21 +45,3 @@ def scored_pieces(weight: FloatArray, run: slice) -> list[slice]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], weight[run] > 0.0, [0]])))
     bounds = edges.reshape(-1, 2) + run.start
     return [slice(int(low), int(high)) for low, high in bounds if high - low > 1]
-
-
-def with_known_inputs(weight: FloatArray, runs: list[slice], n_rows: int) -> FloatArray:
-    """Return weights of 0 for the first rows of each run: they answer to inputs from before it.
-
-    Parameters
-    ----------
-    weight : ndarray of shape (n,)
-        Weights of the rows.
-    runs : list of slice
-        The segments.
-    n_rows : int
-        Rows at the head of each whose inputs are not all known.
-    """
-    known = weight.copy()
-    for run in runs:
-        known[run.start : min(run.start + n_rows, run.stop)] = 0.0
-    return known

@@ -13,8 +13,9 @@ import numpy as np
 
 from classic_ml.description import TestDescription
 from classic_ml.filters import period_average
+from classic_ml.flow import choked_flow, corrected_from_physical
 from classic_ml.records import Record
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = [
     "EXIT_WEIGHT",
@@ -23,6 +24,7 @@ __all__ = [
     "delivered_power",
     "exit_flow_at_inlet",
     "flat_average",
+    "impossible_rows",
 ]
 
 # Weight κ of the exit in the mean pressure of the internal volume: a linear rise from 25 to 31.
@@ -88,6 +90,25 @@ def exit_flow_at_inlet(record: Record, test: TestDescription) -> FloatArray:
     return np.asarray(record["W31_kg_s"] + volume / mean_K * rate_Pa_s)
 
 
+def impossible_rows(record: Record, test: TestDescription) -> BoolArray:
+    """Return the rows in which plane 31 shows more flow than the area of plane 25 passes.
+
+    Parameters
+    ----------
+    record : Record
+        Plane averages, with T31.
+    test : TestDescription
+        For the area of plane 25 and the machine.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    flow = exit_flow_at_inlet(record, test)
+    corrected = corrected_from_physical(flow, record["P25_Pa"], record["T25_K"])
+    return np.asarray(np.abs(corrected) > choked_flow(test.areas_m2[25], test.compressor))
+
+
 def credit_of_storage(phi: FloatArray, mixing_phi: float = MIXING_PHI) -> FloatArray:
     """Return how far T31 is that of the gas that leaves: φ⁴/(φ⁴ + φ₀⁴), 0 in reversed flow.
 
@@ -121,6 +142,7 @@ def delivered_power(
     inertia_per_m: float,
     mixing_phi: float = MIXING_PHI,
     smooth: Callable[[FloatArray], FloatArray] = _as_it_is,
+    stores: bool = True,
 ) -> FloatArray:
     """Return W25 ψ, which stays finite through zero flow (Eq 13 with W31 from the mass balance).
 
@@ -141,6 +163,8 @@ def delivered_power(
     smooth : callable
         Smooths I d²W25/dt² and what T̄ is made of: the second derivative of a noisy flow is most
         of the noise of ψ.
+    stores : bool
+        False where nothing is stored between the blading and T31: then T2 = T31.
 
     Returns
     -------
@@ -158,6 +182,9 @@ def delivered_power(
     """
     machine, period_s = test.compressor, record.sample_period_s
     inlet_K, exit_K = record["T25_K"], record["T31_K"]
+    scale = 2.0 * machine.specific_heat_J_kg_K / test.rotor_velocity_m_s**2
+    if not stores:
+        return np.asarray(scale * flow_kg_s * (exit_K - inlet_K))
     exit_Pa_s = np.gradient(record["P31_Pa"], period_s)
     inlet_Pa_s = np.gradient(record["P25_Pa"], period_s)
     surge_Pa_s = inertia_per_m * np.gradient(np.gradient(flow_kg_s, period_s), period_s)
@@ -174,5 +201,4 @@ def delivered_power(
         stored = credit * (volume / machine.gamma * mean_Pa_s - mass)
         share = np.clip(smooth(stored) / divisor / exit_K, -LARGEST_SHARE, LARGEST_SHARE)
         delivered_K = exit_K * (1.0 + share)
-    scale = 2.0 * machine.specific_heat_J_kg_K / test.rotor_velocity_m_s**2
     return np.asarray(scale * (flow_kg_s * (exit_K - inlet_K) + stored))

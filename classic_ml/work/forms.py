@@ -22,17 +22,11 @@ __all__ = ["WORK_FORMS", "with_work"]
 # half of that, Eq 13 shows their disagreement and not the work.
 FLOW_MISMATCH_LIMIT = 0.1
 WORK_FORMS = ("auto", "exit-flow", "mass-balance", "temperature-rise")
-# What ψ is taken by, and what that means where the planes disagree.
+# What ψ is taken by.
 _FORM_WORDS = {
-    "exit-flow": ("the energy form of Eq 13", "which shows their disagreement more than the work"),
-    "mass-balance": (
-        "the energy form of Eq 13 with W31 from the mass balance",
-        "with the mean of both for W25",
-    ),
-    "temperature-rise": (
-        "the temperature rise",
-        "which leaves out what is stored between the planes",
-    ),
+    "exit-flow": "the energy form of Eq 13",
+    "mass-balance": "the energy form of Eq 13 with W31 from the mass balance",
+    "temperature-rise": "the temperature rise",
 }
 
 
@@ -90,11 +84,9 @@ def with_work(
         instead = "mass-balance" if _lag_undone(record) else "temperature-rise"
         form = instead if too_far else "exit-flow"
     parameters["form"] = form
-    words, meaning = _FORM_WORDS[form]
-    disagree = (
-        f"the measured W31 and W25 disagree by an equivalent of {100.0 * mismatch:.0f} % in ψ"
-    )
-    flags = (f"{disagree}: ψ is taken by {words}, {meaning}",) if too_far else ()
+    words = _FORM_WORDS[form]
+    flag = f"the measured W31 and W25 disagree by an equivalent of {mismatch:.0%} in ψ"
+    flags = (f"{flag}: it is taken by {words}",) if too_far else ()
     if form == "mass-balance":
         by_flow = _mass_balance(record, test, inertia_per_m, cell_period_s)
     psi = bridged(rise if form == "temperature-rise" else by_flow, known)

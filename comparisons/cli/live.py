@@ -6,7 +6,7 @@ import argparse
 import math
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
@@ -21,7 +21,6 @@ from surge_core.files import check_apart, check_target
 
 if TYPE_CHECKING:
     from comparisons.live.feeds import Feed
-    from comparisons.live.pieces import Piece
 
 __all__ = ["COMMAND"]
 
@@ -31,8 +30,8 @@ late). Surge is reported when the flow at plane 25 has run backwards for 3 ms, s
 machine itself; the time constant is that of `reduce` and `compare` over the last half minute.
 
 Rows whose clock was had are dropped, what is no row is counted and left out. Where rows are missing
-the record goes on as a new piece, which is reduced by itself, matched by the near-stall reading of
-the first piece; the test.toml with this match lies beside its raw record (--raw).
+the record goes on as a new piece, matched by the near-stall reading of the first one. The longest
+piece is reduced; the rows of all are kept beside it.
 
 The run ends with the input, with the end mark of the format, after --timeout, or with Ctrl-C or
 SIGTERM; then the rows are reduced as `reduce` would with the same options. They are on disk all the
@@ -70,10 +69,11 @@ class _WithFormats(argparse.RawDescriptionHelpFormatter):
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io import read_test_description
+    from classic_ml.io.series import write_series
     from comparisons.live.display import Terminal
     from comparisons.live.monitor import Monitor
     from comparisons.live.page import Page
-    from comparisons.live.pieces import Pieces, reduce_pieces
+    from comparisons.live.pieces import Pieces, reduce_longest
     from comparisons.live.session import Session
 
     out, raw = _targets(given)
@@ -100,12 +100,17 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         session.run()
         with options_named():
             pieces = session.pieces.pieces
-            reduce_pieces(pieces, given.test, out, settings, session.entry())
+            piece, reduction = reduce_longest(pieces, given.test, settings, session.entry())
+            write_series(reduction.series, out)
         session.show("done")
-    kept = given.raw is not None or any(piece.error is not None for piece in pieces)
+    kept = given.raw is not None or len(pieces) > 1
     if not kept:
         session.pieces.discard()
-    return [] if given.quiet else _lines(pieces, raw_kept=kept)
+    if given.quiet:
+        return []
+    which = f" of piece {piece.number}" if len(pieces) > 1 else ""
+    raw_records = [f"raw record: {each.path}" for each in pieces if kept]
+    return [*reduction_lines(reduction), f"series{which}: {out}", *raw_records]
 
 
 def _targets(given: argparse.Namespace) -> tuple[Path, Path]:
@@ -133,20 +138,6 @@ def _feed(given: argparse.Namespace) -> Feed:
     if given.listen is not None or given.unix is not None:
         return listening(given.listen or given.unix)
     return piped(sys.stdin.fileno())
-
-
-def _lines(pieces: list[Piece], *, raw_kept: bool) -> Iterator[str]:
-    for piece in pieces:
-        if len(pieces) > 1:
-            yield f"piece {piece.number}, {piece.n_rows} rows:"
-        if piece.reduction is None:
-            yield f"not reduced: {piece.error}"
-        else:
-            yield from reduction_lines(piece.reduction)
-            yield f"series: {piece.series}"
-    for piece in pieces if raw_kept else ():
-        described = f" with {piece.test}" if piece.test else ""
-        yield f"raw record: {piece.path}{described}"
 
 
 def _address(text: str) -> tuple[str, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ __all__ = [
     "writes",
 ]
 
+LONGEST_TAU_S = 10.0
+TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 # What the line on a written file calls it, by the option.
 LABELS = {
     "json": "numbers",
@@ -332,11 +335,18 @@ def time_constant(text: str) -> float:
     text : str
         What was typed.
     """
-    from comparisons.harness.tau_trial import parse_tau
-
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms|us|µs)?\s*", text)
     try:
-        return parse_tau(text)
-    except InputError as error:
-        # argparse prints the words of its own error alone.
-        words = f"expected {error.expected}, found {error.found}; {error.remedy}"
-        raise argparse.ArgumentTypeError(words.rstrip("; ")) from None
+        seconds = float(match[1]) * TIME_UNITS[match[2]] if match else math.nan
+    except ValueError:
+        seconds = math.nan
+    if 0.0 < seconds <= LONGEST_TAU_S:
+        return seconds
+    found = f"{seconds:g} s" if math.isfinite(seconds) else repr(text)
+    # A plain 18 is 18 ms without its unit, not 18 s.
+    bare = match is not None and match[2] is None and seconds > LONGEST_TAU_S
+    remedy = f"; write {text.strip()}ms if milliseconds are meant" if bare else ""
+    raise argparse.ArgumentTypeError(
+        "expected a time constant such as 18ms or 0.018 (seconds), above 0 and up to "
+        f"{LONGEST_TAU_S:g} s, found {found}{remedy}"
+    )

@@ -15,11 +15,12 @@ __all__ = ["COMMAND"]
 def _run(given: argparse.Namespace) -> Iterator[str]:
     from joblib import cpu_count
 
-    from comparisons.study.comparison import study_text
+    from comparisons.study.comparison import compare_scores
     from comparisons.study.design import cells_of
-    from comparisons.study.report import write_study_report
+    from comparisons.study.report import render_study_report
     from comparisons.study.run import RESULTS, check_study, run_study
     from comparisons.study.spec import read_spec
+    from surge_core.files import write_whole
     from surge_core.progress import shown_count
 
     spec = read_spec(given.spec)
@@ -52,9 +53,10 @@ def _run(given: argparse.Namespace) -> Iterator[str]:
     if len(reasons):
         yield f"{reasons.sum()} of {len(table)} cells failed; table and report have the reasons"
     yield ""
-    yield study_text(table, spec.scores, reference=spec.reference, by=spec.by)
+    for groups in compare_scores(table, spec.scores, spec.reference, spec.by):
+        yield from (f"{group}\n" for group in groups)
     page = given.out / "report.html"
-    write_study_report(page, table, spec, command=command_line())
+    write_whole(page, render_study_report(table, spec, command=command_line()))
     yield f"table:  {given.out / RESULTS}"
     yield f"report: {page}"
 

@@ -18,7 +18,6 @@ from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_run import WholeRunFit
 from comparisons.harness.cautions import (
-    TAU_AGREEMENT,
     comparison_cautions,
     spread_speeds,
     tau_caution,
@@ -27,19 +26,10 @@ from comparisons.harness.estimators import (
     EstimatorSpec,
     default_estimators,
     psi_breakpoints,
-    structure_of,
 )
-from comparisons.harness.fit_quality import (
-    block_errors,
-    block_rms,
-    paired_difference,
-    score_fit,
-    trusted_range,
-)
+from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import (
-    SYMBOLS,
-    Caution,
     Comparison,
     ComparisonRow,
     EstimatorResult,
@@ -48,6 +38,7 @@ from comparisons.results import (
     LagModel,
 )
 from surge_core.lag import Hold
+from surge_core.paired import block_errors, block_rms, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["compare_records"]
@@ -102,11 +93,8 @@ def compare_records(
     histories = [record.history for record in records]
     biased = tau_caution(histories, target=target, quotable=quotable)
     cautions = (
-        *_held_out_caution(table, results, target),
         *([biased] if biased else []),
-        *comparison_cautions(
-            records, rows, results, degree=degree, hold=hold, held=time_constant_s is not None
-        ),
+        *comparison_cautions(records, rows, results),
     )
     valid_phi = trusted_range(rows.phi)
     return Comparison(tuple(records), rows, results, table, valid_phi, cautions, quotable)
@@ -176,12 +164,10 @@ def _run(
         held_out=held_out,
         reconstruction=reconstruction,
         trained=reconstruction if trained is None else trained,
-        errors_one_step=errors,
         held_out_blocks=blocks,
         checks=_checks(estimator, errors, rows, model.valid_phi),
         seconds=seconds,
         whole_run=estimator if isinstance(estimator, WholeRunFit) else None,
-        structure=structure_of(estimator),
         remarks=tuple(text for text in getattr(estimator, "cautions_", ()) if text != advice),
         extended=extended,
     )
@@ -264,7 +250,6 @@ def _table(
     errors = {result.name: block_rms(result.held_out_blocks) for result in results}
     known = [result for result in results if math.isfinite(errors[result.name][0])]
     least = min(known, key=lambda result: errors[result.name][0], default=None)
-    median_tau = _median_tau(results)
 
     def distrust(result: EstimatorResult) -> tuple[int, bool, bool, int, float]:
         error = errors[result.name][0]
@@ -282,7 +267,7 @@ def _table(
         if least is not None and result is not least and math.isfinite(errors[result.name][0]):
             paired = paired_difference(result.held_out_blocks, least.held_out_blocks)
         tau = result.model.time_constant_s, result.model.time_constant_stderr_s
-        trust = _trust(result, median_tau, *paired)
+        trust = _trust(result, *paired)
         row = ComparisonRow(
             result.name, result.label, rank, *errors[result.name], *paired, *tau, trust
         )
@@ -290,16 +275,7 @@ def _table(
     return tuple(rows)
 
 
-def _median_tau(results: tuple[EstimatorResult, ...]) -> float:
-    """Return the median τ of the plain lags on the rows; NaN where fewer than two measured it."""
-    # With an effect τ means another thing: a model that has one is measured by no other.
-    taus = [r.model.time_constant_s for r in results if r.on_rows and r.model.measured]
-    return float(np.median(taus)) if len(taus) > 1 else math.nan
-
-
-def _trust(
-    result: EstimatorResult, median_tau: float, difference: float, paired_error: float
-) -> str:
+def _trust(result: EstimatorResult, difference: float, paired_error: float) -> str:
     """Say in words what in this line should not be relied on."""
     words = []
     if not result.converged:
@@ -312,24 +288,6 @@ def _trust(
         words.append("held-out error no larger than the least within the paired error")
     if result.whole_run is not None:
         words.append("fitted to unfiltered signals, scored here on the filtered rows of the others")
-    comparable = result.on_rows and result.model.measured
-    if comparable and abs(result.model.time_constant_s / median_tau - 1.0) > TAU_AGREEMENT:
-        words.append(f"τ off the others by more than {100 * TAU_AGREEMENT:.0f} %")
     if result.failed:
         words.append("failed: " + ", ".join(result.failed))
     return "; ".join(words) or "nothing speaks against it"
-
-
-def _held_out_caution(
-    table: tuple[ComparisonRow, ...], results: tuple[EstimatorResult, ...], target: str
-) -> list[Caution]:
-    """Say what the held-out error is not, where the least belongs to a fit that failed a check.
-
-    What a model lacks repeats in every cycle: a flexible curve learns it, and is rewarded on
-    held-out cycles too.
-    """
-    known = [row for row in table if math.isfinite(row.held_out_rms)]
-    least = min(known, key=lambda row: row.held_out_rms).estimator if known else None
-    if not any(result.failed for result in results if result.name == least):
-        return []
-    return [Caution.of("held_out_is_prediction", symbol=SYMBOLS[target])]

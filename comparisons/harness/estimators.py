@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from classic_ml.whole_run import fit_whole_runs, has_whole_run
 from comparisons.results import ESTIMATOR_LABELS, FitRows
 from surge_core.lag import Hold
 
-__all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints", "structure_of"]
+__all__ = ["EstimatorSpec", "default_estimators", "psi_breakpoints"]
 
 
 @dataclass(frozen=True)
@@ -172,45 +171,3 @@ def psi_breakpoints(rows: FitRows, hold: Hold = "first") -> tuple[float, float]:
     low, high = min(pairs or [(float(deciles[0]), float(rows.phi.max()))], key=cost)
     # Three decimals of φ are what a characteristic can be read to; names stay short.
     return (round(low, 3), round(high, 3)) if high - low > 1e-3 else (low, high)
-
-
-def structure_of(estimator: Any) -> dict[str, Any] | None:
-    """Return how sure a choice of terms is, as plain JSON types; None where they were given.
-
-    Parameters
-    ----------
-    estimator : object
-        Fitted; one that searches has ``candidate_terms_`` and ``path_``.
-
-    Returns
-    -------
-    dict or None
-        ``n_candidates``, the terms that were searched; ``rivals``, structures that the data do not
-        separate from the chosen one; ``inclusion_probability``, share of resampled records that
-        hold a term; ``path``, the best structure of each size with its held-out rms (NaN where
-        unknown).
-    """
-    if not hasattr(estimator, "candidate_terms_"):
-        return None
-    best: dict[int, Any] = {}
-    # Of each size the chosen structure, else that of the least error, or score where none is known.
-    for row in sorted(estimator.path_, key=_by_merit, reverse=True):
-        best[row.size] = row
-    return {
-        "n_candidates": len(estimator.candidate_terms_),
-        "rivals": [list(terms) for terms in getattr(estimator, "rivals_", ())],
-        "inclusion_probability": dict(getattr(estimator, "inclusion_probability_", {})),
-        "path": [
-            {
-                "size": size,
-                "terms": list(best[size].terms),
-                "held_out_rms": float(best[size].held_out_rms),
-            }
-            for size in sorted(best)
-        ],
-    }
-
-
-def _by_merit(row: Any) -> tuple[bool, float, float]:
-    error, score = np.nan_to_num([row.held_out_rms, row.score], nan=math.inf).tolist()
-    return not row.chosen, error, score

@@ -1,22 +1,21 @@
-"""How well a reconstruction matches: scores, spectra, the range in which a curve holds."""
+"""How well a reconstruction matches, and the range in which a curve holds."""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
 from comparisons.results import FitScore
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["block_errors", "block_rms", "paired_difference", "rms", "score_fit", "trusted_range"]
+__all__ = ["dwelt_on", "rms", "score_fit", "trusted_range"]
 
 # The paper calls the curve reliable where φ has "high significant amplitude density" (Fig 24) and
 # gives no level; the true in-stall φ of the simulated rig lies between these percentiles much as
 # the paper's range does. On filtered data the low end holds the filter's overshoot too.
 TRUSTED_PERCENTILES = (5.0, 95.0)
-MINIMUM_BLOCKS = 6
+NEARBY_SHARE = 0.02
 
 
 def rms(values: FloatArray) -> float:
@@ -56,73 +55,17 @@ def trusted_range(phi: FloatArray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def block_errors(
-    error: FloatArray, runs: list[slice], scored: BoolArray | None = None
-) -> FloatArray:
-    """Return the sum of squares and row count of each block, of shape (n_blocks, 2).
+def dwelt_on(grid: FloatArray, phi: FloatArray) -> BoolArray:
+    """Return where on a grid there are rows nearby, within 2 % of the range of φ.
 
     Parameters
     ----------
-    error : ndarray of shape (n,)
-        Measurement minus prediction.
-    runs : list of slice
-        Segments; each is a block, and where there are fewer than six they are cut into as many
-        pieces as make six.
-    scored : ndarray of bool, shape (n,), optional
-        Rows that count.
+    grid : ndarray of shape (n,)
+        Points at which a characteristic is drawn.
+    phi : ndarray of shape (m,)
+        Flow coefficient of the fitted rows.
     """
-    keep = np.ones(error.size, dtype=np.bool_) if scored is None else scored
-    pieces = max(1, math.ceil(MINIMUM_BLOCKS / max(len(runs), 1)))
-    edges = [np.linspace(run.start, run.stop, pieces + 1).astype(int) for run in runs]
-    blocks = [slice(*ends) for own in edges for ends in pairwise(own)]
-    rows = [(np.sum(error[b][keep[b]] ** 2), np.sum(keep[b])) for b in blocks if keep[b].any()]
-    return np.asarray(rows, dtype=np.float64).reshape(-1, 2)
-
-
-def paired_difference(blocks: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """Return the difference of two rms errors on the same blocks, and its paired error.
-
-    Parameters
-    ----------
-    blocks, reference : ndarray of shape (n_blocks, 2)
-        What :func:`block_errors` gave for the same rows.
-
-    Returns
-    -------
-    difference, paired_error : float
-        rms minus rms of the reference, and the jackknife standard error of that difference over
-        the blocks: the blocks are shared, so what makes one hard is hard for both.
-    """
-    errors = np.sqrt(_means(blocks)) - np.sqrt(_means(reference))
-    return float(errors[0]), _jackknife(errors[1:])
-
-
-def block_rms(blocks: FloatArray) -> tuple[float, float]:
-    """Return the rms error over blocks and its jackknife standard error.
-
-    Parameters
-    ----------
-    blocks : ndarray of shape (n_blocks, 2)
-        What :func:`block_errors` gave.
-    """
-    if not blocks.size:
-        return math.nan, math.nan
-    errors = np.sqrt(_means(blocks))
-    return float(errors[0]), _jackknife(errors[1:])
-
-
-def _means(blocks: FloatArray) -> FloatArray:
-    """Return the mean square over all blocks, then with each block left out in turn."""
-    squares, rows = blocks.T
-    if squares.size < 2:
-        return np.array([squares.sum() / rows.sum()])
-    kept = 1.0 - np.vstack([np.zeros(squares.size), np.eye(squares.size)])
-    return np.asarray((kept @ squares) / (kept @ rows))
-
-
-def _jackknife(left_out: FloatArray) -> float:
-    n = left_out.size
-    if n < 2:
-        return math.nan
-    spread = left_out - left_out.mean()
-    return float(np.sqrt((n - 1) / n * float(spread @ spread)))
+    known = np.sort(phi)
+    after = np.clip(np.searchsorted(known, grid), 1, known.size - 1)
+    nearest = np.minimum(np.abs(grid - known[after - 1]), np.abs(grid - known[after]))
+    return np.asarray(nearest <= NEARBY_SHARE * float(np.ptp(phi)))

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, ConfigDict, Field, WrapValidator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, WrapValidator
 
-from comparisons.results import FittedLag, LagModel, is_known_term
+from comparisons.results import FittedLag, LagModel
 from surge_core.errors import InputError
 from surge_core.files import write_whole
 from surge_core.models import Table, validated
@@ -55,11 +54,10 @@ def _span(values: list[float]) -> tuple[float, float]:
     return low, high
 
 
-def _point(row: list[float | None]) -> tuple[float, float, float]:
-    if len(row) != 3 or row[0] is None:
+def _point(row: list[float]) -> tuple[float, float, float]:
+    if len(row) != 3:
         raise ValueError("φ, value and standard error")
-    phi, value, stderr = (math.nan if number is None else number for number in row)
-    return phi, value, stderr
+    return row[0], row[1], row[2]
 
 
 # NaN in the model where the file has null.
@@ -70,7 +68,7 @@ Span = Annotated[
     Field(min_length=2, max_length=2, description="two numbers, the smaller first"),
     AfterValidator(_span),
 ]
-Point = Annotated[list[float | None], AfterValidator(_point)]
+Point = Annotated[list[Annotated[float, NULLABLE]], AfterValidator(_point)]
 
 
 class Saved(Table):
@@ -82,7 +80,7 @@ class Saved(Table):
 class SavedTerm(Saved):
     """A term of a characteristic."""
 
-    name: str = Field(description="the name of a term")
+    name: str
     coefficient: float = Field(description="a coefficient, a finite number")
     stderr: StandardError = Field(description="a standard error, or null")
 
@@ -90,12 +88,12 @@ class SavedTerm(Saved):
 class SavedModel(Saved):
     """What models with effects and without have in common."""
 
-    estimator: str = Field(description="the name of an estimator")
+    estimator: str
     time_constant_stderr_s: StandardError = Field(description="a standard error in s, or null")
-    terms: list[SavedTerm] = Field(description="a list of terms")
+    terms: list[SavedTerm]
     valid_phi: Span
     n_blocks: int = Field(ge=0, description="a whole number of blocks from 0 on")
-    characteristic: list[Point] = Field(description="rows of φ, value and standard error")
+    characteristic: list[Point] = Field(min_length=1, description="rows of φ, value and error")
 
     def common(self) -> dict[str, Any]:
         """Return the arguments that models with effects and without have in common."""
@@ -121,19 +119,6 @@ class SavedLag(SavedModel):
     )
     hold: Literal["zero", "first"] = Field(description='the hold "zero" or "first"')
     dead_time_s: float = Field(default=0.0, description="a dead time in s")
-
-    @model_validator(mode="after")
-    def _runs(self) -> SavedLag:
-        points: list[Any] = self.characteristic
-        rises = all(before[0] < after[0] for before, after in pairwise(points))
-        drawn = points and rises and all(math.isfinite(point[1]) for point in points)
-        if not drawn and not all(is_known_term(term.name) for term in self.terms):
-            raise InputError(
-                "characteristic",
-                expected="rows of rising φ with values, from which terms of unknown names run",
-                found=f"{len(points)} that make no curve",
-            )
-        return self
 
     def lag(self) -> FittedLag:
         """Return the model as a value."""
@@ -203,13 +188,8 @@ def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str,
         document, found = {}, f"no JSON of this kind ({error})"
     if not document or document["schema"] != form.schema:
         raise InputError(str(file), expected=expected, found=found)
-    try:
-        return validated(_Document[kind], document, str(file)).models  # type: ignore[valid-type]
-    except InputError as error:
-        remedy = f"save the model again with `{form.writer}`"
-        raise InputError(
-            error.where, expected=error.expected, found=error.found, remedy=remedy
-        ) from None
+    kinds = _Document[kind]  # type: ignore[valid-type]
+    return validated(kinds, document, str(file)).models
 
 
 def save_models(models: Mapping[str, FittedLag], path: str | Path) -> None:

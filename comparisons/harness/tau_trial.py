@@ -3,64 +3,22 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
 
-from classic_ml.emptied_band import emptied_above_hz
-from comparisons.harness.fit_quality import block_errors, paired_difference, rms
-from comparisons.results import Comparison, FitRows, TauTrial
-from surge_core.errors import InputError
+from comparisons.harness.fit_quality import rms
+from comparisons.results import Comparison, EstimatorResult, FitRows, TauEstimate, TauTrial
 from surge_core.lag import FirstOrderLag, Hold
+from surge_core.paired import block_errors, paired_difference
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["parse_tau", "reconstruction_error_over_tau", "trial_of", "trial_taus"]
+__all__ = ["reconstruction_error_over_tau", "trial_of", "trial_taus"]
 
 N_TAUS = 61
 # Half a decade and more to either side shows both arms of the curve.
 REACH = 4.0
-LONGEST_TAU_S = 10.0
 RUN_AWAY_S = 1.0
-_TAU = re.compile(r"([0-9.eE+-]+)\s*(s|ms|us|µs)?")
-_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
-
-
-def parse_tau(text: str) -> float:
-    """Read a time constant as a user writes it.
-
-    Parameters
-    ----------
-    text : str
-        A number with a unit, ``18ms`` or ``0.018 s``, or a plain number of seconds.
-
-    Returns
-    -------
-    float
-        In seconds.
-
-    Raises
-    ------
-    InputError
-        When it is no number, has another unit, or no compressor has such a τ: a plain ``18`` is
-        18 ms without its unit, not 18 s.
-    """
-    match = _TAU.fullmatch(text.strip())
-    number, unit = match.groups() if match else ("nan", None)
-    try:
-        seconds = float(number) * _UNITS[unit]
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 < seconds <= LONGEST_TAU_S:
-        expected = "a time constant such as 18ms or 0.018 (seconds), above 0 and up to"
-        remedy = f"write {text.strip()}ms if milliseconds are meant"
-        raise InputError(
-            "--tau",
-            expected=f"{expected} {LONGEST_TAU_S:g} s",
-            found=f"{seconds:g} s" if math.isfinite(seconds) else repr(text),
-            remedy=remedy if seconds > LONGEST_TAU_S and unit is None else "",
-        )
-    return seconds
 
 
 def trial_taus(*around_s: float) -> FloatArray:
@@ -110,32 +68,15 @@ def reconstruction_error_over_tau(
     given 243 ms where 18 ms reconstructs).
     """
     keep = np.ones(rows.phi.size, dtype=np.bool_) if scored is None else scored
-
-    def refitted_at(tau_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the curve's coefficients by least squares, and the errors."""
-        measured, answers = _scored(rows, terms, keep, tau_s, hold)
-        coef = np.asarray(np.linalg.lstsq(answers, measured)[0])
-        return coef, measured - answers @ coef
-
-    fits = [refitted_at(tau_s) for tau_s in taus_s]
-    errors = [error for _, error in fits]
-    refitted = np.array([rms(error) for error in errors])
-    best = int(np.argmin(refitted))
-    held = []
+    errors = []
     for tau_s in taus_s:
         measured, answers = _scored(rows, terms, keep, tau_s, hold)
-        held.append(rms(measured - answers @ fits[best][0]))
+        errors.append(measured - answers @ np.linalg.lstsq(answers, measured)[0])
+    refitted = np.array([rms(error) for error in errors])
+    best = int(np.argmin(refitted))
     best_tau = _vertex(taus_s, refitted, best)
-    return TauTrial(
-        taus_s,
-        refitted,
-        np.array(held),
-        best_tau,
-        _interval(taus_s, best_tau, errors, best, rows, keep),
-        min(rms(refitted_at(best_tau)[1]), float(refitted[best])),
-        _noise(rows),
-        rows.target,
-    )
+    interval = _interval(taus_s, best_tau, errors, best, rows, keep)
+    return TauTrial(taus_s, refitted, best_tau, interval, float(refitted[best]), rows.target)
 
 
 def trial_of(comparison: Comparison) -> TauTrial:
@@ -161,19 +102,24 @@ def trial_of(comparison: Comparison) -> TauTrial:
         every = np.ones(inputs.phi.size, dtype=np.bool_)
         signals = inputs.phi, inputs.psi_p, inputs.time_s, inputs.run, inputs.run
         averaged = FitRows(*signals, rows.sample_period_s, "psi_p", every)
-        estimate = replace(result.estimate, rms=result.whole_run.model_.residual_std_)
+        estimate = _estimate(result, float(result.whole_run.model_.residual_std_))
         taus = trial_taus(estimate.tau_s)
         trial = reconstruction_error_over_tau(
             averaged, inputs.terms, taus, hold=hold, scored=scored
         )
-        # The noise of averages is no longer white.
-        return replace(trial, noise_rms=math.nan, estimates=(estimate,))
-    estimates = tuple(result.estimate for result in fitted)
+        return replace(trial, estimates=(estimate,))
+    estimates = tuple(_estimate(result, result.free_run.rms) for result in fitted)
     powers = [term for term in comparison.results[0].model.terms if term.startswith("phi")]
     terms = np.vander(rows.phi, max(len(powers), 1) + 1, increasing=True)
     taus = trial_taus(*(estimate.tau_s for estimate in estimates))
     trial = reconstruction_error_over_tau(rows, terms, taus, hold=hold)
     return replace(trial, estimates=estimates)
+
+
+def _estimate(result: EstimatorResult, rms: float) -> TauEstimate:
+    model = result.model
+    tau = model.time_constant_s, model.time_constant_stderr_s
+    return TauEstimate(result.name, result.label, *tau, rms)
 
 
 def _scored(
@@ -223,12 +169,3 @@ def _interval(
     low = int(far[far < best].max(initial=-1)) + 1
     high = int(far[far > best].min(initial=taus.size)) - 1
     return min(float(taus[low]), best_tau), max(float(taus[high]), best_tau)
-
-
-def _noise(rows: FitRows) -> float:
-    """Return the white noise on the measurement, from its third differences."""
-    if emptied_above_hz(rows.measured, rows.labels, sample_period_s=rows.sample_period_s):
-        return math.nan
-    # Their variance is 1 + 9 + 9 + 1 times that of white noise; a smooth signal hardly shows.
-    steps = np.concatenate([np.diff(rows.measured[run], n=3) for run in rows.runs])
-    return rms(steps) / math.sqrt(20.0) if steps.size else math.nan

@@ -39,8 +39,6 @@ class LiveState:
         How far the session is.
     machine : str
         ``"stable"``, ``"in stall"``, ``"surge"`` or ``"not known"``.
-    signals : str
-        How the operating point is made: its delay, and whether it is matched at near stall.
     point : OperatingPoints or None
         The newest one.
     n_cycles : int
@@ -60,7 +58,6 @@ class LiveState:
     feed: str
     record: str = ""
     machine: str = "not known"
-    signals: str = ""
     point: OperatingPoints | None = None
     n_cycles: int = 0
     period_s: float = math.nan
@@ -81,7 +78,6 @@ def _fields(state: LiveState) -> list[tuple[str, str]]:
         ("surge cycles", cycles),
         ("time constant τ", tau_words(state.estimate)),
         ("record", state.record),
-        ("signals", state.signals),
     ]
 
 

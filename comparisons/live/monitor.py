@@ -18,10 +18,8 @@ from comparisons.live.detection import Sighting, SurgeDetector
 from comparisons.live.display import tau_words
 from comparisons.live.estimate import Estimate, estimate_of
 from comparisons.live.operating_point import (
-    CUTOFF_HZ,
     SETTLED_S,
     OperatingPoints,
-    low_pass_delay_s,
     points_of,
 )
 from surge_core.errors import InputError
@@ -77,7 +75,7 @@ class Monitor:
         # Whether rows of this feed could be read at all.
         self._read = False
         self._problem = ""
-        self._match = "matched as test.toml says" if test.near_stall_shifts else ""
+        self._is_matched = bool(test.near_stall_shifts)
         self.detector = SurgeDetector(test)
         self.trail: deque[tuple[float, ...]] = deque(maxlen=round(TRAIL_S * rate_hz / self._stride))
         self.head = b""
@@ -182,14 +180,6 @@ class Monitor:
             return "surge"
         return "in stall" if self.detector.in_stall else "stable"
 
-    @property
-    def shown(self) -> str:
-        """How the operating point is made."""
-        delay_ms = 1e3 * low_pass_delay_s(self._test.sample_rate_hz)
-        low_pass = f"causal low-pass at {CUTOFF_HZ:g} Hz, {delay_ms:.1f} ms late"
-        matched = self._match or "not yet matched at near stall"
-        return f"{low_pass if delay_ms else 'as is'}; {matched}"
-
     def _record(self, lines: list[bytes]) -> Record:
         """Return the last rows of this piece as the record that they are read as from a file."""
         file = self._scratch / "rows.csv"
@@ -207,15 +197,15 @@ class Monitor:
         """Match at near stall once the reading of the facility has passed."""
         reading, rate_hz = self._test.near_stall, self._test.sample_rate_hz
         last_s = newest.time_at_s(newest.n_samples - 1)
-        if self._match or last_s < reading.to_s + 0.5 / rate_hz:
+        if self._is_matched or last_s < reading.to_s + 0.5 / rate_hz:
             return []
+        # Once, whether it can be matched or not.
+        self._is_matched = True
         try:
             shifts = near_stall_shifts(self._record(list(self._recent)), self._test)
         except InputError as error:
-            self._match = f"not matched at near stall: {error}"
             return [f"the near-stall match failed: {error}"]
         self._test = replace(self._test, near_stall_shifts=shifts)
-        self._match = "matched at near stall"
         return ["matched to the near-stall reading of the facility"]
 
     def _remember(self, points: OperatingPoints) -> None:

@@ -14,8 +14,6 @@ from surge_core.files import to_strict_json
 __all__ = ["Page"]
 
 HOST = "127.0.0.1"
-# A browser that asks four times a second gets the last state.
-LINGER_S = 0.6
 
 
 class Page:
@@ -40,7 +38,6 @@ class Page:
     def __init__(self, port: int) -> None:
         self._page = (resources.files(__package__) / "web" / "page.html").read_bytes()
         self._state: LiveState | None = None
-        self._asked = threading.Event()
         page = self
 
         class Handler(BaseHTTPRequestHandler):
@@ -84,10 +81,7 @@ class Page:
         self._state = state
 
     def close(self) -> None:
-        """Stop serving, once a browser that is watching has had the last state."""
-        if self._asked.is_set():
-            self._asked.clear()
-            self._asked.wait(LINGER_S)
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -97,6 +91,5 @@ class Page:
 
     def numbers(self) -> tuple[bytes, str]:
         """Return the newest state as JSON, and its type."""
-        self._asked.set()
         document = {} if self._state is None else page_document(self._state)
         return to_strict_json(document).encode("utf-8"), "application/json"

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from classic_ml.io import read_raw, read_test_description
-from classic_ml.io.series import write_series
+from classic_ml.io import read_raw
 from classic_ml.records import LedgerEntry
 from classic_ml.reduction import Reduction, ReductionSettings, near_stall_shifts, reduce_record
 from surge_core.errors import InputError
 
-__all__ = ["Piece", "Pieces", "reduce_pieces"]
+__all__ = ["Piece", "Pieces", "reduce_longest"]
 
 
 @dataclass
 class Piece:
-    """Rows without a gap, and at the end what became of them.
+    """Rows without a gap.
 
     Parameters
     ----------
@@ -30,24 +28,12 @@ class Piece:
         What is missing before it.
     n_rows : int
         How many rows it has.
-    test : path, optional
-        A description of its own, where it is matched by the near-stall reading of another piece.
-    series : path, optional
-        The series file.
-    reduction : Reduction, optional
-        The reduction behind it.
-    error : InputError, optional
-        Why there is none.
     """
 
     number: int
     path: Path
     gap: str = ""
     n_rows: int = 0
-    test: Path | None = None
-    series: Path | None = None
-    reduction: Reduction | None = None
-    error: InputError | None = None
 
 
 class Pieces:
@@ -71,9 +57,12 @@ class Pieces:
 
     def begin(self, gap: str) -> None:
         """Begin the next piece, behind a gap, with the header."""
-        path = _numbered(self._path, len(self.pieces) + 1)
+        number = len(self.pieces) + 1
+        path = self._path
+        if number > 1:
+            path = path.with_stem(f"{path.stem}-piece{number}")
         path.write_bytes(self.head)
-        self.pieces.append(Piece(len(self.pieces) + 1, path, gap))
+        self.pieces.append(Piece(number, path, gap))
 
     def append(self, lines: Sequence[bytes]) -> None:
         """Write rows, without their line ends, to the last piece."""
@@ -85,23 +74,15 @@ class Pieces:
         """Remove the files of all pieces."""
         for piece in self.pieces:
             piece.path.unlink(missing_ok=True)
-            if piece.test is not None:
-                piece.test.unlink(missing_ok=True)
 
 
-def reduce_pieces(
-    pieces: Sequence[Piece],
-    test_path: Path,
-    out: Path,
-    settings: ReductionSettings,
-    entry: LedgerEntry,
-) -> None:
-    """Reduce the pieces of a record as files, and write down in each what became of it.
+def reduce_longest(
+    pieces: Sequence[Piece], test_path: Path, settings: ReductionSettings, entry: LedgerEntry
+) -> tuple[Piece, Reduction]:
+    """Reduce the longest piece of a record that can be reduced, as a file.
 
     A piece behind a gap has no near-stall reading: it is matched by that of the first piece, since
-    the drift of amplifiers that the match makes good holds behind a gap as it does before it. A
-    test.toml with these shifts is written beside its rows, with which ``reduce`` makes the same
-    series.
+    the drift of amplifiers that the match makes good holds behind a gap as it does before it.
 
     Parameters
     ----------
@@ -109,71 +90,43 @@ def reduce_pieces(
         Those with rows, at least one.
     test_path : path
         Description of the test.
-    out : path
-        Series file of the longest piece that can be reduced; those of others are numbered.
     settings : ReductionSettings
         The switches.
     entry : LedgerEntry
         What is to be said of the feed in the ledger.
 
+    Returns
+    -------
+    piece : Piece
+        Which one.
+    reduction : Reduction
+        Its reduction.
+
     Raises
     ------
     InputError
-        When no piece can be reduced: the reason of the longest one.
+        When no piece can be reduced: the reason of the longest one, and the files that are kept.
     """
-    _carry_match(pieces, test_path)
-    longest_first = sorted(pieces, key=lambda piece: -piece.n_rows)
-    for piece in longest_first:
-        taken = any(other.series is not None for other in pieces)
-        path = _numbered(out, piece.number) if taken else out
+    reasons: list[InputError] = []
+    for piece in sorted(pieces, key=lambda piece: -piece.n_rows):
         try:
-            piece.reduction = _reduced(piece, test_path, settings, entry)
+            return piece, _reduced(piece, pieces[0], test_path, settings, entry)
         except InputError as error:
-            piece.error = error
-        else:
-            write_series(piece.reduction.series, path)
-            piece.series = path
-    reason = longest_first[0].error
-    if reason is not None and not any(piece.series for piece in pieces):
-        kept = ", ".join(str(piece.path) for piece in pieces)
-        remedy = "; ".join(filter(None, [reason.remedy, f"the raw record is kept: {kept}"]))
-        raise InputError(reason.where, expected=reason.expected, found=reason.found, remedy=remedy)
+            reasons.append(error)
+    first, kept = reasons[0], ", ".join(str(piece.path) for piece in pieces)
+    remedy = "; ".join(filter(None, [first.remedy, f"the raw record is kept: {kept}"]))
+    raise InputError(first.where, expected=first.expected, found=first.found, remedy=remedy)
 
 
 def _reduced(
-    piece: Piece, test_path: Path, settings: ReductionSettings, entry: LedgerEntry
+    piece: Piece, first: Piece, test_path: Path, settings: ReductionSettings, entry: LedgerEntry
 ) -> Reduction:
-    record, test = read_raw(piece.path, piece.test or test_path)
+    record, test = read_raw(piece.path, test_path)
     flags = entry.flags
-    if piece.test is not None:
+    if piece.number > 1 and not test.near_stall_shifts:
+        shifts = near_stall_shifts(read_raw(first.path, test)[0], test)
+        test = replace(test, near_stall_shifts=shifts)
         flags += (f"piece {piece.number} is matched by the near-stall reading of piece 1",)
     parameters = {**entry.parameters, "piece": piece.number}
     record = record.after(replace(entry, parameters=parameters, flags=flags))
     return reduce_record(record, test, settings)
-
-
-def _carry_match(pieces: Sequence[Piece], test_path: Path) -> None:
-    """Give each piece behind a gap the near-stall match of the first one, if it has one."""
-    test = read_test_description(test_path)
-    if len(pieces) == 1 or test.near_stall_shifts:
-        return
-    try:
-        shifts = near_stall_shifts(read_raw(pieces[0].path, test)[0], test)
-    except InputError:
-        return
-    for piece in pieces[1:]:
-        piece.test = piece.path.with_suffix(".test.toml")
-        piece.test.write_text(_with_shifts(test_path, shifts), "utf-8", newline="\n")
-
-
-def _with_shifts(test_path: Path, shifts: Mapping[str, float]) -> str:
-    """Return a description of a test with the shifts in it."""
-    # Python's shortest digits read back as the same number.
-    table = [f"{json.dumps(name, ensure_ascii=False)} = {shifts[name]!r}" for name in shifts]
-    above = "# No near-stall reading is in this piece of the record: these shifts are of piece 1."
-    whole = [test_path.read_text("utf-8-sig").rstrip(), "", above, "[near_stall_shifts]", *table]
-    return "\n".join(whole) + "\n"
-
-
-def _numbered(path: Path, number: int) -> Path:
-    return path if number == 1 else path.with_stem(f"{path.stem}-piece{number}")

@@ -152,7 +152,6 @@ class Session:
             feed=self._feed_words(),
             record=record,
             machine=monitor.machine,
-            signals=monitor.shown,
             point=monitor.point,
             n_cycles=monitor.detector.n_cycles,
             period_s=monitor.detector.period_s,

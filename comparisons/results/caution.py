@@ -17,13 +17,11 @@ _BIAS = (
     "errors and intervals state scatter and do not contain this bias"
 )
 SENTENCES: Mapping[str, str] = {
-    # Which τ to quote, and what the ranking of held-out errors is worth.
+    # Which τ to quote.
     "quote_tau": "which τ to quote: that of {estimators}, which comes from one free run through "
     "the unfiltered signals. For the others " + _BIAS,
     "tau_biased": "what τ can be trusted for: " + _BIAS + ": compare estimators on the same data, "
     "but do not quote this τ as the time constant of the compressor",
-    "held_out_is_prediction": "held-out rms says how well {symbol} is predicted from this record's "
-    "φ, not how near the characteristic is",
     # Of the records.
     "ledger": "{finding}",
     "no_ledger": "no ledger lies beside it, so it is not known how it was filtered; a low-pass "
@@ -35,35 +33,17 @@ SENTENCES: Mapping[str, str] = {
     "(medians of their fitted rows: {each}), and are those of none of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "
     "unfiltered columns, scored rows and ledger that `sindy-surge reduce` writes",
-    "rows_left_out": "{rows} rows in a stretch of fewer than {fewest} were not fitted",
-    "rows_left_out_psi": "{rows} rows without a known ψ or in a stretch of fewer than {fewest} "
+    "rows_left_out": "{rows} rows without a known value or in a stretch of fewer than {fewest} "
     "were not fitted",
     "psi_unknown": "ψ is not known: {why}",
     # Of the fits.
     "estimator": "{remark}",
     "taus_apart": "{who} put τ between {low_ms:.3g} and {high_ms:.3g} ms: what they disagree on is "
     "not measured by those rows",
-    "noise_models_disagree": "noise models disagree on τ by more than their errors allow "
-    "({one} {one_ms:.3g} ms against {two} {two_ms:.3g} ms, the widest of {pairs}): at most one of "
-    "them is right about the errors, and where none passes the whiteness check none may be; output "
-    "error with a drift holds whatever the errors' colour",
-    "knots_too_close": "τ of {tau_ms:.3g} ms is not short against the {knots_s:g} s between the "
-    "knots of the drift, which takes up much of what identifies τ: set the knots {taus_a_knot:g} "
-    "or more time constants apart",
-    "tau_near_drift": "τ of {tau_ms:.3g} ms nears the {drift_s:.2g} s over which the level drifts: "
-    "it may be the drift's time and not the compressor's",
-    "drift_read_as_lag": "τ is {tau_ms:.3g} ms without and {with_drift_ms:.3g} ms with a slow "
-    "drift of the level ({drift_rms:.2g} rms against errors of {error_rms:.2g}): the drift is read "
-    "as lag",
-    "several_low_passes": "the ledger shows {count} different low-passes ({filters}): unless each "
-    "went over all channels, φ and ψ' were filtered differently",
     "psi_low_passed": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ is not: ψ' "
     "was low-passed and φ was not, or differently; filter ψ' and every s_i(φ) alike",
     "corners_apart": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ from "
     "{phi_hz:.2g} Hz on: they were low-passed differently; filter ψ' and every s_i(φ) alike",
-    "misaligned": "{late} comes {delay_ms:.3g} ± {stderr_ms:.2g} ms later than the lag on {early} "
-    "says: filtered differently, misaligned, or a lag of higher order; that much delay moves τ by "
-    "as much or more",
 }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any
 
 from classic_ml.checks import CheckRow
 from classic_ml.series import CoefficientSeries
@@ -14,7 +13,6 @@ from comparisons.results.caution import Caution, texts_of
 from comparisons.results.lag import FittedLag, LagModel
 from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows, FitScore
-from comparisons.results.tau import TauEstimate
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
 from surge_core.types import FloatArray
@@ -57,8 +55,6 @@ class EstimatorResult:
         Free run over the fitted rows from each segment's measured start.
     trained : ndarray of shape (n,)
         The same by the fit to the training rows alone: what the held-out rows are scored with.
-    errors_one_step : ndarray of shape (n,)
-        One-step errors.
     held_out_blocks : ndarray of shape (n_blocks, 2)
         Squared error and rows of each held-out block, for paired differences.
     checks : tuple of CheckRow
@@ -67,8 +63,6 @@ class EstimatorResult:
         Time of the fit.
     whole_run : WholeRunFit or None
         The free run through whole records behind it; None where it was fitted to the rows.
-    structure : dict or None
-        How sure the choice of terms is, as the JSON has it; None where they were given.
     remarks : tuple of str
         What the estimator itself warns of.
     extended : LagModel or None
@@ -86,12 +80,10 @@ class EstimatorResult:
     held_out: FitScore | None
     reconstruction: FloatArray
     trained: FloatArray
-    errors_one_step: FloatArray
     held_out_blocks: FloatArray
     checks: tuple[CheckRow, ...]
     seconds: float
     whole_run: WholeRunFit | None = None
-    structure: dict[str, Any] | None = None
     remarks: tuple[str, ...] = ()
     extended: LagModel | None = None
 
@@ -109,18 +101,6 @@ class EstimatorResult:
     def on_rows(self) -> bool:
         """Whether it is a plain lag fitted to the rows: then its τ is comparable to the others'."""
         return self.whole_run is None and self.extended is None
-
-    @property
-    def estimate(self) -> TauEstimate:
-        """Its τ."""
-        model = self.model
-        return TauEstimate(
-            self.name,
-            self.label,
-            model.time_constant_s,
-            model.time_constant_stderr_s,
-            self.free_run.rms,
-        )
 
     @property
     def failed(self) -> tuple[str, ...]:

@@ -14,9 +14,8 @@ from classic_ml.series import CoefficientSeries
 from comparisons.results.names import SYMBOLS
 from comparisons.results.rows import FitRows
 from comparisons.results.terms import evaluate_terms, is_known_term
-from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.lag import FirstOrderLag, Hold
-from surge_core.rounding import bracketed, round_to_error
+from surge_core.rounding import bracketed
 from surge_core.segments import runs_of
 from surge_core.types import FloatArray, IntArray
 
@@ -58,7 +57,7 @@ class LagModel(Protocol):
 
 
 @dataclass(frozen=True)
-class FittedLag(Displayed):
+class FittedLag:
     """τ dy/dt + y = Σ β_i s_i(φ) with numbers in it.
 
     Parameters
@@ -280,24 +279,6 @@ class FittedLag(Displayed):
             "dead_time_s": self.dead_time_s,
             "characteristic": [[_finite(v) for v in row] for row in self.table],
         }
-
-    def _sheet(self) -> Sheet:
-        low, high = (1e3 * end for end in self.ci95_s)
-        known = math.isfinite(self.time_constant_s)
-        tau = round_to_error(1e3 * self.time_constant_s, 1e3 * self.time_constant_stderr_s)
-        fields = [Field("time constant τ", f"{tau} ms" if known else "not known")]
-        if math.isfinite(low) and math.isfinite(high):
-            fields.append(Field("τ, 95 % interval", f"{low:.3g} to {high:.3g} ms"))
-        if self.dead_time_s:
-            fields.append(Field("dead time", f"{1e3 * self.dead_time_s:.3g} ms"))
-        fields += [
-            Field("hold", self.hold),
-            Field("φ dwells", f"{self.valid_phi[0]:.3f} to {self.valid_phi[1]:.3f}"),
-        ]
-        rows = tuple((name, round_to_error(value, error)) for name, value, error in self._rows)
-        terms = Grid("Quasi-steady characteristic", ("term", "coefficient ± std error"), rows)
-        title = f"Lag model of {SYMBOLS[self.target]} by {self.estimator}"
-        return Sheet(title, tuple(fields), (terms,))
 
 
 def _term(name: str, value: float, stderr: float) -> str:

@@ -40,18 +40,13 @@ class TauTrial:
         Values at which τ was held, in seconds.
     refitted_rms : ndarray of shape (n,)
         Error of the free run with the curve refitted to each τ.
-    held_rms : ndarray of shape (n,)
-        The same with the curve of the best τ.
     best_tau_s : float
         τ of least error with a curve of its own, between the values by a parabola.
     interval_s : tuple of float
         Values of τ whose error exceeds the least by no more than two paired standard errors; an
         end that the values do not reach is that of the values.
     least_rms : float
-        Error at the best τ: below it no lag with such a curve gets.
-    noise_rms : float
-        Standard deviation of the white noise on the measurement: below it no model gets. nan
-        where a low-pass has taken the noise out of the band from which it is read.
+        The least error.
     target : {"psi_p", "psi"}
         Which coefficient it is.
     estimates : tuple of TauEstimate
@@ -60,11 +55,9 @@ class TauTrial:
 
     tau_s: FloatArray
     refitted_rms: FloatArray
-    held_rms: FloatArray
     best_tau_s: float
     interval_s: tuple[float, float]
     least_rms: float
-    noise_rms: float
     target: str
     estimates: tuple[TauEstimate, ...] = ()
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from comparisons.rig.cases import CASES, RigCase
 from comparisons.rig.hidden import HIDEABLE, Hideable
-from comparisons.rig.raw_format import write_run
 from comparisons.rig.sensors import SensorSettings
-from comparisons.rig.simulation import RigRun, simulate
+from comparisons.rig.simulation import RigRun, simulate, write_run
 
 __all__ = [
     "CASES",

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from math import isfinite, pi, sqrt
+from dataclasses import dataclass, replace
+from math import pi, sqrt
 
 from comparisons.rig.gas import LBM_KG, T_REF_K
 from surge_core.errors import InputError
@@ -181,19 +181,6 @@ class RigCase:
     segmentation: float | None = 50.0
     window_s: tuple[float, float] | None = None
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            numbers = value if isinstance(value, tuple) else (value,)
-            if any(isinstance(v, float | int) and not isfinite(v) for v in numbers):
-                raise InputError(
-                    f"RigCase.{field.name}", expected="a finite number", found=f"{value}"
-                )
-            if field.name in _POSITIVE and not value > 0.0:
-                raise InputError(
-                    f"RigCase.{field.name}", expected="a positive number", found=f"{value}"
-                )
-
     @property
     def rotor_speed_rpm(self) -> float:
         """Physical speed N = N_c · N_design · √(T/T_o), constant through the test."""
@@ -205,15 +192,6 @@ class RigCase:
         """Mean rotor velocity U."""
         return 2.0 * pi * self.rotor_speed_rpm / 60.0 * self.mean_radius_m
 
-
-_POSITIVE = (
-    "corrected_speed_frac", "supply_temperature_k", "face_pressure_pa", "tau_s", "blend_s",
-    "cell_rise_s", "unstalled_efficiency", "near_stall_phi_ratio", "inertia_per_m",
-    "discharge_volume_m3", "exhaust_volume_m3", "inlet_volume_m3", "face_volume_m3",
-    "exhaust_pressure_frac", "coil_lag_s", "open_ratio", "open_lag_s", "throttle_sweep_s",
-    "mean_radius_m", "inlet_area_m2", "exit_area_m2", "design_speed_rpm",
-    "cell_frequency_hz", "zoc_inlet_pa", "zoc_exit_pa",
-)  # fmt: skip
 
 _BASE = RigCase()
 

@@ -24,8 +24,6 @@ __all__ = [
     "PAIRS",
     "Form",
     "Parameters",
-    "crossed_levels",
-    "stall_state",
 ]
 
 Parameters: TypeAlias = Mapping[str, float]
@@ -48,10 +46,6 @@ _LIMIT_OF_TAU = 0.9
 _DEEPEST_CORRECTION = 0.6
 
 
-def _none(_plant: Plant, _rng: np.random.Generator) -> dict[str, float]:
-    return {}
-
-
 @dataclass(frozen=True)
 class Form:
     """How an effect is drawn and how large it may be made.
@@ -71,16 +65,19 @@ class Form:
     curve, lag, output : callable, optional
         What it makes of ψ'_QS, of τ as a factor, or of ψ' as sensors and reduction show it; an
         effect that has none of them acts in the integration itself.
+    levels : callable
+        Parameters to the values of the acting φ at which it begins or ends.
     """
 
     size: str
     guess: Callable[[Plant], float]
     limit: Callable[[Plant], float]
-    draw: Callable[[Plant, np.random.Generator], dict[str, float]] = _none
+    draw: Callable[[Plant, np.random.Generator], dict[str, float]] = lambda plant, rng: {}
     signed: bool = False
     curve: Change | None = None
     lag: Callable[[Parameters, Points], FloatArray] | None = None
     output: Change | None = None
+    levels: Callable[[Parameters], tuple[float, ...]] = lambda p: ()
 
 
 def _draw_hysteresis(plant: Plant, rng: np.random.Generator) -> dict[str, float]:
@@ -113,20 +110,7 @@ def _longest_thermocouple_lag_s(plant: Plant) -> float:
     return _DEEPEST_CORRECTION / max(swings)
 
 
-def crossed_levels(name: str, parameters: Parameters) -> tuple[float, ...]:
-    """Return the values of the acting φ at which an effect begins or ends."""
-    if name == "hysteresis":
-        return (parameters["phi_lo"], parameters["phi_hi"])
-    if name == "reverse_flow_branch":
-        return (0.0,)
-    if name == "flow_dependent_lag":
-        return (parameters["phi_threshold"],)
-    if name == "amplitude_memory":
-        return (parameters["phi_mean"],)
-    return ()
-
-
-def stall_state(phi: FloatArray, phi_lo: float, phi_hi: float) -> NDArray[np.bool_]:
+def _stall_state(phi: FloatArray, phi_lo: float, phi_hi: float) -> NDArray[np.bool_]:
     """Return the state of a Schmitt trigger: set below `phi_lo`, until above `phi_hi`."""
     decided = np.where(phi < phi_lo, 1, np.where(phi > phi_hi, 0, -1))
     decided[0] = max(decided[0], 0)
@@ -150,7 +134,7 @@ def _speed_ratio(p: Parameters, at: Points) -> FloatArray:
 
 
 def _hysteresis(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
-    return np.asarray(curve - p["step"] * stall_state(at.branch_phi, p["phi_lo"], p["phi_hi"]))
+    return np.asarray(curve - p["step"] * _stall_state(at.branch_phi, p["phi_lo"], p["phi_hi"]))
 
 
 def _lagged_reverse(p: Parameters, at: Points, curve: FloatArray) -> FloatArray:
@@ -258,6 +242,7 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p: 5.0 * p.psi_std,
         _draw_hysteresis,
         curve=_hysteresis,
+        levels=lambda p: (p["phi_lo"], p["phi_hi"]),
     ),
     "reverse_flow_branch": Form(
         "coefficient",
@@ -266,6 +251,7 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p, rng: {"lagged": float(rng.random() < 0.5)},
         curve=_lagged_reverse,
         output=_unlagged_reverse,
+        levels=lambda p: (0.0,),
     ),
     "characteristic_shape": Form(
         "height",
@@ -294,6 +280,7 @@ _CATALOGUE: Mapping[str, Form] = {
         lambda p, rng: {"phi_threshold": p.phi_at(rng.uniform(0.3, 0.6))},
         signed=True,
         lag=_flow_lag,
+        levels=lambda p: (p["phi_threshold"],),
     ),
     "flow_inertia": Form(
         "length_s", lambda p: 0.01 * p.psi_std, lambda p: 0.5, signed=True, output=_inertia
@@ -346,6 +333,7 @@ _OTHERS: Mapping[str, Form] = {
         lambda p, rng: {"mean_depth": p.phi_at(0.5) - p.phi_at(0.02), "phi_mean": p.phi_at(0.5)},
         signed=True,
         curve=_memory,
+        levels=lambda p: (p["phi_mean"],),
     ),
     "sensor_quadratic": Form(
         "curvature",

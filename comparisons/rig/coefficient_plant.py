@@ -1,8 +1,7 @@
-"""The compressor of a test at the level of coefficients, and the instants it is integrated over."""
+"""The compressor of a test at the level of coefficients, and its state at instants of a record."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
@@ -16,19 +15,18 @@ from comparisons.rig.coefficient_signals import (
     draw_flows,
     slow_amplitude,
 )
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
-__all__ = ["Plant", "Points", "draw_plant", "lay_grid", "sample_points"]
+__all__ = ["Plant", "Points", "draw_plant"]
 
 
 # What is left at the start of a record of the state it was begun from: exp(-12).
-_LEAD_TIME_CONSTANTS = 12.0
+LEAD_TIME_CONSTANTS = 12.0
 # Facility clock from one record's start to the next, in durations: a third of the clock is pause.
 _RECORD_SPACING = 1.5
 # Range of the time constant.
 _TAU_S = (0.06, 0.20)
 _QUANTILE_POINTS = 2000
-_ROOT_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class Plant:
     @cached_property
     def amplitudes(self) -> tuple[CubicSpline, ...]:
         """A(t) of every record, from where its integration starts."""
-        first = _LEAD_TIME_CONSTANTS * self.tau_s
+        first = LEAD_TIME_CONSTANTS * self.tau_s
         return tuple(
             slow_amplitude(f, f.origin_s - first, f.origin_s + self.duration_s) for f in self.flows
         )
@@ -118,12 +116,7 @@ class Points:
     phi : ndarray
         φ there, in the shape of `time_s`.
     phi_rate : ndarray of shape (n,) or (m,)
-        dφ/dt in 1/s at the samples, or at the middles of the steps (empty if no branch begins where
-        φ turns).
-    step_s : ndarray of shape (m,)
-        Lengths of the steps; empty for samples.
-    samples : ndarray of int
-        Where the samples are among the ends of the steps, the start of the first counted as 0.
+        dφ/dt in 1/s at the samples, or at the middles of the steps.
     """
 
     plant: Plant
@@ -131,8 +124,6 @@ class Points:
     time_s: FloatArray
     phi: FloatArray
     phi_rate: FloatArray
-    step_s: FloatArray
-    samples: IntArray
 
     @property
     def branch_phi(self) -> FloatArray:
@@ -190,97 +181,3 @@ def draw_plant(
         beta=tuple(float(b) for b in curve.convert().coef),
         stall_phi=float(rng.uniform(0.75, 1.15) * width),
     )
-
-
-def sample_points(plant: Plant, record: int, time_s: FloatArray) -> Points:
-    """Return the samples of a record, at times on the facility clock; φ is before any delay."""
-    flow, rows = plant.flows[record], np.arange(time_s.size)
-    phi, rate = flow.values(time_s), flow.rates(time_s)
-    return Points(plant, record, time_s, phi, rate, np.empty(0), rows)
-
-
-def lay_grid(
-    plant: Plant,
-    record: int,
-    time_s: FloatArray,
-    *,
-    substeps: int,
-    delay_s: float = 0.0,
-    levels: Sequence[float] = (),
-    turns: bool = False,
-    slow_tau_s: float = 0.0,
-) -> Points:
-    """Lay the steps of integration over a record, one of them ending at every event.
-
-    Parameters
-    ----------
-    plant : Plant
-        The test.
-    record : int
-        Number of the record, from 0.
-    time_s : ndarray of shape (n,)
-        The samples on the facility clock, in seconds, uniform.
-    substeps : int
-        Steps from one sample to the next.
-    delay_s : float
-        Delay between the φ of the record and the φ that acts.
-    levels : sequence of float
-        Values of the acting φ at which a branch of the model begins.
-    turns : bool
-        Whether one begins where the acting φ turns.
-    slow_tau_s : float
-        Time constant of a mode slower than the plant's own, in seconds.
-
-    Returns
-    -------
-    Points
-        Steps from twelve time constants before the first sample to the last one; φ is that which
-        acts.
-    """
-    flow = plant.flows[record]
-    step_s = float(time_s[1] - time_s[0]) / substeps
-    n_lead = int(np.ceil(_LEAD_TIME_CONSTANTS * max(plant.tau_s, slow_tau_s) / step_s))
-    steps = np.arange(-n_lead, (time_s.size - 1) * substeps + 1)
-    nodes = time_s[0] + step_s * steps
-    phi = flow.values(nodes - delay_s)
-    acting = nodes - delay_s
-    events = [_crossings(flow.values, acting, level) for level in levels]
-    if turns:
-        events.append(_crossings(flow.rates, acting, 0.0))
-    samples = np.arange(n_lead, nodes.size, substeps)
-    if events:
-        extra = np.sort(np.concatenate(events)) + delay_s
-        place = np.searchsorted(nodes, extra)
-        samples = samples + np.searchsorted(extra, nodes[samples], side="left")
-        nodes = np.insert(nodes, place, extra)
-        phi = np.insert(phi, place, flow.values(extra - delay_s))
-    middles = 0.5 * (nodes[:-1] + nodes[1:])
-    return Points(
-        plant,
-        record,
-        np.stack((nodes[:-1], middles, nodes[1:])),
-        np.stack((phi[:-1], flow.values(middles - delay_s), phi[1:])),
-        flow.rates(middles - delay_s) if turns else np.empty(0),
-        np.diff(nodes),
-        samples,
-    )
-
-
-def _crossings(
-    function: Callable[[FloatArray], FloatArray], time_s: FloatArray, level: float
-) -> FloatArray:
-    """Return where a function of time crosses a level, by secants from the brackets."""
-    values = function(time_s) - level
-    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
-    low, high = time_s[at].copy(), time_s[at + 1].copy()
-    f_low, f_high = values[at].copy(), values[at + 1].copy()
-    root = low
-    for _ in range(_ROOT_STEPS):
-        root = low - f_low * (high - low) / (f_high - f_low)
-        # Where it is met exactly nothing is left to bracket; a hair beside it will do.
-        f_root = function(root) - level
-        f_root = np.where(f_root == 0.0, np.finfo(np.float64).tiny, f_root)
-        left = f_root * f_low > 0.0
-        low, f_low = np.where(left, root, low), np.where(left, f_root, f_low)
-        high, f_high = np.where(left, high, root), np.where(left, f_high, f_root)
-    return root

@@ -6,23 +6,44 @@ the end of each (rows 0, 1, 2), so that a step may end exactly where a branch of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from comparisons.rig.coefficient_effects import FORMS, Parameters, crossed_levels
-from comparisons.rig.coefficient_plant import Plant, Points, lay_grid, sample_points
-from surge_core.types import FloatArray
+from comparisons.rig.coefficient_effects import FORMS, Parameters
+from comparisons.rig.coefficient_plant import LEAD_TIME_CONSTANTS, Plant, Points
+from surge_core.types import FloatArray, IntArray
 
-__all__ = ["backlash", "constant_lag", "run_record", "varying_lag"]
+__all__ = ["Planted", "Steps", "backlash", "constant_lag", "lay_steps", "run_record", "varying_lag"]
 
 Planted = Mapping[str, Parameters]
 
 # Below this h/τ the recurrence of the weights cancels; the series has converged to 1e-17 there.
 _SERIES_BELOW = 0.5
 _SERIES_TERMS = 14
+_ROOT_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The steps of integration over a record; none of them holds the beginning of a branch.
+
+    Parameters
+    ----------
+    at : Points
+        Starts, middles and ends of the m steps, with the φ that acts there.
+    step_s : ndarray of shape (m,)
+        Lengths of the steps.
+    samples : ndarray of int
+        Where the samples are among the ends of the steps, the start of the first counted as 0.
+    """
+
+    at: Points
+    step_s: FloatArray
+    samples: IntArray
 
 
 def run_record(
@@ -57,29 +78,22 @@ def run_record(
     ndarray of shape (n,)
         ψ' at the samples, without noise.
     """
-    grid = lay_grid(
-        plant,
-        record,
-        time_s,
-        substeps=substeps,
-        delay_s=planted.get("transport_delay", {}).get("delay_s", 0.0),
-        levels=[level for name, p in planted.items() for level in crossed_levels(name, p)],
-        turns="asymmetric_lag" in planted,
-        slow_tau_s=planted.get("second_slow_mode", {}).get("slow_tau_s", 0.0),
-    )
-    curve = plant.quasi_steady(grid.phi)
+    steps = lay_steps(plant, record, time_s, planted, substeps)
+    curve = plant.quasi_steady(steps.at.phi)
     for name, parameters in planted.items():
         change = FORMS[name].curve
         if change is not None:
-            curve = change(parameters, grid, curve)
+            curve = change(parameters, steps.at, curve)
     if curve_offset is not None:
-        place = np.clip(np.searchsorted(time_s, grid.time_s[1]) - 1, 0, time_s.size - 1)
+        place = np.clip(np.searchsorted(time_s, steps.at.time_s[1]) - 1, 0, time_s.size - 1)
         curve = curve + curve_offset[place]
-    psi = _lagged(grid, np.ascontiguousarray(curve), planted)
+    psi = _lagged(steps, np.ascontiguousarray(curve), planted)
     if "sensor_backlash" in planted:
         psi = backlash(psi, planted["sensor_backlash"]["half_width"])
-    shown = psi[grid.samples]
-    at = sample_points(plant, record, time_s)
+    shown = psi[steps.samples]
+    flow = plant.flows[record]
+    # Sensors see φ before any delay.
+    at = Points(plant, record, time_s, flow.values(time_s), flow.rates(time_s))
     for name, parameters in planted.items():
         change = FORMS[name].output
         if change is not None:
@@ -87,37 +101,99 @@ def run_record(
     return shown
 
 
-def _lagged(grid: Points, curve: FloatArray, planted: Planted) -> FloatArray:
+def lay_steps(
+    plant: Plant, record: int, time_s: FloatArray, planted: Planted, substeps: int
+) -> Steps:
+    """Lay the steps of integration over a record, one of them ending at every event.
+
+    Parameters
+    ----------
+    plant, record, time_s, planted, substeps
+        As in `run_record`.
+
+    Returns
+    -------
+    Steps
+        From twelve of the longest time constants before the first sample to the last one.
+    """
+    flow = plant.flows[record]
+    delay_s = planted.get("transport_delay", {}).get("delay_s", 0.0)
+    longest_s = max(plant.tau_s, planted.get("second_slow_mode", {}).get("slow_tau_s", 0.0))
+    step_s = float(time_s[1] - time_s[0]) / substeps
+    n_lead = int(np.ceil(LEAD_TIME_CONSTANTS * longest_s / step_s))
+    steps = np.arange(-n_lead, (time_s.size - 1) * substeps + 1)
+    nodes = time_s[0] + step_s * steps
+    phi = flow.values(nodes - delay_s)
+    samples = np.arange(n_lead, nodes.size, substeps)
+    acting = nodes - delay_s
+    levels = [level for name, p in planted.items() for level in FORMS[name].levels(p)]
+    events = [_crossings(flow.values, acting, level) for level in levels]
+    if "asymmetric_lag" in planted:
+        events.append(_crossings(flow.rates, acting, 0.0))
+    if events:
+        extra = np.sort(np.concatenate(events)) + delay_s
+        place = np.searchsorted(nodes, extra)
+        samples = samples + np.searchsorted(extra, nodes[samples], side="left")
+        nodes = np.insert(nodes, place, extra)
+        phi = np.insert(phi, place, flow.values(extra - delay_s))
+    middles = 0.5 * (nodes[:-1] + nodes[1:])
+    instants = np.stack((nodes[:-1], middles, nodes[1:]))
+    acting_phi = np.stack((phi[:-1], flow.values(middles - delay_s), phi[1:]))
+    rate = flow.rates(middles - delay_s)
+    return Steps(Points(plant, record, instants, acting_phi, rate), np.diff(nodes), samples)
+
+
+def _crossings(
+    function: Callable[[FloatArray], FloatArray], time_s: FloatArray, level: float
+) -> FloatArray:
+    """Return where a function of time crosses a level, by secants from the brackets."""
+    values = function(time_s) - level
+    at = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    low, high = time_s[at].copy(), time_s[at + 1].copy()
+    f_low, f_high = values[at].copy(), values[at + 1].copy()
+    root = low
+    for _ in range(_ROOT_STEPS):
+        root = low - f_low * (high - low) / (f_high - f_low)
+        # Where it is met exactly nothing is left to bracket; a hair beside it will do.
+        f_root = function(root) - level
+        f_root = np.where(f_root == 0.0, np.finfo(np.float64).tiny, f_root)
+        left = f_root * f_low > 0.0
+        low, f_low = np.where(left, root, low), np.where(left, f_root, f_low)
+        high, f_high = np.where(left, high, root), np.where(left, f_high, f_root)
+    return root
+
+
+def _lagged(steps: Steps, curve: FloatArray, planted: Planted) -> FloatArray:
     """Pass ψ'_QS through the lag, begun from the quasi-steady value."""
-    tau, start = grid.plant.tau_s, float(curve[0, 0])
+    tau, start = steps.at.plant.tau_s, float(curve[0, 0])
     if "second_order_lag" in planted:
-        return _second_order(grid, curve, planted["second_order_lag"]["a2_s2"])
-    factors = [f(p, grid) for name, p in planted.items() if (f := FORMS[name].lag) is not None]
+        return _second_order(steps, curve, planted["second_order_lag"]["a2_s2"])
+    factors = [f(p, steps.at) for name, p in planted.items() if (f := FORMS[name].lag) is not None]
     kappa = planted.get("nonlinear_relaxation", {}).get("kappa", 0.0)
     psi: FloatArray
     if factors or kappa:
-        rate_hz = np.ones_like(grid.phi) / tau
+        rate_hz = np.ones_like(steps.at.phi) / tau
         for factor in factors:
             rate_hz = rate_hz / factor
-        psi = varying_lag(grid.step_s, curve, rate_hz, kappa, start)
+        psi = varying_lag(steps.step_s, curve, rate_hz, kappa, start)
     else:
-        psi = constant_lag(grid.step_s, curve, tau, start)
+        psi = constant_lag(steps.step_s, curve, tau, start)
     if "second_slow_mode" in planted:
         share, slow_s = (planted["second_slow_mode"][k] for k in ("share", "slow_tau_s"))
-        psi = (1.0 - share) * psi + share * constant_lag(grid.step_s, curve, slow_s, start)
+        psi = (1.0 - share) * psi + share * constant_lag(steps.step_s, curve, slow_s, start)
     return psi
 
 
-def _second_order(grid: Points, curve: FloatArray, a2_s2: float) -> FloatArray:
+def _second_order(steps: Steps, curve: FloatArray, a2_s2: float) -> FloatArray:
     """Integrate a₂ ψ'' + τ ψ' + ψ = u as the sum of its two modes, which need not be real."""
-    tau = grid.plant.tau_s
+    tau = steps.at.plant.tau_s
     start = complex(curve[0, 0])
     spread = np.sqrt(complex(tau**2 - 4.0 * a2_s2))
     slow, fast = 0.5 * (tau + spread), 0.5 * (tau - spread)
     if abs(fast) < np.finfo(np.float64).eps * tau:
-        return np.asarray(constant_lag(grid.step_s, curve, tau, start.real))
-    first = constant_lag(grid.step_s, curve, slow, start)
-    second = constant_lag(grid.step_s, curve, fast, start)
+        return np.asarray(constant_lag(steps.step_s, curve, tau, start.real))
+    first = constant_lag(steps.step_s, curve, slow, start)
+    second = constant_lag(steps.step_s, curve, fast, start)
     return np.asarray(((slow * first - fast * second) / spread).real)
 
 

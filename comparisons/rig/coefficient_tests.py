@@ -7,17 +7,18 @@ a perfect model is noise alone, and an error of a simulation at the sample rate 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from comparisons.rig.coefficient_effects import EFFECTS, FORMS, OUTSIDE, PAIRS
-from comparisons.rig.coefficient_plant import Plant, draw_plant, lay_grid
-from comparisons.rig.coefficient_runs import constant_lag, run_record
+from comparisons.rig.coefficient_plant import Plant, draw_plant
+from comparisons.rig.coefficient_runs import Planted, constant_lag, lay_steps, run_record
 from surge_core.errors import InputError
 from surge_core.types import BoolArray, FloatArray, IntArray
 
@@ -47,7 +48,6 @@ _LOG_TAU_REACH = 1.5
 _TAU_TOLERANCE = 1e-5
 _SIZE_TOLERANCE = 1e-3
 _MAX_TRIALS = 25
-_DEGREES = (2, 3)
 _AR1 = 0.7
 _T_DEGREES = 3.0
 _OUTLIER_SHARE, _OUTLIER_SIZE = 0.01, 10.0
@@ -136,7 +136,8 @@ def simulate_test(
     Parameters
     ----------
     effect : str, tuple of str or None
-        One or more of `EFFECTS` and `OUTSIDE`; None: nothing is missing.
+        One or more of `EFFECTS` and `OUTSIDE`; None: nothing is missing. `second_order_lag` takes
+        the place of any other effect on the lag.
     strength : float
         Rms, in sigma, of what is left of each effect without noise, once τ and a polynomial of the
         right degree have been fitted again to the first 60 % of the first two records.
@@ -166,11 +167,10 @@ def simulate_test(
     Raises
     ------
     InputError
-        For an unknown effect, noise or degree, effects that cannot act at once, a negative
-        strength, fewer than 100 rows or no record.
+        For an unknown effect or noise, fewer than 100 rows, or too few for three gaps.
     """
     names = () if effect is None else (effect,) if isinstance(effect, str) else tuple(effect)
-    _check(names, strength, noise, degree, n_samples, n_records)
+    _check(names, noise, n_samples)
     plant = draw_plant(
         _stream(seed, "plant"),
         n_records=n_records,
@@ -191,12 +191,27 @@ def simulate_test(
     rng = _stream(seed, "noise")
     gap_rng = _stream(seed, "gaps") if gaps else None
     records, clean = [], []
-    for i, time in enumerate(times):
+    for i, (flow, time) in enumerate(zip(plant.flows, times, strict=True)):
         segment = None if gap_rng is None else _segments(gap_rng, time, plant.tau_s)
         offset = None if segment is None else _GAP_OFFSET * plant.psi_std * (segment == 0)
         psi = run_record(plant, i, time, planted, substeps=_SUBSTEPS, curve_offset=offset)
         clean.append(psi)
-        records.append(_measured(plant, i, time, psi, sigma, noise, rng, segment))
+        phi = flow.values(time)
+        measured_psi = psi + sigma * _unit_noise(rng, psi.size, noise)
+        measured_phi = phi
+        if noise in _PHI_NOISE:
+            measured_phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
+        records.append(
+            CoefficientRecord(
+                time_s=time,
+                phi=measured_phi,
+                psi_p=measured_psi,
+                T25_K=plant.temperatures[i].values(time),
+                Nc_frac=plant.speeds[i].values(time),
+                in_stall=phi < plant.stall_phi,
+                segment=segment,
+            )
+        )
     return CoefficientTest(
         records=tuple(records),
         tau_s=plant.tau_s,
@@ -208,39 +223,15 @@ def simulate_test(
     )
 
 
-def _check(
-    names: tuple[str, ...],
-    strength: float,
-    noise: str,
-    degree: int,
-    n_samples: int,
-    n_records: int,
-) -> None:
-    for name in names:
-        if name not in FORMS:
-            raise InputError(
-                "effect", expected="one of " + ", ".join(EFFECTS + OUTSIDE), found=f"{name!r}"
-            )
-    lags = ("nonlinear_relaxation", "second_slow_mode")
-    others = [n for n in names if FORMS[n].lag is not None or n in lags]
-    if len(set(names)) < len(names) or ("second_order_lag" in names and others):
-        raise InputError(
-            "effect",
-            expected="different effects, second_order_lag beside an effect at another port",
-            found=" and ".join(names),
-        )
-    if not 0.0 <= strength < np.inf:
-        raise InputError("strength", expected="a number from 0 on", found=f"{strength}")
-    if noise not in NOISES:
-        raise InputError("noise", expected="one of " + ", ".join(NOISES), found=f"{noise!r}")
-    if degree not in _DEGREES:
-        raise InputError("degree", expected="2 or 3", found=f"{degree}")
-    if n_samples < 100 or n_records < 1:
-        raise InputError(
-            "records",
-            expected="at least one of at least 100 rows",
-            found=f"{n_records} of {n_samples}",
-        )
+def _check(names: Sequence[str], noise: str, n_samples: int) -> None:
+    for what, value, known in (
+        *(("effect", name, tuple(FORMS)) for name in names),
+        ("noise", noise, NOISES),
+    ):
+        if value not in known:
+            raise InputError(what, expected="one of " + ", ".join(known), found=f"{value!r}")
+    if n_samples < 100:
+        raise InputError("n_samples", expected="at least 100 rows", found=f"{n_samples}")
 
 
 def _stream(seed: int, purpose: str) -> np.random.Generator:
@@ -259,7 +250,7 @@ class _Refit:
         self._degree = degree
         self._times_s = [t[: max(int(_TRAIN_SHARE * t.size), 2)] for t in times_s[:_TRAIN_RECORDS]]
 
-    def excess(self, planted: Mapping[str, Mapping[str, float]]) -> float:
+    def excess(self, planted: Planted) -> float:
         """Return the rms of what effects, by name with their parameters, leave after the refit."""
         runs = [
             run_record(self.plant, i, t, planted, substeps=_COARSE)
@@ -277,11 +268,11 @@ class _Refit:
     @cached_property
     def _inputs(self) -> list[tuple[FloatArray, list[FloatArray], IntArray]]:
         """Steps, powers of φ from the first on, and samples of each record."""
-        grids = [lay_grid(self.plant, i, t, substeps=_COARSE) for i, t in enumerate(self._times_s)]
+        laid = [lay_steps(self.plant, i, t, {}, _COARSE) for i, t in enumerate(self._times_s)]
         powers = range(1, self._degree + 1)
         return [
-            (grid.step_s, [np.ascontiguousarray(grid.phi**k) for k in powers], grid.samples)
-            for grid in grids
+            (one.step_s, [np.ascontiguousarray(one.at.phi**k) for k in powers], one.samples)
+            for one in laid
         ]
 
     def _left(self, psi: FloatArray, tau_s: float) -> FloatArray:
@@ -334,33 +325,6 @@ def _size_effect(
     return parameters(size), reached
 
 
-def _measured(
-    plant: Plant,
-    record: int,
-    time_s: FloatArray,
-    psi: FloatArray,
-    sigma: float,
-    noise: Noise,
-    rng: np.random.Generator,
-    segment: IntArray | None,
-) -> CoefficientRecord:
-    """Sample the channels of a record and put the noise on."""
-    phi = plant.flows[record].values(time_s)
-    stalled = phi < plant.stall_phi
-    shown = psi + sigma * _unit_noise(rng, psi.size, noise)
-    if noise in _PHI_NOISE:
-        phi = phi + _PHI_NOISE[noise] * np.std(phi) * rng.standard_normal(phi.size)
-    return CoefficientRecord(
-        time_s=time_s,
-        phi=phi,
-        psi_p=shown,
-        T25_K=plant.temperatures[record].values(time_s),
-        Nc_frac=plant.speeds[record].values(time_s),
-        in_stall=stalled,
-        segment=segment,
-    )
-
-
 def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:
     """Draw noise of unit variance (that of the bulk, for outliers)."""
     if noise == "t3":
@@ -369,12 +333,9 @@ def _unit_noise(rng: np.random.Generator, n: int, noise: Noise) -> FloatArray:
         return np.asarray(rng.standard_t(_T_DEGREES, n) / spread)
     white = rng.standard_normal(n)
     if noise == "ar1":
-        coloured = np.empty(n)
-        coloured[0] = white[0]
         innovation = np.sqrt(1.0 - _AR1**2)
-        for k in range(1, n):
-            coloured[k] = _AR1 * coloured[k - 1] + innovation * white[k]
-        return coloured
+        later, _ = lfilter([innovation], [1.0, -_AR1], white[1:], zi=[_AR1 * white[0]])
+        return np.concatenate((white[:1], later))
     if noise == "outliers":
         wild = rng.random(n) < _OUTLIER_SHARE
         return np.where(wild, _OUTLIER_SIZE * white, white)

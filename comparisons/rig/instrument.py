@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import pi, radians
 from typing import Any
 
 import numpy as np
 
 from comparisons.rig.cases import RigCase
-from comparisons.rig.cells import IMMERSIONS, RAKES, local_flow
-from comparisons.rig.gas import PSI_PA, probe_pressures_pa
-from comparisons.rig.hidden import WAKE_TIME_S, Alteration
+from comparisons.rig.gas import P_REF_PA, PSI_PA, T_REF_K, probe_pressures_pa
+from comparisons.rig.hidden import SECOND_CELL_ROTOR_FRAC, WAKE_TIME_S, Alteration
 from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun
 from comparisons.rig.sensors import (
     ADC_HIGH_V,
@@ -29,6 +29,7 @@ __all__ = [
     "NEAR_STALL_S",
     "RAW_RATE_HZ",
     "Instrumented",
+    "corrected_plane_flow_kg_s",
     "instrument",
     "read_near_stall",
 ]
@@ -42,6 +43,8 @@ NEAR_STALL_S = (0.0, 0.14)
 _RANGE_PA = {25: 10.0 * PSI_PA, 31: 110.0 * PSI_PA}
 _CALIBRATE_PA = {25: 6.0 * PSI_PA, 31: 66.0 * PSI_PA}
 _PLANES = (25, 31)
+_RAKES = ("A", "B")
+_IMMERSIONS = ("tip", "hub")
 # Constants (a, b) of Eq 2, a pair each: as in the independent record. The aft hole reads slightly
 # above static, so that M_calc < M_true and a > 1.
 _PROBES = {
@@ -50,6 +53,12 @@ _PROBES = {
     (31, "tip"): (1.09, 0.011),
     (31, "hub"): (1.07, 0.010),
 }
+# Lock-in of the independent record at 82.5 and 165 Hz: the cell reaches rake B 110° after rake A,
+# the tip swings 1.3 and the hub 0.7 times the mean, pressure leads flow by 30°.
+_RAKE_ANGLE = {"A": 0.0, "B": radians(-110.0)}
+_REACH = {"tip": 1.3, "hub": 0.7}
+_PRESSURE_LEAD = radians(30.0)
+_SIDE = {"tip": -1.0, "hub": 1.0}
 _STEP = round(PLANT_RATE_HZ / RAW_RATE_HZ)
 _HALF_SCALE_V = 0.5 * (ADC_HIGH_V - ADC_LOW_V)
 
@@ -129,8 +138,8 @@ def instrument(
     bench = _Bench(case, run, settings, altered, rng, rng.spawn(1)[0], rake_k, references)
     out = Instrumented()
     for plane in _PLANES:
-        for rake in RAKES:
-            for immersion in IMMERSIONS:
+        for rake in _RAKES:
+            for immersion in _IMMERSIONS:
                 _add_pair(bench, plane, rake, immersion, out)
             name = f"T{plane}_{rake}"
             out.values[name] = _thermocouple(bench, plane)
@@ -152,7 +161,7 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
     case, settings, rng = bench.case, bench.settings, bench.rng
     slope, offset = _PROBES[plane, immersion]
     offset *= settings.probe_offset
-    flow, total = local_flow(
+    flow, total = _local_flow(
         case, bench.run, settings, bench.altered, plane=plane, rake=rake, immersion=immersion
     )
     area_m2 = case.inlet_area_m2 if plane == 25 else case.exit_area_m2
@@ -191,6 +200,65 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
             "bias_V": bias_v,
             "operate_count": operate,
         }
+
+
+def corrected_plane_flow_kg_s(run: PlantRun, plane: int) -> FloatArray:
+    """Return the mean corrected flow W √(T/T_o) / (P/P_o) of a plane (Eq N1), in kg/s."""
+    theta = run[f"T{plane}"] / T_REF_K
+    return np.asarray(run[f"W{plane}"] * np.sqrt(theta) / (run[f"P{plane}"] / P_REF_PA))
+
+
+def _local_flow(
+    case: RigCase,
+    run: PlantRun,
+    settings: SensorSettings,
+    altered: Alteration,
+    *,
+    plane: int,
+    rake: str,
+    immersion: str,
+) -> tuple[FloatArray, FloatArray]:
+    """Return corrected flow in kg/s and total pressure in Pa at one probe pair.
+
+    Equation: W_c + J A w (sin θ + h₂ sin 2θ) ± q ΔW_c, θ = 2π f t + angle of the rake; the total
+    pressure moves in proportion. Over the plane hub and tip shift cancel; the cells do not, because
+    two rakes do not resolve them.
+
+    Parameters
+    ----------
+    case, run, settings : RigCase, PlantRun, SensorSettings
+        The plant, what it did, and the factors on cells and shift.
+    altered : Alteration
+        What is hidden; a second cell pattern, slower than the first, shows here.
+    plane : int
+        25 or 31.
+    rake, immersion : str
+        ``"A"`` or ``"B"``; ``"tip"`` or ``"hub"``.
+
+    Returns
+    -------
+    tuple of ndarray of shape (n,)
+        At `PLANT_RATE_HZ`; the flow that the whole plane would pass if all were like this spot.
+    """
+    share = 1.0 if plane == 25 else case.exit_cell_frac
+    mean = corrected_plane_flow_kg_s(run, plane)
+    time_s = np.arange(mean.size) / PLANT_RATE_HZ
+    angle = 2.0 * pi * case.cell_frequency_hz * time_s + _RAKE_ANGLE[rake]
+    reach = share * settings.cells * run["cells"] * _REACH[immersion]
+    shift = share * settings.hub_tip * case.hub_tip_flow_kg_s * run["blend"] * _SIDE[immersion]
+    flow = mean + reach * case.cell_flow_kg_s * _wave(case, angle) + shift
+    ripple = reach * case.cell_pressure_frac * _wave(case, angle + _PRESSURE_LEAD)
+    if altered.rotating_stall_ripple:
+        turn = SECOND_CELL_ROTOR_FRAC * 2.0 * pi * case.rotor_speed_rpm / 60.0
+        angle = turn * time_s + _RAKE_ANGLE[rake]
+        reach = share * altered.rotating_stall_ripple * run["cells"] * _REACH[immersion]
+        flow = flow + reach * case.cell_flow_kg_s * np.sin(angle)
+        ripple = ripple + reach * case.cell_pressure_frac * np.sin(angle + _PRESSURE_LEAD)
+    return flow, run[f"P{plane}"] * (1.0 + ripple)
+
+
+def _wave(case: RigCase, angle: FloatArray) -> FloatArray:
+    return np.asarray(np.sin(angle) + case.cell_second_harmonic * np.sin(2.0 * angle))
 
 
 def _with_wake_noise(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from math import inf, isfinite, pi, tan
+from dataclasses import dataclass
+from math import pi, tan
 
 import numpy as np
 from scipy.signal import bilinear, butter, lfilter, lfilter_zi, sosfilt, sosfilt_zi
 
-from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
 __all__ = [
@@ -74,11 +73,6 @@ class SensorSettings:
         steady pressures.
     acquisition_limits : bool
         Whether T31 readings clip at the range of the case.
-
-    Raises
-    ------
-    InputError
-        Naming a number that is out of range.
     """
 
     noise_percent: float = 0.2
@@ -108,21 +102,6 @@ class SensorSettings:
     leak_lag_s: float = 0.5
     acquisition_limits: bool = True
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), _RANGES.get(field.name, (0.0, inf))
-            # Annotations are text here: "int | None" and the like.
-            whole, optional = "int" in str(field.type), "None" in str(field.type)
-            if value is None and optional:
-                continue
-            number = isinstance(value, int if whole else float | int)
-            if not (number and isfinite(value) and low <= value <= high):
-                raise InputError(
-                    f"SensorSettings.{field.name}",
-                    expected=f"a {'whole' if whole else 'finite'} number from {low:g} to {high:g}",
-                    found=f"{value!r}",
-                )
-
     @classmethod
     def ideal(cls) -> SensorSettings:
         """Return sensors that hide nothing: reduction of their record must give the truth."""
@@ -146,16 +125,6 @@ class SensorSettings:
             leak_lag_s=0.0,
             acquisition_limits=False,
         )
-
-
-# Frequencies below half the plant's rate.
-_RANGES = {
-    "bits": (2, 24),
-    "reading_samples": (1, inf),
-    "tube_frequency_hz": (1.0, 4_999.0),
-    "anti_alias_hz": (1.0, 4_999.0),
-    "recovery_factor": (0.1, inf),
-}
 
 
 def tube(

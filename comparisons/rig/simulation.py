@@ -1,22 +1,24 @@
-"""One simulated surge test: the raw record, what describes it, and apart from both the truth."""
+"""One simulated surge test: the raw record, what describes it, apart from both the truth; files."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from classic_ml.records import LedgerEntry, Record
 from comparisons.rig.cases import RigCase, find_case
-from comparisons.rig.cells import corrected_plane_flow_kg_s
 from comparisons.rig.gas import GAMMA, GAS_CONSTANT_J_KG_K
 from comparisons.rig.hidden import Alteration, hide_effect
 from comparisons.rig.instrument import (
     NEAR_STALL_S,
     RAW_RATE_HZ,
     Instrumented,
+    corrected_plane_flow_kg_s,
     instrument,
     read_near_stall,
 )
@@ -24,7 +26,7 @@ from comparisons.rig.plant import PLANT_RATE_HZ, PlantRun, run_plant
 from comparisons.rig.sensors import ADC_BITS, ADC_HIGH_V, ADC_LOW_V, SensorSettings
 from surge_core.errors import InputError
 
-__all__ = ["RigRun", "simulate"]
+__all__ = ["RigRun", "simulate", "write_run"]
 
 # The near-stall reading ends at 0.14 s; a record must hold it and a little more. The whole run is
 # held in memory at 10 kHz, 2 MB a second.
@@ -90,8 +92,8 @@ def simulate(
     Raises
     ------
     InputError
-        When the case or the effect is unknown, the duration, seed or size is unusable, or the
-        altered plant does not stay finite.
+        When the case or the effect is unknown, the duration or size is unusable, or the altered
+        plant does not stay finite.
     """
     plant = find_case(case)
     settings = SensorSettings() if sensors is None else sensors
@@ -101,9 +103,7 @@ def simulate(
             expected=f"{_SHORTEST_S} to {_LONGEST_S:.0f} seconds",
             found=f"{duration_s!r}",
         )
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError("seed", expected="a whole number that is not negative", found=f"{seed!r}")
-    altered, hidden = hide_effect(hide, hide_size, float(duration_s))
+    altered, hidden = hide_effect(hide, hide_size)
     n_samples = round(duration_s * RAW_RATE_HZ) + 1
     n_rows = (n_samples - 1) * round(PLANT_RATE_HZ / RAW_RATE_HZ) + 1
     run = run_plant(plant, n_rows=n_rows, altered=altered)
@@ -247,3 +247,78 @@ def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
         for name, value in table.items()
         if value is not None
     }
+
+
+def write_run(run: RigRun, folder: str | Path) -> None:
+    """Write a run: the raw record as a test would leave it, and the truth in a folder of its own.
+
+    ``folder/raw.csv`` and ``folder/test.toml`` are all that a reduction needs; ``folder/truth``
+    holds ``truth.csv`` and ``truth.toml``.
+
+    Parameters
+    ----------
+    run : RigRun
+        The run.
+    folder : str or Path
+        A folder that does not exist yet, or an empty one.
+
+    Raises
+    ------
+    InputError
+        When the folder holds something already, is a file, or cannot be written.
+    """
+    target = Path(folder)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(
+            str(target),
+            expected="a new or empty folder",
+            found="a folder with files" if target.is_dir() else "a file",
+            remedy="choose another folder or remove it first",
+        )
+    try:
+        (target / "truth").mkdir(parents=True)
+        for place, record, name, table in (
+            (target, run.raw, "raw.csv", {"test.toml": run.test}),
+            (target / "truth", run.truth, "truth.csv", {"truth.toml": run.truth_parameters}),
+        ):
+            _write_table(record, place / name)
+            for file, values in table.items():
+                (place / file).write_text(_toml(values), encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            str(target), expected="a folder that can be written", found=error.strerror or str(error)
+        ) from error
+
+
+def _write_table(record: Record, path: Path) -> None:
+    """Write a record as CSV: whole counts as integers, kelvin to 1 mK, the rest to 9 digits."""
+    columns, formats = [record.time_s], ["%.3f"]
+    for channel in record.channels.values():
+        columns.append(channel.values)
+        if np.all(channel.values == np.round(channel.values)):
+            formats.append("%d")
+        else:
+            formats.append("%.3f" if channel.unit == "K" else "%.9g")
+    header = ",".join(["time_s", *record.channels])
+    np.savetxt(
+        path, np.column_stack(columns), fmt=formats, delimiter=",", header=header, comments=""
+    )
+
+
+def _toml(table: Mapping[str, Any]) -> str:
+    return "\n".join(_toml_lines(table)).lstrip("\n") + "\n"
+
+
+def _toml_lines(table: Mapping[str, Any], path: str = "") -> list[str]:
+    """Return the lines of a table and of the tables within it; scalar entries come first."""
+    # Numbers, texts, truth values and lists look in TOML as in JSON.
+    plain = [
+        f"{name} = {json.dumps(value, ensure_ascii=False)}"
+        for name, value in table.items()
+        if not isinstance(value, Mapping)
+    ]
+    lines = ["", f"[{path}]", *plain] if plain and path else plain
+    for name, entry in table.items():
+        if isinstance(entry, Mapping):
+            lines += _toml_lines(entry, f"{path}.{name}" if path else name)
+    return lines

@@ -106,6 +106,5 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         "checks": [asdict(check) for check in result.checks],
         "seconds": result.seconds,
         "dead_time_s": model.dead_time_s,
-        **({"structure": result.structure} if result.structure else {}),
         **({"effects": result.extended.to_json()["effects"]} if result.extended else {}),
     }

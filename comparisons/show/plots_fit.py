@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from comparisons.harness.residual_analysis import dwelt_on
+from comparisons.harness.fit_quality import dwelt_on
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     MEASURED,

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from classic_ml.flow import LBM_KG
-from comparisons.harness.residual_analysis import stall_inception
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     ACCENT,
     FAINT,
     INK,
-    MARK,
     QUIET,
     dress,
     legend_above,
@@ -38,9 +36,9 @@ IMMERSIONS = {"tip": "Wc25_tip_kg_s", "hub": "Wc25_hub_kg_s"}
 def operating_points(reduction: Reduction) -> Picture:
     """Draw pressure ratio over inlet corrected flow (paper, Fig 9, 11, 14 and 15).
 
-    Above the whole record with the quasi-steady cycles in colour and the stall inception marked,
-    and the cycles alone; below the same over the flow of the tip and of the hub probes, where the
-    record has both; kg/s below and lbm/s above.
+    Above the whole record with the quasi-steady cycles in colour, and the cycles alone; below the
+    same over the flow of the tip and of the hub probes, where the record has both; kg/s below and
+    lbm/s above.
 
     Parameters
     ----------
@@ -65,27 +63,6 @@ def operating_points(reduction: Reduction) -> Picture:
         ax.plot(own[keep], ratio[keep], color=ACCENT, lw=0.8, alpha=0.8, label=label)
     for ax in panels[::2]:
         ax.set_ylabel("pressure ratio $P_{31}/P_{25}$ [-]")
-    stall = "The record shows no inception of stall."
-    start = None
-    if reduction.series.in_stall is not None:
-        start = stall_inception(ratio, reduction.series.in_stall, record.sample_rate_hz)
-    if start is not None:
-        at_s = record.time_s[start]
-        panels[0].plot(
-            flow[start],
-            ratio[start],
-            "*",
-            color=MARK,
-            markersize=13,
-            markeredgecolor="white",
-            zorder=5,
-            label=f"stall inception, {at_s:.2f} s",
-        )
-        stall = (
-            f"Stall begins at {at_s:.2f} s, at a ratio of "
-            f"{significant(float(ratio[start]), DIGITS)} and "
-            f"{significant(float(flow[start]), DIGITS)} kg/s."
-        )
     legend_above(figure, panels[0])
     sides = [
         f"{name} {span(own[keep], 'kg/s')}, reversed {100.0 * np.mean(own[keep] < 0.0):.0f} % of "
@@ -97,12 +74,12 @@ def operating_points(reduction: Reduction) -> Picture:
         figure,
         f"Pressure ratio over inlet corrected flow. Whole record: ratio {span(ratio)}, flow "
         f"{span(flow, 'kg/s')}. Quasi-steady cycles, {from_s:.2f} to {to_s:.2f} s: ratio "
-        f"{span(ratio[keep])}, flow {span(flow[keep], 'kg/s')}. {stall}"
+        f"{span(ratio[keep])}, flow {span(flow[keep], 'kg/s')}."
         + (f" In the cycles: {'; '.join(sides)}." if sides else ""),
-        "As Fig 9, 11, 14 and 15 of the paper. The star marks the highest pressure ratio before "
-        "the first stall. From there the machine reverses, blows down at reversed flow and settles "
-        "into cycles that need not return to the first stall point: the heated inlet drives "
-        "corrected speed down. Where tip and hub reverse unlike, an average of both hides it.",
+        "As Fig 9, 11, 14 and 15 of the paper. From the stall point the machine reverses, blows "
+        "down at reversed flow and settles into cycles that need not return to the first stall "
+        "point: the heated inlet drives corrected speed down. Where tip and hub reverse unlike, an "
+        "average of both hides it.",
     )
 
 

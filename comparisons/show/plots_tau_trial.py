@@ -10,7 +10,6 @@ import numpy as np
 from comparisons.page.blocks import Picture
 from comparisons.page.style import (
     INK,
-    MEASURED,
     QUIET,
     SHADE,
     coefficient_symbol,
@@ -48,10 +47,9 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     Returns
     -------
     Picture
-        Error of the free run with the curve refitted to each τ (full) and with the best τ's
-        curve (dashed); shaded, the values of τ that are no worse within two paired errors; each
-        estimator as a ring at its τ and the error of its own reconstruction, with ± 2 standard
-        errors; the noise of the measurement as the floor.
+        Error of the free run with the curve refitted to each τ; shaded, the values of τ that are
+        no worse within two paired errors; each estimator as a ring at its τ and the error of its
+        own reconstruction, with ± 2 standard errors.
     """
     figure = new_figure(height_in=4.8)
     ax = dress(figure.add_subplot())
@@ -70,9 +68,6 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     ax.set_xlabel(r"time constant $\tau$ [ms]")
     ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")
     legend_above(figure, ax, columns=2)
-    noise = ""
-    if math.isfinite(trial.noise_rms):
-        noise = f"; the noise of the measurement is {significant(trial.noise_rms, 2)}"
     found = ", ".join(f"{each.label} {1e3 * each.tau_s:.3g} ms" for each in trial.estimates)
     where = (
         "the scored rows of the free run through the unfiltered signals"
@@ -85,7 +80,7 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
         f"Error of the free run of {SYMBOLS[trial.target]} over the τ that is held, "
         f"{1e3 * trial.tau_s[0]:.3g} to {1e3 * trial.tau_s[-1]:.3g} ms: least, "
         f"{significant(trial.least_rms, 3)}, at {1e3 * trial.best_tau_s:.3g} ms, no worse from "
-        f"{low:.3g} to {high:.3g} ms{noise}." + (f" Found: {found}." if found else ""),
+        f"{low:.3g} to {high:.3g} ms." + (f" Found: {found}." if found else ""),
         f"Scored on {where}. As the paper found its 18 ms, by trial. A flat bottom says that the "
         "record hardly determines τ; a least error far from an estimate says that the two answer "
         "different questions. `compare --tau` holds a value.",
@@ -94,16 +89,11 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
 
 def _errors(ax: Axes, trial: TauTrial) -> None:
     tau_ms, best_ms = 1e3 * trial.tau_s, 1e3 * trial.best_tau_s
-    held: dict[str, Any] = {"color": MEASURED, "lw": 1.4, "ls": (0, (4, 2))}
-    ax.plot(tau_ms, trial.held_rms, **held, label=r"curve held at that of the best $\tau$")
     ax.plot(tau_ms, trial.refitted_rms, color=INK, lw=2.0, label=r"curve refitted to each $\tau$")
     label = f"least error, at {best_ms:.3g} ms"
     ax.plot(best_ms, trial.least_rms, "v", color=INK, markersize=7, label=label)
-    if math.isfinite(trial.noise_rms):
-        floor: dict[str, Any] = {"color": QUIET, "lw": 1.0, "ls": (0, (5, 1.5, 1, 1.5))}
-        ax.axhline(trial.noise_rms, **floor, label="noise of the measurement")
     own = [estimate.rms for estimate in trial.estimates]
-    shown = np.concatenate([trial.refitted_rms, own, [trial.least_rms, trial.noise_rms]])
+    shown = np.concatenate([trial.refitted_rms, own, [trial.least_rms]])
     bottom, top = float(np.nanmin(shown)), float(np.max(shown[np.isfinite(shown)]))
     pad = HEADROOM * (top - bottom)
     ax.set_ylim(max(bottom - pad, 0.0), top + pad)

@@ -187,7 +187,7 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
     """
     fits = [fit for fit, _ in section.fits]
     characteristics = tuple(plots_fit.characteristics(fit, truth) for fit, truth in section.fits)
-    residuals = tuple(map(plots_residuals.errors_in_time, fits))
+    residuals = tuple(plots_residuals.errors_in_time(fit) for fit in fits)
     parts = (
         Part("In short", _summary(section)),
         Part("Operating-point migration", _migration(section)),

@@ -22,8 +22,8 @@ __all__ = [
     "unknown_work_list",
 ]
 
-# Which τ to quote stands above all, what the ranking is worth below the table.
-SAID_ELSEWHERE = ("quote_tau", "tau_biased", "held_out_is_prediction")
+# Which τ to quote stands above all.
+SAID_ELSEWHERE = ("quote_tau", "tau_biased")
 
 _Histories = Sequence[Sequence[LedgerEntry]]
 
@@ -89,14 +89,14 @@ def summary_list(fit: Comparison) -> Bullets:
     rows = fit.rows
     held_out = int(np.count_nonzero(~rows.train))
     low, high = fit.valid_phi
-    ranking = Caution.of("held_out_is_prediction", symbol=SYMBOLS[rows.target]).text
     items = (
         _tau_sentence(fit),
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
         f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
-        f"rewarded on held-out cycles too: {ranking}.",
+        "rewarded on held-out cycles too: held-out rms says how well "
+        f"{SYMBOLS[rows.target]} is predicted, not how near the characteristic is.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
         "Outside it the curves are extrapolated.",
     )

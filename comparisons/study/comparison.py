@@ -1,46 +1,91 @@
 """Methods of a study side by side: paired over what they share, with errors over records.
 
 Two methods are compared on cells that differ in nothing but the method, so that what makes a
-record hard is hard for both and falls out of the difference; see `paired`.
+record hard is hard for both and falls out of the difference. Cells of one record are not
+independent: errors are a jackknife that leaves out one whole record at a time (Tukey 1958; for
+clusters of unequal size as in Bell & McCaffrey, Survey Methodology 28, 2002).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import rankdata
+from scipy.stats import t as student_t
 
-from comparisons.study.paired import Cells, Paired, group_cells, jackknife, losses, paired
 from comparisons.study.scores import Score, loss_label, score_named
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
-from surge_core.rounding import NOT_KNOWN, round_like, round_to_error, significant
+from surge_core.rounding import round_like, round_to_error
+from surge_core.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
     "COLUMNS",
-    "LEVEL",
-    "Column",
     "GroupComparison",
     "MethodRow",
+    "Paired",
     "compare_methods",
-    "study_text",
-    "value_words",
+    "compare_scores",
+    "jackknife",
 ]
 
+# States of a cell: no numbers at all, and a fit that ended well; any other ended badly.
+FAILED, ENDED_WELL = "failed", ("ok", "converged")
 # Below so many records neither an error nor its normal approximation is to be relied on.
 FEWEST_RECORDS = 5
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
-# Differences that agree to so many digits of the greatest loss share a rank.
+STANDARD_ERRORS = 2.0
+# Differences that agree to so many digits of the greatest loss share a rank, and an error smaller
+# than that is none.
 DIGITS = 12
-LEVEL = "level with the best"
+# Heads of a table of methods, and what they say.
+COLUMNS = {
+    "#": "rank by the difference to the reference",
+    "method": "name in the study",
+    "cells": "cells that it was run on",
+    "failed": "of them failed",
+    "mean": "over its own cells",
+    "loss": "mean over its own cells: of the absolute value, where zero is best",
+    "pairs": "cells shared with the reference",
+    "records": "independent records that the pairs come from",
+    "Δ to reference": "paired difference of the mean loss ± standard error over records; positive "
+    "is worse",
+    "trust": "why not to trust it",
+}
+
+
+@dataclass(frozen=True)
+class Paired:
+    """A method against the reference over the cells that both could score.
+
+    Parameters
+    ----------
+    n_pairs, n_records : int
+        Cells that both could score, and the independent records that they come from.
+    difference, stderr : float
+        Mean loss minus that of the reference, and its standard error clustered by record, in the
+        unit of the score; the error is NaN with one record.
+    """
+
+    n_pairs: int = 0
+    n_records: int = 0
+    difference: float = math.nan
+    stderr: float = math.nan
+
+    @property
+    def reach(self) -> float:
+        """Half width of the 95 % interval: two standard errors, more with few records (t)."""
+        if self.n_records < 2:
+            return math.nan
+        return max(STANDARD_ERRORS, float(student_t.ppf(0.975, self.n_records - 1))) * self.stderr
 
 
 @dataclass(frozen=True)
@@ -51,18 +96,16 @@ class MethodRow:
     ----------
     method : str
         Its name.
-    n_cells, n_failed, n_scored : int
-        Cells it was run on, that failed, and that have the score.
+    n_cells, n_failed : int
+        Cells it was run on, and of them failed.
     mean, mean_stderr : float
         Mean of the score over its own cells (the bias, for an error that should be zero), and its
         standard error clustered by record.
     loss, loss_stderr : float
         Mean loss over its own cells and its standard error: the mean for "smaller", its negative
         for "larger", the mean absolute value for "zero", the distance of the mean for "target".
-    median : float
-        Median of the score; of its absolute value where zero is best.
-    against, to_best : Paired
-        The method against the reference and against the best.
+    against : Paired
+        The method against the reference.
     rank : int or None
         By the difference to the reference; equal ones share a rank.
     trust : str
@@ -72,27 +115,13 @@ class MethodRow:
     method: str
     n_cells: int
     n_failed: int
-    n_scored: int
     mean: float
     mean_stderr: float
     loss: float
     loss_stderr: float
-    median: float
     against: Paired
-    to_best: Paired
     rank: int | None
     trust: str
-
-    @property
-    def standing(self) -> str:
-        """Against the best, by the 95 % interval: "best", `LEVEL`, "worse" or "not known"."""
-        if self.rank is None:
-            return "not known"
-        if self.rank == 1:
-            return "best"
-        if not math.isfinite(self.to_best.stderr):
-            return "not known"
-        return LEVEL if self.to_best.difference <= self.to_best.reach else "worse"
 
 
 @dataclass(frozen=True)
@@ -103,8 +132,8 @@ class GroupComparison(Displayed):
     ----------
     score : Score
         What is compared.
-    where : tuple of tuple of str and object
-        Axes and their values; empty for all cells together.
+    place : str
+        Axes and their values in words; "all cells" for all together.
     reference, best : str
         Method that the others are compared with; the first by rank, or empty.
     rows : tuple of MethodRow
@@ -112,7 +141,7 @@ class GroupComparison(Displayed):
     """
 
     score: Score
-    where: tuple[tuple[str, Any], ...]
+    place: str
     reference: str
     best: str
     rows: tuple[MethodRow, ...]
@@ -122,104 +151,63 @@ class GroupComparison(Displayed):
         return next(row for row in self.rows if row.method == method)
 
     @property
-    def place(self) -> str:
-        """Axes and their values in words."""
-        return ", ".join(f"{name} = {value_words(v)}" for name, v in self.where) or "all cells"
-
-    @property
     def caption(self) -> str:
         """What is compared, in which unit, over what and with which method."""
         unit = f" [{self.score.unit}]" if self.score.unit else ""
         return f"{self.score.label}{unit}, {self.place}, against {self.reference}"
 
     def lead(self) -> str:
-        """Return in one sentence which method is best and how far the others are from it."""
+        """Return in one sentence which method is best and how far each is from the reference."""
         label, unit = loss_label(self.score), self.score.unit
         if not self.best:
             return f"{self.place}: no method has a value of {label}."
         best = self.row(self.best)
-        said = [
-            f"{best.method} is best by {label}, {round_like(best.loss, best.loss_stderr)} {unit}"
+        loss = f"{round_like(best.loss, best.loss_stderr)} {unit}".rstrip()
+        others = [
+            f"{row.method} {self._difference(row)} {unit}".rstrip()
+            for row in self.rows
+            if row.method != self.reference
         ]
-        for row in self.rows:
-            if row.method != self.best:
-                how_far = round_to_error(row.to_best.difference, row.to_best.stderr)
-                said.append(f"{row.method} {row.standing} ({how_far} {unit}".rstrip() + ")")
-        words = "; ".join(sentence.rstrip() for sentence in said)
-        return f"{self.place}: {words}; paired over {best.against.n_records} records."
+        words = f"{self.place}: {best.method} is best by {label}, {loss}"
+        if others:
+            words += f"; against {self.reference}: {', '.join(others)}"
+        return f"{words}; paired over {best.against.n_records} records."
+
+    def cells(self) -> tuple[tuple[str, ...], ...]:
+        """Return the table of methods in words, under the heads of `COLUMNS`."""
+        return tuple(
+            (
+                str(row.rank or "–"),
+                row.method,
+                str(row.n_cells),
+                str(row.n_failed),
+                round_like(row.mean, row.mean_stderr),
+                round_like(row.loss, row.loss_stderr),
+                str(row.against.n_pairs),
+                str(row.against.n_records),
+                self._difference(row),
+                row.trust,
+            )
+            for row in self.rows
+        )
+
+    def _difference(self, row: MethodRow) -> str:
+        if row.method == self.reference:
+            return "reference"
+        return round_to_error(row.against.difference, row.against.stderr)
 
     def _sheet(self) -> Sheet:
-        shown = [column for column in COLUMNS if column.in_text]
         grid = Grid(
             self.caption,
-            tuple(column.heading for column in shown),
-            tuple(tuple(column.text(row, self) for column in shown) for row in self.rows),
-            frozenset(i for i, column in enumerate(shown) if not column.numeric),
+            tuple(COLUMNS)[:-1],
+            tuple(row[:-1] for row in self.cells()),
+            frozenset([1]),
             marked=0 if self.best else None,
         )
         fields = [Field("in short", self.lead())]
         if cautions := tuple(f"{row.method}: {row.trust}" for row in self.rows if row.trust):
             fields.append(Field("caution", cautions, "advice"))
         return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (grid,))
-
-
-class Column(NamedTuple):
-    """One column of a table of methods.
-
-    Parameters
-    ----------
-    heading, meaning : str
-        Its head, and what it says.
-    text : callable
-        ``text(row, group)`` gives a cell.
-    numeric, in_text : bool
-        Whether it holds numbers, and whether a terminal shows it.
-    """
-
-    heading: str
-    meaning: str
-    text: Callable[[MethodRow, GroupComparison], str]
-    numeric: bool = True
-    in_text: bool = True
-
-
-def _difference(row: MethodRow, group: GroupComparison) -> str:
-    if row.method == group.reference:
-        return "reference"
-    return round_to_error(row.against.difference, row.against.stderr)
-
-
-def _wins(row: MethodRow, group: GroupComparison) -> str:
-    if row.method == group.reference:
-        return ""
-    known = math.isfinite(row.against.wins)
-    return f"{100.0 * row.against.wins:.0f} %" if known else NOT_KNOWN
-
-
-COLUMNS = (
-    Column("#", "rank by the difference to the reference", lambda r, _: str(r.rank or "–")),
-    Column("method", "name in the study", lambda r, _: r.method, numeric=False),
-    Column("cells", "cells that it was run on", lambda r, _: str(r.n_cells)),
-    Column("failed", "of them failed", lambda r, _: str(r.n_failed)),
-    Column("mean", "over its own cells", lambda r, _: round_like(r.mean, r.mean_stderr)),
-    Column(
-        "loss",
-        "mean over its own cells: of the absolute value, where zero is best",
-        lambda r, _: round_like(r.loss, r.loss_stderr),
-    ),
-    # Not to the error of the mean, which one gross failure makes larger than any median.
-    Column("median", "of the absolute value likewise", lambda r, _: significant(r.median, 3)),
-    Column("pairs", "cells shared with the reference", lambda r, _: str(r.against.n_pairs)),
-    Column(
-        "Δ to reference",
-        "paired difference of the mean loss ± standard error over records; positive is worse",
-        _difference,
-    ),
-    Column("wins", "share of pairs with the smaller loss; a tie counts half", _wins),
-    Column("records", "independent", lambda r, _: str(r.against.n_records), in_text=False),
-    Column("standing", "against the best", lambda r, _: r.standing, numeric=False, in_text=False),
-    Column("trust", "why not to trust it", lambda r, _: r.trust, numeric=False, in_text=False),
-)
 
 
 def compare_methods(
@@ -253,24 +241,31 @@ def compare_methods(
         When a column is missing, two rows are the same cell, or the reference is no method.
     """
     chosen = score_named(score)
-    groups = group_cells(table, chosen, by)
-    names = methods_in(table)
+    for name in (chosen.name, *by):
+        if name not in table.columns:
+            raise InputError("results", expected=f"the column '{name}'", found="none of that name")
+    if not len(table):
+        return ()
+    cells = _numbered(table, chosen)
+    names = sorted(set(cells["method"]))
     if reference is not None and reference not in names:
         raise InputError("reference", expected="one of " + ", ".join(names), found=repr(reference))
-    if not groups:
-        return ()
-    if reference is None:
-        reference = _winner(group_cells(table, chosen, ())[0][1], chosen)
-    return tuple(_compared(cells, chosen, reference, where) for where, cells in groups)
+    against = reference or _winner(cells, chosen)
+    if not by:
+        return (_compared(cells, chosen, against, "all cells"),)
+    return tuple(
+        _compared(part, chosen, against, ", ".join(map(_value_words, by, where)))
+        for where, part in cells.groupby(list(by), dropna=False)
+    )
 
 
-def study_text(
+def compare_scores(
     table: pd.DataFrame,
     scores: Sequence[Score | str],
     reference: str | None = None,
     by: Sequence[str] = (),
-) -> str:
-    """Return lead sentence and table of each score.
+) -> list[tuple[GroupComparison, ...]]:
+    """Compare methods by each of several scores: over all cells, then split by some axes.
 
     Parameters
     ----------
@@ -281,110 +276,182 @@ def study_text(
     reference : str, optional
         Method that the others are compared with; the best without it.
     by : sequence of str
-        Axes; each combination of their values has a table of its own, after that of all cells.
+        Axes; each combination of their values is a group of its own, after that of all cells.
+
+    Returns
+    -------
+    list of tuple of GroupComparison
+        One tuple a score.
     """
-    groups: list[GroupComparison] = []
+    found = []
     for score in scores:
         whole = compare_methods(table, score, reference)
-        groups += whole
-        if by and whole:
-            groups += compare_methods(table, score, whole[0].reference, by)
-    return "\n\n".join(map(str, groups)) or "No cells: there is nothing to compare."
+        split = compare_methods(table, score, whole[0].reference, by) if by and whole else ()
+        found.append((*whole, *split))
+    return found
 
 
-def methods_in(table: pd.DataFrame) -> tuple[str, ...]:
-    """Return the names of the methods in alphabetical order."""
-    return tuple(sorted({str(name) for name in table["method"]}))
+def jackknife(
+    values: FloatArray, record: IntArray, target: float | None = None
+) -> tuple[float, float]:
+    """Return a mean and its standard error over records, each of which is left out once.
+
+    Parameters
+    ----------
+    values : ndarray of shape (n,) or (n, 2)
+        Values; with a target two columns.
+    record : ndarray of int, shape (n,)
+        Number of the record of each row.
+    target : float, optional
+        With it: how much further the mean of the first column lies from the target than that of
+        the second.
+
+    Returns
+    -------
+    mean, stderr : float
+        The error is NaN with one record.
+    """
+    _, cluster = np.unique(record, return_inverse=True)
+    counts = np.bincount(cluster).astype(np.float64)
+    columns = values.reshape(values.shape[0], -1)
+    sums = np.stack([np.bincount(cluster, weights=column) for column in columns.T], axis=1)
+
+    def measured(total: FloatArray, count: FloatArray) -> FloatArray:
+        means = total / count[..., None]
+        if target is None:
+            return means[..., 0]
+        return np.abs(means[..., 0] - target) - np.abs(means[..., 1] - target)
+
+    whole = float(measured(sums.sum(axis=0), counts.sum()))
+    if counts.size < 2:
+        return whole, math.nan
+    # About the whole's value rather than the mean of the parts: a little wider, never smaller.
+    spread = measured(sums.sum(axis=0) - sums, counts.sum() - counts) - whole
+    error = math.sqrt((counts.size - 1) / counts.size * float(np.sum(spread**2)))
+    size = float(np.max(np.abs(columns), initial=0.0))
+    return whole, error if error > 10.0**-DIGITS * size else 0.0
 
 
-def value_words(value: Any) -> str:
-    """Return the value of an axis: a number, a text or None."""
-    if value is None:
-        return "none"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def _numbered(table: pd.DataFrame, score: Score) -> pd.DataFrame:
+    """Return the results with score, loss, and numbers of what methods share and of the record."""
+    import pandas as pd
+
+    values = pd.to_numeric(table[score.name], errors="coerce").astype(float)
+    # A failed cell has no score, nor has a simulation that ran off to infinity.
+    values = values.where((table["state"] != FAILED) & np.isfinite(values))
+    # The varied axes are the columns with a dot in their names.
+    axes = [str(name) for name in table.columns if "." in str(name)]
+    shared = table.groupby(["record", "reduction", *axes], dropna=False).ngroup()
+    # Records that were drawn together (one seed at several settings) are not independent.
+    draw = table["draw" if "draw" in table.columns else "record"]
+    cells = table.assign(
+        _value=values,
+        _loss=score.losses(values),
+        _cell=shared,
+        _draw=pd.factorize(draw)[0],
+    )
+    twice = cells[cells.duplicated(["_cell", "method"])]
+    if len(twice):
+        one = twice.iloc[0]
+        raise InputError(
+            "results",
+            expected="one row for each record, reduction, setting and method",
+            found=f"two of method '{one['method']}' on record '{one['record']}'",
+        )
+    return cells.sort_values(["_cell", "method"])
 
 
-def _winner(cells: Cells, score: Score) -> str:
+def _winner(cells: pd.DataFrame, score: Score) -> str:
     """Return the method with the smallest mean loss over the cells that all in the running share.
 
     A method that could score less than half of what another could is not in the running, else one
     that fails nearly everywhere would leave next to no cells to choose by.
     """
-    counts = cells.scored.sum(axis=0)
-    running = np.flatnonzero(counts >= max(1.0, RUNNING_SHARE * counts.max()))
-    shared = cells.scored[:, running].all(axis=1)
-    if not running.size or not shared.any():
-        return cells.methods[int(np.argmax(counts))]
-    values = cells.values[np.ix_(shared, running)]
+    counts = cells.groupby("method")["_value"].count()
+    running = counts.index[counts >= max(1.0, RUNNING_SHARE * counts.max())]
+    values = cells.pivot(index="_cell", columns="method", values="_value")[running].dropna()
+    if values.empty:
+        return str(counts.idxmax())
     if score.better == "target":
-        lost = np.abs(values.mean(axis=0) - score.target)
-    else:
-        lost = losses(score, values).mean(axis=0)
-    return cells.methods[int(running[np.argmin(lost)])]
+        return str((values.mean() - score.target).abs().idxmin())
+    return str(score.losses(values).mean().idxmin())
 
 
-def _compared(
-    cells: Cells, score: Score, reference: str, where: tuple[tuple[str, Any], ...]
-) -> GroupComparison:
-    n = len(cells.methods)
-    r = cells.methods.index(reference) if reference in cells.methods else None
-    against = [Paired() if r is None else paired(cells, score, j, r) for j in range(n)]
-    ranks = _ranks(against, float(np.max(np.nan_to_num(np.abs(losses(score, cells.values))))))
-    best = ranks.index(1) if 1 in ranks else None
-    rows = [
-        MethodRow(
-            cells.methods[j],
-            int(cells.ran[:, j].sum()),
-            int(cells.failed[:, j].sum()),
-            int(cells.scored[:, j].sum()),
-            *_levels(cells, score, j),
-            against[j],
-            Paired() if best is None else paired(cells, score, j, best),
-            ranks[j],
-            "; ".join(_doubts(cells, j, against[j])),
+def _compared(cells: pd.DataFrame, score: Score, reference: str, place: str) -> GroupComparison:
+    parts = {str(name): part.set_index("_cell") for name, part in cells.groupby("method")}
+    right = parts.get(reference, cells.iloc[:0].set_index("_cell"))
+    against = {name: _paired(part, right, score) for name, part in parts.items()}
+    ranks = _ranks(against, float(cells["_loss"].abs().max()))
+    rows = []
+    for name, part in parts.items():
+        scored = part.dropna(subset="_value")
+        draw = scored["_draw"].to_numpy()
+        mean, error = _mean_of(scored["_value"], draw)
+        loss = (abs(mean - score.target), error)
+        if score.better != "target":
+            loss = _mean_of(scored["_loss"], draw)
+        doubts = "; ".join(_doubts(part, against[name]))
+        failed = int((part["state"] == FAILED).sum())
+        rows.append(
+            MethodRow(
+                name, len(part), failed, mean, error, *loss, against[name], ranks.get(name), doubts
+            )
         )
-        for j in range(n)
-    ]
     rows.sort(key=lambda row: (row.rank is None, row.rank or 0, row.method))
-    name = "" if best is None else cells.methods[best]
-    return GroupComparison(score, where, reference, name, tuple(rows))
+    best = rows[0].method if rows[0].rank else ""
+    return GroupComparison(score, place, reference, best, tuple(rows))
 
 
-def _levels(cells: Cells, score: Score, j: int) -> tuple[float, float, float, float, float]:
-    """Return mean and loss, each with its error, and median of a method's own cells."""
-    kept = cells.scored[:, j]
-    values, record = cells.values[kept, j], cells.record[kept]
-    if not values.size:
-        return math.nan, math.nan, math.nan, math.nan, math.nan
-    mean, error = jackknife(values, record)
-    median = float(np.median(np.abs(values) if score.better == "zero" else values))
+def _paired(part: pd.DataFrame, right: pd.DataFrame, score: Score) -> Paired:
+    """Return one method against the reference over the cells that both could score."""
+    others = right.add_suffix("_right")[["_value_right", "_loss_right"]]
+    both = part.join(others, how="inner").dropna(subset=["_value", "_value_right"])
+    if both.empty:
+        return Paired()
+    draw = both["_draw"].to_numpy()
+    counts = (len(both), int(np.unique(draw).size))
     if score.better == "target":
-        return mean, error, abs(mean - score.target), error, median
-    return mean, error, *jackknife(losses(score, values), record), median
+        # Of a single cell the distance to a share means nothing: only of the mean of many.
+        values = both[["_value", "_value_right"]].to_numpy()
+        return Paired(*counts, *jackknife(values, draw, score.target))
+    return Paired(*counts, *jackknife((both["_loss"] - both["_loss_right"]).to_numpy(), draw))
 
 
-def _ranks(against: list[Paired], size: float) -> list[int | None]:
-    fullest = max((pair.n_pairs for pair in against), default=0)
-    ranks: list[int | None] = [None] * len(against)
-    known = [
-        j
-        for j, pair in enumerate(against)
+def _mean_of(values: pd.Series[float], draw: IntArray) -> tuple[float, float]:
+    return (
+        jackknife(np.asarray(values, dtype=np.float64), draw)
+        if len(values)
+        else (math.nan, math.nan)
+    )
+
+
+def _ranks(against: dict[str, Paired], size: float) -> dict[str, int]:
+    fullest = max(pair.n_pairs for pair in against.values())
+    known = {
+        name: pair.difference / (size or 1.0)
+        for name, pair in against.items()
         if math.isfinite(pair.difference) and pair.n_pairs >= RUNNING_SHARE * fullest
-    ]
-    differences = np.array([against[j].difference for j in known]) / (size or 1.0)
-    for j, rank in zip(known, rankdata(np.round(differences, DIGITS), "min"), strict=True):
-        ranks[j] = int(rank)
-    return ranks
+    }
+    ranks = rankdata(np.round(list(known.values()), DIGITS), "min").tolist()
+    return {name: int(rank) for name, rank in zip(known, ranks, strict=True)}
 
 
-def _doubts(cells: Cells, j: int, pair: Paired) -> list[str]:
+def _doubts(part: pd.DataFrame, pair: Paired) -> list[str]:
     """Return why not to trust the row of a method."""
-    ran, lost = int(cells.ran[:, j].sum()), int((cells.ran & ~cells.scored)[:, j].sum())
+    ran, lost = len(part), int(part["_value"].isna().sum())
+    bad = int((~part["state"].isin([FAILED, *ENDED_WELL])).sum())
     doubts = []
     if lost:
         doubts.append(f"no score on {lost} of its {ran} cells: survivors only")
     if pair.n_records < FEWEST_RECORDS:
         doubts.append(f"independent records: {pair.n_records}, fewer than {FEWEST_RECORDS}")
-    if cells.bad[:, j].any():
-        doubts.append(f"{int(cells.bad[:, j].sum())} of its {ran} cells ended badly")
+    if bad:
+        doubts.append(f"{bad} of its {ran} cells ended badly")
     return doubts
+
+
+def _value_words(name: str, value: Any) -> str:
+    """Return an axis and its value: a number, a text or none."""
+    if isinstance(value, float):
+        return f"{name} = none" if math.isnan(value) else f"{name} = {value:.6g}"
+    return f"{name} = {'none' if value is None else value}"

@@ -65,7 +65,7 @@ def scores_of(
     Returns
     -------
     dict
-        ``state``, ``reason``, scores by name, ``seconds_fit``.
+        ``state``, ``reason``, scores by name, and what else is known.
     """
     if method.import_path:
         probe = _made(method, records[0].sample_period_s)

@@ -3,52 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
+from comparisons.page.blocks import Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
 from comparisons.study.comparison import (
     COLUMNS,
     GroupComparison,
-    compare_methods,
+    compare_scores,
 )
-from comparisons.study.plots import draw_differences
 from comparisons.study.spec import StudySpec
-from surge_core.files import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["render_study_report", "write_study_report"]
+__all__ = ["render_study_report"]
 
 # Groups of one score and reasons that are shown; the table has all.
 MOST_GROUPS, MOST_REASONS = 24, 40
 READING = (
     "Mean, loss and median are over the method's own cells; differences over the cells that it "
     "shares with the reference, so that what is hard for both falls out. Errors leave out one "
-    "whole record at a time. Level: the 95 % interval of the difference to the best holds zero "
-    "(Student's t with few records, never less than two standard errors): no difference was "
-    "detected, which is not the same as equal."
+    "whole record at a time. No difference was detected where the 95 % interval holds zero (two "
+    "standard errors, more with few records), which is not the same as equal."
 )
-
-
-def write_study_report(
-    path: Path, table: pd.DataFrame, spec: StudySpec, *, command: str = "sindy-surge study"
-) -> None:
-    """Write the report of a study, whole or not at all.
-
-    Parameters
-    ----------
-    path, table, spec, command
-        Target, and what :func:`render_study_report` takes.
-
-    Raises
-    ------
-    InputError
-        When the target cannot be written.
-    """
-    write_whole(path, render_study_report(table, spec, command=command))
 
 
 def render_study_report(
@@ -65,11 +43,8 @@ def render_study_report(
     command : str
         The command line that made it.
     """
-    groups: list[list[GroupComparison]] = []
-    for score in spec.scores:
-        whole = [*compare_methods(table, score, spec.reference)]
-        split = compare_methods(table, score, whole[0].reference, spec.by) if spec.by else ()
-        groups.append([*whole, *split[:MOST_GROUPS]])
+    scored = compare_scores(table, spec.scores, spec.reference, spec.by)
+    groups = [several[: 1 + MOST_GROUPS] for several in scored]
     extent = (
         f"{len(table)} cells of {table['method'].nunique()} methods on "
         f"{table['record'].nunique()} records; {int((table['state'] == 'failed').sum())} failed. "
@@ -83,21 +58,17 @@ def render_study_report(
 
 
 def _score_parts(groups: Sequence[GroupComparison]) -> list[Part]:
-    tables: tuple[Block, ...] = tuple(map(_method_table, groups))
-    parts = [Part("Methods", (*tables, Words(READING, "quiet")))]
-    if groups[0].best and len(groups[0].rows) > 1:
-        parts.append(Part("Picture", (draw_differences(groups),)))
-    return parts
+    return [Part("Methods", (*map(_method_table, groups), Words(READING, "quiet")))]
 
 
 def _method_table(group: GroupComparison) -> Table:
+    words = ("method", "trust")
     heads = tuple(
-        Head(c.heading, c.meaning, c.numeric, c.heading == "trust", "reference" * c.numeric)
-        for c in COLUMNS
+        Head(head, meaning, head not in words, head == "trust", "reference" * (head not in words))
+        for head, meaning in COLUMNS.items()
     )
-    rows = tuple(tuple(column.text(row, group) for column in COLUMNS) for row in group.rows)
     marks = tuple("best" if row.method == group.best else "" for row in group.rows)
-    return Table(group.caption, heads, rows, marks)
+    return Table(group.caption, heads, group.cells(), marks)
 
 
 def _failures(table: pd.DataFrame) -> Table:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +15,10 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
-from comparisons.study.design import Cell, cells_of, tasks_of
+from comparisons.study.design import Cell, Point, cells_of, tasks_of
 from comparisons.study.methods import check_methods, scores_of
 from comparisons.study.scores import NUMBERS
-from comparisons.study.sources import FIT_DEFAULTS, make_record, prepare
+from comparisons.study.sources import FIT_DEFAULTS, Made, make_record, prepare
 from comparisons.study.spec import StudySpec
 from surge_core.errors import InputError
 from surge_core.files import replace_whole, write_whole
@@ -31,7 +32,6 @@ RESULTS, FINISHED = "results.parquet", "cells.jsonl"
 # Workers of a cluster to reckon with: their number may change while it works.
 CLUSTER = 16
 CONNECT_S = 10.0
-TIMES = ("seconds_fit", "seconds_record", "seconds_reduction")
 
 Row = dict[str, Any]
 
@@ -73,7 +73,12 @@ def run_study(
         When a class cannot be had, the folder cannot be used or no scheduler answers.
     """
     check_study(spec, folder, resume=resume)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            str(folder), expected="a folder that can be written to", found=error.strerror or "none"
+        ) from error
     file = folder / FINISHED
     cells = cells_of(spec)
     rows = {row["key"]: row for row in _finished(file)}
@@ -107,7 +112,7 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
     Raises
     ------
     InputError
-        When the folder holds a study or cannot be made, or a class cannot be had.
+        When the folder holds a study, or a class cannot be had.
     """
     check_methods(spec.method)
     if not resume and (folder / FINISHED).exists():
@@ -117,10 +122,6 @@ def check_study(spec: StudySpec, folder: Path, *, resume: bool = False) -> None:
             found=FINISHED,
             remedy="--resume goes on with it; or name another folder",
         )
-    there = next(place for place in (folder, *folder.parents) if place.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK)):
-        found = f"{there}, which is {'read-only' if there.is_dir() else 'a file'}"
-        raise InputError(str(folder), expected="a folder that can be written to", found=found)
 
 
 def _finished(file: Path) -> Iterator[Row]:
@@ -178,43 +179,34 @@ def run_task(cells: Sequence[Cell]) -> list[Row]:
     list of dict
         One row a cell. The seconds of shared work are those of the first row that needed it.
     """
-    shared: dict[str, Any] = {}
+    record = cache(make_record)
+    series = cache(lambda point: prepare(record(_only(point, "record")), point))
     with threadpool_limits(limits=1):
-        return [_row(cell, shared) for cell in cells]
+        return [_row(cell, record, series) for cell in cells]
 
 
-def _row(cell: Cell, shared: dict[str, Any]) -> Row:
+def _only(point: Point, *tables: str) -> Point:
+    """Return a point without the settings that what is made of it does not hang on."""
+    kept = tuple(each for each in point.settings if each[0].partition(".")[0] in tables)
+    return replace(point, settings=kept)
+
+
+def _row(cell: Cell, record: Callable[[Point], Made], series: Callable[[Point], Any]) -> Row:
     point = cell.point
-    seconds = dict.fromkeys(TIMES, 0.0)
-
-    def once(name: str, key: str, make: Callable[..., Any], *inputs: Any) -> Any:
-        if key not in shared:
-            begun = time.perf_counter()
-            try:
-                shared[key] = make(*inputs)
-            except Exception as error:
-                shared[key] = error
-            seconds[name] = time.perf_counter() - begun
-        if isinstance(shared[key], Exception):
-            raise shared[key]
-        return shared[key]
-
     # A class may draw from numpy's shared generator: the same numbers for a cell in any worker and
     # any order.
     np.random.seed(int(cell.key.removeprefix("c-"), 16) % 2**32)  # noqa: NPY002
     begun = time.perf_counter()
     try:
-        made = once("seconds_record", point.record, make_record, point)
-        series = once("seconds_reduction", point.reduction, prepare, made, point)
-        begun = time.perf_counter()
-        found = scores_of(cell.method, series, made, FIT_DEFAULTS | point.table("fit"))
+        reduced = series(_only(point, "record", "reduction", "series"))
+        made = record(_only(point, "record"))
+        found = scores_of(cell.method, reduced, made, FIT_DEFAULTS | point.table("fit"))
     except Exception as error:
         # A cell that fails is a row, not a stopped study.
         text = " ".join(str(error).splitlines()[:1])
         named = text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
         found = {"state": "failed", "reason": named}
-    seconds["seconds_fit"] = time.perf_counter() - begun
-    return {"key": cell.key, **seconds, **found}
+    return {"key": cell.key, "seconds": time.perf_counter() - begun, **found}
 
 
 def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
@@ -232,7 +224,7 @@ def _table(spec: StudySpec, cells: Sequence[tuple[Cell, Row]]) -> pd.DataFrame:
             **{name: dict(cell.point.settings)[name] for name in spec.axes},
             "state": found["state"],
             "reason": found["reason"],
-            **{name: float(found.get(name, np.nan)) for name in (*NUMBERS, *TIMES)},
+            **{name: float(found.get(name, np.nan)) for name in (*NUMBERS, "seconds")},
         }
         for cell, found in cells
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 from surge_core.errors import InputError
 
@@ -37,6 +37,12 @@ class Score:
     unit: str
     better: Better
     target: float = 0.0
+
+    def losses(self, values: Any) -> Any:
+        """Return what is lost at values of the score, an array or a table: smaller is better."""
+        if self.better == "smaller":
+            return values
+        return -values if self.better == "larger" else abs(values - self.target)
 
 
 SCORES: Mapping[str, Score] = MappingProxyType(

@@ -116,7 +116,7 @@ _Record: Any = Annotated[
             "duration_s": Positive,
             "sample_period_s": Positive,
             "n_records": Count,
-            "degree": Annotated[int, Field(ge=2)],
+            "degree": Literal[2, 3],
             "gaps": bool,
         },
     )

@@ -87,20 +87,3 @@ def test_studentised_shifts_follow_student_where_all_cycles_are_alike() -> None:
     found = np.concatenate(values)
     assert np.mean(np.abs(found) > t.isf(0.05, 10)) == pytest.approx(0.10, abs=0.04)
     assert abs(np.mean(found)) < 0.2
-
-
-@pytest.mark.parametrize("noise", ["arx", "output-error"])
-def test_a_dead_time_is_part_of_the_fit_that_is_linearised(noise: str) -> None:
-    rng = np.random.default_rng(8)
-    phi = flow(3000, rng)
-    late = np.interp(np.arange(3000) - 6.3, np.arange(3000), phi)
-    y = lagged(late, "first") + coloured(3000, 0.0, 0.002, rng)
-    labels = np.repeat([0, 1], 1500)
-    m = LagRegressor(PERIOD_S, noise=noise, hold="first", dead_time_s="fit")
-    m.fit(phi[:, None], y, labels)
-    fit = m.linearised(phi[:, None], y, labels)
-    size = np.linalg.norm(fit.jacobian, axis=0) * np.linalg.norm(fit.errors)
-    # τ, three β and the dead time; the starts of the two differ by a row or so.
-    assert np.all(np.abs(fit.jacobian.T @ fit.errors)[:5] < 0.02 * size[:5])
-    assert fit.errors.size == m.n_scored_
-    assert np.std(fit.errors) == pytest.approx(m.residual_std_, rel=0.02)

@@ -103,20 +103,6 @@ def test_a_drift_keeps_its_zero_mean_where_no_term_is_constant(noise: str) -> No
     np.testing.assert_allclose(m.drift_coef_, dense.coef[2 : 2 + m.drift_coef_.size], atol=1e-5)
 
 
-@pytest.mark.parametrize("noise", ["arx", "armax", "output-error"])
-def test_many_knots_are_fitted_as_few_are(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hats as a sparse table give what a plain table gives."""
-    phi, y, labels, weight = made("first", "segments and weights", True)
-    m = LagRegressor(PERIOD_S, noise=noise, hold="first", drift="spline", knot_spacing_s=0.05)
-    m.fit(phi[:, None], y, labels, weight)
-    tau, stderr, drift = m.time_constant_s_, m.time_constant_stderr_s_, m.drift_coef_
-    monkeypatch.setattr("classic_ml.lag_data.MOST_DENSE", 0)
-    m.fit(phi[:, None], y, labels, weight)
-    assert m.time_constant_s_ == pytest.approx(tau, rel=1e-8)
-    assert m.time_constant_stderr_s_ == pytest.approx(stderr, rel=1e-5)
-    np.testing.assert_allclose(m.drift_coef_, drift, atol=1e-8)
-
-
 def test_the_head_of_a_long_record_does_not_decide() -> None:
     # φ stands still for the first tenth: what starts from there must still find the truth.
     rng = np.random.default_rng(1)

@@ -13,13 +13,14 @@ from lag_data import BETA, PERIOD_S, TAU_S, flow, lagged
 from classic_ml.series import CoefficientSeries
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators, psi_breakpoints
-from comparisons.harness.fit_quality import block_errors, block_rms, paired_difference, score_fit
+from comparisons.harness.fit_quality import dwelt_on, score_fit
 from comparisons.harness.reconstruction import reconstruct_record
 from comparisons.harness.rows import stack_rows
 from comparisons.results import FittedLag
 from comparisons.show.json_output import comparison_document
 from surge_core.errors import InputError
 from surge_core.files import to_strict_json
+from surge_core.paired import block_errors, block_rms, paired_difference
 
 CLASSICAL = default_estimators()[:4]
 
@@ -95,7 +96,6 @@ def test_arx_is_last_on_noisy_output() -> None:
     row = next(row for row in comparison.table if row.estimator == "classic_ml_arx")
     assert row.rank == len(comparison.table)
     assert row.difference > 2 * row.paired_error
-    assert "τ off the others" in row.trust
     assert any("put τ between" in caution.text for caution in comparison.cautions)
 
 
@@ -194,3 +194,10 @@ def test_breakpoints_of_fig_22_are_found_near_the_truth() -> None:
     low, high = psi_breakpoints(stack_rows([record], "psi"))
     assert low == pytest.approx(0.2, abs=0.06)
     assert high == pytest.approx(0.4, abs=0.06)
+
+
+def test_a_hole_in_phi_is_not_dwelt_on() -> None:
+    phi = np.concatenate([np.linspace(-0.1, -0.05, 50), np.linspace(0.05, 0.3, 300)])
+    grid = np.array([-0.12, -0.1, -0.06, -0.045, 0.0, 0.04, 0.045, 0.2, 0.31])
+    expected = [False, True, True, True, False, False, True, True, False]
+    assert dwelt_on(grid, phi).tolist() == expected

@@ -137,20 +137,8 @@ def test_a_key_that_cannot_be_is_named_with_its_remedy(
     name = re.sub(r"/(\d+)", lambda m: f"[{int(m[1]) + 1}]", key).replace("/", ".")
     sentence = str(refused.value)
     assert sentence.startswith(f"{file}: models.m.{name}: expected {expected}")
-    assert sentence.endswith("; save the model again with `sindy-surge compare --save`")
 
 
 def test_a_time_constant_that_was_not_identified_comes_back(tmp_path: Path) -> None:
     model = load_models(spoiled(tmp_path, "time_constant_s", None))["m"]
     assert math.isnan(model.time_constant_s)
-
-
-@pytest.mark.parametrize("table", [[], [[0.2, 1.0, 0.1], [0.1, 1.0, 0.1]], [[0.1, None, 0.1]]])
-def test_terms_of_unknown_names_need_a_curve(tmp_path: Path, table: list[object]) -> None:
-    file = spoiled(tmp_path, "terms/0/name", "phi^999999999")
-    assert load_models(file)["m"].quasi_steady([0.2, 0.3]).shape == (2,)
-    document = json.loads(file.read_text())
-    document["models"]["m"]["characteristic"] = table
-    file.write_text(json.dumps(document))
-    with pytest.raises(InputError, match="rows of rising φ with values"):
-        load_models(file)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
+from argparse import ArgumentTypeError
 
 import numpy as np
 import pytest
 from lag_data import PERIOD_S, TAU_S, flow, lagged
 
+from comparisons.cli.shared import time_constant
 from comparisons.harness.tau_trial import (
-    parse_tau,
     reconstruction_error_over_tau,
     trial_taus,
 )
 from comparisons.results import FitRows, TauTrial
-from surge_core.errors import InputError
 
 
 def rows_of(seed: int, noise: float = 0.003, n: int = 2400) -> FitRows:
@@ -43,20 +42,11 @@ def test_the_least_error_is_at_the_true_tau_and_at_the_noise() -> None:
         trial = trial_over(rows_of(seed), trial_taus(TAU_S))
         found.append(trial.best_tau_s)
         inside += trial.interval_s[0] <= TAU_S <= trial.interval_s[1]
-        noise.append([trial.least_rms, trial.noise_rms])
-        assert trial.least_rms <= trial.refitted_rms.min()
+        noise.append(trial.least_rms)
     assert np.mean(found) == pytest.approx(TAU_S, abs=4 * np.std(found) / np.sqrt(12))
     assert np.std(found) < 0.02 * TAU_S
     assert inside >= 11
-    np.testing.assert_allclose(np.mean(noise, axis=0), 0.003, rtol=0.02)
-
-
-def test_a_curve_of_its_own_is_never_worse_than_the_held_one_and_equal_at_the_best() -> None:
-    trial = trial_over(rows_of(1), trial_taus(0.01, 0.04))
-    assert np.all(trial.refitted_rms <= trial.held_rms * (1 + 1e-12))
-    best = int(np.argmin(trial.refitted_rms))
-    assert trial.held_rms[best] == pytest.approx(trial.refitted_rms[best])
-    assert trial.held_rms[0] > 1.05 * trial.refitted_rms[0]
+    np.testing.assert_allclose(np.mean(noise), 0.003, rtol=0.02)
 
 
 def test_rows_that_do_not_count_are_simulated_through() -> None:
@@ -77,22 +67,13 @@ def test_where_the_values_end_the_interval_ends() -> None:
     assert trial.interval_s[0] == 0.03
 
 
-def test_the_noise_of_low_passed_data_is_not_guessed() -> None:
-    from scipy.signal import butter, sosfiltfilt
-
-    rows = rows_of(4)
-    smooth = sosfiltfilt(butter(3, 48.0, fs=1000.0, output="sos"), rows.measured)
-    filtered = FitRows(rows.phi, smooth, *list(vars(rows).values())[2:])
-    assert math.isnan(trial_over(filtered, [0.015, 0.018, 0.02]).noise_rms)
-
-
 @pytest.mark.parametrize("text", ["0.018", "18ms", " 18 ms ", "1.8e-2s", "18000us"])
 def test_a_time_constant_is_read_in_seconds_or_with_its_unit(text: str) -> None:
-    assert parse_tau(text) == pytest.approx(0.018)
+    assert time_constant(text) == pytest.approx(0.018)
 
 
 @pytest.mark.parametrize("text", ["18", "0", "-0.018", "nan", "18 min", "1.2.3ms", "", "20000ms"])
 def test_what_is_no_time_constant_is_refused_in_one_sentence(text: str) -> None:
-    with pytest.raises(InputError, match="--tau: expected a time constant such as 18ms") as error:
-        parse_tau(text)
+    with pytest.raises(ArgumentTypeError, match="a time constant such as 18ms") as error:
+        time_constant(text)
     assert ("write 18ms" in str(error.value)) is (text == "18")

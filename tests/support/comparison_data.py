@@ -8,7 +8,7 @@ from lag_data import BETA, PERIOD_S, flow, lagged
 from classic_ml.checks import CheckRow
 from classic_ml.records import Dropped, LedgerEntry
 from classic_ml.series import CoefficientSeries
-from comparisons.harness.fit_quality import block_errors, score_fit, trusted_range
+from comparisons.harness.fit_quality import score_fit, trusted_range
 from comparisons.harness.rows import stack_rows
 from comparisons.results import (
     Caution,
@@ -18,6 +18,7 @@ from comparisons.results import (
     FitScore,
     FittedLag,
 )
+from surge_core.paired import block_errors
 
 LOW_PASS = LedgerEntry(
     "filter",
@@ -104,7 +105,6 @@ def made_comparison(
                 held_out=FitScore(held_out_rms, 91.0, 0.99, 800) if scored else None,
                 reconstruction=rows.measured + error,
                 trained=rows.measured + error,
-                errors_one_step=rng.standard_normal(rows.phi.size),
                 held_out_blocks=(
                     block_errors(error[~rows.train], [slice(0, int(np.sum(~rows.train)))])
                     if scored

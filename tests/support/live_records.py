@@ -10,11 +10,11 @@ from pathlib import Path
 
 from classic_ml.io import TestDescription, read_raw, read_test_description
 from classic_ml.io.series import write_series
-from classic_ml.reduction import ReductionSettings, reduce_record
+from classic_ml.reduction import Reduction, ReductionSettings, reduce_record
 from comparisons.live.display import LiveState
 from comparisons.live.feeds import Arrival, Closed, Feed, Opened
 from comparisons.live.monitor import Monitor
-from comparisons.live.pieces import Pieces, reduce_pieces
+from comparisons.live.pieces import Piece, Pieces, reduce_longest
 from comparisons.live.session import Session
 from comparisons.rig import simulate, write_run
 
@@ -90,14 +90,12 @@ class Played:
     def show(self, state: LiveState) -> None:
         self.feed_words.add(state.feed)
 
-    def reduce(self) -> None:
-        reduce_pieces(
-            self.pieces.pieces,
-            self.record.test_path,
-            self.out,
-            ReductionSettings(),
-            self.session.entry(),
+    def reduce(self) -> tuple[Piece, Reduction]:
+        piece, reduction = reduce_longest(
+            self.pieces.pieces, self.record.test_path, ReductionSettings(), self.session.entry()
         )
+        write_series(reduction.series, self.out)
+        return piece, reduction
 
 
 def play(

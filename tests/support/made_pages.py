@@ -126,9 +126,7 @@ def _study(name: str) -> str:
             "state": "failed" if place == 2 and k == 3 else "ok",
             "reason": name if place == 2 and k == 3 else "",
             "tau_error_ms": 5.0 + 0.5 * place + rng.normal(),
-            "seconds_fit": 0.1 * 4.0**place * rng.uniform(0.9, 1.1),
-            "seconds_record": 2.0,
-            "seconds_reduction": 0.5,
+            "seconds": 0.1 * 4.0**place * rng.uniform(0.9, 1.1),
         }
         for k in range(12)
         for place, method in enumerate(("classic_ml", "sindy", f"mine {name}"))

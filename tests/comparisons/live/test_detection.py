@@ -142,13 +142,13 @@ def test_what_is_shown_does_not_depend_on_how_the_rows_came(
             assert (phi, psi_p) == pytest.approx((whole.phi[i], whole.psi_p[i]), rel=1e-9)
 
 
-def test_before_the_near_stall_reading_has_passed_it_is_unmatched_and_says_so(
+def test_the_match_at_near_stall_is_made_once_the_reading_has_passed(
     record: LiveRecord, tmp_path: Path
 ) -> None:
-    monitor, _ = monitored(record, tmp_path, 100, stop=101)
-    assert "not yet matched" in monitor.shown
-    monitor, _ = monitored(record, tmp_path, 100, stop=201)
-    assert "; matched at near stall" in monitor.shown
+    _, said = monitored(record, tmp_path, 100, stop=101)
+    assert said == []
+    monitor, said = monitored(record, tmp_path, 100, stop=201)
+    assert said == ["matched to the near-stall reading of the facility"]
     # At near stall P31/P25 is the facility's, once it is matched.
     reading, point = record.test.near_stall, monitor.point
     assert point is not None

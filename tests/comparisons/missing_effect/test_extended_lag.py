@@ -197,11 +197,9 @@ def test_a_file_that_is_no_such_model_is_refused_in_one_sentence(
     BAD_FILES[fault](document)
     file.write_text(json.dumps(document), "utf-8")
     whole = fault == "another schema"
-    remedy = "; save the model again with `sindy-surge diagnose --save`"
     begins = r"expected a file of a lag model with effects" if whole else r"models.*: expected"
-    with pytest.raises(InputError, match=rf"m\.json: {begins}") as refused:
+    with pytest.raises(InputError, match=rf"m\.json: {begins}"):
         load_extended(file)
-    assert whole or str(refused.value).endswith(remedy)
     file.write_text("{", "utf-8")
     with pytest.raises(InputError, match="expected a file of a lag model with effects"):
         load_extended(file)
