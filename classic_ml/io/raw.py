@@ -196,8 +196,7 @@ def _read(
     if sum(map(len, times)) < MINIMUM_ROWS:
         raise InputError(
             stored.source,
-            expected=f"at least {MINIMUM_ROWS} rows"
-            + (f" from {window[0]:g} to {window[1]:g} s" if window else ""),
+            expected=f"at least {MINIMUM_ROWS} rows" + (f" {_asked(window)}" if window else ""),
             found=f"{sum(map(len, times))}",
         )
     joined = {
@@ -213,6 +212,13 @@ def _span(test: TestDescription, window: Window | None) -> Window:
     half_s = 0.5 / test.sample_rate_hz
     near = () if test.near_stall_shifts else (test.near_stall.from_s, test.near_stall.to_s)
     return min((window[0], *near[:1])) - half_s, max((window[1], *near[1:])) + half_s
+
+
+def _asked(window: Window) -> str:
+    """Return which part of a record was asked for, in words."""
+    from_s, to_s = window
+    start = "the start" if from_s == -np.inf else f"{from_s:g} s"
+    return f"from {start} to the end" if to_s == np.inf else f"from {start} to {to_s:g} s"
 
 
 def _too_long(stored: StoredTable, test: TestDescription) -> InputError:
@@ -237,7 +243,7 @@ def _record(
         if window[1] < time_s[0] or window[0] > time_s[-1]:
             raise InputError(
                 stored.source,
-                expected=f"rows from {window[0]:g} to {window[1]:g} s of its clock, as was asked",
+                expected=f"rows {_asked(window)} of its clock, as was asked",
                 found=f"only rows from {time_s[0]:.3f} to {time_s[-1]:.3f} s",
             )
         part = ", a part of the file"

@@ -63,7 +63,7 @@ def _check_options(given: argparse.Namespace) -> None:
             found="no record",
         )
     most = MOST_MODEL_EFFECTS if own else MOST_EFFECTS
-    if (given.max_effects or 0) > most:
+    if given.max_effects is not None and not 1 <= given.max_effects <= most:
         raise InputError(
             "--max-effects",
             expected=f"a whole number from 1 to {most}",
@@ -248,7 +248,7 @@ COMMAND = Command(
         ),
         argument(
             "--max-effects",
-            type=whole(1),
+            type=int,
             metavar="N",
             help=f"add at most so many effects (default and most: {MOST_EFFECTS}; with --model "
             f"{DEFAULT_MODEL_EFFECTS}, at most {MOST_MODEL_EFFECTS})",

@@ -41,7 +41,9 @@ time: after a crash, reduce that file."""
 def _add_source(parser: argparse.ArgumentParser) -> None:
     """Add where the rows come from, and the options of the reduction as a group."""
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("input", nargs="?", choices=("-",), help="read the standard input")
+    source.add_argument(
+        "input", nargs="?", choices=("-",), metavar="-", help="read the standard input"
+    )
     source.add_argument(
         "--listen",
         type=_address,

@@ -6,6 +6,7 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
@@ -103,7 +104,8 @@ def build_parser() -> argparse.ArgumentParser:
         description="Post-stall characteristics and the time constant of a compressor from its "
         "surge records, by two rival estimators side by side.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    named = f"sindy-surge {version('sindy-surge')}"
+    parser.add_argument("--version", action="version", version=named, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in COMMANDS:
         command.add_to(commands)
@@ -132,13 +134,3 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         words = _one_line(message.removeprefix("argument "))
         self.exit(2, f"{self.prog}: {words}; what is expected: {self.prog} --help\n")
-
-
-class _Version(argparse.Action):
-    """Print the version; the package metadata is read only when it is asked for."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version
-
-        print(f"sindy-surge {version('sindy-surge')}")
-        parser.exit()

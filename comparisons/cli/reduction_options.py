@@ -36,21 +36,11 @@ REDUCTION = (
         help="filter direction (default: zero)",
     ),
     argument(
-        "--probes",
-        choices=("all", "tip", "hub"),
-        help="probes that are averaged (default: all)",
-    ),
-    argument(
         "--invert-thermocouples",
         dest="thermocouple_inversion",
         action="store_const",
         const=True,
         help="undo the lag of the thermocouples",
-    ),
-    argument(
-        "--work-form",
-        choices=("auto", "exit-flow", "mass-balance", "temperature-rise"),
-        help="ψ by Eq 13 with W31 as measured, or from the temperature rise alone",
     ),
     argument(
         "--threshold",
@@ -59,13 +49,6 @@ REDUCTION = (
         metavar="LBM_S",
         help="corrected flow below which the machine is in stall (default: test.toml's, else "
         "estimated from the record)",
-    ),
-    argument(
-        "--hysteresis",
-        dest="hysteresis_lbm_s",
-        type=number,
-        metavar="LBM_S",
-        help="half width of a band around the threshold (default: test.toml's, else 0)",
     ),
     argument(
         "--window",

@@ -15,7 +15,6 @@ from comparisons.harness.cautions import tau_caution
 from comparisons.harness.rows import stack_rows
 from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from surge_core.display import Displayed, Field, Sheet
-from surge_core.errors import InputError
 
 if TYPE_CHECKING:
     from sindy_surge.summary import ModelSummary
@@ -24,12 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["FoundStructure", "find_structure"]
 
 CURVE_POINTS = 201
-# What the free run through whole records cannot take, by the name of the estimator's parameter.
-ROWS_ONLY = {
-    "constraints": "--constraint",
-    "n_bootstrap": "--bootstrap",
-}
-OPTIONS = ROWS_ONLY | {"max_terms": "--max-terms", "optimizer": "--optimizer"}
 
 
 @dataclass(frozen=True)
@@ -114,32 +107,22 @@ class FoundStructure(Displayed):
 def find_structure(
     records: Sequence[CoefficientSeries],
     *,
-    target: str = "psi_p",
-    hold: Literal["first", "zero"] = "first",
     rows: bool = False,
-    optimizer: str = "SSR",
     max_terms: int = 6,
-    psi_terms: bool = True,
-    seed: int = 0,
-    **rows_only: Any,
+    n_bootstrap: int | None = None,
 ) -> FoundStructure:
-    """Choose the terms of the lag model by the sparse regression.
+    """Choose the terms of the lag model of ψ' by the sparse regression.
 
     Parameters
     ----------
     records : sequence of CoefficientSeries
         One or several records at one sample rate.
-    target : {"psi_p", "psi"}
-        Which coefficient is modelled.
-    hold : {"first", "zero"}
-        How φ acts between samples.
     rows : bool
         Fit the rows of the segments even where the records carry whole unfiltered runs.
-    optimizer, max_terms, psi_terms, seed
-        See `SparseLagRegressor`; terms in ψ' are looked for in rows alone.
-    **rows_only
-        Its ``constraints`` and ``n_bootstrap``: either makes the fit one of rows. None stands for
-        the default.
+    max_terms : int
+        The largest structure.
+    n_bootstrap : int, optional
+        See `SparseLagRegressor`; it makes the fit one of rows.
 
     Returns
     -------
@@ -149,12 +132,12 @@ def find_structure(
     Raises
     ------
     InputError
-        When the records do not go together, there is nothing to fit, or an option cannot be used.
+        When the records do not go together, or there is nothing to fit.
     """
-    given = {name: value for name, value in rows_only.items() if value is not None}
-    settings: dict[str, Any] = {"hold": hold, "optimizer": optimizer, "max_terms": max_terms}
-    needs = [flag for name, flag in ROWS_ONLY.items() if name in given]
-    whole, reason = _whole_or_rows(records, target, rows, needs)
+    given = {} if n_bootstrap is None else {"n_bootstrap": n_bootstrap}
+    settings: dict[str, Any] = {"hold": "first", "optimizer": "SSR", "max_terms": max_terms}
+    needs = ["--rows"] * rows + ["--bootstrap"] * bool(given)
+    whole, reason = _whole_or_rows(records, needs)
     if whole:
         run = fit_sparse_whole_runs(records, **settings)
         inputs, scored = run.stacked()
@@ -164,22 +147,14 @@ def find_structure(
         )
     from sindy_surge import SparseLagRegressor
 
-    settings |= {"psi_terms": psi_terms, "random_state": seed, **given}
-    stacked = stack_rows(records, target)
-    fit = SparseLagRegressor(stacked.sample_period_s, output_name=target, **settings)
-    try:
-        fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
-    except InputError as error:
-        # The option of the command line in place of the estimator's parameter.
-        name, bracket, rest = error.where.partition("[")
-        where = OPTIONS.get(name, name) + bracket + rest
-        raise InputError(
-            where, expected=error.expected, found=error.found, remedy=error.remedy
-        ) from None
+    settings |= {"psi_terms": True, "random_state": 0, **given}
+    stacked = stack_rows(records)
+    fit = SparseLagRegressor(stacked.sample_period_s, output_name="psi_p", **settings)
+    fit.fit(stacked.X, stacked.measured, segments=stacked.labels)
     return FoundStructure(
         fit,
         tuple(records),
-        target,
+        "psi_p",
         "rows",
         reason,
         stacked.phi,
@@ -189,15 +164,12 @@ def find_structure(
     )
 
 
-def _whole_or_rows(
-    records: Sequence[CoefficientSeries], target: str, rows: bool, needs: Sequence[str]
-) -> tuple[bool, str]:
+def _whole_or_rows(records: Sequence[CoefficientSeries], needs: Sequence[str]) -> tuple[bool, str]:
     """Decide what is fitted, with the sentence that says so."""
     carry = [has_whole_run(record) for record in records]
     if not all(carry):
         why = ", since not every record carries a whole run" if any(carry) else ""
         return False, f"the rows of the segments{why}"
-    flags = ["--rows"] * rows + ["--target psi"] * (target == "psi") + list(needs)
-    if flags:
-        return False, f"the rows of the segments, because of {' and '.join(flags)}"
+    if needs:
+        return False, f"the rows of the segments, because of {' and '.join(needs)}"
     return True, "one free run through each unfiltered record, as compare does (not with --rows)"

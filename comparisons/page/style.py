@@ -30,7 +30,6 @@ __all__ = [
     "plain_numbers",
     "printable",
     "robust_limits",
-    "thinned",
 ]
 
 # 9 in wide: sharp on paper, and when a report enlarges it.
@@ -199,25 +198,6 @@ def robust_limits(*signals: FloatArray, margin: float = 0.08) -> tuple[float, fl
     low, high = min(e[0] for e in edges), max(e[1] for e in edges)
     pad = margin * (high - low) or max(abs(high), 1.0) * margin
     return float(low - pad), float(high + pad)
-
-
-def thinned(frequency: FloatArray, power: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
-    """Return mean frequency and power over steps of equal width on a logarithmic axis.
-
-    Parameters
-    ----------
-    frequency, power : ndarray of shape (n,)
-        A spectrum; its lines as they are where it has no more than so many.
-    steps : int
-        How many there are at most.
-    """
-    if frequency.size <= steps:
-        return frequency, power
-    edges = np.searchsorted(frequency, np.geomspace(frequency[0], frequency[-1], steps))
-    starts = np.unique(edges[edges < frequency.size])
-    counts = np.diff(np.append(starts, frequency.size))
-    middle = np.add.reduceat(frequency, starts) / counts
-    return middle, np.add.reduceat(power, starts) / counts
 
 
 def plain_numbers(*axes: Any) -> None:

@@ -14,7 +14,7 @@ from comparisons.missing_effect.quantities import (
     tau_ms,
 )
 from comparisons.missing_effect.ranked import candidate_rows, effect_of, not_fitted
-from comparisons.missing_effect.shown import contributions, residual_runs, tau_before_stderr_s
+from comparisons.missing_effect.shown import tau_before_stderr_s
 from comparisons.missing_effect.terminal import (
     TOO_SHORT,
     candidate_cells,
@@ -29,9 +29,7 @@ from comparisons.missing_effect.words import (
 )
 from comparisons.page.blocks import Block, Bullets, Head, Part, Table, Words
 from comparisons.page.html import render_page
-from comparisons.show.plots_contributions import contributions_in_time
 from comparisons.show.plots_missing_effect import diagnosis_picture
-from comparisons.show.plots_where import where_picture
 from surge_core.rounding import significant
 
 if TYPE_CHECKING:
@@ -42,14 +40,6 @@ if TYPE_CHECKING:
 __all__ = ["diagnosis_parts", "diagnosis_report"]
 
 _WORDS_COLUMNS = ("candidate", "fate")
-LIMITS_HINT = (
-    "Not looked for. `sindy-surge diagnose --limits` plants each effect into these records and "
-    "says how small it may be and still be named in nine trials of ten."
-)
-SEPARATION_HINT = (
-    "Not looked for. `sindy-surge diagnose --separate` says, from simulation, which further "
-    "measurement would separate the names."
-)
 
 
 def diagnosis_parts(
@@ -73,23 +63,18 @@ def diagnosis_parts(
         With ``lines``: what would have been named, and what would separate an alias set.
     """
     words = verdict_words(d, limited=limits is not None, separated=separation is not None)
-    several = any(len(item.alias_set) > 1 for item in d.missing)
     tone = "plain" if d.verdict in ("named", "nothing_missing", "alias_set") else "caution"
     parts = (
         Part(
             f"What is missing: {d.verdict.replace('_', ' ')}",
             (Words(words, tone), diagnosis_picture(d, before, after), _gap_table(d)),
         ),
-        Part("Where the model and the measurement part", _where(d, before, after)),
+        Part("Where the model and the measurement part", _where(d, before)),
         Part("Who was tried", _candidates(d)),
         Part("What was added", _added(d)),
-        Part("What it changes", (contributions_in_time(d),) if contributions(d) else ()),
         Part("Noise and what is left", _left(d, after)),
-        Part("Limits", _lines(limits, LIMITS_HINT if not d.missing else "")),
-        Part(
-            "What would separate an alias set",
-            _lines(separation, SEPARATION_HINT if several else ""),
-        ),
+        Part("Limits", _lines(limits)),
+        Part("What would separate an alias set", _lines(separation)),
         Part("Effects that could not be tried", (_ledger(d),)),
     )
     return tuple(part for part in parts if part.blocks)
@@ -157,13 +142,12 @@ def _rms_cells(rms: float, floor: float) -> tuple[str, str]:
     return significant(rms, 3), f"{rms / floor:.2f}"
 
 
-def _where(d: Diagnosis, before: Where | None, after: Where | None) -> tuple[Block, ...]:
+def _where(d: Diagnosis, before: Where | None) -> tuple[Block, ...]:
     if before is None:
         return (Words(TOO_SHORT),)
     return (
         Words(opening_words(d), "quiet"),
         Bullets(before.words),
-        where_picture(residual_runs(d, d.before), before, after if d.missing else None),
     )
 
 
@@ -269,11 +253,9 @@ def _left(d: Diagnosis, after: Where | None) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _lines(found: Any, hint: str) -> tuple[Block, ...]:
-    if found is not None:
-        # The lines may be those of a table.
-        return (Words("\n".join(found.lines), "code"),)
-    return (Words(hint, "quiet"),) if hint else ()
+def _lines(found: Any) -> tuple[Block, ...]:
+    # The lines may be those of a table.
+    return () if found is None else (Words("\n".join(found.lines), "code"),)
 
 
 def _ledger(d: Diagnosis) -> Block:

@@ -24,7 +24,6 @@ from comparisons.page.style import (
     robust_limits,
 )
 from comparisons.results import SYMBOLS, Comparison, EstimatorResult, Truth, estimator_label
-from comparisons.show.agreement import dwelling_words
 from surge_core.rounding import round_to_error, significant
 from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
@@ -101,8 +100,8 @@ def characteristics(comparison: Comparison, truth: Truth | None = None) -> Pictu
         f"Quasi-steady {SYMBOLS[rows.target]} over φ, with the histogram of φ. At {places}, "
         f"between which φ dwells: {'; '.join(shown)}.",
         "As Fig 23 to 26 of the paper. Bands are ± 2 standard errors of scatter. Shaded: where φ "
-        "dwells, from its 5th to its 95th percentile; beyond it curves are faint. "
-        f"{dwelling_words(comparison)}{known}",
+        "dwells, from its 5th to its 95th percentile; beyond it curves are faint, for "
+        f"they are extrapolated there.{known}",
     )
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a reduced record, each with what it shows: operating points, cycles, spectra."""
+"""Pictures of a reduced record, each with what it shows: operating points and cycles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from comparisons.page.style import (
     ACCENT,
     FAINT,
     INK,
-    MARK,
     QUIET,
     dress,
     legend_above,
@@ -28,12 +27,8 @@ if TYPE_CHECKING:
 
     from classic_ml.reduction import Reduction
 
-__all__ = ["cycle_words", "inlet_spectra", "operating_points", "span", "surge_cycles"]
+__all__ = ["cycle_words", "operating_points", "span", "surge_cycles"]
 
-CELL_HZ = 82.5  # rotating stall, from interstage wall pressures (paper, p. 3)
-# Half the width over which the line of the stall cells is summed up.
-CELL_BAND_HZ = 2.0
-DECADES_SHOWN = 1e-9
 DIGITS = 3
 IMMERSIONS = {"tip": "Wc25_tip_kg_s", "hub": "Wc25_hub_kg_s"}
 
@@ -131,73 +126,6 @@ def surge_cycles(reduction: Reduction) -> Picture:
     )
 
 
-def inlet_spectra(reduction: Reduction) -> Picture:
-    """Draw the power spectra of inlet pressure and flow before and after the filter (Fig 4 to 6).
-
-    Parameters
-    ----------
-    reduction : Reduction
-        A reduced record.
-    """
-    from classic_ml.spectra import power_spectrum
-
-    record, settings, keep = reduction.record, reduction.settings, _window_rows(reduction)
-    filtered = settings.phase != "none"
-    figure = new_figure(height_in=6.6)
-    panels = figure.subplots(2, 1, sharex=True)
-    signals = {
-        "inlet total pressure": ("P25_unfiltered_Pa", "P25_Pa", "$P_{25}$ density [Pa²/Hz]"),
-        "inlet corrected flow": (
-            "Wc25_unfiltered_kg_s",
-            "Wc25_kg_s",
-            "$W_{c25}$ density [(kg/s)²/Hz]",
-        ),
-    }
-    shown = []
-    for ax, (name, (before, after, label)) in zip(panels, signals.items(), strict=True):
-        hertz, raw = power_spectrum(record[before][keep], record.sample_rate_hz)
-        density = power_spectrum(record[after][keep], record.sample_rate_hz)[1]
-        dress(ax).set_ylabel(label)
-        ax.semilogy(hertz[1:], raw[1:], color=FAINT, lw=1.6, label="before the filter")
-        word = "after the filter" if filtered else "as used (no filter)"
-        ax.semilogy(hertz[1:], density[1:], color=ACCENT, lw=1.1, label=word)
-        highest = float(density[1:].max())
-        # A filter leaves decades below the converter's noise, where nothing is to be seen.
-        ax.set_ylim(
-            max(DECADES_SHOWN * highest, 0.5 * float(density[1:].min())),
-            4.0 * max(highest, float(raw[1:].max())),
-        )
-        cells = f"stall cells, {CELL_HZ:g} Hz"
-        ax.axvline(CELL_HZ, color=INK, lw=0.9, linestyle=":", label=cells)
-        words = f"{name} is strongest at {significant(float(hertz[_peak(density)]), DIGITS)} Hz"
-        if filtered:
-            cut_off = f"cut-off, {settings.cutoff_hz:g} Hz"
-            ax.axvline(settings.cutoff_hz, color=MARK, lw=0.9, linestyle="--", label=cut_off)
-            near = np.abs(hertz - CELL_HZ) <= CELL_BAND_HZ
-            change_db = 10.0 * np.log10(density[near].sum() / raw[near].sum())
-            words += f", and the filter changes its power at {CELL_HZ:g} Hz by {change_db:+.1f} dB"
-        shown.append(words)
-    legend_above(figure, panels[0])
-    panels[-1].set_xlim(0.0, min(250.0, 0.5 * record.sample_rate_hz))
-    panels[-1].set_xlabel("frequency [Hz]")
-    low_pass = "no low-pass was used"
-    if filtered:
-        low_pass = (
-            f"Butterworth of order {settings.filter_order} at {settings.cutoff_hz:g} Hz, phase "
-            f"“{settings.phase}”"
-        )
-    return Picture.of(
-        "Inlet total pressure and corrected flow",
-        figure,
-        f"Power spectra before and after the filter ({low_pass}): {'; '.join(shown)}.",
-        "As Fig 4 to 6 of the paper, over the quasi-steady window, first-order trend removed. "
-        "The comb at low frequency is the surge cycle and its harmonics; the peak at 82.5 Hz and "
-        "its harmonic are rotating stall cells, which a one-dimensional model cannot use. In the "
-        "flow the filter attenuates less, and above the cut-off it can add: the flow is a square "
-        "root of the filtered pressures, and that makes new harmonics.",
-    )
-
-
 def span(values: FloatArray, unit: str = "") -> str:
     """Return the least and the greatest of a signal's finite values.
 
@@ -238,11 +166,6 @@ def _window_rows(reduction: Reduction) -> BoolArray:
     time_s = reduction.record.time_s
     from_s, to_s = reduction.window_s
     return np.asarray((time_s >= from_s) & (time_s <= to_s))
-
-
-def _peak(density: FloatArray) -> int:
-    """Return where a spectrum is highest beyond its mean."""
-    return 1 + int(np.argmax(density[1:]))
 
 
 def _pounds_above(ax: Axes) -> None:

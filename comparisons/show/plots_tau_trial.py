@@ -49,32 +49,23 @@ def tau_trial(trial: TauTrial, true_tau_s: float | None = None, *, whole_runs: b
     Picture
         Error of the free run with the curve refitted to each τ; shaded, the values of τ that are
         no worse within two paired errors; each estimator as a ring at its τ and the error of its
-        own reconstruction, and below with ± 2 standard errors.
+        own reconstruction, with ± 2 standard errors.
     """
-    n = len(trial.estimates)
-    figure = new_figure(height_in=4.3 + (0.45 + 0.24 * n if n else 0.0))
-    grid = figure.add_gridspec(2 if n else 1, 1, height_ratios=[13, 1 + n] if n else None)
-    ax = dress(figure.add_subplot(grid[0]))
-    panels = [ax]
-    if n:
-        panels.append(dress(figure.add_subplot(grid[1], sharex=ax)))
-        ax.tick_params(labelbottom=False)
+    figure = new_figure(height_in=4.8)
+    ax = dress(figure.add_subplot())
     _errors(ax, trial)
     low, high = (1e3 * edge for edge in trial.interval_s)
-    for panel in panels:
-        label = "no worse within two paired errors" if panel is ax else None
-        panel.axvspan(low, high, color=SHADE, lw=0, zorder=0, label=label)
-        if true_tau_s is not None:
-            panel.axvline(1e3 * true_tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
-    if n:
-        _estimates(ax, panels[1], trial)
+    label = "no worse within two paired errors"
+    ax.axvspan(low, high, color=SHADE, lw=0, zorder=0, label=label)
+    _estimates(ax, trial)
     if true_tau_s is not None:
+        ax.axvline(1e3 * true_tau_s, color=QUIET, lw=1.0, ls=(0, (1, 1.5)))
         title = f"dotted: truth, {1e3 * true_tau_s:.3g} ms"
         ax.set_title(title, fontsize=8.5, color=QUIET, loc="right")
     ax.set_xscale("log")
     ax.set_xlim(1e3 * float(trial.tau_s[0]), 1e3 * float(trial.tau_s[-1]))
     plain_numbers(ax.xaxis)
-    panels[-1].set_xlabel(r"time constant $\tau$ [ms]")
+    ax.set_xlabel(r"time constant $\tau$ [ms]")
     ax.set_ylabel(f"rms of the reconstruction of {coefficient_symbol(trial.target)} [-]")
     legend_above(figure, ax, columns=2)
     found = ", ".join(f"{each.label} {1e3 * each.tau_s:.3g} ms" for each in trial.estimates)
@@ -108,24 +99,17 @@ def _errors(ax: Axes, trial: TauTrial) -> None:
     ax.set_ylim(max(bottom - pad, 0.0), top + pad)
 
 
-def _estimates(ax: Axes, below: Axes, trial: TauTrial) -> None:
-    """Mark each estimator on the axes of the error, and list them with intervals below."""
+def _estimates(ax: Axes, trial: TauTrial) -> None:
+    """Mark each estimator at its τ and its own error, with ± 2 standard errors of τ."""
     styles = estimator_styles(estimate.name for estimate in trial.estimates)
-    longest_ms = 1e3 * float(trial.tau_s[-1])
-    labels = []
-    for line, estimate in enumerate(trial.estimates):
+    for number, estimate in enumerate(trial.estimates):
         tau_ms, reach_ms = 1e3 * estimate.tau_s, 1e3 * BAND * estimate.stderr_s
         colour = styles[estimate.name].colour
         # Open marks, so that those of one τ do not hide each other.
         ring: dict[str, Any] = {"mfc": "none", "mec": colour, "mew": 1.6, "zorder": 4}
-        ax.plot(tau_ms, estimate.rms, "o", **ring, markersize=5.0 + 2.5 * line)
+        label = f"{printable(estimate.label, 34)}, {tau_ms:.3g} ms"
+        ax.plot(tau_ms, estimate.rms, "o", **ring, markersize=5.0 + 2.5 * number, label=label)
         if math.isfinite(reach_ms):
             # On a logarithmic axis an interval that reaches zero has no left end.
             ends = [max(tau_ms - reach_ms, 1e-3 * tau_ms), tau_ms + reach_ms]
-            below.plot(ends, [line, line], color=colour, lw=2.0, solid_capstyle="butt")
-        below.plot(tau_ms, line, marker="o", color=colour, markersize=5.0)
-        beyond = " (beyond the axis)" if tau_ms > longest_ms else ""
-        labels.append(f"{printable(estimate.label, 34)}, {tau_ms:.3g} ms{beyond}")
-    below.set_yticks(range(len(labels)), labels, fontsize=8.5)
-    below.set_ylim(len(labels) - 0.4, -0.6)
-    below.grid(False, axis="y")
+            ax.plot(ends, [estimate.rms] * 2, color=colour, lw=1.6, solid_capstyle="butt")

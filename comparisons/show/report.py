@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,6 @@ from comparisons.show import plots_fit, plots_record, plots_residuals, plots_ser
 from comparisons.show.plots_tau_trial import tau_trial
 from comparisons.show.report_tables import (
     checks_table,
-    coefficients_table,
     ledger_tables,
     summary_table,
     validation_table,
@@ -193,7 +192,6 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
         Part("In short", _summary(section)),
         Part("Operating-point migration", _migration(section)),
         Part("Surge cycles in time", _in_time(section)),
-        Part("Spectra before and after the filter", _spectra(section)),
         Part("Quasi-steady characteristics", characteristics),
         Part("Reconstruction against measurement", _reconstructions(section)),
         Part("Time constant by trial", _trial(section)),
@@ -202,7 +200,6 @@ def section_parts(section: ReportSection) -> tuple[Part, ...]:
         Part("Equations", tuple(block for fit in fits for block in _equations(fit))),
         *section.extra,
         Part("Ledger of the reduction", ledger_tables(section.ledgers)),
-        Part("Settings", _settings(section)),
     )
     return tuple(part for part in parts if part.blocks)
 
@@ -233,17 +230,10 @@ def _migration(section: ReportSection) -> tuple[Block, ...]:
 
 
 def _in_time(section: ReportSection) -> tuple[Block, ...]:
-    if section.reduction is not None:
-        return (plots_record.surge_cycles(section.reduction),)
-    drawn = _records(section)[:RECORDS_DRAWN]
-    return (*map(plots_series.series_in_time, drawn), *_left_out(section))
-
-
-def _spectra(section: ReportSection) -> tuple[Block, ...]:
-    """Return the spectra before and after the filter, which only a reduction has."""
+    """Return the surge cycles in time, of which only a reduction knows more than φ and ψ'."""
     if section.reduction is None:
         return ()
-    return (plots_record.inlet_spectra(section.reduction),)
+    return (plots_record.surge_cycles(section.reduction),)
 
 
 def _reconstructions(section: ReportSection) -> tuple[Block, ...]:
@@ -272,23 +262,12 @@ def _trial(section: ReportSection) -> tuple[Block, ...]:
 
 
 def _equations(fit: Comparison) -> tuple[Block, ...]:
-    lines = [
+    """Return the equations, which hold τ and the coefficients with their standard errors."""
+    return tuple(
         Words(f"{result.label}:\n    {result.equation}", "code")
         for result in fit.results
         if result.equation
-    ]
-    return (*lines, coefficients_table(fit))
-
-
-def _settings(section: ReportSection) -> tuple[Table, ...]:
-    if section.reduction is None:
-        return ()
-    reduction = section.reduction
-    from_s, to_s = reduction.window_s
-    rows = [("test", reduction.test.name), ("window", f"{from_s:.3f} to {to_s:.3f} s")]
-    for name, value in asdict(reduction.settings).items():
-        rows.append((name, "from the description of the test" if value is None else str(value)))
-    return (Table("Settings of the reduction", (Head("setting"), Head("value")), tuple(rows)),)
+    )
 
 
 def _records(section: ReportSection) -> tuple[CoefficientSeries, ...]:

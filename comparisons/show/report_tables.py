@@ -10,17 +10,15 @@ from comparisons.results import (
     COLUMNS,
     RECONSTRUCTION_COLUMNS,
     Comparison,
-    EstimatorResult,
     Reconstruction,
     estimator_label,
     reconstruction_grid,
 )
 from comparisons.show.plots_fit import NAMES
-from surge_core.rounding import round_to_error, significant
+from surge_core.rounding import significant
 
 __all__ = [
     "checks_table",
-    "coefficients_table",
     "ledger_tables",
     "summary_table",
     "validation_table",
@@ -103,31 +101,6 @@ def validation_table(runs: Sequence[Reconstruction]) -> Table:
     return Table("Validation: models fitted elsewhere, nothing refitted", heads, rows)
 
 
-def coefficients_table(fit: Comparison) -> Table:
-    """Return the terms of each characteristic with their coefficients, side by side.
-
-    Parameters
-    ----------
-    fit : Comparison
-        Estimators side by side.
-    """
-    models = [result.model for result in fit.results]
-    tau = (round_to_error(1e3 * m.time_constant_s, 1e3 * m.time_constant_stderr_s) for m in models)
-    terms = dict.fromkeys(term for model in models for term in model.terms)
-    rows = [
-        ("τ [ms]", *tau),
-        *((term, *(_coefficient(each, term) for each in fit.results)) for term in terms),
-    ]
-    hold = models[0].hold if models else ""
-    words = {"first": "joined by straight lines", "zero": "held from one sample to the next"}
-    return Table(
-        f"Coefficients of the {NAMES[fit.rows.target]} ± standard error; φ {words.get(hold, '')} "
-        f"(hold “{hold}”)",
-        (Head("term"), *(Head(each.label, each.name, numeric=True) for each in fit.results)),
-        tuple(rows),
-    )
-
-
 def ledger_tables(ledgers: Mapping[str, Sequence[LedgerEntry]]) -> tuple[Table, ...]:
     """Return the ledger of each record: every step, what it did, and what it dropped.
 
@@ -161,14 +134,6 @@ def _with_name(cells: Sequence[str], label: str, name: str) -> tuple[str | Cell,
     """Print below the label of an estimator the name that the command line knows it by."""
     named = label != name
     return tuple(Cell(cell, name) if named and cell == label else cell for cell in cells)
-
-
-def _coefficient(result: EstimatorResult, term: str) -> str:
-    model = result.model
-    if term not in model.terms:
-        return "—"
-    place = model.terms.index(term)
-    return round_to_error(model.coefficients[place], model.stderr[place])
 
 
 def _value(value: str | int | float | bool) -> str:

@@ -11,7 +11,6 @@ from classic_ml.records import LedgerEntry
 from comparisons.harness.cautions import tau_caution, unknown_work
 from comparisons.page.blocks import Bullets, Words
 from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Truth, texts_of
-from comparisons.show.agreement import dwelling_words
 from comparisons.show.plots_fit import NAMES
 from surge_core.rounding import round_to_error, significant
 
@@ -95,12 +94,11 @@ def summary_list(fit: Comparison) -> Bullets:
         f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
         f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
-        _least_sentence(fit),
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
         "rewarded on held-out cycles too: held-out rms says how well "
         f"{SYMBOLS[rows.target]} is predicted, not how near the characteristic is.",
         f"The record's φ dwells between {low:.3f} and {high:.3f} (5th to 95th percentile). "
-        f"{dwelling_words(fit)}",
+        "Outside it the curves are extrapolated.",
     )
     name = NAMES[rows.target]
     return Bullets(items, "plain", name[0].upper() + name[1:])
@@ -172,20 +170,6 @@ def _tau_sentence(fit: Comparison) -> str:
         words += (
             f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
         )
-    return words
-
-
-def _least_sentence(fit: Comparison) -> str:
-    scored = [row for row in fit.table if math.isfinite(row.held_out_rms)]
-    if not scored:
-        return "There were too few rows to hold any out: none is scored."
-    least = min(scored, key=lambda row: row.held_out_rms)
-    score = fit.result(least.estimator).held_out
-    percent = math.nan if score is None else score.fit_percent
-    words = (
-        f"Least held-out error: {least.label}, rms {significant(least.held_out_rms, 3)}, "
-        f"{percent:.0f} % of the signal's spread explained (fit)."
-    )
     return words
 
 

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
 
 __all__ = [
-    "LEAST_INCLUSION",
     "STRUCTURE_SCHEMA",
     "left_out_words",
     "opening_words",

@@ -242,7 +242,7 @@ def test_a_faulty_channel_is_refused_flagged_or_harmless(clean: Path, fault: Any
             right_or_flagged(clean, folder, names)
 
 
-@pytest.mark.parametrize("option", ["--cutoff", "--threshold", "--hysteresis", "--filter-order"])
+@pytest.mark.parametrize("option", ["--cutoff", "--threshold", "--filter-order"])
 @settings(FUZZ, max_examples=15)
 @given(value=st.one_of(st.floats().map(str), st.text(max_size=8), st.integers().map(str)))
 def test_an_option_of_any_text(clean: Path, option: str, value: str) -> None:

@@ -140,7 +140,6 @@ def test_the_discovered_base_does_not_see_what_is_held_out(untouched: Case) -> N
     ("options", "words"),
     [
         (("--degree", 0), "a whole number from 1 to 8"),
-        (("--max-effects", 0), "a whole number of at least 1"),
         (("--base", "ml"), "choose from 'polynomial', 'sindy'"),
     ],
 )
@@ -165,6 +164,7 @@ def test_records_that_cannot_be_used_are_refused_in_one_sentence(
         ([tmp_path / "none.csv"], "none.csv"),
         ([tmp_path], "found a folder"),
         ([untouched.paths[0], "--max-effects", 9], "a whole number from 1 to 3, found 9"),
+        ([untouched.paths[0], "--max-effects", 0], "a whole number from 1 to 3, found 0"),
     ):
         assert run("diagnose", *files) == 2
         error = capsys.readouterr().err
