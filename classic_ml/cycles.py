@@ -19,6 +19,7 @@ __all__ = [
     "DEEP_SHARE",
     "FEW_CYCLES",
     "LEAST_SWING",
+    "CyclesDifferError",
     "SurgeCycles",
     "deep_ones",
     "find_cycles",
@@ -49,6 +50,10 @@ PERIOD_SPREAD = 0.4
 SPEED_SPREAD = 0.025
 MINIMUM_CYCLES = 3
 FEW_CYCLES = 6
+
+
+class CyclesDifferError(InputError):
+    """The deep cycles of a record are too few that repeat each other."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ def find_cycles(record: Record) -> SurgeCycles:
     runs = intervals_where(_repeats(record, peaks, rises, edges))
     lengths = np.diff(runs, axis=1)
     if np.max(lengths, initial=0) < MINIMUM_CYCLES:
-        raise _too_few(record, int(np.max(lengths, initial=0)))
+        raise _too_few(record, int(np.max(lengths, initial=0)), kind=CyclesDifferError)
     first, last = runs[np.argmax(lengths)].tolist()
     return SurgeCycles(
         from_s=record.time_at_s(int(edges[first])),
@@ -223,8 +228,10 @@ def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray
     return np.asarray(good)
 
 
-def _too_few(record: Record, found: int, beside: str = "") -> InputError:
-    return InputError(
+def _too_few(
+    record: Record, found: int, beside: str = "", kind: type[InputError] = InputError
+) -> InputError:
+    return kind(
         f"{record.source}: P31",
         expected=f"at least {MINIMUM_CYCLES} surge cycles that repeat each other",
         found=f"{found}{beside}",

@@ -16,7 +16,7 @@ from classic_ml.calibration import (
     near_stall_rows,
 )
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
-from classic_ml.cycles import FEW_CYCLES, find_cycles, first_reversal
+from classic_ml.cycles import FEW_CYCLES, CyclesDifferError, find_cycles, first_reversal
 from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
@@ -165,7 +165,9 @@ def reduce_record(
     del averaged
     reduced = _with_states(reduced, unfiltered, test, chosen, window)
     done(1)
-    return Reduction(_series(reduced, rakes), reduced, chosen, test, window.times_s)
+    # A flow of one immersion alone was asked for: all rakes would answer another question.
+    kept = rakes if chosen.probes == "all" else None
+    return Reduction(_series(reduced, kept), reduced, chosen, test, window.times_s)
 
 
 def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]:
@@ -235,7 +237,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
     computed = bridged, filtered, flows
     try:
         cycles = find_cycles(surging)
-    except InputError as why:
+    except CyclesDifferError as why:
         return _all_that_follows(surging, str(why), computed)
     flags: tuple[str, ...] = ()
     if cycles.n_cycles < FEW_CYCLES:
@@ -448,12 +450,12 @@ def _segmented(
     return segmented, threshold
 
 
-def _series(record: Record, rakes: RakeSignals) -> CoefficientSeries:
+def _series(record: Record, rakes: RakeSignals | None) -> CoefficientSeries:
     columns: dict[str, Any] = {name: record[name] for name in COLUMNS if name in record}
     return CoefficientSeries(
         time_s=record.time_s,
-        rakes={name: values.astype(np.float32) for name, values in rakes.columns().items()},
+        rakes={} if rakes is None else rakes.columns(),
         source=record.source,
-        history=(*record.history, rakes.chain.entry()),
+        history=(*record.history, *(() if rakes is None else (rakes.chain.entry(),))),
         **columns,
     )

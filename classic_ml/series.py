@@ -124,7 +124,7 @@ class CoefficientSeries(Displayed):
     psi_p_unfiltered: FloatArray | None = None
     stalled: BoolArray | None = None
     free_run: IntArray | None = None
-    rakes: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    rakes: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
     source: str = "series"
     history: tuple[LedgerEntry, ...] = ()
 

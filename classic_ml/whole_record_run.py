@@ -17,7 +17,7 @@ import numpy as np
 from classic_ml.characteristics import polynomial_names
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.branches import design
+from classic_ml.whole_record.branches import design, profile
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -201,8 +201,13 @@ class _Answer:
     coefficients: FloatArray
     covariance: FloatArray
 
-    def with_second(self, second: WholeRunFit) -> _Answer | Reading:
-        """Return the mean with another reading, or that reading where the two part."""
+    def with_second(
+        self, second: WholeRunFit, fits: tuple[WholeRecordFit, ...]
+    ) -> _Answer | Reading:
+        """Return the mean with another reading, or that reading where the two part.
+
+        The curve is that at the mean τ: curve and τ err together.
+        """
         tau_s, stderr_s = second.time_constant_s_, second.time_constant_stderr_s_
         if second.fit_state_ is not FitState.CONVERGED or not 0.0 < stderr_s < tau_s:
             return self
@@ -213,11 +218,19 @@ class _Answer:
         other = min(self.share**2 / (self.share**2 + share**2), LARGEST_WEIGHT)
         own, others = (1.0 - other) * self.share, other * share
         mean_share = math.sqrt(own**2 + others**2 + 2.0 * CORRELATION * own * others)
+        log_tau = self.log_tau + other * apart
+        own_curve, _ = _mean_curve(
+            [_curve_at(math.exp(log_tau), fit) for fit in fits], [fit.covariance for fit in fits]
+        )
+        coefficients, covariance = _mean_curve(
+            (own_curve, second.coef_), (self.covariance, second.covariance_)
+        )
         return _Answer(
-            self.log_tau + other * apart,
+            log_tau,
             max(mean_share, 0.5 * abs(apart)),
-            (1.0 - other) * self.coefficients + other * second.coef_,
-            (1.0 - other) * self.covariance + other * second.covariance_,
+            coefficients,
+            # Errors of one record's noise do not average out: half of what independent ones would.
+            (1.0 + CORRELATION) * covariance,
         )
 
 
@@ -228,11 +241,12 @@ def _combined(
     second: WholeRunFit | None,
 ) -> WholeRecordRun:
     log_tau, share = _mean_of([(math.log(fit.tau_s), fit.share) for fit in fits])
-    answer = _Answer(log_tau, share, *_mean_curve(fits))
+    curve = _mean_curve([fit.coefficients for fit in fits], [fit.covariance for fit in fits])
+    answer = _Answer(log_tau, share, *curve)
     state = next((f.state for f in fits if f.state is not FitState.CONVERGED), FitState.CONVERGED)
     other = None
     if second is not None and state is FitState.CONVERGED:
-        found = answer.with_second(second)
+        found = answer.with_second(second, fits)
         if isinstance(found, Reading):
             state, other = FitState.TWO_READINGS, found
         else:
@@ -300,14 +314,23 @@ def _mean_of(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return mean, float(np.sum(errors**-2.0) ** -0.5) * math.sqrt(max(chi2, 1.0))
 
 
-def _mean_curve(fits: tuple[WholeRecordFit, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of the characteristics by their covariances."""
-    if len(fits) == 1 or not all(np.isfinite(fit.covariance).all() for fit in fits):
-        return fits[0].coefficients, fits[0].covariance
-    inverse = [np.linalg.pinv(fit.covariance) for fit in fits]
-    covariance = np.linalg.pinv(np.sum(inverse, axis=0))
-    pairs = zip(inverse, fits, strict=True)
-    return covariance @ np.sum([w @ fit.coefficients for w, fit in pairs], axis=0), covariance
+def _curve_at(tau_s: float, fit: WholeRecordFit) -> FloatArray:
+    """Return the in-stall coefficients for another time constant."""
+    inputs, psi_p = design(fit.passes, fit.spec, fit.in_stall)
+    coefficients, _ = profile(tau_s, fit.passes, inputs, psi_p, fit.fit.scored)
+    return coefficients[: fit.spec.degree + 1]
+
+
+def _mean_curve(
+    coefficients: Sequence[FloatArray], covariances: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of characteristics by their covariances."""
+    if len(coefficients) == 1 or not all(np.isfinite(each).all() for each in covariances):
+        return coefficients[0], covariances[0]
+    inverse = [np.linalg.pinv(each) for each in covariances]
+    covariance = np.asarray(np.linalg.pinv(np.sum(inverse, axis=0)))
+    weighted = [w @ each for w, each in zip(inverse, coefficients, strict=True)]
+    return covariance @ np.sum(weighted, axis=0), covariance
 
 
 def _rows(

@@ -166,7 +166,9 @@ def rake_signals(record: Record, test: TestDescription) -> RakeSignals:
     test : TestDescription
         Its test.
     """
-    reading = near_stall_rows(record, test)
+    # A record that continues another holds no reading near stall: its noise is that of all rows.
+    apart = bool(test.near_stall_shifts)
+    reading = slice(0, record.n_samples) if apart else near_stall_rows(record, test)
     counts = np.ones(record.n_samples, dtype=np.bool_)
     pairs = []
     for pair in (pair for plane in test.areas_m2 for pair in test.pairs(plane)):
