@@ -38,6 +38,7 @@ from comparisons.results import (
     FittedLag,
     LagModel,
 )
+from surge_core.fit_state import WITHHOLDING
 from surge_core.lag import Hold
 from surge_core.paired import block_errors, block_rms, paired_difference
 from surge_core.types import BoolArray, FloatArray
@@ -118,6 +119,9 @@ def _quotable(
     of the rows that were scored.
     """
     if spread_speeds(records) or not all(map(_is_clean_run, records)):
+        return ()
+    # Where one of them cannot tell, the others are not believed alone: they know no twins.
+    if any(result.state in WITHHOLDING for result in results):
         return ()
     found = [
         result.name

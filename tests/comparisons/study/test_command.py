@@ -55,7 +55,7 @@ def test_the_command_leaves_table_and_report(
         (
             "seeds = 'many'\n[record]\ndegree = 0",
             "study.toml: seeds: expected a whole number from 1 on, or a list of seeds, found "
-            "'many'; record.degree: expected a value greater than or equal to 2, found 0",
+            "'many'; record.degree: expected 2 or 3, found 0",
         ),
         ("title = ", "study.toml: expected a TOML file"),
         ("[[method]]\nname='m'\nclass='no_such_package:A'", "method m: expected a class at"),
