@@ -22,7 +22,7 @@ from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filters import filter_channels
-from classic_ml.free_run import extend_while_settled, free_run_rows
+from classic_ml.free_run import extend_while_settled, free_run_rows, settled_from
 from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
@@ -266,16 +266,17 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
 
 
 def _all_that_follows(surging: Record, why: str, ahead: tuple[Record, Record, Record]) -> _Window:
-    """Return all that follows the first reversal, where no cycles repeat each other.
+    """Return all that follows once N_c has settled, where no cycles repeat each other.
 
     The older estimators then read rows of a machine that has not settled; the free run through all
     forward rows does not need cycles that repeat.
     """
-    first_s = surging.time_at_s(first_reversal(surging))
+    start = first_reversal(surging)
+    first_s = surging.time_at_s(settled_from(surging, start))
     last_s = surging.time_at_s(surging.n_samples - 1)
     entry = LedgerEntry(
         "window",
-        f"{first_s:.3f} to {last_s:.3f} s: all that follows the first reversal",
+        f"{first_s:.3f} to {last_s:.3f} s: all that follows once N_c has settled",
         {"from_s": round(first_s, 6), "to_s": round(last_s, 6), "origin": "found"},
         flags=(f"no quasi-steady cycles: {why}",),
     )

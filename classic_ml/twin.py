@@ -1,7 +1,7 @@
 """The record measured again: readings that the fitted model would leave on the same instruments.
 
 Forward from the estimated flow and the fitted lag to the pressures of every probe, with noise and
-an error of calibration drawn anew, and back through Eq 1 to 3. What is needed stands in the test
+a fresh error of calibration, and back through Eq 1 to 3. What is needed stands in the test
 description and in the record.
 """
 
