@@ -40,14 +40,27 @@ WITHIN_S, WITHIN_SHARE = 0.002, 0.10
 GROSS_SHARE, CURVE = 0.30, 0.15
 # Errors of ψ' this far apart count as independent in the bound.
 INDEPENDENT_S = 0.003
+# With fewer reversals of the flow a machine does not surge, and another is drawn.
+FEWEST_REVERSALS = 8
 # Before the surge, where the fourth difference of ψ' is noise alone (its gain on noise: √70).
 NEAR_STALL_ROWS = 140
 FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "curve", "refused")
 
 
 def draw(seed: int, number: int, folder: Path) -> dict[str, Any]:
-    """Draw a machine, simulate its record into a folder and return the truth."""
+    """Draw machines until one surges, simulate its record into a folder and return the truth."""
     rng = np.random.default_rng([seed, number])
+    while True:
+        run, about = _machine(rng, number)
+        phi = run.truth["phi"]
+        if np.count_nonzero((phi[1:] < 0.0) & (phi[:-1] >= 0.0)) >= FEWEST_REVERSALS:
+            break
+    write_run(run, folder)
+    truth = {name: run.truth[name] for name in ("phi", "psi_p", "in_stall")}
+    return about | _hardness(truth, about["tau_s"], run.truth.sample_period_s)
+
+
+def _machine(rng: np.random.Generator, number: int) -> tuple[Any, dict[str, Any]]:
 
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
@@ -88,16 +101,13 @@ def draw(seed: int, number: int, folder: Path) -> dict[str, Any]:
     rakes = 1 if rng.random() < 0.15 else 2
     if rakes == 1:
         run = _with_one_rake(run)
-    write_run(run, folder)
-    truth = {name: run.truth[name] for name in ("phi", "psi_p", "in_stall")}
-    return {
+    return run, {
         "tau_s": case.tau_s,
         "beta": None if bent else list(case.pressure_terms),
         "noise": noise,
         "rakes": rakes,
         "curve": "bent" if bent else "parabola",
         "speed": base.name,
-        **_hardness(truth, case.tau_s, run.truth.sample_period_s),
     }
 
 
@@ -105,7 +115,8 @@ def _with_one_rake(run: Any) -> Any:
     """Take the second rake out of the record and of its description."""
     gone = [name for name, channel in run.test["channels"].items() if channel.get("rake") == "B"]
     channels = {name: c for name, c in run.test["channels"].items() if name not in gone}
-    test = {**run.test, "channels": channels}
+    limits = {n: pair for n, pair in run.test.get("limits", {}).items() if n not in gone}
+    test = {**run.test, "channels": channels, "limits": limits}
     return replace(run, raw=run.raw.without(gone), test=test)
 
 

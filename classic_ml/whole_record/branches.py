@@ -63,6 +63,8 @@ class Specification:
         Of the in-stall characteristic.
     hinges : bool
         Whether it may bend above the flow of recovery.
+    moves : bool
+        Whether it moves with N_c, as the unstalled branch does.
     """
 
     average_s: float
@@ -71,6 +73,7 @@ class Specification:
     blend_s: float = 0.006
     degree: int = 2
     hinges: bool = True
+    moves: bool = False
 
 
 @dataclass(frozen=True)
@@ -132,15 +135,19 @@ def design(
     phi, speed = passes.phi, passes.speed
     state = passes.smooth(in_stall.astype(np.float64), spec.blend_s)
     columns = [state * phi**power for power in range(spec.degree + 1)]
+    moving = [state * speed, state * speed * phi] if spec.moves else []
     if np.count_nonzero(~in_stall) > FEWEST_UNSTALLED:
         other, own = 1.0 - state, phi - float(np.median(phi[~in_stall]))
-        columns += [other * own**power for power in range(3)]
-        columns += [other * speed, other * speed * own, other * speed**2]
+        # A cubic: with a parabola τ was 3 % further off on machines whose branch is none.
+        columns += [other * own**power for power in range(4)]
+        columns += [other * speed * own**power for power in range(3)]
+        columns += [other * speed**2]
         recoveries = in_stall[:-1] & ~in_stall[1:] & (passes.piece[1:] == passes.piece[:-1])
         if spec.hinges and recoveries.any():
             level = float(np.median(passes.smooth(phi, 0.003)[:-1][recoveries]))
             above = state * np.maximum(phi - level, 0.0)
             columns += [above, above * speed, state * np.maximum(phi - HIGHER_HINGE * level, 0.0)]
+    columns += moving
     backward = passes.smooth(np.minimum(phi, 0.0), LOSS_AVERAGE_S)
     if np.any(backward < 0.0):
         # With its derivative beside it the loss acts without the lag for any τ.

@@ -81,13 +81,18 @@ def specifications(spec: Specification) -> tuple[Specification, ...]:
         replace(spec, hinges=not spec.hinges),
         replace(spec, blend_s=0.5 * spec.blend_s),
         replace(spec, blend_s=1.5 * spec.blend_s),
+        replace(spec, moves=not spec.moves),
     )
 
 
 def variants(passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit) -> Scatter:
-    """Fit under other specifications."""
-    others = specifications(spec)
-    fits = [fit_branches(passes, other, in_stall, near_s=fit.tau_s) for other in others]
+    """Fit under other specifications, and with the state as hub and tip alone show it."""
+    others = [*specifications(spec), spec]
+    states = [in_stall] * (len(others) - 1) + [passes.in_stall]
+    fits = [
+        fit_branches(passes, other, state, near_s=fit.tau_s)
+        for other, state in zip(others, states, strict=True)
+    ]
     alike = [one for one, other in zip(fits, others, strict=True) if other.degree == spec.degree]
     tau = _scatter([fit, *fits], fit, 0, 1.0)
     return replace(tau, curve=_scatter([fit, *alike], fit, spec.degree, 1.0).curve)
