@@ -105,7 +105,7 @@ def test_the_saved_model_simulates_the_records(branch: Case) -> None:
 
 def test_the_report_holds_the_words_and_asks_the_network_for_nothing(branch: Case) -> None:
     page = branch.page.read_text("utf-8")
-    assert len(re.findall(r'src="data:image/png;base64,([^"]*)"', page)) == 3
+    assert len(re.findall(r'src="data:image/png;base64,([^"]*)"', page)) == 1
     assert "http" not in re.sub(r"<meta http-equiv[^>]*>", "", page)
     assert branch.document["words"] in html.unescape(page)
 
