@@ -19,7 +19,6 @@ __all__ = [
     "DEEP_SHARE",
     "FEW_CYCLES",
     "LEAST_SWING",
-    "CyclesDifferError",
     "SurgeCycles",
     "deep_ones",
     "find_cycles",
@@ -50,10 +49,6 @@ PERIOD_SPREAD = 0.4
 SPEED_SPREAD = 0.025
 MINIMUM_CYCLES = 3
 FEW_CYCLES = 6
-
-
-class CyclesDifferError(InputError):
-    """The deep cycles of a record are too few that repeat each other."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +125,7 @@ def find_cycles(record: Record) -> SurgeCycles:
     runs = intervals_where(_repeats(record, peaks, rises, edges))
     lengths = np.diff(runs, axis=1)
     if np.max(lengths, initial=0) < MINIMUM_CYCLES:
-        raise _too_few(record, int(np.max(lengths, initial=0)), kind=CyclesDifferError)
+        raise _too_few(record, int(np.max(lengths, initial=0)))
     first, last = runs[np.argmax(lengths)].tolist()
     return SurgeCycles(
         from_s=record.time_at_s(int(edges[first])),
@@ -228,10 +223,8 @@ def _repeats(record: Record, peaks: IntArray, rises: FloatArray, edges: IntArray
     return np.asarray(good)
 
 
-def _too_few(
-    record: Record, found: int, beside: str = "", kind: type[InputError] = InputError
-) -> InputError:
-    return kind(
+def _too_few(record: Record, found: int, beside: str = "") -> InputError:
+    return InputError(
         f"{record.source}: P31",
         expected=f"at least {MINIMUM_CYCLES} surge cycles that repeat each other",
         found=f"{found}{beside}",

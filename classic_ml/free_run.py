@@ -13,7 +13,7 @@ from classic_ml.filters import period_average
 from classic_ml.records import Dropped, LedgerEntry, Record, fault_name
 from surge_core.types import BoolArray, IntArray
 
-__all__ = ["extend_while_settled", "free_run_rows", "near", "settled_from"]
+__all__ = ["extend_while_settled", "free_run_rows", "near"]
 
 # Averaged φ below this is reversed or about to be: the probes' dead band is as wide.
 MINIMUM_PHI = 0.0075
@@ -48,14 +48,6 @@ def extend_while_settled(record: Record, window: slice) -> slice:
     start = int(before[-1]) + 1 if before.size else 0
     stop = window.stop + int(behind[0]) if behind.size else record.n_samples
     return slice(start, stop)
-
-
-def settled_from(record: Record, start: int) -> int:
-    """Return the row, after a first one, from which N_c stays within 8 % of its later median."""
-    speed = period_average(record["Nc_frac"], SETTLING_AVERAGE_S, record.sample_rate_hz)
-    later = float(np.median(speed[(start + speed.size) // 2 :]))
-    away = np.flatnonzero(np.abs(speed[start:] / later - 1.0) > SETTLED_SHARE)
-    return start + (int(away[-1]) + 1 if away.size and away[-1] + 1 < speed.size - start else 0)
 
 
 def near(rows: BoolArray, before: int, behind: int) -> BoolArray:

@@ -16,13 +16,13 @@ from classic_ml.calibration import (
     near_stall_rows,
 )
 from classic_ml.coefficients import coefficients, corrected_speed_fraction
-from classic_ml.cycles import FEW_CYCLES, CyclesDifferError, find_cycles, first_reversal
+from classic_ml.cycles import FEW_CYCLES, find_cycles
 from classic_ml.description import TestDescription
 from classic_ml.faults.choice import choose_channels, with_faults_bridged
 from classic_ml.faults.near_stall import check_near_stall
 from classic_ml.faults.search import inspect_readings
 from classic_ml.filters import filter_channels
-from classic_ml.free_run import extend_while_settled, free_run_rows, settled_from
+from classic_ml.free_run import extend_while_settled, free_run_rows
 from classic_ml.planes import local_flows, plane_averages
 from classic_ml.records import Channel, Dropped, LedgerEntry, Record, fault_name, ledger_grid
 from classic_ml.reduction_settings import ReductionSettings
@@ -233,12 +233,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
     flows = local_flows(filtered, test)
     averages = plane_averages(flows, test)
     speed = Channel("Nc_frac", corrected_speed_fraction(averages["T25_K"], test), "1")
-    surging = averages.after(LedgerEntry("speed", "of the window"), add=[speed])
-    computed = bridged, filtered, flows
-    try:
-        cycles = find_cycles(surging)
-    except CyclesDifferError as why:
-        return _all_that_follows(surging, str(why), computed)
+    cycles = find_cycles(averages.after(LedgerEntry("speed", "of the window"), add=[speed]))
     flags: tuple[str, ...] = ()
     if cycles.n_cycles < FEW_CYCLES:
         flags = (f"only {cycles.n_cycles} cycles: the time constant will be uncertain",)
@@ -262,26 +257,7 @@ def _window(record: Record, test: TestDescription, settings: ReductionSettings) 
         flags=flags,
     )
     times_s = cycles.from_s, cycles.to_s
-    return _Window(times_s, window_rows(record, times_s), entry, computed)
-
-
-def _all_that_follows(surging: Record, why: str, ahead: tuple[Record, Record, Record]) -> _Window:
-    """Return all that follows once N_c has settled, where no cycles repeat each other.
-
-    The older estimators then read rows of a machine that has not settled; the free run through all
-    forward rows does not need cycles that repeat.
-    """
-    start = first_reversal(surging)
-    first_s = surging.time_at_s(settled_from(surging, start))
-    last_s = surging.time_at_s(surging.n_samples - 1)
-    entry = LedgerEntry(
-        "window",
-        f"{first_s:.3f} to {last_s:.3f} s: all that follows once N_c has settled",
-        {"from_s": round(first_s, 6), "to_s": round(last_s, 6), "origin": "found"},
-        flags=(f"no quasi-steady cycles: {why}",),
-    )
-    times_s = first_s, last_s
-    return _Window(times_s, window_rows(surging, times_s), entry, ahead)
+    return _Window(times_s, window_rows(record, times_s), entry, (bridged, filtered, flows))
 
 
 def _low_passed(

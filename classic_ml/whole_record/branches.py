@@ -161,10 +161,7 @@ def profile(
     tau_s: float, passes: Passes, inputs: FloatArray, psi_p: FloatArray, scored: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return coefficients and errors of the least squares for a held τ, each piece with a start."""
-    answers = responses(tau_s, passes, inputs)
-    # By all rows: a column may be nothing in those that are scored.
-    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
-    own = answers[scored] / scale
+    own, scale = _scaled(tau_s, passes, inputs, scored)
     coefficients = np.asarray(np.linalg.lstsq(own, psi_p[scored], rcond=RANK)[0])
     return coefficients / scale, psi_p[scored] - own @ coefficients
 
@@ -176,14 +173,23 @@ def least_error(
 
     Where the coefficients are not asked for, what a bad condition costs is far below the noise.
     """
-    answers = responses(tau_s, passes, inputs)
-    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
-    own, measured = answers[scored] / scale, psi_p[scored]
+    own, _ = _scaled(tau_s, passes, inputs, scored)
+    measured = psi_p[scored]
     values, vectors = np.linalg.eigh(own.T @ own)
     seen = values > NORMAL_RANK * values[-1]
     along = vectors[:, seen].T @ (own.T @ measured)
     explained = float(np.sum(along**2 / values[seen]))
     return max(float(measured @ measured) - explained, 0.0) / max(measured.size, 1)
+
+
+def _scaled(
+    tau_s: float, passes: Passes, inputs: FloatArray, scored: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the scored rows of the answers, and what their columns were divided by."""
+    answers = responses(tau_s, passes, inputs)
+    # By all rows: a column may be nothing in those that are scored.
+    scale = np.sqrt(np.mean(answers**2, axis=0)) + 1e-12
+    return answers[scored] / scale, scale
 
 
 def responses(tau_s: float, passes: Passes, inputs: FloatArray) -> FloatArray:

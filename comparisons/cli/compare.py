@@ -27,6 +27,7 @@ from comparisons.cli.shared import (
 )
 from surge_core.errors import InputError
 from surge_core.fit_state import WITHHOLDING
+from surge_core.progress import shown_over
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -114,6 +115,7 @@ def _compare(
         degree=given.degree,
         estimators=_with_model(given),
         n_twins=_n_twins(given),
+        measuring=_measuring,
         **options,
     )
     if any(record.psi is None for record in records):
@@ -129,6 +131,10 @@ def _n_twins(given: argparse.Namespace) -> int:
     from classic_ml.whole_record_fit import N_TWINS
 
     return 0 if given.no_twins else N_TWINS
+
+
+def _measuring(twins: Iterable[int]) -> Iterable[int]:
+    return shown_over(twins, unit="twin", words="measuring twins")
 
 
 def _check_tau(records: Sequence[CoefficientSeries], tau_s: float | None) -> None:
@@ -166,6 +172,7 @@ def _with_model(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:
         hold="first",
         time_constant_s=given.tau,
         n_twins=_n_twins(given),
+        measuring=_measuring,
     )
     return (*own, *extended_specs(load_extended(given.model), [spec.name for spec in own]))
 

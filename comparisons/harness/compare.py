@@ -59,6 +59,7 @@ def compare_records(
     estimators: Sequence[EstimatorSpec] | None = None,
     n_twins: int = N_TWINS,
     progress: Progress = iter,
+    measuring: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> Comparison:
     """Fit each estimator to the same rows and set them side by side.
 
@@ -80,6 +81,8 @@ def compare_records(
         Twins of each record behind the interval of ``classic_ml``.
     progress : callable
         Wraps the iteration over the estimators, to show how far it is.
+    measuring : callable
+        Wraps the iteration over the twins.
 
     Raises
     ------
@@ -95,6 +98,7 @@ def compare_records(
         breakpoints=breakpoints,
         time_constant_s=time_constant_s,
         n_twins=n_twins,
+        measuring=measuring,
     )
     results = tuple(_run(spec, rows, records, hold) for spec in progress(specs))
     quotable = _quotable(records, results)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -75,6 +75,7 @@ def default_estimators(
     breakpoints: tuple[float, float] | None = None,
     time_constant_s: float | None = None,
     n_twins: int = N_TWINS,
+    measuring: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> tuple[EstimatorSpec, ...]:
     """Return maximum likelihood, the paper's way, two other noise models, and sparse regression.
 
@@ -95,6 +96,8 @@ def default_estimators(
         Hold τ of the classical estimators at this value, as the paper had to.
     n_twins : int
         Twins of each record behind the interval of ``classic_ml``.
+    measuring : callable
+        Wraps the iteration over the twins, to show how far it is.
     """
 
     def classical(
@@ -130,7 +133,9 @@ def default_estimators(
 
     def whole(records: Sequence[CoefficientSeries], until_s: Sequence[float] | None) -> Any:
         if hold == "first" and time_constant_s is None:
-            return fit_whole_records(records, degree=degree, until_s=until_s, n_twins=n_twins)
+            return fit_whole_records(
+                records, degree=degree, until_s=until_s, n_twins=n_twins, progress=measuring
+            )
         return fit_whole_runs(
             records, degree=degree, hold=hold, time_constant_s=time_constant_s, until_s=until_s
         )

@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from classic_ml.calibration import calibrate
 from classic_ml.io.raw import read_raw
 from classic_ml.io.series import read_series, write_series
+from classic_ml.planes import local_flows
+from classic_ml.records import Channel, Record
 from classic_ml.reduction import reduce_record
 from classic_ml.series import CoefficientSeries
 from classic_ml.twin import twin_of
@@ -24,6 +27,7 @@ from classic_ml.whole_record_fit import WholeRecordFit, fit_whole_record
 from classic_ml.whole_record_run import WholeRecordRun, _combined, fit_whole_records
 from classic_ml.whole_run import fit_whole_runs
 from comparisons.rig import CASES, SensorSettings, simulate, write_run
+from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray
@@ -255,3 +259,39 @@ def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRu
     assert found.second_reading_.value_s == 0.04
     assert found.ci95_s_[0] < fitted.fits_[0].tau_s
     assert found.ci95_s_[1] == pytest.approx(found.second_reading_.ci95_s[1])
+
+
+def test_with_one_rake_the_fall_back_answers(tmp_path: Path) -> None:
+    """Nothing cancels the cells there: the average over their period does."""
+    run = simulate("985", seed=72)
+    gone = [name for name, channel in run.test["channels"].items() if channel["rake"] == "B"]
+    channels = {n: channel for n, channel in run.test["channels"].items() if n not in gone}
+    limits = {n: pair for n, pair in run.test["limits"].items() if n not in gone}
+    test = {**run.test, "channels": channels, "limits": limits}
+    write_run(replace(run, raw=run.raw.without(gone), test=test), tmp_path / "one")
+    series = reduce_record(*read_raw(tmp_path / "one/raw.csv", tmp_path / "one/test.toml")).series
+    fit = fit_whole_records([series])
+    assert not isinstance(fit, WholeRecordRun)
+    assert abs(fit.time_constant_s_ - TAU_S) < 3.0 * fit.time_constant_stderr_s_
+
+
+def test_one_reading_that_is_no_pressure_is_bridged_and_many_are_refused(tmp_path: Path) -> None:
+    write_run(simulate("985", seed=71), tmp_path)
+    record, test = read_raw(tmp_path / "raw.csv", tmp_path / "test.toml")
+    calibrated = calibrate(record, test)
+    name = test.pairs(25)[0].forward.name
+    whole = local_flows(calibrated, test)
+
+    def spoilt(n_rows: int) -> Record:
+        values = np.array(calibrated[name])
+        values[2000 : 2000 + n_rows] = -849.0
+        channel = Channel.adopt(name, values, "Pa")
+        return replace(calibrated, channels={**calibrated.channels, name: channel})
+
+    flow = local_flows(spoilt(1), test)
+    pair = f"Wc{test.pairs(25)[0].name}_kg_s"
+    np.testing.assert_array_equal(np.delete(flow[pair], 2000), np.delete(whole[pair], 2000))
+    assert np.isfinite(flow[pair][2000])
+    assert "1 readings that are no absolute pressure" in flow.history[-1].flags[0]
+    with pytest.raises(InputError, match="positive absolute pressure"):
+        local_flows(spoilt(100), test)
