@@ -22,7 +22,6 @@ from classic_ml.checks import (
     coverage,
     input_correlation,
     leverage,
-    normality,
 )
 from classic_ml.fitted_curve import characteristic_grid, equation_with_errors, milliseconds
 from classic_ml.free_run import near
@@ -177,7 +176,8 @@ class WholeRunFit(Displayed):
     def checks(self, stated_phi: tuple[float, float]) -> tuple[CheckRow, ...]:
         """Check the errors of the scored rows.
 
-        Whiteness is not among the checks: errors of averaged signals are coloured by the average.
+        Whiteness and normality are not among the checks: errors of averaged signals are coloured by
+        the average, and an interval from a jackknife rests on neither.
 
         Parameters
         ----------
@@ -193,7 +193,6 @@ class WholeRunFit(Displayed):
         pieces = list(fit.pieces)
         return (
             input_correlation(fit.errors, phi, pieces),
-            normality(fit.errors, pieces),
             leverage(self.model_, fit, X[fit.rows]),
             coverage(phi, runs_of(fit.segment, fit.segment.size), stated_phi),
         )

@@ -70,7 +70,8 @@ def load_data(records: Sequence[CoefficientSeries], *, also_average_s: float = 0
             ", ".join(record.source for record in ordered),
             expected="rows in forward flow in stall",
             found="one blowdown after another",
-            remedy="a lag cannot be read from these records, nor what it lacks",
+            remedy="the diagnosis fits the rows in stall alone, and these are too few; `compare` "
+            "estimates τ from all forward rows",
         )
     data = _joined(pieces, [record.source for record in ordered], also_average_s)
     least = 4 * MINIMUM_SEGMENT_ROWS
