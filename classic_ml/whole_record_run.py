@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -157,7 +157,7 @@ def fit_whole_records(
     # With one rake nothing cancels the cells: on such records 0 of 3 answers were right.
     found = [each for each in signals if each is not None and each.rake_differences(25)]
     if len(found) < len(records):
-        return fit_whole_runs(records, degree=degree, until_s=until_s)
+        return _in_stall_alone(records, degree, until_s)
     whole = until_s is None
     ends = [math.inf] * len(records) if until_s is None else until_s
     windows = [_window(record, end) for record, end in zip(records, ends, strict=True)]
@@ -175,11 +175,28 @@ def fit_whole_records(
         )
     except InputError:
         # No surge cycle that could be scored: the older fit says what there is.
-        return fit_whole_runs(records, degree=degree, until_s=until_s)
+        return _in_stall_alone(records, degree, until_s)
     second = None
     if whole and all(map(has_whole_run, records)):
         second = fit_whole_runs(records, degree=degree)
     return _combined(records, fits, degree, second)
+
+
+def _in_stall_alone(
+    records: Sequence[CoefficientSeries], degree: int, until_s: Sequence[float] | None
+) -> WholeRunFit:
+    """Return the fit to the rows in stall, τ withheld where it is not known to 12 %."""
+    fit = fit_whole_runs(records, degree=degree, until_s=until_s)
+    known = fit.time_constant_stderr_s_ <= LARGEST_SHARE * fit.time_constant_s_
+    if until_s is not None or known or fit.fit_state_ is not FitState.CONVERGED:
+        return fit
+    return replace(
+        fit,
+        time_constant_s_=math.nan,
+        time_constant_stderr_s_=math.nan,
+        covariance_=np.full_like(fit.covariance_, math.nan),
+        fit_state_=FitState.UNCERTAIN,
+    )
 
 
 def _window(record: CoefficientSeries, until_s: float) -> slice:

@@ -179,7 +179,8 @@ def test_with_half_of_the_probes_no_tau_is_recommended(probes: str, folder: Path
     raw = read_raw(files / "raw.csv", files / "test.toml")
     series = reduce_record(*raw, ReductionSettings(probes=probes)).series
     comparison = compare_records([series], estimators=only("classic_ml"))
-    assert abs(comparison.result("classic_ml").model.time_constant_s - TAU_S) > 0.004
+    assert comparison.result("classic_ml").state == "uncertain"
+    assert np.isnan(comparison.result("classic_ml").model.time_constant_s)
     assert comparison.quotable == ()
     assert any(f"that of the {probes} alone" in caution.text for caution in comparison.cautions)
 
