@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sindy_surge.closed_loop import LoopState, SurgeModel, discover_surge_model
+    from sindy_surge.discover.dynamics import SparseDynamics
     from sindy_surge.regressor import SparseLagRegressor
     from surge_core.errors import InputError
     from surge_core.fit_state import FitState
@@ -15,6 +16,7 @@ __all__ = [
     "FitState",
     "InputError",
     "LoopState",
+    "SparseDynamics",
     "SparseLagRegressor",
     "SurgeModel",
     "discover_surge_model",
@@ -25,6 +27,7 @@ def __getattr__(name: str) -> Any:
     # scikit-learn takes half a second to import; a command that only prints its help need not.
     homes = {"FitState": "surge_core.fit_state", "InputError": "surge_core.errors"}
     homes["SparseLagRegressor"] = "sindy_surge.regressor"
+    homes["SparseDynamics"] = "sindy_surge.discover.dynamics"
     if name in __all__:
         return getattr(import_module(homes.get(name, "sindy_surge.closed_loop")), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
