@@ -104,8 +104,8 @@ def _system(states: tuple[str, ...], truth: dict[str, dict[str, float]], **kind:
 
 
 GREITZER = {
-    "phi": {"1": 0.36, "phi": 1.08, "phi^3": -0.96, "psi": -1.2},
-    "psi": {"1": 0.21, "phi": 0.83, "sqrt(psi)": -0.54},
+    "phi": {"1": 1.2, "phi": 1.2, "phi^3": -1.0, "psi": -1.0},
+    "psi": {"1": 0.3, "phi": 0.45, "sqrt(psi)": -0.42},
 }
 GREITZER_LAG = {
     "phi": {"psi_c": 1.8, "psi": -1.8},
@@ -130,7 +130,7 @@ SYSTEMS = {
         force=lambda t: 0.5 * np.cos(1.2 * t),
     ),
     "greitzer": _system(
-        ("phi", "psi"), GREITZER, low=(-0.5, 0.3), high=(1.0, 0.8), step_s=0.02,
+        ("phi", "psi"), GREITZER, low=(-0.5, 0.6), high=(1.0, 1.6), step_s=0.02,
         library=partial(_with_root, 1, 2),
     ),
     "greitzer_lag": _system(

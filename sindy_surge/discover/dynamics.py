@@ -487,15 +487,15 @@ class SparseDynamics(BaseEstimator):
 
     def _state(self, problem: Collocation, best: Tried, search: Search) -> FitState:
         if not np.isfinite(best.score):
-            return FitState.NOT_CONVERGED
+            return FitState.NO_EQUATIONS
         if not best.support:
-            return FitState.UNRELATED
+            return FitState.NO_EQUATIONS
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
         coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
         above = np.mean(left**2, axis=0) > (1.2 * _difference_noise(problem.data)[: left.shape[1]]) ** 2
         if np.any((coloured > _WHITE) & above):
-            return FitState.NO_CONSISTENT_STRUCTURE
+            return FitState.UNEXPLAINED
         return FitState.OK
 
 
