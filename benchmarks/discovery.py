@@ -64,16 +64,14 @@ class System:
     low: tuple[float, ...]
     high: tuple[float, ...]
     step_s: float
-    library: Callable[[], Any] = partial(ps.PolynomialLibrary, degree=3)
+    library: Callable[[], Any] = lambda: ps.PolynomialLibrary(degree=3)
     force: Callable[[Any], Any] | None = None
     hidden: str = ""
 
 
 def _with_root(state: int, n_states: int) -> Any:
     """Return polynomials to degree 3 and the root of one state."""
-    root = ps.CustomLibrary(
-        [lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"]
-    )
+    root = ps.CustomLibrary([lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"])
     parts = [ps.PolynomialLibrary(degree=3), root]
     return ps.GeneralizedLibrary(parts, inputs_per_library=[list(range(n_states)), [state]])
 
@@ -121,29 +119,50 @@ SYSTEMS = {
     "van_der_pol": _system(
         ("x", "y"),
         {"x": {"y": 1.0}, "y": {"x": -1.0, "y": 2.0, "x^2 y": -2.0}},
-        low=(-2, -2), high=(2, 2), step_s=0.01,
+        low=(-2, -2),
+        high=(2, 2),
+        step_s=0.01,
     ),
     "duffing": _system(
         ("x", "v"),
         {"x": {"v": 1.0}, "v": {"x": 1.0, "v": -0.3, "x^3": -1.0, "u": 1.0}},
-        low=(-1.5, -1.5), high=(1.5, 1.5), step_s=0.02,
+        low=(-1.5, -1.5),
+        high=(1.5, 1.5),
+        step_s=0.02,
         force=lambda t: 0.5 * np.cos(1.2 * t),
     ),
     "greitzer": _system(
-        ("phi", "psi"), GREITZER, low=(-0.5, 0.6), high=(1.0, 1.6), step_s=0.02,
+        ("phi", "psi"),
+        GREITZER,
+        low=(-0.5, 0.6),
+        high=(1.0, 1.6),
+        step_s=0.02,
         library=partial(_with_root, 1, 2),
     ),
     "greitzer_lag": _system(
-        ("phi", "psi", "psi_c"), GREITZER_LAG, low=(0.2, 0.3, 0.3), high=(1.2, 0.9, 0.9),
-        step_s=0.02, library=partial(_with_root, 1, 3),
+        ("phi", "psi", "psi_c"),
+        GREITZER_LAG,
+        low=(0.2, 0.3, 0.3),
+        high=(1.2, 0.9, 0.9),
+        step_s=0.02,
+        library=partial(_with_root, 1, 3),
     ),
     "greitzer_lag_hidden": _system(
-        ("phi", "psi", "psi_c"), GREITZER_LAG, low=(0.2, 0.3, 0.3), high=(1.2, 0.9, 0.9),
-        step_s=0.02, library=partial(_with_root, 1, 3), hidden="psi_c",
+        ("phi", "psi", "psi_c"),
+        GREITZER_LAG,
+        low=(0.2, 0.3, 0.3),
+        high=(1.2, 0.9, 0.9),
+        step_s=0.02,
+        library=partial(_with_root, 1, 3),
+        hidden="psi_c",
     ),
     "moore_greitzer": _system(
-        ("phi", "psi", "J"), MOORE_GREITZER, low=(0.4, 0.8, 0.1), high=(1.6, 2.0, 1.0),
-        step_s=0.02, library=partial(_with_root, 1, 3),
+        ("phi", "psi", "J"),
+        MOORE_GREITZER,
+        low=(0.4, 0.8, 0.1),
+        high=(1.6, 2.0, 1.0),
+        step_s=0.02,
+        library=partial(_with_root, 1, 3),
     ),
     # Not developed on.
     "lorenz": _system(
@@ -153,7 +172,9 @@ SYSTEMS = {
             "y": {"x": 28.0, "y": -1.0, "x z": -1.0},
             "z": {"z": -8.0 / 3.0, "x y": 1.0},
         },
-        low=(-10, -10, 15), high=(10, 10, 35), step_s=0.01,
+        low=(-10, -10, 15),
+        high=(10, 10, 35),
+        step_s=0.01,
     ),
     "rossler": _system(
         ("x", "y", "z"),
@@ -162,12 +183,16 @@ SYSTEMS = {
             "y": {"x": 1.0, "y": 0.2},
             "z": {"1": 0.2, "x z": 1.0, "z": -5.7},
         },
-        low=(-5, -5, 0), high=(5, 5, 1), step_s=0.02,
+        low=(-5, -5, 0),
+        high=(5, 5, 1),
+        step_s=0.02,
     ),
     "lotka_volterra": _system(
         ("x", "y"),
         {"x": {"x": 1.0, "x y": -0.8}, "y": {"y": -1.2, "x y": 0.9}},
-        low=(0.5, 0.5), high=(3, 3), step_s=0.02,
+        low=(0.5, 0.5),
+        high=(3, 3),
+        step_s=0.02,
     ),
     "tanks": _system(
         ("a", "b", "c"),
@@ -176,17 +201,27 @@ SYSTEMS = {
             "b": {"sqrt(a)": 0.8, "sqrt(b)": -0.7},
             "c": {"sqrt(b)": 0.7, "sqrt(c)": -0.6},
         },
-        low=(0.5, 0.5, 0.5), high=(2, 2, 2), step_s=0.02,
-        library=lambda: ps.PolynomialLibrary(degree=2)
-        + ps.CustomLibrary([lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"]),
+        low=(0.5, 0.5, 0.5),
+        high=(2, 2, 2),
+        step_s=0.02,
+        library=lambda: (
+            ps.PolynomialLibrary(degree=2)
+            + ps.CustomLibrary(
+                [lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"]
+            )
+        ),
         force=lambda t: 0.8 + 0.4 * np.sin(0.7 * t),
     ),
     "pendulum": _system(
         ("q", "w"),
         {"q": {"w": 1.0}, "w": {"sin(q)": -2.0, "w": -0.1}},
-        low=(-2.5, -1), high=(2.5, 1), step_s=0.02,
-        library=lambda: ps.PolynomialLibrary(degree=3)
-        + ps.CustomLibrary([np.sin], function_names=[lambda x: f"sin({x})"]),
+        low=(-2.5, -1),
+        high=(2.5, 1),
+        step_s=0.02,
+        library=lambda: (
+            ps.PolynomialLibrary(degree=3)
+            + ps.CustomLibrary([np.sin], function_names=[lambda x: f"sin({x})"])
+        ),
     ),
 }
 DEVELOPED_ON = tuple(SYSTEMS)[:6]
@@ -272,16 +307,16 @@ def _pysindy(system: System, x: Any, t: Any, u: Any) -> bool:
         )
         fitted.fit(x, t, u=u, feature_names=[*system.states, *(["u"] if u else [])])
         names = fitted.get_feature_names()
-        theta = np.vstack([
-            np.asarray(fitted.feature_library.transform(np.column_stack((a, b)) if u else a))
-            for a, b in zip(x, u or x, strict=True)
-        ])
+        theta = np.vstack(
+            [
+                np.asarray(fitted.feature_library.transform(np.column_stack((a, b)) if u else a))
+                for a, b in zip(x, u or x, strict=True)
+            ]
+        )
         rates = np.vstack([np.asarray(smooth(a, t)) for a in x])
         for threshold in THRESHOLDS:
             for normalise in (True, False):
-                optimizer = ps.STLSQ(
-                    threshold=threshold, alpha=1e-9, normalize_columns=normalise
-                )
+                optimizer = ps.STLSQ(threshold=threshold, alpha=1e-9, normalize_columns=normalise)
                 optimizer.fit(theta, rates)
                 found = [
                     {n for n, c in zip(names, row, strict=True) if c != 0.0}

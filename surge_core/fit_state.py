@@ -105,8 +105,8 @@ class FitState(AdvisedState):
     )
     NO_EQUATIONS = (
         "no_equations",
-        "no model was found that the data follow: check units and clocks of the columns, take "
-        "shorter records, or a smaller library",
+        "no model was found that the data follow, and none is stated: check that every state was "
+        "measured, and on one clock; take shorter records, or a smaller library",
     )
     OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
@@ -129,8 +129,8 @@ class FitState(AdvisedState):
     LAG_UNDETERMINED = (
         "lag_undetermined",
         "the error of the time constant is as large as itself, or it runs to the length of the "
-        "longest segment; the record does not excite the lag: use longer segments or more cycles; where "
-        "the system is no lag behind a curve, `sindy-surge discover` finds its equations",
+        "longest segment; the record does not excite the lag: use longer segments or more "
+        "cycles; where the system is no lag behind a curve, `sindy-surge discover` finds its equations",
     )
     UNRELATED = (
         "unrelated",

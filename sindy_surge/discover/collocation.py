@@ -165,10 +165,10 @@ class Collocation:
             x, xi, about = ahead.x, ahead.xi, ahead
             if not (np.isfinite(chi2) and np.isfinite(about.defect)):
                 return Fit(xi, x, np.inf, inverse, False)
-            if share == 1.0 and moved < _STEP_SIGMA**2 * max(support.size, 1):
-                if about.defect < _LEAST_DEFECT * max(chi2, 1.0):
-                    converged = True
-                    break
+            small = share == 1.0 and moved < _STEP_SIGMA**2 * max(support.size, 1)
+            if small and about.defect < _LEAST_DEFECT * max(chi2, 1.0):
+                converged = True
+                break
         return Fit(xi, x, chi2, inverse, converged)
 
     def linear(self, fit: Fit, support: IndexArray) -> Linear:
@@ -217,7 +217,6 @@ class _About:
         """Return the regression on columns, and what `states` needs."""
         problem = self.problem
         before, after = self._jacobians()
-        K, n = self.r.shape
         e = (problem.data.y - self.x) / problem.noise
         e = np.where(problem.hidden, 0.0, e)
         G = self._columns(support)
@@ -258,7 +257,8 @@ class _About:
         # ∂x_m/∂ξ moves f_m in every equation.
         G = np.einsum("kis,ks->kis", self.J_m[:, :, state], bends)
         G[:, state, np.arange(support.size)] += sums
-        return (G / self.problem.noise[:, None]).reshape(K * n, support.size)
+        scaled = G / self.problem.noise[:, None]
+        return np.asarray(scaled.reshape(K * n, support.size))
 
 
 def _factor(before: FloatArray, after: FloatArray, joined: BoolArray) -> FloatArray:
@@ -278,6 +278,5 @@ def _factor(before: FloatArray, after: FloatArray, joined: BoolArray) -> FloatAr
 
 def _inverse(H: FloatArray) -> FloatArray:
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    return np.asarray(np.linalg.pinv(H / np.outer(size, size), hermitian=True)) / np.outer(
-        size, size
-    )
+    inverse = np.linalg.pinv(H / np.outer(size, size), hermitian=True)
+    return np.asarray(inverse / np.outer(size, size))

@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator
 
 from sindy_surge.discover.collocation import Collocation, Fit
 from sindy_surge.discover.features import Features
-from sindy_surge.discover.search import Search, Tried, eliminated, proposed_by
+from sindy_surge.discover.search import Search, Tried, proposed_by
 from sindy_surge.discover.trajectories import Trajectories
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
@@ -26,6 +26,8 @@ _FULL_ROWS = (30, 60)
 _LEVELS = (60, 300, None)
 # A coefficient is at first believed to make no term larger than so many times the derivative.
 _LARGEST_TERM = 10.0
+# Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
+_START_RIDGE = 1e-4
 # Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
 # five standard deviations.
 _LEAST_NOISE = 3.5e-4
@@ -35,6 +37,8 @@ _HIDDEN_FREEDOM = 10.0
 _SCORED_ROWS = 300
 # Of white noise the correlation of neighbours is below this on any record of 1 000 rows.
 _WHITE = 0.2
+# What is left over the noise that differences show, before a run of it counts.
+_EXCESS = 1.2
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,8 @@ class SparseDynamics(BaseEstimator):
     inclusion_probability_ : ndarray of shape (n_states, n_terms)
         Weight of the supports tried that hold each term.
     path_ : tuple of tuple
-        (what proposed it, terms of each equation, score) of each support compared.
+        (what proposed it, terms of each equation, score) of each support compared: on whole
+        trajectories first, best first, then on shorter segments.
     noise_ : ndarray of shape (n_states,)
         Standard deviation of each state's noise.
     state_ : FitState
@@ -159,8 +164,8 @@ class SparseDynamics(BaseEstimator):
         data = Trajectories.of(x, t, u)
         _moving(data.y, feature_names)
         problem, rates = self._problem(data, feature_names, input_names)
-        search, best = self._searched(problem, rates)
-        self._keep(problem, search, best)
+        searches, best = self._searched(problem, rates)
+        self._keep(problem, searches, best)
         return self
 
     # -- What was found ---------------------------------------------------------------------------
@@ -314,8 +319,7 @@ class SparseDynamics(BaseEstimator):
             for name, value in terms.items():
                 given[features.index(name), self.state_names_.index(state)] = value
         self._known, self._hidden, self.input_names_ = known, hidden, tuple(columns)
-        rates = self._rates(data)
-        return Collocation(data, features, noise, given, hidden), rates
+        return Collocation(data, features, noise, given, hidden), self._rates(data)
 
     def _check_known(self, known: dict[str, dict[str, float]]) -> None:
         for state in known:
@@ -358,8 +362,8 @@ class SparseDynamics(BaseEstimator):
         parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.pieces()]
         return np.concatenate(parts)
 
-    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[Search, Tried]:
-        """Return all supports tried on whole trajectories, and the best."""
+    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[list[Search], Tried]:
+        """Return the supports tried at each length of segments, the last first, and the best."""
         n_terms, n_states = problem.known.shape
         taken = [self.state_names_.index(name) for name in self._known]
         free = np.array(
@@ -371,20 +375,18 @@ class SparseDynamics(BaseEstimator):
         linear = measured.linear(full, free)
         logs = float(np.log(problem.data.run.size)), float(np.log(n_terms))
         proposals = self._proposals(linear, free, n_terms)
-        near, search = full, Search(measured, free, *logs)
+        search = Search(measured, free, *logs)
         if self.search == "optimizer":
             search = Search(problem.cut(None), free, *logs)
             best = min(
                 (search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score
             )
-            return search, best
-        path = eliminated(linear, free)
-        proposals += [(s, "elimination") for s in _promising(linear, free, path, search.price)]
-        best = min(
-            (search.try_support(s, near, by) for s, by in proposals), key=lambda t: t.score
-        )
+            return [search], best
+        proposals += [(s, "elimination") for s in search.promising(linear)]
+        best = min((search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score)
+        searches = [search]
         if not np.isfinite(best.score):
-            return search, best
+            return searches, best
         for rows in _LEVELS:
             longest = max(p.stop - p.start for p in problem.data.pieces())
             level = search if rows == _FULL_ROWS[-1] else Search(problem.cut(rows), free, *logs)
@@ -393,8 +395,10 @@ class SparseDynamics(BaseEstimator):
             start = level.try_support(best.support, best.fit, best.by)
             if not np.isfinite(start.score):
                 break
-            best, search = level.climb(start), level
-        return search, best
+            best = level.climb(start)
+            if level is not search:
+                searches.insert(0, level)
+        return searches, best
 
     def _full(
         self, problem: Collocation, rates: FloatArray, free: IndexArray
@@ -405,19 +409,15 @@ class SparseDynamics(BaseEstimator):
         theta = problem.features.values(x, problem.data.u)
         n_terms, n_states = problem.known.shape
         size = np.sqrt(np.mean(theta**2, axis=0))
-        speed = np.sqrt(np.mean(rates**2, axis=0))
-        speed = np.append(speed, np.std(x[:, speed.size :], axis=0) * (speed / np.std(x[:, : speed.size], axis=0)).max()) if speed.size < n_states else speed
-        prior = (_LARGEST_TERM * speed[None, :] / size[:, None]).T.ravel()[free]
-        target = rates - theta @ problem.known[:, : rates.shape[1]]
-        if rates.shape[1] < n_states:
-            hidden_rates = np.gradient(x[:, rates.shape[1] :], problem.data.time_s, axis=0) if problem.data.pieces()[0].stop == len(x) else np.vstack([np.gradient(x[p, rates.shape[1] :], problem.data.time_s[p], axis=0) for p in problem.data.pieces()])
-            target = np.column_stack((target, hidden_rates))
+        prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
+        ridge = (prior.T.ravel()[free]) ** -2.0
         scaled = theta / size
-        ridge = 1e-4 * len(scaled) * np.eye(n_terms)
-        xi = np.linalg.solve(scaled.T @ scaled + ridge, scaled.T @ target) / size[:, None]
+        small = _START_RIDGE * len(scaled) * np.eye(n_terms)
+        target = scaled.T @ (rates - theta @ problem.known)
+        xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
         fit = Fit(xi, x, np.inf, np.eye(free.size), False)
         for rows in _FULL_ROWS:
-            fit = problem.cut(rows).fit(free, fit.xi, fit.x, prior**-2.0)
+            fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
         own = problem.cut(_FULL_ROWS[-1])
         n_rows = problem.data.run.size
         starts = 1 + int(np.count_nonzero(~own.joined))
@@ -430,7 +430,7 @@ class SparseDynamics(BaseEstimator):
             problem = Collocation(
                 problem.data, problem.features, noise, problem.known, problem.hidden
             )
-            fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, prior**-2.0)
+            fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
         return fit, problem
 
     def _proposals(
@@ -442,7 +442,11 @@ class SparseDynamics(BaseEstimator):
         name = type(optimizer).__name__
         return [(s, name) for s in proposed_by(optimizer, linear, free, n_terms)]
 
-    def _keep(self, problem: Collocation, search: Search, best: Tried) -> None:
+    def _keep(self, problem: Collocation, searches: list[Search], best: Tried) -> None:
+        search, nothing = searches[0], np.zeros(0, dtype=np.intp)
+        if not np.isfinite(best.score):
+            empty = search.problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
+            best = Tried((), np.inf, empty, best.by)
         features, n_terms = problem.features, problem.known.shape[0]
         self._features, self._noise_all = features, search.problem.noise
         self.search_, self.best_ = search, best
@@ -461,9 +465,10 @@ class SparseDynamics(BaseEstimator):
         self.inclusion_probability_ = search.inclusion(self.coef_.size).reshape(-1, n_terms)
         self.path_ = tuple(
             (t.by, self._names_of(t.support), float(t.score))
-            for t in sorted(search.tried.values(), key=lambda t: t.score)
+            for each in searches
+            for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
-        self.state_ = self._state(problem, best, search)
+        self.state_ = self._state(problem, best)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
         n = len(self.candidate_terms_)
@@ -485,7 +490,7 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _state(self, problem: Collocation, best: Tried, search: Search) -> FitState:
+    def _state(self, problem: Collocation, best: Tried) -> FitState:
         if not np.isfinite(best.score):
             return FitState.NO_EQUATIONS
         if not best.support:
@@ -493,22 +498,11 @@ class SparseDynamics(BaseEstimator):
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
         coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
-        above = np.mean(left**2, axis=0) > (1.2 * _difference_noise(problem.data)[: left.shape[1]]) ** 2
+        seen = _difference_noise(problem.data)[~problem.hidden]
+        above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
         if np.any((coloured > _WHITE) & above):
             return FitState.UNEXPLAINED
         return FitState.OK
-
-
-def _promising(
-    linear: Any, free: IndexArray, path: list[tuple[int, ...]], price: float
-) -> list[tuple[int, ...]]:
-    """Return the three supports of a path with the best score of the regression."""
-    from sindy_surge.discover.search import _squares
-
-    def score(support: tuple[int, ...]) -> float:
-        return 0.5 * _squares(linear, np.searchsorted(free, support)) + len(support) * price
-
-    return sorted(path, key=score)[:3]
 
 
 def _difference_noise(data: Trajectories) -> FloatArray:

@@ -7,8 +7,9 @@ pysindy optimizers and from backward elimination; then terms are added, dropped 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,15 @@ __all__ = ["Search", "Tried", "eliminated", "proposed_by"]
 Support = tuple[int, ...]
 
 # Neighbours that the regression about the fit promises most of, fitted in each round.
-_FITTED_A_ROUND = 4
+_FITTED_A_ROUND = 6
+# Terms of one equation that others may stand for, and how many: √ψ is nearly 1, ψ, ψ² and ψ³
+# together, and no exchange of one for one leads from these to the root.
+_MOST_LEFT_OUT = _MOST_ADDED = 3
+# Share of a term that the others must leave, for it to count as another.
+_ALIAS = 1e-10
+_FOLLOWED = 4
+# Supports of the elimination that are fitted.
+_ELIMINATED = 3
 _MOST_ROUNDS = 25
 # Beyond this the regression is too far from what a fit will find.
 _WORSE = 30.0
@@ -85,13 +94,12 @@ class Search:
             self.tried[key] = Tried(key, score, fit, by)
         return self.tried[key]
 
-    def climb(self, best: Tried, heard: Callable[[], None] = lambda: None) -> Tried:
+    def climb(self, best: Tried) -> Tried:
         """Add, drop and exchange terms as long as the score falls."""
         for _ in range(_MOST_ROUNDS):
-            heard()
             linear = self.problem.linear(best.fit, self.free)
             found = best
-            for support, by in self._neighbours(best.support, linear):
+            for support, by in [*self._eliminated(linear), *self._neighbours(best.support, linear)]:
                 trial = self.try_support(support, best.fit, by)
                 if trial.score < found.score:
                     found = trial
@@ -100,6 +108,20 @@ class Search:
                 return best
             best = found
         return best
+
+    def _eliminated(self, linear: Linear) -> list[tuple[Support, str]]:
+        """Return the best supports on the way down from the whole library, untried ones."""
+        promising = self.promising(linear)
+        return [(key, "elimination") for key in promising if key not in self.tried]
+
+    def promising(self, linear: Linear) -> list[Support]:
+        """Return the supports of least score, by the regression, that elimination passes."""
+
+        def score(support: Support) -> float:
+            places = np.searchsorted(self.free, support)
+            return 0.5 * _squares(linear, places) + len(support) * self.price
+
+        return sorted(eliminated(linear, self.free), key=score)[:_ELIMINATED]
 
     def _neighbours(self, support: Support, linear: Linear) -> list[tuple[Support, str]]:
         """Return the untried neighbours that the regression promises most of."""
@@ -110,18 +132,25 @@ class Search:
 
         def promise(places: IndexArray, squares: float, by: str) -> None:
             key = tuple(sorted(int(self.free[i]) for i in places))
-            if key not in self.tried:
+            if key not in self.tried and len(set(key)) == len(key):
                 gain = 0.5 * (squares - base) + (len(key) - len(support)) * self.price
                 promises.append((gain, key, by))
 
-        for i in range(own.size):
-            left = np.delete(own, i)
-            promise(left, _squares(linear, left), "drop")
-            for j, squares in zip(others, _with_one_more(linear, left, others), strict=True):
-                promise(np.append(left, j), squares, "exchange")
-        for j, squares in zip(others, _with_one_more(linear, own, others), strict=True):
-            promise(np.append(own, j), squares, "add")
+        equation = self.free // self.problem.known.shape[0]
+        for state in np.unique(equation):
+            mine = np.flatnonzero(equation[own] == state)
+            candidates = others[equation[others] == state]
+            for n_left_out in range(min(_MOST_LEFT_OUT, mine.size) + 1):
+                for places in combinations(mine.tolist(), n_left_out):
+                    left = np.delete(own, places)
+                    if n_left_out == 1:
+                        promise(left, _squares(linear, left), "drop")
+                    by = "exchange" if n_left_out else "add"
+                    for n_added in range(1, _MOST_ADDED + 1):
+                        for added, squares in _with_more(linear, left, candidates, n_added):
+                            promise(np.append(left, added), squares, by)
         promises.sort(key=lambda each: each[0])
+        promises = list({key: (gain, key, by) for gain, key, by in promises[::-1]}.values())[::-1]
         return [(key, by) for gain, key, by in promises[:_FITTED_A_ROUND] if gain < _WORSE]
 
     def rivals(self, best: Tried) -> list[Tried]:
@@ -132,6 +161,8 @@ class Search:
     def inclusion(self, size: int) -> FloatArray:
         """Return the weight of the supports that hold each column of Ξ, exp(-score) each."""
         scores = np.array([t.score for t in self.tried.values()])
+        if not np.isfinite(scores).any():
+            return np.zeros(size)
         weights = np.exp(-(scores - scores.min()))
         result = np.zeros(size)
         for weight, support in zip(weights / weights.sum(), self.tried, strict=True):
@@ -153,9 +184,7 @@ def eliminated(linear: Linear, free: IndexArray) -> list[Support]:
     return path
 
 
-def proposed_by(
-    optimizer: Any, linear: Linear, free: IndexArray, n_terms: int
-) -> list[Support]:
+def proposed_by(optimizer: Any, linear: Linear, free: IndexArray, n_terms: int) -> list[Support]:
     """Let a pysindy optimizer choose terms, equation by equation.
 
     The regression about the full fit is A ξ = b with Aᵀ A = H. For one equation all others are
@@ -172,7 +201,9 @@ def proposed_by(
     # An optimizer with a path gives one choice of each length for every equation.
     longest = max(map(len, choices))
     filled = [each + [each[-1]] * (longest - len(each)) for each in choices]
-    return [tuple(sorted(int(i) for part in one for i in part)) for one in zip(*filled, strict=True)]
+    return [
+        tuple(sorted(int(i) for part in one for i in part)) for one in zip(*filled, strict=True)
+    ]
 
 
 def _kept(optimizer: Any, A: FloatArray, b: FloatArray) -> list[IndexArray]:
@@ -198,16 +229,26 @@ def _squares(linear: Linear, places: IndexArray) -> float:
     return linear.squares - float(g @ _inverted(H) @ g)
 
 
-def _with_one_more(linear: Linear, own: IndexArray, others: IndexArray) -> FloatArray:
-    """Return the squared error with each of the others beside the own terms."""
+def _with_more(
+    linear: Linear, own: IndexArray, others: IndexArray, number: int
+) -> list[tuple[IndexArray, float]]:
+    """Return the best few sets of so many others beside the own terms, with the squared error."""
+    if others.size < number:
+        return []
     H, g = linear.information, linear.score
     inverse = _inverted(H[np.ix_(own, own)])
     cross = H[np.ix_(own, others)]
+    # What the others hold that the own terms do not.
     rest = g[others] - cross.T @ (inverse @ g[own])
-    room = np.diag(H)[others] - np.einsum("ij,ij->j", cross, inverse @ cross)
-    free = room > 1e-10 * np.diag(H)[others]
-    gain = np.where(free, rest**2 / np.where(free, room, 1.0), 0.0)
-    return _squares(linear, own) - gain
+    room = H[np.ix_(others, others)] - cross.T @ inverse @ cross
+    size = np.sqrt(np.diag(H)[others])
+    rest, room = rest / size, room / np.outer(size, size) + _ALIAS * np.eye(others.size)
+    sets = np.array(list(combinations(range(others.size), number)))
+    blocks = room[sets[:, :, None], sets[:, None, :]]
+    gains = np.sum(rest[sets] * np.linalg.solve(blocks, rest[sets][..., None])[..., 0], axis=1)
+    best = np.argsort(-gains)[:_FOLLOWED]
+    base = _squares(linear, own)
+    return [(others[sets[i]], base - float(gains[i])) for i in best]
 
 
 def _inverted(H: FloatArray) -> FloatArray:
@@ -215,4 +256,5 @@ def _inverted(H: FloatArray) -> FloatArray:
         return H
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     scaled = H / np.outer(size, size)
-    return np.asarray(np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)) / np.outer(size, size)
+    inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
+    return np.asarray(inverse / np.outer(size, size))

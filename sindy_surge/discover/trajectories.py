@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,7 @@ class Trajectories:
             return joined
         starts = np.searchsorted(self.run, self.run)
         offset = np.arange(self.run.size) - starts
-        return joined & (offset[1:] % rows != 0)
+        return np.asarray(joined & (offset[1:] % rows != 0))
 
     def middle_inputs(self) -> FloatArray:
         """Return the inputs half-way between rows (n_rows - 1, n_inputs), by cubics."""
@@ -102,7 +103,7 @@ class Trajectories:
         """Return the rows of each trajectory."""
         ends = np.flatnonzero(np.diff(self.run)) + 1
         edges = [0, *ends.tolist(), self.run.size]
-        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _listed(name: str, values: Any) -> list[FloatArray]:
@@ -135,7 +136,7 @@ def _listed(name: str, values: Any) -> list[FloatArray]:
 def _times(t: Any, rows: int) -> FloatArray:
     times = np.asarray(t, dtype=np.float64)
     if times.ndim == 0:
-        times = np.arange(rows) * float(times)
+        times = np.asarray(np.arange(rows) * float(times), dtype=np.float64)
     _same("t", times.size, rows, "rows")
     if not (np.isfinite(times).all() and np.all(np.diff(times) > 0.0)):
         raise InputError(
