@@ -130,7 +130,7 @@ class FitState(AdvisedState):
         "lag_undetermined",
         "the error of the time constant is as large as itself, or it runs to the length of the "
         "longest segment; the record does not excite the lag: use longer segments or more "
-        "cycles; where the system is no lag behind a curve, `sindy-surge discover` finds its equations",
+        "cycles; a system that is no lag behind a curve is one for `sindy-surge discover`",
     )
     UNRELATED = (
         "unrelated",

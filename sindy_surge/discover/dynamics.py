@@ -303,7 +303,7 @@ class SparseDynamics(BaseEstimator):
         if inputs is None and data.u.shape[1] == 1:
             columns = ["u"]
         _named("input_names", columns, data.u.shape[1])
-        self.state_names_ = tuple([*states, *self.hidden])
+        self.state_names_ = (*states, *self.hidden)
         known = {name: dict(given) for name, given in (self.known or {}).items()}
         self._check_known(known)
         noise = np.maximum(_difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))

@@ -98,21 +98,31 @@ class Search:
         """Add, drop and exchange terms as long as the score falls."""
         for _ in range(_MOST_ROUNDS):
             linear = self.problem.linear(best.fit, self.free)
-            found = best
-            for support, by in [*self._eliminated(linear), *self._neighbours(best.support, linear)]:
-                trial = self.try_support(support, best.fit, by)
-                if trial.score < found.score:
-                    found = trial
-                    break
-            if found is best:
+            better = self._first_better(best, linear)
+            if better is None:
                 return best
-            best = found
+            best = better
         return best
 
-    def _eliminated(self, linear: Linear) -> list[tuple[Support, str]]:
+    def _first_better(self, best: Tried, linear: Linear) -> Tried | None:
+        """Return a support of lower score: one term apart where there is one, else farther."""
+        for find in (self._near, self._eliminated, self._far):
+            for support, by in find(best.support, linear):
+                trial = self.try_support(support, best.fit, by)
+                if trial.score < best.score:
+                    return trial
+        return None
+
+    def _eliminated(self, support: Support, linear: Linear) -> list[tuple[Support, str]]:
         """Return the best supports on the way down from the whole library, untried ones."""
         promising = self.promising(linear)
         return [(key, "elimination") for key in promising if key not in self.tried]
+
+    def _near(self, support: Support, linear: Linear) -> list[tuple[Support, str]]:
+        return self._neighbours(support, linear, 1, 1)
+
+    def _far(self, support: Support, linear: Linear) -> list[tuple[Support, str]]:
+        return self._neighbours(support, linear, _MOST_LEFT_OUT, _MOST_ADDED)
 
     def promising(self, linear: Linear) -> list[Support]:
         """Return the supports of least score, by the regression, that elimination passes."""
@@ -123,8 +133,13 @@ class Search:
 
         return sorted(eliminated(linear, self.free), key=score)[:_ELIMINATED]
 
-    def _neighbours(self, support: Support, linear: Linear) -> list[tuple[Support, str]]:
-        """Return the untried neighbours that the regression promises most of."""
+    def _neighbours(
+        self, support: Support, linear: Linear, most_left_out: int, most_added: int
+    ) -> list[tuple[Support, str]]:
+        """Return the untried supports that the regression promises most of.
+
+        They lie some terms of one equation away.
+        """
         own = np.searchsorted(self.free, support)
         others = np.setdiff1d(np.arange(self.free.size), own)
         base = _squares(linear, own)
@@ -140,13 +155,13 @@ class Search:
         for state in np.unique(equation):
             mine = np.flatnonzero(equation[own] == state)
             candidates = others[equation[others] == state]
-            for n_left_out in range(min(_MOST_LEFT_OUT, mine.size) + 1):
+            for n_left_out in range(min(most_left_out, mine.size) + 1):
                 for places in combinations(mine.tolist(), n_left_out):
                     left = np.delete(own, places)
                     if n_left_out == 1:
                         promise(left, _squares(linear, left), "drop")
                     by = "exchange" if n_left_out else "add"
-                    for n_added in range(1, _MOST_ADDED + 1):
+                    for n_added in range(1, most_added + 1):
                         for added, squares in _with_more(linear, left, candidates, n_added):
                             promise(np.append(left, added), squares, by)
         promises.sort(key=lambda each: each[0])
