@@ -1,0 +1,1 @@
+"""Structure discovered from measured states."""

@@ -1,0 +1,358 @@
+"""The lag of a compressor with one branch or two: free run, levels, terms of each branch.
+
+τ dψ'/dt + ψ' = f_m(φ), with m = stalled or unstalled. At a given τ and given levels the free run
+is linear in the coefficients; τ and the levels are profiled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from sindy_surge.discover.loop_balance import best_terms, sandwich
+from surge_core.lag import FirstOrderLag
+from surge_core.types import FloatArray, IntArray
+
+__all__ = ["Branch", "LagFit", "LagRows", "fit_one_branch", "fit_two_branches"]
+
+# Degree of the richest single branch, of a branch while the levels are searched, and the largest
+# power among the candidate terms of a branch.
+_RICHEST, _SEARCHED, _HIGHEST = 7, 3, 5
+_GRID = 18
+_TAUS_S = np.geomspace(2e-3, 80e-3, 12)
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One branch of the characteristic: f(φ) = Σ β_i s_i(φ).
+
+    Parameters
+    ----------
+    name : str
+        ``"stalled"``, ``"unstalled"`` or ``"single"``.
+    powers : tuple of int
+        Powers of φ; -1 stands for relu(φ - knot).
+    coefficients, stderr : ndarray of shape (n_terms,)
+        β_i and their standard errors.
+    covariance : ndarray of shape (n_terms, n_terms)
+        Covariance of the β_i.
+    knot : float
+        Where relu(φ - knot) begins; nan without one.
+    """
+
+    name: str
+    powers: tuple[int, ...]
+    coefficients: FloatArray
+    covariance: FloatArray
+    knot: float
+
+    @property
+    def stderr(self) -> FloatArray:
+        """Standard errors of the coefficients."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return tuple(
+            f"relu(phi-{self.knot:.4g})" if p < 0 else ("1", "phi")[p] if p < 2 else f"phi^{p}"
+            for p in self.powers
+        )
+
+    def __call__(self, phi: FloatArray) -> FloatArray:
+        """Return f(φ), of the shape of φ."""
+        return np.asarray(self.coefficients @ _candidates(phi, self.powers, self.knot))
+
+
+@dataclass(frozen=True)
+class LagRows:
+    """The rows that the lag is fitted to.
+
+    Parameters
+    ----------
+    phi : ndarray of shape (n_rows,)
+        Smoothed φ of all records, one behind the other.
+    psi_p : ndarray of shape (n_rows,)
+        Measured ψ'.
+    starts : ndarray of int of shape (n_records,)
+        First row of each record.
+    sample_period_s : float
+        Sample period in seconds.
+    rearm : float
+        By how much φ must have been beyond a level before it can cross it, against noise.
+    period_samples : int
+        Rows of a surge cycle.
+    """
+
+    phi: FloatArray
+    psi_p: FloatArray
+    starts: IntArray
+    sample_period_s: float
+    rearm: float
+    period_samples: int
+
+    @property
+    def blocks(self) -> IntArray:
+        """Number of the cycle that each row belongs to."""
+        return np.arange(self.phi.size) // self.period_samples
+
+
+@dataclass(frozen=True)
+class LagFit:
+    """A fitted lag.
+
+    Parameters
+    ----------
+    time_constant_s, time_constant_stderr_s : float
+        τ and its standard error.
+    branches : tuple of Branch
+        One, or the stalled and the unstalled.
+    levels, levels_stderr : tuple of float
+        φ_rec and φ_s with their standard errors; empty for one branch.
+    rest : float
+        Root mean square of what the free run leaves of ψ'.
+    score : float
+        -2 log likelihood + penalty, smaller is better.
+    """
+
+    time_constant_s: float
+    time_constant_stderr_s: float
+    branches: tuple[Branch, ...]
+    levels: tuple[float, ...]
+    levels_stderr: tuple[float, ...]
+    rest: float
+    score: float
+
+
+@njit(cache=True)
+def _stalled_share(
+    phi: FloatArray, starts: IntArray, recover: float, stall: float, rearm: float
+) -> FloatArray:  # pragma: no cover
+    """Share of the interval before each row that was spent in stall."""
+    share = np.zeros(phi.size)
+    first = 0
+    stalled, armed = False, False
+    for k in range(phi.size):
+        if first < starts.size and k == starts[first]:
+            first += 1
+            stalled = phi[k] < 0.5 * (recover + stall)
+            armed = phi[k] < recover - rearm if stalled else phi[k] > stall + rearm
+            share[k] = 1.0 if stalled else 0.0
+            continue
+        share[k] = 1.0 if stalled else 0.0
+        if stalled:
+            if armed and phi[k] >= recover:
+                share[k] = min(max((recover - phi[k - 1]) / (phi[k] - phi[k - 1]), 0.0), 1.0)
+                stalled, armed = False, phi[k] > stall + rearm
+            elif phi[k] < recover - rearm:
+                armed = True
+        elif armed and phi[k] <= stall:
+            share[k] = 1.0 - min(max((stall - phi[k - 1]) / (phi[k] - phi[k - 1]), 0.0), 1.0)
+            stalled, armed = True, phi[k] < recover - rearm
+        elif phi[k] > stall + rearm:
+            armed = True
+    return share
+
+
+@njit(cache=True)
+def _responses(
+    columns: FloatArray, share: FloatArray, a: float, now: float, before: float, starts: IntArray
+) -> FloatArray:  # pragma: no cover
+    """Free run of x[k] = a x[k-1] + share[k] (now s[k] + before s[k-1]) for each column s."""
+    out = np.zeros(columns.shape)
+    for i in range(columns.shape[0]):
+        first = 0
+        for k in range(columns.shape[1]):
+            if first < starts.size and k == starts[first]:
+                first += 1
+                continue
+            drive = now * columns[i, k] + before * columns[i, k - 1]
+            out[i, k] = a * out[i, k - 1] + share[k] * drive
+    return out
+
+
+def _candidates(phi: FloatArray, powers: tuple[int, ...], knot: float) -> FloatArray:
+    return np.stack([np.maximum(phi - knot, 0.0) if p < 0 else phi**p for p in powers])
+
+
+def _free_run(
+    rows: LagRows, columns: FloatArray, tau_s: float, levels: tuple[float, ...] = ()
+) -> FloatArray:
+    """Return the free run of every column: stalled, unstalled, then the start of each record."""
+    lag = FirstOrderLag(tau_s, rows.sample_period_s, "first")
+    gains = (lag.a, lag.gain_now, lag.gain_before, rows.starts)
+    stops = np.append(rows.starts[1:], rows.phi.size)
+    decay = np.zeros((rows.starts.size, rows.phi.size))
+    for row, begin, end in zip(decay, rows.starts, stops, strict=True):
+        row[begin:end] = lag.a ** np.arange(end - begin)
+    if not levels:
+        return np.vstack((_responses(columns, np.ones(rows.phi.size), *gains), decay))
+    share = _stalled_share(rows.phi, rows.starts, *levels, rows.rearm)
+    stalled = _responses(columns, share, *gains)
+    return np.vstack((stalled, _responses(columns, 1 - share, *gains), decay))
+
+
+def _rest(design: FloatArray, psi_p: FloatArray) -> float:
+    """Return the root mean square that the columns of the free run leave of ψ'."""
+    gram = design @ design.T
+    gram[np.diag_indices_from(gram)] += 1e-10 * np.trace(gram) / len(gram)
+    beta = np.linalg.solve(gram, design @ psi_p)
+    return float(np.sqrt(np.mean((psi_p - beta @ design) ** 2)))
+
+
+def _chebyshev(phi: FloatArray, degree: int) -> FloatArray:
+    low, high = float(phi.min()), float(phi.max())
+    z = (2 * phi - low - high) / (high - low)
+    return np.ascontiguousarray(np.polynomial.chebyshev.chebvander(z, degree).T)
+
+
+def _descend(
+    objective: Callable[[FloatArray], float], start: FloatArray, steps: FloatArray
+) -> FloatArray:
+    from scipy.optimize import minimize
+
+    simplex = np.vstack((start, start + np.diag(steps)))
+    found = minimize(
+        objective,
+        start,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-7, "maxiter": 150},
+    )
+    return np.asarray(found.x)
+
+
+def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
+    """Fit one branch: powers of φ, and a kink where it earns its place.
+
+    Parameters
+    ----------
+    rows : LagRows
+        The record.
+
+    Returns
+    -------
+    fit : LagFit
+        The fit with the terms of least score.
+    richest : float
+        What the richest single branch (degree 7 and a kink) leaves of ψ'.
+    """
+    smooth = _chebyshev(rows.phi, _RICHEST)
+
+    def rest(tau_s: float, knot: float) -> float:
+        columns = smooth
+        if np.isfinite(knot):
+            columns = np.vstack((smooth, np.maximum(rows.phi - knot, 0.0)))
+        return _rest(_free_run(rows, columns, tau_s), rows.psi_p)
+
+    tau = min(_TAUS_S, key=lambda t: rest(t, np.nan))
+    span = float(np.ptp(rows.phi))
+    knots = np.linspace(rows.phi.min(), rows.phi.max(), 22)[1:-1]
+    knot = min(knots, key=lambda at: rest(tau, at))
+    at = _descend(
+        lambda v: rest(float(np.exp(v[0])), v[1]),
+        np.array([np.log(tau), knot]),
+        np.array([0.2, 0.03 * span]),
+    )
+    tau, knot = float(np.exp(at[0])), float(at[1])
+    richest = min(rest(tau, knot), rest(tau, np.nan))
+    plain, kinked = tuple(range(_HIGHEST + 1)), (-1, *range(_HIGHEST + 1))
+    without = _settled(rows, tau, (), plain, np.nan)
+    with_kink = _settled(rows, tau, (), kinked, knot)
+    return min((without, with_kink), key=lambda fit: fit.score), richest
+
+
+def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
+    """Fit two branches: search both levels on a grid, refine them with τ, choose the terms.
+
+    Parameters
+    ----------
+    rows : LagRows
+        The record.
+    tau_s : float
+        First value of τ: one branch forced on two reads some 15 % low.
+
+    Returns
+    -------
+    LagFit
+        The fit with the terms of least score.
+    """
+    columns = _chebyshev(rows.phi, _SEARCHED)
+    low, high = np.quantile(rows.phi, (0.02, 0.98))
+    grid = np.linspace(low, high, _GRID + 2)[1:-1]
+    step = float(grid[1] - grid[0])
+    thin = slice(None, None, 3)
+
+    def rest(tau: float, recover: float, stall: float) -> float:
+        if not (low < recover < high and low < stall < high):
+            return np.inf
+        design = _free_run(rows, columns, tau, (recover, stall))
+        return _rest(design[:, thin], rows.psi_p[thin])
+
+    ranked = sorted((rest(tau_s, r, s), r, s) for r in grid for s in grid)
+    best, least = np.empty(0), np.inf
+    for _, recover, stall in ranked[:3]:
+        at = _descend(
+            lambda v: rest(float(np.exp(v[0])), v[1], v[2]),
+            np.array([np.log(tau_s), recover, stall]),
+            np.array([0.1, 0.5 * step, 0.5 * step]),
+        )
+        value = rest(float(np.exp(at[0])), at[1], at[2])
+        if value < least:
+            best, least = at, value
+    levels = (float(best[1]), float(best[2]))
+    powers = tuple(range(_HIGHEST + 1))
+    return _settled(rows, float(np.exp(best[0])), levels, powers, np.nan)
+
+
+def _settled(
+    rows: LagRows, tau_s: float, levels: tuple[float, ...], powers: tuple[int, ...], knot: float
+) -> LagFit:
+    """Choose the terms, refine τ, levels and knot with them, choose again, and state errors."""
+    n_branches = 2 if levels else 1
+    n_terms = n_branches * len(powers)
+    kept = np.arange(n_terms)
+    n_nonlinear = 1 + len(levels) + int(np.isfinite(knot))
+
+    def design(at: FloatArray) -> FloatArray:
+        here = float(at[-1]) if np.isfinite(knot) else np.nan
+        columns = _candidates(rows.phi, powers, here)
+        full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + len(levels)]))
+        return np.vstack((full[kept], full[n_terms:]))
+
+    at = np.array([np.log(tau_s), *levels, *([knot] if np.isfinite(knot) else [])])
+    for _ in range(2):
+        kept = np.arange(n_terms)
+        chosen, score = best_terms(design(at), rows.psi_p, n_terms)
+        kept = chosen
+        steps = np.full(at.size, 0.01)
+        at = _descend(lambda v: _rest(design(v), rows.psi_p), at, steps)
+    columns = design(at)
+    beta = np.linalg.lstsq(columns.T, rows.psi_p, rcond=None)[0]
+    left = rows.psi_p - beta @ columns
+    moves = []
+    for i in range(n_nonlinear):
+        move = np.zeros(at.size)
+        move[i] = 2e-3
+        moves.append(beta @ (design(at + move) - design(at - move)) / 4e-3)
+    spread = sandwich(np.vstack((columns, *moves)), left, rows.blocks)
+    errors = np.sqrt(np.maximum(np.diag(spread), 0.0))[columns.shape[0] :]
+    tau = float(np.exp(at[0]))
+    here = float(at[-1]) if np.isfinite(knot) else np.nan
+    names = ("stalled", "unstalled") if levels else ("single",)
+    branches = []
+    for i, name in enumerate(names):
+        own = np.flatnonzero(kept // len(powers) == i)
+        chosen_powers = tuple(powers[j % len(powers)] for j in kept[own])
+        branches.append(Branch(name, chosen_powers, beta[own], spread[np.ix_(own, own)], here))
+    return LagFit(
+        tau,
+        tau * float(errors[0]),
+        tuple(branches if -1 in branches[0].powers else (replace(b, knot=np.nan) for b in branches)),
+        tuple(at[1 : 1 + len(levels)].tolist()),
+        tuple(errors[1 : 1 + len(levels)].tolist()),
+        float(np.sqrt(np.mean(left**2))),
+        score + n_nonlinear * float(np.log(rows.phi.size)),
+    )
