@@ -70,6 +70,10 @@ class Balance:
         )
         return tuple(name or "1" for name in named)
 
+    def rate(self, states: FloatArray) -> FloatArray:
+        """Return dx/dt at states (n_rows, 3), per second."""
+        return np.asarray(self.coefficients @ term_values(states, self.exponents))
+
 
 def term_values(states: FloatArray, exponents: IntArray) -> FloatArray:
     """Evaluate terms: states (n_rows, 3) to values (n_terms, n_rows)."""

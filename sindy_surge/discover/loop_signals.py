@@ -9,9 +9,10 @@ import numpy as np
 
 from sindy_surge.noise import difference_noise
 from sindy_surge.segments import Segments
+from surge_core.errors import InputError
 from surge_core.types import FloatArray
 
-__all__ = ["Cycles", "measure_cycles", "smoothed"]
+__all__ = ["Cycles", "hidden_plenum", "measure_cycles", "smoothed"]
 
 _WIDTHS = (1, 5, 7, 9, 11, 13, 15, 17, 21, 25, 31, 37, 45)
 _ORDER = 3
@@ -119,3 +120,52 @@ def _rises(phi: FloatArray) -> list[float]:
         row = below + int(crossed[crossed.size // 2])
         found.append(float(row + (middle - phi[row]) / (phi[row + 1] - phi[row])))
     return found
+
+
+def hidden_plenum(
+    phi: FloatArray, psi_p: FloatArray, sample_period_s: float, period_samples: int
+) -> FloatArray:
+    """Estimate a plenum pressure that was not measured, from the duct.
+
+    dφ/dt = a (ψ' - Ψ) gives Ψ = ψ' - (dφ/dt)/a. Differentiated once more and with the throttle
+    drawn as a straight line, d²φ/dt² = a dψ'/dt + terms in 1, φ, ψ' and dφ/dt: in the weak form
+    the coefficient of dψ'/dt is a.
+
+    Parameters
+    ----------
+    phi, psi_p : ndarray of shape (n_rows,)
+        φ and ψ', smoothed.
+    sample_period_s : float
+        Sample period in seconds.
+    period_samples : int
+        Rows of a cycle.
+
+    Returns
+    -------
+    ndarray of shape (n_rows,)
+        Ψ in the unit of ψ'.
+
+    Raises
+    ------
+    InputError
+        If ψ' does not drive φ as a duct would have it.
+    """
+    half_width = max(period_samples // 12, 6)
+    z = np.arange(-half_width, half_width + 1) / half_width
+    step = half_width * sample_period_s
+    weight = (1 - z**2) ** 4
+    # By parts, a derivative of the signal becomes one of w; a convolution flips the odd one.
+    slope = -8 * z * (1 - z**2) ** 3 / step
+    bend = (48 * z**2 * (1 - z**2) ** 2 - 8 * (1 - z**2) ** 3) / step**2
+    pairs = [(psi_p, slope), (phi, weight), (psi_p, weight), (phi, slope), (phi, bend)]
+    *sides, goal = (np.convolve(signal, kernel, "valid") for signal, kernel in pairs)
+    terms = np.column_stack((*sides, np.ones_like(goal)))
+    gain = float(np.linalg.lstsq(terms, goal, rcond=None)[0][0])
+    if not gain > 0:
+        raise InputError(
+            "plenum",
+            expected="φ to rise with ψ', as through a duct, when no plenum pressure is given",
+            found=f"dφ/dt = {gain:.3g} (ψ' - Ψ)",
+            remedy="give the plenum pressure, or check the sign and timing of φ and ψ'",
+        )
+    return np.asarray(psi_p - np.gradient(phi, sample_period_s) / gain)
