@@ -124,10 +124,10 @@ def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[Int
     -------
     chosen : ndarray of int
         The candidates that stay.
-    score : float
-        The least score.
+    independent : float
+        Number of independent rows.
     """
-    scaled = columns / np.linalg.norm(columns, axis=1)[:, None]
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
     q, r = np.linalg.qr(np.vstack((scaled, goal)).T)
     r, target = r[:, :-1], r[:, -1]
     left = q[:, -1] * target[-1]
@@ -142,8 +142,7 @@ def best_terms(columns: FloatArray, goal: FloatArray, n_terms: int) -> tuple[Int
 
     candidates = range(n_terms)
     subsets = (s for size in range(n_terms + 1) for s in combinations(candidates, size))
-    least, best = min((score(subset), subset) for subset in subsets)
-    return np.array(best, dtype=np.int64), least
+    return np.array(min(subsets, key=score), dtype=np.int64), independent
 
 
 def correlation_rows(left: FloatArray) -> float:

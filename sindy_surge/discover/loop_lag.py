@@ -21,7 +21,7 @@ __all__ = ["Branch", "LagFit", "LagRows", "fit_one_branch", "fit_two_branches"]
 # Degree of the richest single branch, of a branch while the levels are searched, and the largest
 # power among the candidate terms of a branch.
 _RICHEST, _SEARCHED, _HIGHEST = 7, 3, 5
-_GRID = 18
+_GRID, _STARTS = 18, 5
 _TAUS_S = np.geomspace(2e-3, 80e-3, 12)
 
 
@@ -114,8 +114,10 @@ class LagFit:
         φ_rec and φ_s with their standard errors; empty for one branch.
     rest : float
         Root mean square of what the free run leaves of ψ'.
-    score : float
-        -2 log likelihood + penalty, smaller is better.
+    n_parameters : int
+        Coefficients, τ, levels and knot.
+    independent_rows : float
+        Rows over the length of the correlation of what is left.
     """
 
     time_constant_s: float
@@ -124,7 +126,14 @@ class LagFit:
     levels: tuple[float, ...]
     levels_stderr: tuple[float, ...]
     rest: float
-    score: float
+    n_parameters: int
+    independent_rows: float
+
+    def better_than(self, other: LagFit) -> bool:
+        """Whether the Bayesian information criterion prefers this fit."""
+        n = min(self.independent_rows, other.independent_rows)
+        gain = 2 * n * np.log(other.rest / self.rest)
+        return bool(gain > (self.n_parameters - other.n_parameters) * np.log(n))
 
 
 @njit(cache=True)
@@ -197,6 +206,8 @@ def _free_run(
 
 def _rest(design: FloatArray, psi_p: FloatArray) -> float:
     """Return the root mean square that the columns of the free run leave of ψ'."""
+    if np.any(np.all(design == 0, axis=1)):
+        return np.inf
     gram = design @ design.T
     gram[np.diag_indices_from(gram)] += 1e-10 * np.trace(gram) / len(gram)
     beta = np.linalg.solve(gram, design @ psi_p)
@@ -247,10 +258,9 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
             columns = np.vstack((smooth, np.maximum(rows.phi - knot, 0.0)))
         return _rest(_free_run(rows, columns, tau_s), rows.psi_p)
 
-    tau = min(_TAUS_S, key=lambda t: rest(t, np.nan))
     span = float(np.ptp(rows.phi))
     knots = np.linspace(rows.phi.min(), rows.phi.max(), 22)[1:-1]
-    knot = min(knots, key=lambda at: rest(tau, at))
+    _, tau, knot = min((rest(t, at), t, at) for t in _TAUS_S for at in knots)
     at = _descend(
         lambda v: rest(float(np.exp(v[0])), v[1]),
         np.array([np.log(tau), knot]),
@@ -261,7 +271,7 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
     plain, kinked = tuple(range(_HIGHEST + 1)), (-1, *range(_HIGHEST + 1))
     without = _settled(rows, tau, (), plain, np.nan)
     with_kink = _settled(rows, tau, (), kinked, knot)
-    return min((without, with_kink), key=lambda fit: fit.score), richest
+    return with_kink if with_kink.better_than(without) else without, richest
 
 
 def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
@@ -291,12 +301,13 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
         design = _free_run(rows, columns, tau, (recover, stall))
         return _rest(design[:, thin], rows.psi_p[thin])
 
-    ranked = sorted((rest(tau_s, r, s), r, s) for r in grid for s in grid)
-    best, least = np.empty(0), np.inf
-    for _, recover, stall in ranked[:3]:
+    taus = tau_s * np.geomspace(0.5, 2.0, 5)
+    ranked = sorted((rest(t, r, s), t, r, s) for t in taus for r in grid for s in grid)
+    best, least = np.array([np.log(tau_s), grid[0], grid[-1]]), np.inf
+    for _, tau, recover, stall in _apart(ranked, 1.5 * step):
         at = _descend(
             lambda v: rest(float(np.exp(v[0])), v[1], v[2]),
-            np.array([np.log(tau_s), recover, stall]),
+            np.array([np.log(tau), recover, stall]),
             np.array([0.1, 0.5 * step, 0.5 * step]),
         )
         value = rest(float(np.exp(at[0])), at[1], at[2])
@@ -305,6 +316,17 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
     levels = (float(best[1]), float(best[2]))
     powers = tuple(range(_HIGHEST + 1))
     return _settled(rows, float(np.exp(best[0])), levels, powers, np.nan)
+
+
+def _apart(ranked: list[tuple[float, ...]], distance: float) -> list[tuple[float, ...]]:
+    """Return the best places of the grid that are not neighbours of a better one."""
+    found: list[tuple[float, ...]] = []
+    for place in ranked:
+        if all(max(abs(place[2] - f[2]), abs(place[3] - f[3])) > distance for f in found):
+            found.append(place)
+        if len(found) == _STARTS:
+            break
+    return found
 
 
 def _settled(
@@ -325,7 +347,7 @@ def _settled(
     at = np.array([np.log(tau_s), *levels, *([knot] if np.isfinite(knot) else [])])
     for _ in range(2):
         kept = np.arange(n_terms)
-        chosen, score = best_terms(design(at), rows.psi_p, n_terms)
+        chosen, independent = best_terms(design(at), rows.psi_p, n_terms)
         kept = chosen
         steps = np.full(at.size, 0.01)
         at = _descend(lambda v: _rest(design(v), rows.psi_p), at, steps)
@@ -354,5 +376,6 @@ def _settled(
         tuple(at[1 : 1 + len(levels)].tolist()),
         tuple(errors[1 : 1 + len(levels)].tolist()),
         float(np.sqrt(np.mean(left**2))),
-        score + n_nonlinear * float(np.log(rows.phi.size)),
+        kept.size + n_nonlinear,
+        independent,
     )

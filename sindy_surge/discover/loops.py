@@ -272,7 +272,7 @@ def discover_loop(
     rows = LagRows(smooth[0], measured[1], starts, step, 2 * noise[0], period_samples)
     one, richest = fit_one_branch(rows)
     two = fit_two_branches(rows, one.time_constant_s)
-    lag = two if two.rest < _SHARE * richest and two.score < one.score else one
+    lag = two if two.rest < _SHARE * richest and two.better_than(one) else one
     if plenum is None:
         smooth.append(hidden_plenum(smooth[0], smooth[1], step, period_samples))
         measured.append(smooth[-1])
