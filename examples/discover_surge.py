@@ -39,9 +39,10 @@ def draw(record: np.ndarray, loop: SurgeLoop, path: Path) -> None:
     left.plot(record[:, 0], record[:, 1], ".", color="0.7", ms=2, label="measured, 2 % noise")
     simulated = loop.simulate()[2 * round(loop.period_s / STEP_S) :]
     left.plot(simulated[:, 0], simulated[:, 1], color="C0", lw=1, label="discovered, simulated")
-    for branch, colour in zip(loop.lag.branches, ("C3", "C2"), strict=False):
-        low, high = (-0.05, 0.25) if branch.name == "stalled" else (0.22, record[:, 0].max())
-        phi = np.linspace(low, high, 100)
+    for branch, colour in zip(loop.lag.branches, ("C3", "C2"), strict=True):
+        recover, stall = loop.lag.levels
+        stalled = branch.name == "stalled"
+        phi = np.linspace(*((-0.3, recover) if stalled else (stall, 0.8)), 100)
         left.plot(phi, branch(phi), "--", color=colour, label=f"{branch.name} branch")
     left.set(xlabel="φ", ylabel="ψ'", title="The loop, and the curves behind it")
     left.legend(frameon=False, fontsize=8)

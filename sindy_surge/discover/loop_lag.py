@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from sindy_surge.discover.loop_balance import best_terms, sandwich
+from sindy_surge.discover.loop_signals import smoothed
 from surge_core.lag import FirstOrderLag
 from surge_core.types import FloatArray, IntArray
 
@@ -22,6 +23,7 @@ __all__ = ["Branch", "LagFit", "LagRows", "fit_one_branch", "fit_two_branches"]
 # power among the candidate terms of a branch.
 _RICHEST, _SEARCHED, _HIGHEST = 7, 3, 5
 _GRID, _STARTS = 18, 5
+_TWINS = 3
 _TAUS_S = np.geomspace(2e-3, 80e-3, 12)
 
 
@@ -34,7 +36,7 @@ class Branch:
     name : str
         ``"stalled"``, ``"unstalled"`` or ``"single"``.
     powers : tuple of int
-        Powers of φ; -1 stands for relu(φ - knot).
+        Powers of φ; -1 and -2 stand for relu(φ - knot) and its square.
     coefficients, stderr : ndarray of shape (n_terms,)
         β_i and their standard errors.
     covariance : ndarray of shape (n_terms, n_terms)
@@ -58,7 +60,7 @@ class Branch:
     def terms(self) -> tuple[str, ...]:
         """Names of the terms."""
         return tuple(
-            f"relu(phi-{self.knot:.4g})" if p < 0 else ("1", "phi")[p] if p < 2 else f"phi^{p}"
+            f"relu(phi-{self.knot:.4g})" + "^2" * (p == -2) if p < 0 else ("1", "phi")[p] if p < 2 else f"phi^{p}"
             for p in self.powers
         )
 
@@ -85,6 +87,8 @@ class LagRows:
         By how much φ must have been beyond a level before it can cross it, against noise.
     period_samples : int
         Rows of a surge cycle.
+    noise : float
+        White noise of φ before it was smoothed.
     """
 
     phi: FloatArray
@@ -93,11 +97,18 @@ class LagRows:
     sample_period_s: float
     rearm: float
     period_samples: int
+    noise: float
 
     @property
     def blocks(self) -> IntArray:
         """Number of the cycle that each row belongs to."""
         return np.arange(self.phi.size) // self.period_samples
+
+    def twin(self, psi_p: FloatArray, rng: np.random.Generator) -> LagRows:
+        """Return the record measured again: φ with new noise and smoothed, ψ' as given."""
+        noisy = self.phi + self.noise * rng.standard_normal(self.phi.size)
+        pieces = np.split(noisy, self.starts[1:])
+        return replace(self, phi=np.concatenate([smoothed(x)[0] for x in pieces]), psi_p=psi_p)
 
 
 @dataclass(frozen=True)
@@ -184,7 +195,7 @@ def _responses(
 
 
 def _candidates(phi: FloatArray, powers: tuple[int, ...], knot: float) -> FloatArray:
-    return np.stack([np.maximum(phi - knot, 0.0) if p < 0 else phi**p for p in powers])
+    return np.stack([np.maximum(phi - knot, 0.0) ** -p if p < 0 else phi**p for p in powers])
 
 
 def _free_run(
@@ -248,14 +259,14 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
     fit : LagFit
         The fit with the terms of least score.
     richest : float
-        What the richest single branch (degree 7 and a kink) leaves of ψ'.
+        What the richest single branch (degree 7, and other cubics beyond a kink) leaves of ψ'.
     """
     smooth = _chebyshev(rows.phi, _RICHEST)
 
     def rest(tau_s: float, knot: float) -> float:
         columns = smooth
         if np.isfinite(knot):
-            columns = np.vstack((smooth, np.maximum(rows.phi - knot, 0.0)))
+            columns = np.vstack((smooth, _candidates(rows.phi, (-1, -2, -3), knot)))
         return _rest(_free_run(rows, columns, tau_s), rows.psi_p)
 
     span = float(np.ptp(rows.phi))
@@ -268,7 +279,7 @@ def fit_one_branch(rows: LagRows) -> tuple[LagFit, float]:
     )
     tau, knot = float(np.exp(at[0])), float(at[1])
     richest = min(rest(tau, knot), rest(tau, np.nan))
-    plain, kinked = tuple(range(_HIGHEST + 1)), (-1, *range(_HIGHEST + 1))
+    plain, kinked = tuple(range(_HIGHEST + 1)), (-2, -1, *range(_HIGHEST + 1))
     without = _settled(rows, tau, (), plain, np.nan)
     with_kink = _settled(rows, tau, (), kinked, knot)
     return with_kink if with_kink.better_than(without) else without, richest
@@ -329,16 +340,27 @@ def _apart(ranked: list[tuple[float, ...]], distance: float) -> list[tuple[float
     return found
 
 
+def _twin_rest(
+    design: Callable[[FloatArray, LagRows], FloatArray], twin: LagRows
+) -> Callable[[FloatArray], float]:
+    return lambda at: _rest(design(at, twin), twin.psi_p)
+
+
 def _settled(
     rows: LagRows, tau_s: float, levels: tuple[float, ...], powers: tuple[int, ...], knot: float
 ) -> LagFit:
-    """Choose the terms, refine τ, levels and knot with them, choose again, and state errors."""
+    """Choose the terms, refine τ, levels and knot with them, choose again, and state errors.
+
+    What smoothing left of the noise of φ biases all of them. Twins of the record show by how
+    much: the smoothed φ is taken for the true one, the fitted free run for ψ', and both are
+    measured and fitted again.
+    """
     n_branches = 2 if levels else 1
     n_terms = n_branches * len(powers)
     kept = np.arange(n_terms)
     n_nonlinear = 1 + len(levels) + int(np.isfinite(knot))
 
-    def design(at: FloatArray) -> FloatArray:
+    def design(at: FloatArray, rows: LagRows = rows) -> FloatArray:
         here = float(at[-1]) if np.isfinite(knot) else np.nan
         columns = _candidates(rows.phi, powers, here)
         full = _free_run(rows, columns, float(np.exp(at[0])), tuple(at[1 : 1 + len(levels)]))
@@ -349,8 +371,7 @@ def _settled(
         kept = np.arange(n_terms)
         chosen, independent = best_terms(design(at), rows.psi_p, n_terms)
         kept = chosen
-        steps = np.full(at.size, 0.01)
-        at = _descend(lambda v: _rest(design(v), rows.psi_p), at, steps)
+        at = _descend(lambda v: _rest(design(v), rows.psi_p), at, np.full(at.size, 0.01))
     columns = design(at)
     beta = np.linalg.lstsq(columns.T, rows.psi_p, rcond=None)[0]
     left = rows.psi_p - beta @ columns
@@ -361,6 +382,15 @@ def _settled(
         moves.append(beta @ (design(at + move) - design(at - move)) / 4e-3)
     spread = sandwich(np.vstack((columns, *moves)), left, rows.blocks)
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))[columns.shape[0] :]
+    rng = np.random.default_rng(0)
+    again = []
+    for _ in range(_TWINS):
+        twin = rows.twin(beta @ columns, rng)
+        found = _descend(_twin_rest(design, twin), at, np.full(at.size, 0.01))
+        linear = np.linalg.lstsq(design(found, twin).T, twin.psi_p, rcond=None)[0]
+        again.append(np.concatenate((found, linear)))
+    moved = 2 * np.concatenate((at, beta)) - np.mean(again, axis=0)
+    at, beta = moved[: at.size], moved[at.size :]
     tau = float(np.exp(at[0]))
     here = float(at[-1]) if np.isfinite(knot) else np.nan
     names = ("stalled", "unstalled") if levels else ("single",)
@@ -372,7 +402,7 @@ def _settled(
     return LagFit(
         tau,
         tau * float(errors[0]),
-        tuple(branches if -1 in branches[0].powers else (replace(b, knot=np.nan) for b in branches)),
+        tuple(branches if min(branches[0].powers, default=0) < 0 else (replace(b, knot=np.nan) for b in branches)),
         tuple(at[1 : 1 + len(levels)].tolist()),
         tuple(errors[1 : 1 + len(levels)].tolist()),
         float(np.sqrt(np.mean(left**2))),

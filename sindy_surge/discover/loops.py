@@ -125,12 +125,12 @@ class SurgeLoop:
         first = np.asarray(self.start if x0 is None else x0, dtype=np.float64)
         recover, stall = self.lag.levels or (-np.inf, -np.inf)
         curves = np.zeros((2, 8))
-        kinks = np.zeros((2, 2))
+        kinks = np.zeros((2, 3))
         for i in range(2):
             branch = self.lag.branches[min(i, self.n_branches - 1)]
             for power, beta in zip(branch.powers, branch.coefficients.tolist(), strict=True):
                 if power < 0:
-                    kinks[i] = beta, branch.knot
+                    kinks[i, 0], kinks[i, -power] = branch.knot, beta
                 else:
                     curves[i, power] = beta
         plenum = self._throttled(throttle)
@@ -226,7 +226,7 @@ def discover_loop(
     """Discover the surge loop behind measured cycles: branches, levels, lag, duct and plenum.
 
     Two branches stand where the free run of the lag leaves less than 0.7 of what the richest
-    single branch leaves (degree 7 and a kink) and the Bayesian information criterion agrees.
+    single branch leaves (degree 7, with other cubics beyond a kink) and the Bayesian information criterion agrees.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def discover_loop(
             remedy="use a longer record, or sample faster",
         )
     period_samples = round(cycles.period_s / step)
-    rows = LagRows(smooth[0], measured[1], starts, step, 2 * noise[0], period_samples)
+    rows = LagRows(smooth[0], measured[1], starts, step, 2 * noise[0], period_samples, noise[0])
     one, richest = fit_one_branch(rows)
     two = fit_two_branches(rows, one.time_constant_s)
     lag = two if two.rest < _SHARE * richest and two.better_than(one) else one
@@ -367,7 +367,8 @@ def _run(
             curve, kink = (curves[0], kinks[0]) if stalled else (curves[1], kinks[1])
             for i in range(4):
                 y = x if i == 0 else x + at[i] * dt * k[i - 1]
-                target = kink[0] * max(y[0] - kink[1], 0.0)
+                beyond = max(y[0] - kink[0], 0.0)
+                target = (kink[1] + kink[2] * beyond) * beyond
                 for power in range(curve.size):
                     target += curve[power] * y[0] ** power
                 k[i, 0] = _balance(y, duct, duct_c)
