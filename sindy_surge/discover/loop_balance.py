@@ -7,7 +7,7 @@ noise of the terms is averaged by the integral.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -196,7 +196,7 @@ def fit_balance(
     goal = channel.copy()
     number = 0
     for cut in edges:
-        for begin, end in zip(cut[:-1], cut[1:], strict=True):
+        for begin, end in pairwise(cut):
             own = cumulative_simpson(values[:, begin:end], dx=sample_period_s, initial=0)
             columns[:, begin:end] = own - own.mean(axis=1, keepdims=True)
             goal[begin:end] -= goal[begin:end].mean()
@@ -204,6 +204,6 @@ def fit_balance(
             number += 1
     chosen, _ = best_terms(columns, goal, len(columns))
     own = columns[chosen]
-    coefficients = np.linalg.lstsq(own.T, goal, rcond=None)[0]
+    coefficients = np.asarray(np.linalg.lstsq(own.T, goal, rcond=None)[0], dtype=np.float64)
     spread = sandwich(own, goal - coefficients @ own, blocks)
     return Balance(exponents[chosen], coefficients, spread)

@@ -6,7 +6,7 @@ is linear in the coefficients; τ and the levels are profiled.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ __all__ = ["Branch", "LagFit", "LagRows", "fit_one_branch", "fit_two_branches"]
 # Degree of the richest single branch, of a branch while the levels are searched, and the largest
 # power among the candidate terms of a branch.
 _RICHEST, _SEARCHED, _HIGHEST = 7, 3, 5
-_GRID, _STARTS = 18, 5
+_GRID, _STARTS = 26, 8
 _TWINS = 3
 _TAUS_S = np.geomspace(2e-3, 80e-3, 12)
 
@@ -60,7 +60,11 @@ class Branch:
     def terms(self) -> tuple[str, ...]:
         """Names of the terms."""
         return tuple(
-            f"relu(phi-{self.knot:.4g})" + "^2" * (p == -2) if p < 0 else ("1", "phi")[p] if p < 2 else f"phi^{p}"
+            f"relu(phi-{self.knot:.4g})" + "^2" * (p == -2)
+            if p < 0
+            else ("1", "phi")[p]
+            if p < 2
+            else f"phi^{p}"
             for p in self.powers
         )
 
@@ -179,10 +183,11 @@ def _stalled_share(
 
 @njit(cache=True)
 def _responses(
-    columns: FloatArray, share: FloatArray, a: float, now: float, before: float, starts: IntArray
+    columns: FloatArray, share: FloatArray, gains: FloatArray, starts: IntArray
 ) -> FloatArray:  # pragma: no cover
     """Free run of x[k] = a x[k-1] + share[k] (now s[k] + before s[k-1]) for each column s."""
     out = np.zeros(columns.shape)
+    a, now, before = gains
     for i in range(columns.shape[0]):
         first = 0
         for k in range(columns.shape[1]):
@@ -203,16 +208,19 @@ def _free_run(
 ) -> FloatArray:
     """Return the free run of every column: stalled, unstalled, then the start of each record."""
     lag = FirstOrderLag(tau_s, rows.sample_period_s, "first")
-    gains = (lag.a, lag.gain_now, lag.gain_before, rows.starts)
+
+    def respond(share: FloatArray) -> FloatArray:
+        gains = np.array([lag.a, lag.gain_now, lag.gain_before])
+        return np.asarray(_responses(columns, share, gains, rows.starts))
+
     stops = np.append(rows.starts[1:], rows.phi.size)
     decay = np.zeros((rows.starts.size, rows.phi.size))
     for row, begin, end in zip(decay, rows.starts, stops, strict=True):
         row[begin:end] = lag.a ** np.arange(end - begin)
     if not levels:
-        return np.vstack((_responses(columns, np.ones(rows.phi.size), *gains), decay))
+        return np.vstack((respond(np.ones(rows.phi.size)), decay))
     share = _stalled_share(rows.phi, rows.starts, *levels, rows.rearm)
-    stalled = _responses(columns, share, *gains)
-    return np.vstack((stalled, _responses(columns, 1 - share, *gains), decay))
+    return np.vstack((respond(share), respond(1 - share), decay))
 
 
 def _rest(design: FloatArray, psi_p: FloatArray) -> float:
@@ -312,7 +320,7 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
         design = _free_run(rows, columns, tau, (recover, stall))
         return _rest(design[:, thin], rows.psi_p[thin])
 
-    taus = tau_s * np.geomspace(0.5, 2.0, 5)
+    taus = tau_s * np.array([0.7, 1.0, 1.5])
     ranked = sorted((rest(t, r, s), t, r, s) for t in taus for r in grid for s in grid)
     best, least = np.array([np.log(tau_s), grid[0], grid[-1]]), np.inf
     for _, tau, recover, stall in _apart(ranked, 1.5 * step):
@@ -329,7 +337,7 @@ def fit_two_branches(rows: LagRows, tau_s: float) -> LagFit:
     return _settled(rows, float(np.exp(best[0])), levels, powers, np.nan)
 
 
-def _apart(ranked: list[tuple[float, ...]], distance: float) -> list[tuple[float, ...]]:
+def _apart(ranked: Sequence[tuple[float, ...]], distance: float) -> list[tuple[float, ...]]:
     """Return the best places of the grid that are not neighbours of a better one."""
     found: list[tuple[float, ...]] = []
     for place in ranked:
@@ -402,7 +410,11 @@ def _settled(
     return LagFit(
         tau,
         tau * float(errors[0]),
-        tuple(branches if min(branches[0].powers, default=0) < 0 else (replace(b, knot=np.nan) for b in branches)),
+        tuple(
+            branches
+            if min(branches[0].powers, default=0) < 0
+            else (replace(b, knot=np.nan) for b in branches)
+        ),
         tuple(at[1 : 1 + len(levels)].tolist()),
         tuple(errors[1 : 1 + len(levels)].tolist()),
         float(np.sqrt(np.mean(left**2))),

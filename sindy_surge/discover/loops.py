@@ -27,8 +27,11 @@ from surge_core.validation import positive
 __all__ = ["STATES", "SurgeLoop", "discover_loop"]
 
 STATES = ("phi", "psi_p", "plenum")
-# Two branches must leave less than this share of what the richest single branch leaves.
+# Two branches must leave less than this share of the variance that the richest single branch leaves.
 _SHARE = 0.7
+# White noise taken out of both, as a share of the variance that differences show: they scatter by
+# some 5 %, and noise shared by both would make any two fits alike.
+_NOISE = 0.8
 _FEWEST_CYCLES = 4
 _FEWEST_SAMPLES = 30
 _SUBSTEPS = 8
@@ -97,7 +100,11 @@ class SurgeLoop:
             f"τ dψ'/dt + ψ' = {_sum(b)}" + ("" if b.name == "single" else f"   [{b.name}]")
             for b in self.lag.branches
         ]
-        return (f"dφ/dt = {_sum(self.duct)}   [1/s]", *lines, f"dΨ/dt = {_sum(self.plenum)}   [1/s]")
+        return (
+            f"dφ/dt = {_sum(self.duct)}   [1/s]",
+            *lines,
+            f"dΨ/dt = {_sum(self.plenum)}   [1/s]",
+        )
 
     def simulate(
         self, x0: ArrayLike | None = None, t: ArrayLike | None = None, throttle: float = 1.0
@@ -226,7 +233,8 @@ def discover_loop(
     """Discover the surge loop behind measured cycles: branches, levels, lag, duct and plenum.
 
     Two branches stand where the free run of the lag leaves less than 0.7 of what the richest
-    single branch leaves (degree 7, with other cubics beyond a kink) and the Bayesian information criterion agrees.
+    single branch leaves (degree 7, with other cubics beyond a kink), the white noise apart, and
+    the Bayesian information criterion agrees.
 
     Parameters
     ----------
@@ -272,15 +280,16 @@ def discover_loop(
     rows = LagRows(smooth[0], measured[1], starts, step, 2 * noise[0], period_samples, noise[0])
     one, richest = fit_one_branch(rows)
     two = fit_two_branches(rows, one.time_constant_s)
-    lag = two if two.rest < _SHARE * richest and two.better_than(one) else one
+    richest = min(richest, one.rest)
+    white = _NOISE * noise[1] ** 2
+    kept = (two.rest**2 - white) / max(richest**2 - white, 1e-300)
+    lag = two if kept < _SHARE and two.better_than(one) else one
     if plenum is None:
         smooth.append(hidden_plenum(smooth[0], smooth[1], step, period_samples))
         measured.append(smooth[-1])
         cycles = measure_cycles(np.column_stack(smooth), step)
     states = np.column_stack(smooth)
-    duct, balance = (
-        fit_balance(measured[i], states, starts, period_samples, step) for i in (0, 2)
-    )
+    duct, balance = (fit_balance(measured[i], states, starts, period_samples, step) for i in (0, 2))
     whole = states[: period_samples + 1]
     start = whole[int(np.argmin(whole[:, 0]))]
     none = Cycles(np.nan, (), (), 0)
@@ -341,7 +350,9 @@ def _difference(measured: Cycles, simulated: Cycles) -> float:
 
 
 @njit(cache=True)
-def _balance(x: FloatArray, exponents: IntArray, coefficients: FloatArray) -> float:  # pragma: no cover
+def _balance(
+    x: FloatArray, exponents: IntArray, coefficients: FloatArray
+) -> float:  # pragma: no cover
     root = np.copysign(np.sqrt(abs(x[2])), x[2])
     total = 0.0
     for i in range(coefficients.size):

@@ -72,8 +72,10 @@ def _one(rng: np.random.Generator, kinked: bool) -> tuple[tuple[float, float], t
         fall = 2 * bend * knot + rng.uniform(0.5, 2)
 
         def curve(phi: float) -> float:
-            return base + bend * phi**2 * (phi < knot) + (phi >= knot) * (
-                bend * knot**2 + (2 * bend * knot - fall) * (phi - knot)
+            return (
+                base
+                + bend * phi**2 * (phi < knot)
+                + (phi >= knot) * (bend * knot**2 + (2 * bend * knot - fall) * (phi - knot))
             )
     else:
         base, height, width = rng.uniform(0.2, 0.4), rng.uniform(0.15, 0.25), rng.uniform(0.2, 0.3)
@@ -94,7 +96,7 @@ def draw(seed: int, kind: str) -> tuple[SurgeMachine, np.ndarray, np.ndarray]:
             rng.uniform(80, 160), rng.uniform(4, 20), rng.uniform(0.15, 0.5),
             rng.uniform(0.010, 0.025), levels, curves,
         )  # fmt: skip
-        states, modes = machine.run(4000, fine=1)
+        states, _ = machine.run(4000, fine=1)
         late = states[-1000:, 0]
         if not np.all(np.isfinite(states)) or late.max() < 0.35 or late.min() > 0.1:
             continue

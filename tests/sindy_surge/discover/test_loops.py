@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from surge_machines import STEP_S, draw, measured
 
 from sindy_surge import InputError, discover_loop
 from sindy_surge.discover.loop_signals import measure_cycles, smoothed
 from surge_core.fit_state import FitState
-from surge_machines import STEP_S, draw, measured
 
 
 def curve_error(loop, machine, states, modes):
@@ -77,10 +77,10 @@ def test_a_throttle_opened_beyond_the_surge_line_is_steady() -> None:
     beyond, growth = loop.operating_point(1.05 * limit)
     assert growth < 0
     assert beyond[0] > at[0] > machine.levels[1] - 0.01
-    times = np.arange(0, 4, STEP_S)
-    opened = loop.simulate(beyond + [0.002, 0, 0], times, throttle=1.05 * limit)
+    times, nudged = np.arange(0, 4, STEP_S), beyond + np.array([0.002, 0, 0])
+    opened = loop.simulate(nudged, times, throttle=1.05 * limit)
     assert np.ptp(opened[-500:, 0]) < 0.01
-    closed = loop.simulate(beyond + [0.002, 0, 0], times, throttle=0.9 * limit)
+    closed = loop.simulate(nudged, times, throttle=0.9 * limit)
     assert np.ptp(closed[-1000:, 0]) > 0.2
 
 
