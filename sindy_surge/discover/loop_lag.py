@@ -219,7 +219,8 @@ def _free_run(
         row[begin:end] = lag.a ** np.arange(end - begin)
     if not levels:
         return np.vstack((respond(np.ones(rows.phi.size)), decay))
-    share = _stalled_share(rows.phi, rows.starts, *levels, rows.rearm)
+    recover, stall = levels
+    share = _stalled_share(rows.phi, rows.starts, recover, stall, rows.rearm)
     return np.vstack((respond(share), respond(1 - share), decay))
 
 

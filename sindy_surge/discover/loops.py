@@ -27,7 +27,7 @@ from surge_core.validation import positive
 __all__ = ["STATES", "SurgeLoop", "discover_loop"]
 
 STATES = ("phi", "psi_p", "plenum")
-# Two branches must leave less than this share of the variance that the richest single branch leaves.
+# Two branches must leave less than this share of the variance that the richest single one leaves.
 _SHARE = 0.7
 # White noise taken out of both, as a share of the variance that differences show: they scatter by
 # some 5 %, and noise shared by both would make any two fits alike.
