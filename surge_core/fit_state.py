@@ -142,6 +142,16 @@ class FitState(AdvisedState):
         "a structure was found, but on so few rows that a choice among so many terms is worth "
         "little, and the errors stated are too small: use a longer record, or a smaller library",
     )
+    DOES_NOT_CYCLE = (
+        "does_not_cycle",
+        "simulated, the model settles or runs away instead of cycling: use more cycles, and look "
+        "for clipped signals, a transient, or channels shifted in time against each other",
+    )
+    CYCLES_DIFFER = (
+        "cycles_differ",
+        "the model cycles, but its period or an extreme is more than 5 % off the record's: look "
+        "for a missing effect, a time shift between the channels, or cycles that drift",
+    )
     CONSTANT_SIGNAL = (
         "constant_signal",
         "the inputs or ψ' do not change, so that no lag shows; the fit is static: use a record "

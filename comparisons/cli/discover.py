@@ -36,6 +36,12 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     )
     from sindy_surge import SparseDynamics
 
+    if given.loop:
+        return _loop(given)
+    if not given.states:
+        raise InputError(
+            "--states", expected="the columns that are states", found="none", remedy="name them"
+        )
     states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
     hidden = _names("--hidden", given.hidden)
     with shown_steps(3) as begin:
@@ -61,6 +67,36 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             ),
         )
     return discover_text(model), *written
+
+
+def _loop(given: argparse.Namespace) -> Iterable[str]:
+    from classic_ml.io.series import read_series
+    from comparisons.cli.discover_loop import (
+        discover_series_loop,
+        loop_document,
+        loop_parts,
+        loop_text,
+    )
+    from comparisons.page.html import render_page
+
+    if len(given.files) != 1:
+        raise InputError("--loop", expected="one series", found=f"{len(given.files)} files")
+    path = given.files[0]
+    with shown_steps(3) as begin:
+        begin("reading")
+        series = read_series(path)
+        begin("finding branches, levels and lag")
+        found = discover_series_loop(series)
+        begin("writing")
+        title = f"Surge loop of {path.name}"
+        written = write_asked(
+            given,
+            json=lambda: loop_document(found),
+            report=lambda: render_page(
+                [(path.name, loop_parts(found, path.name))], title=title, command=command_line()
+            ),
+        )
+    return *loop_text(found), *written
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:
@@ -168,7 +204,13 @@ COMMAND = Command(
     "pysindy library, optimizer and differentiation in Python.",
     arguments=(
         reads("files", nargs="+", metavar="FILE", help="CSV with time_s and a column per state"),
-        argument("--states", required=True, metavar="x,v", help="columns that are states"),
+        argument("--states", default="", metavar="x,v", help="columns that are states"),
+        argument(
+            "--loop",
+            action="store_true",
+            help="FILE is a reduced series: find the surge loop behind it, with one branch of the "
+            "characteristic or two",
+        ),
         argument("--inputs", default="", metavar="u", help="columns that are inputs"),
         argument(
             "--library",

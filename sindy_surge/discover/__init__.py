@@ -1,7 +1,1 @@
-"""Discovery of the equations of a measured system, dx/dt = Θ(x, u) Ξ."""
-
-from __future__ import annotations
-
-from sindy_surge.discover.dynamics import SparseDynamics
-
-__all__ = ["SparseDynamics"]
+"""Equations and surge loops discovered from measured states."""
