@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from comparisons.page.blocks import Head, Part, Table, Words
+from surge_core.fit_state import FitState
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -53,7 +54,7 @@ def discover_series_loop(series: CoefficientSeries, plenum: np.ndarray | None = 
 
 def loop_document(loop: SurgeLoop) -> dict[str, Any]:
     """Return the document of `discover --json`, with branches, levels, τ and period."""
-    lag = loop.lag
+    lag, stated = loop.lag, _stated(loop)
     names = ("recover_phi", "stall_phi")
     levels = zip(names, lag.levels, lag.levels_stderr, strict=False)
     equations = [
@@ -63,10 +64,13 @@ def loop_document(loop: SurgeLoop) -> dict[str, Any]:
     period_s = loop.period_s
     return {
         "schema": "sindy-surge/discover/1",
-        "equations": equations,
-        "branches": [{"name": b.name, "terms": _terms(b)} for b in lag.branches],
-        "levels": {name: {"value": v, "stderr": error} for name, v, error in levels},
-        "time_constant_s": {"value": lag.time_constant_s, "stderr": lag.time_constant_stderr_s},
+        "equations": equations if stated else [],
+        "branches": [{"name": b.name, "terms": _terms(b)} for b in lag.branches if stated],
+        "levels": {n: {"value": v, "stderr": error} for n, v, error in levels if stated},
+        "time_constant_s": {
+            "value": lag.time_constant_s if stated else None,
+            "stderr": lag.time_constant_stderr_s if stated else None,
+        },
         "period_s": {
             "measured": loop.measured_cycles.period_s,
             "simulated": period_s if np.isfinite(period_s) else None,
@@ -79,7 +83,7 @@ def loop_document(loop: SurgeLoop) -> dict[str, Any]:
 def loop_text(loop: SurgeLoop) -> tuple[str, ...]:
     """Return what the terminal shows."""
     fields = (f"{name}: {value}" for name, value in _fields(loop))
-    return (*loop.equations(), *fields, f"{loop.state}: {loop.state.advice}")
+    return (f"{loop.state}: {loop.state.advice}", *_equations(loop), *fields)
 
 
 def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
@@ -88,8 +92,17 @@ def loop_parts(loop: SurgeLoop, source: str) -> tuple[Part, ...]:
     table = Table("What the loop measures", (Head("quantity"), Head("value", prose=True)), rows)
     tone = "" if loop.state.code == "ok" else "caution"
     state = Words(f"{loop.state}: {loop.state.advice}.", *((tone,) if tone else ()))
-    words = (Words(line) for line in loop.equations())
+    words = (Words(line) for line in _equations(loop))
     return (Part(f"Surge loop of {Path(source).name}", (state, *words, table)),)
+
+
+def _stated(loop: SurgeLoop) -> bool:
+    """Return whether the loop runs as the record does: else none of its numbers is stated."""
+    return loop.state is FitState.OK
+
+
+def _equations(loop: SurgeLoop) -> tuple[str, ...]:
+    return loop.equations() if _stated(loop) else ()
 
 
 def _terms(part: Branch | Balance) -> list[dict[str, Any]]:
@@ -98,6 +111,9 @@ def _terms(part: Branch | Balance) -> list[dict[str, Any]]:
 
 
 def _fields(loop: SurgeLoop) -> list[tuple[str, str]]:
+    period = f"{loop.measured_cycles.period_s:.4f} s measured"
+    if not _stated(loop):
+        return [("period", period)]
     lag = loop.lag
     tau = f"{1e3 * lag.time_constant_s:.2f} ± {1e3 * lag.time_constant_stderr_s:.2f} ms"
     fields = [("branches", str(loop.n_branches)), ("time constant", tau)]
@@ -105,7 +121,6 @@ def _fields(loop: SurgeLoop) -> list[tuple[str, str]]:
     for name, level, error in zip(names, lag.levels, lag.levels_stderr, strict=False):
         fields.append((name, f"{level:.4f} ± {error:.4f}"))
     simulated = f"{loop.period_s:.4f} s" if np.isfinite(loop.period_s) else "none"
-    measured = f"{loop.measured_cycles.period_s:.4f} s"
-    fields.append(("period", f"{measured} measured, {simulated} simulated"))
+    fields.append(("period", f"{period}, {simulated} simulated"))
     fields.append(("plenum pressure", "hidden" if loop.plenum_hidden else "measured"))
     return fields
