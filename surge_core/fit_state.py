@@ -97,6 +97,17 @@ class FitState(AdvisedState):
         "The time constant lies at an end of what was searched (4 to 80 ms): the record does not "
         "hold it.",
     )
+    UNEXPLAINED = (
+        "unexplained",
+        "the equations leave more than the noise, and what they leave comes in runs: a term that "
+        "the library lacks, a state that was not measured, or an input that is missing; widen the "
+        "library, or give the hidden state",
+    )
+    NO_EQUATIONS = (
+        "no_equations",
+        "no model was found that the data follow, and none is stated: check that every state was "
+        "measured, and on one clock; take shorter records, or a smaller library",
+    )
     OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
         "no_consistent_structure",
@@ -118,7 +129,8 @@ class FitState(AdvisedState):
     LAG_UNDETERMINED = (
         "lag_undetermined",
         "the error of the time constant is as large as itself, or it runs to the length of the "
-        "longest segment; the record does not excite the lag: use longer segments or more cycles",
+        "longest segment; the record does not excite the lag: use longer segments or more "
+        "cycles; a system that is no lag behind a curve is one for `sindy-surge discover`",
     )
     UNRELATED = (
         "unrelated",
