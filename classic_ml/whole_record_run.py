@@ -155,7 +155,7 @@ def fit_whole_records(
     check_rates(records)
     signals = [rake_signals_of(record) for record in records]
     # With one rake nothing cancels the cells: on such records 0 of 3 answers were right.
-    found = [each for each in signals if each is not None and each.rake_differences(25)]
+    found = [each for each in signals if each is not None and each.cell_differences(25)]
     if len(found) < len(records):
         return _in_stall_alone(records, degree, until_s)
     whole = until_s is None
