@@ -149,15 +149,16 @@ def fit_whole_records(
     Returns
     -------
     WholeRunFit
-        A :class:`WholeRecordRun`; where a series lacks the signals of its probe pairs, or has those
-        of one rake alone, the fit to the in-stall rows. A state that withholds τ says why.
+        A :class:`WholeRecordRun`; where a series lacks the signals of its probe pairs, the fit to
+        the in-stall rows. A state that withholds τ says why.
     """
     check_rates(records)
     signals = [rake_signals_of(record) for record in records]
-    # With one rake nothing cancels the cells: on such records 0 of 3 answers were right.
-    found = [each for each in signals if each is not None and each.cell_differences(25)]
-    if len(found) < len(records):
-        return _in_stall_alone(records, degree, until_s)
+    one_immersion = any(each and each.hub_minus_tip() is None for each in signals)
+    found = [each for each in signals if each is not None]
+    if one_immersion or len(found) < len(records):
+        why = FitState.ONE_IMMERSION if one_immersion else None
+        return _in_stall_alone(records, degree, until_s, why)
     whole = until_s is None
     ends = [math.inf] * len(records) if until_s is None else until_s
     windows = [_window(record, end) for record, end in zip(records, ends, strict=True)]
@@ -183,19 +184,24 @@ def fit_whole_records(
 
 
 def _in_stall_alone(
-    records: Sequence[CoefficientSeries], degree: int, until_s: Sequence[float] | None
+    records: Sequence[CoefficientSeries],
+    degree: int,
+    until_s: Sequence[float] | None,
+    withheld: FitState | None = None,
 ) -> WholeRunFit:
     """Return the fit to the rows in stall, τ withheld where it is not known to 12 %."""
     fit = fit_whole_runs(records, degree=degree, until_s=until_s)
     known = fit.time_constant_stderr_s_ <= LARGEST_SHARE * fit.time_constant_s_
-    if until_s is not None or known or fit.fit_state_ is not FitState.CONVERGED:
+    if until_s is not None or fit.fit_state_ is not FitState.CONVERGED:
+        return fit
+    if known and withheld is None:
         return fit
     return replace(
         fit,
         time_constant_s_=math.nan,
         time_constant_stderr_s_=math.nan,
         covariance_=np.full_like(fit.covariance_, math.nan),
-        fit_state_=FitState.UNCERTAIN,
+        fit_state_=withheld or FitState.UNCERTAIN,
     )
 
 

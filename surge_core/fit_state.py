@@ -101,9 +101,14 @@ class FitState(AdvisedState):
     STATES_PART = (
         "states_part",
         "In more than half of the cycles the flow levels of stall and recovery give another state "
-        "than the flow at hub and tip, which ψ' confirms: which rows are in "
-        "stall is not known, and without it no time constant is. Check the probes of one "
-        "immersion against the other.",
+        "than the flow at hub and tip, which ψ' confirms: which rows are in stall is not known, "
+        "and without it no time constant is. Check the probes of one immersion against the other.",
+    )
+    ONE_IMMERSION = (
+        "one_immersion",
+        "Probes at one immersion do not show which rows are in stall, and the flow of the plane is "
+        "not theirs: the time constant that they give is off by a fifth and more, and none is "
+        "stated. Add a probe pair at hub or tip.",
     )
     AT_SEARCH_END = (
         "at_search_end",
@@ -164,6 +169,7 @@ WITHHOLDING = frozenset(
         FitState.TWIN_BIASED,
         FitState.MISALIGNED,
         FitState.STATES_PART,
+        FitState.ONE_IMMERSION,
         FitState.TOO_FEW_CYCLES,
         FitState.AT_SEARCH_END,
     )
