@@ -178,7 +178,9 @@ def fit_whole_records(
         # No surge cycle that could be scored: the older fit says what there is.
         return _in_stall_alone(records, degree, until_s)
     second = None
-    if whole and all(map(has_whole_run, records)):
+    # With one rake the rows in stall keep their cells: what they give is no reading.
+    cancelled = not any(each.one_rake for each in found)
+    if whole and cancelled and all(map(has_whole_run, records)):
         second = fit_whole_runs(records, degree=degree)
     return _combined(records, fits, degree, second)
 
@@ -279,7 +281,7 @@ def _combined(
             state, other = FitState.TWO_READINGS, found
         else:
             answer = found
-    if not state.withholds and second is not None and not answer.share <= LARGEST_SHARE:
+    if not state.withholds and math.isfinite(answer.share) and not answer.share <= LARGEST_SHARE:
         state, other = FitState.UNCERTAIN, None
     return _result(records, fits, answer, state, other)
 

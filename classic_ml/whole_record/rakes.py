@@ -84,12 +84,20 @@ class RakeSignals:
         ]
         return np.asarray(np.mean(found, axis=0)) if found else None
 
-    def cell_differences(self, plane: int) -> list[FloatArray]:
-        """Return what two probes of a plane read differently: cells and noise, hardly any surge.
+    @property
+    def one_rake(self) -> bool:
+        """Whether plane 25 has a single rake."""
+        return len({pair.rake for pair in self.chain.of_plane(25)}) == 1
 
-        Two rakes at one immersion; with one rake its two immersions, which the cells reach unalike.
-        Total pressure comes first there: the shift of the flow between hub and tip is no cell.
+    def cell_differences(self, plane: int) -> list[FloatArray]:
+        """Return what two probes of a plane read differently: cells and noise, no surge.
+
+        Two rakes at one immersion; with one rake the total pressures of its two immersions, which
+        the cells reach unalike. Flow is left out there: it shifts between hub and tip in stall.
         """
+        if self.one_rake:
+            tip, hub = (self.at(self.total_Pa, plane, immersion) for immersion in ("tip", "hub"))
+            return [] if tip is None or hub is None else [tip - hub]
         found = []
         for signals in (self.flow_kg_s, self.total_Pa):
             for immersion in ("tip", "hub"):
@@ -99,10 +107,6 @@ class RakeSignals:
                     if pair.immersion == immersion and pair.name in signals
                 ]
                 found += [first - own[0] for first in own[1:]]
-        if not found:
-            for signals in (self.total_Pa, self.flow_kg_s):
-                tip, hub = (self.at(signals, plane, immersion) for immersion in ("tip", "hub"))
-                found += [] if tip is None or hub is None else [tip - hub]
         return found
 
     def planes(self) -> Planes:
