@@ -18,6 +18,7 @@ from classic_ml.characteristics import polynomial_names
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import design, profile
+from classic_ml.whole_record.interval import RAMP_MACH
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -81,12 +82,23 @@ class WholeRecordRun(WholeRunFit):
 
     @property
     def cautions_(self) -> tuple[str, ...]:
-        """What the interval lacks."""
-        if all(fit.twins.n for fit in self.fits_):
-            return ()
+        """What the interval lacks, and what τ hangs on beside the record."""
+        found = []
+        if not all(fit.twins.n for fit in self.fits_):
+            found.append(
+                "no twins were measured: the interval of τ lacks the errors of calibration and of "
+                "noise near zero flow that all cycles share"
+            )
+        if any(abs(fit.probe_law) > 0.5 * fit.share for fit in self.fits_):
+            found.append(f"τ hangs on the law of the probes near zero flow: {self._probe_law}")
+        return tuple(found)
+
+    @property
+    def _probe_law(self) -> str:
+        moved = max((fit.probe_law for fit in self.fits_), key=abs)
         return (
-            "no twins were measured: the interval of τ lacks the errors of calibration and of "
-            "noise near zero flow that all cycles share",
+            f"with a ramp in place of its jump, below a calculated Mach number of {RAMP_MACH:g}, "
+            f"τ moves by {moved:+.1%}, which is part of its interval"
         )
 
     @property
@@ -110,6 +122,8 @@ class WholeRecordRun(WholeRunFit):
                 "surge cycles, the stall cells cancelled by the rake difference",
             )
         )
+        if all(fit.estimated for fit in self.fits_):
+            kept.append(Field("law of the probes", self._probe_law))
         if self.second_reading_ is not None:
             low, high = (1e3 * end for end in self.second_reading_.ci95_s)
             value = 1e3 * self.second_reading_.value_s
