@@ -1,10 +1,10 @@
 """τ and curve on machines drawn at random, as `reduce` and `compare` read them from raw records.
 
-Each record comes from a machine of its own: volumes, ducts, cells, hub-tip deficit, τ, curve, loss
-in reversed flow, law of the probes near zero flow, noise, sample rate and number of rakes are
-drawn; some curves are no parabola. The truth is known, and with it what makes a record hard: the
-share of loops in stall, the spread of the recoveries, and the Cramér-Rao bound on log τ from the
-true signals.
+Each record comes from a machine of its own: volumes, ducts, cells, hub-tip deficit and profile, τ,
+curve, loss in reversed flow, law of the probes near zero flow, noise, sample rate, number of rakes
+and of immersions are drawn; some curves are no parabola. The truth is known, and with it what makes
+a record hard: the share of loops in stall, the spread of the recoveries, and the Cramér-Rao bound
+on log τ from the true signals.
 
     python benchmarks/random_machines.py --machines 60 --seed S [--jobs N] [--json FILE]
     python benchmarks/random_machines.py --records "FOLDER/m*"    # folders with truth.json
@@ -43,7 +43,8 @@ INDEPENDENT_S = 0.003
 # With fewer reversals of the flow a machine does not surge, and another is drawn.
 FEWEST_REVERSALS = 8
 # Before the surge, where the fourth difference of ψ' is noise alone (its gain on noise: √70).
-NEAR_STALL_ROWS = 140
+NEAR_STALL_S = 0.14
+RATES_HZ = (500.0, 1000.0, 1000.0, 2000.0)
 FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "curve", "refused")
 
 
@@ -91,7 +92,17 @@ def _machine(rng: np.random.Generator, number: int) -> tuple[Any, dict[str, Any]
     )
     noise = math.exp(between(math.log(0.05), math.log(0.5)))
     bent = rng.random() < 0.25
-    sensors = SensorSettings(noise_percent=noise, probe_offset=between(0.5, 1.5))
+    # A stream of its own leaves every other number as it was.
+    other = rng.spawn(1)[0]
+    rate_hz = float(other.choice(RATES_HZ))
+    sensors = SensorSettings(
+        noise_percent=noise,
+        probe_offset=between(0.5, 1.5),
+        probe_ramp=float(other.uniform(0.01, 0.05)) if other.random() < 0.25 else 0.0,
+        hub_tip_bend=float(other.uniform(-0.5, 0.5)),
+        sample_rate_hz=rate_hz,
+        anti_alias_hz=0.45 * rate_hz,
+    )
     run = simulate(
         case,
         seed=int(rng.integers(1 << 30)),
@@ -99,21 +110,27 @@ def _machine(rng: np.random.Generator, number: int) -> tuple[Any, dict[str, Any]
         hide="characteristic_shape" if bent else None,
     )
     rakes = 1 if rng.random() < 0.15 else 2
+    immersions = 1 if other.random() < 0.1 else 2
     if rakes == 1:
-        run = _with_one_rake(run)
+        run = _without(run, "rake", "B")
+    if immersions == 1:
+        run = _without(run, "immersion", "hub")
     return run, {
         "tau_s": case.tau_s,
         "beta": None if bent else list(case.pressure_terms),
         "noise": noise,
         "rakes": rakes,
+        "immersions": immersions,
+        "rate_hz": rate_hz,
+        "ramp": sensors.probe_ramp,
         "curve": "bent" if bent else "parabola",
         "speed": base.name,
     }
 
 
-def _with_one_rake(run: Any) -> Any:
-    """Take the second rake out of the record and of its description."""
-    gone = [name for name, channel in run.test["channels"].items() if channel.get("rake") == "B"]
+def _without(run: Any, what: str, which: str) -> Any:
+    """Take a rake or an immersion out of the record and of its description."""
+    gone = [name for name, channel in run.test["channels"].items() if channel.get(what) == which]
     channels = {name: c for name, c in run.test["channels"].items() if name not in gone}
     limits = {n: pair for n, pair in run.test.get("limits", {}).items() if n not in gone}
     test = {**run.test, "channels": channels, "limits": limits}
@@ -164,7 +181,7 @@ def answered(folder: Path, truth: dict[str, Any], n_twins: int) -> dict[str, Any
             write_series(series, Path(place) / "series.csv")
             series = read_series(Path(place) / "series.csv")
         if "bound" in row and series.psi_p_unfiltered is not None:
-            quiet = series.psi_p_unfiltered[:NEAR_STALL_ROWS]
+            quiet = series.psi_p_unfiltered[: round(NEAR_STALL_S * series.sample_rate_hz)]
             row["bound"] *= float(np.std(np.diff(quiet, n=4))) / math.sqrt(70.0)
         wanted = [s for s in default_estimators(n_twins=n_twins) if s.name == "classic_ml"]
         result = compare_records([series], estimators=wanted).result("classic_ml")
@@ -234,6 +251,11 @@ def strata(rows: list[dict[str, Any]]) -> Iterator[str]:
         ("bound on log τ up to 5 %", lambda row: row.get("bound", math.inf) <= 0.05),
         ("noise of 0.3 % and more", lambda row: row.get("noise", 0.0) >= 0.3),
         ("one rake", lambda row: row.get("rakes") == 1),
+        ("one rake, bound up to 5 %", lambda row: row.get("rakes") == 1 and row["bound"] <= 0.05),
+        ("one immersion", lambda row: row.get("immersions") == 1),
+        ("0.5 kHz", lambda row: row.get("rate_hz") == 500.0),
+        ("2 kHz", lambda row: row.get("rate_hz") == 2000.0),
+        ("no jump in the probes' law", lambda row: row.get("ramp", 0.0) > 0.0),
         ("a bent curve", lambda row: row["shape"] == "bent"),
     ]
     for label, belongs in tests:

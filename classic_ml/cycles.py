@@ -91,8 +91,8 @@ def find_cycles(record: Record) -> SurgeCycles:
 
     A cycle is a rise of P31 by at least half of the deepest one's in which the flow swings by about
     half of what it was before the surge, unless the machine does nothing else but oscillate less
-    for many cycles; those that count agree with the others in rise, period
-    and corrected speed, and follow one another without a break.
+    for many cycles, or surges deeply too seldom between many smaller loops; those that count agree
+    with the others in rise, period and corrected speed, and follow one another without a break.
 
     Parameters
     ----------
@@ -106,13 +106,27 @@ def find_cycles(record: Record) -> SurgeCycles:
     """
     slow = _slow(record, "Wc25_kg_s", "P31_Pa")
     start, pressure = _first_negative(slow), slow["P31_Pa"]
-    peaks, rises = _deep_peaks(pressure, start, record.sample_rate_hz)
+    peaks, rises = _peaks(pressure, start, record.sample_rate_hz)
     if peaks.size == 0:
         raise InputError(
             f"{record.source}: P31",
             expected="surge cycles after the first reversal of the flow",
             found=f"no surge in the record, no rise of P31 by {LEAST_SWING:.0%} of its mean",
         )
+    deep = deep_ones(rises)
+    try:
+        return _repeating(record, slow, peaks[deep], rises[deep], start)
+    except InputError:
+        if np.count_nonzero(~deep) < MANY_MILD:
+            raise
+        return _repeating(record, slow, peaks, rises, start)
+
+
+def _repeating(
+    record: Record, slow: Record, peaks: IntArray, rises: FloatArray, start: int
+) -> SurgeCycles:
+    """Return the longest run of cycles that repeat each other among the rises of P31."""
+    pressure = slow["P31_Pa"]
     swings = _swings(slow, _troughs(pressure, peaks, start), start)
     pumping = swings >= LEAST_FLOW_SWING
     mild = int(np.count_nonzero(~pumping))
@@ -181,16 +195,12 @@ def _first_negative(record: Record) -> int:
     )
 
 
-def _deep_peaks(
-    pressure: FloatArray, start: int, sample_rate_hz: float
-) -> tuple[IntArray, FloatArray]:
+def _peaks(pressure: FloatArray, start: int, sample_rate_hz: float) -> tuple[IntArray, FloatArray]:
     after = pressure[start:]
     least = LEAST_SWING * float(np.median(after))
     around = max(3, round(SURROUNDINGS_S * sample_rate_hz))
     peaks, found = find_peaks(after, prominence=least, wlen=around)
-    rises = found["prominences"]
-    deep = deep_ones(rises) if peaks.size else np.zeros(0, dtype=np.bool_)
-    return peaks[deep] + start, rises[deep]
+    return peaks + start, found["prominences"]
 
 
 def _swings(slow: Record, edges: IntArray, start: int) -> FloatArray:

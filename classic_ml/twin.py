@@ -129,6 +129,8 @@ def _exit_by_model(
     machine, speed = signals.chain.compressor, signals.chain.rotor_velocity_m_s
     inputs, _ = design(passes, replace(spec, average_s=signals.sample_period_s), in_stall)
     psi_p = responses(fit.tau_s, passes, inputs) @ fit.coefficients
+    # Rows that were simulated through hold terms that no scored row has.
+    psi_p = np.clip(psi_p, passes.psi_p.min(), passes.psi_p.max())
     rate = rate_of_change(
         physical_flow(planes.corrected_kg_s, planes.inlet_Pa, inlet_K), signals.sample_period_s
     )

@@ -10,11 +10,19 @@ import numpy as np
 
 from classic_ml.twin import Twin, twin_of
 from classic_ml.whole_record.branches import BranchFit, Specification, fit_branches
-from classic_ml.whole_record.interval import Scatter, jackknife, scatter_of, variants
+from classic_ml.whole_record.interval import (
+    Scatter,
+    delay_of_exit,
+    jackknife,
+    law_of_probes,
+    scatter_of,
+    variants,
+)
 from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
 from surge_core.fit_state import FitState
+from surge_core.segments import runs_of
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["LARGEST_SHARE", "N_TWINS", "WholeRecordFit", "fit_whole_record"]
@@ -53,6 +61,10 @@ class WholeRecordFit:
         Surge cycles.
     estimated : bool
         Whether the scatter was estimated.
+    probe_law : float
+        How far log τ moves under a law of the probes without a jump at zero flow.
+    delay : tuple of float
+        By how much plane 31 seems late, in seconds, and how far log τ moves without that.
     """
 
     fit: BranchFit
@@ -65,6 +77,8 @@ class WholeRecordFit:
     twins: Scatter
     n_cycles: int
     estimated: bool
+    probe_law: float = 0.0
+    delay: tuple[float, float] = (0.0, 0.0)
 
     @property
     def tau_s(self) -> float:
@@ -74,8 +88,29 @@ class WholeRecordFit:
     @property
     def share(self) -> float:
         """Standard deviation of log τ, all of it."""
-        parts = [self.cycles.log_tau, self.specification.log_tau]
+        parts = [self.cycles.log_tau, self.specification.log_tau, self.probe_law]
         return math.hypot(*parts, *([self.twins.log_tau] if self.twins.n else []))
+
+    @property
+    def contradictions(self) -> int:
+        """Episodes of a cell period and more, in stall or out of it, that one way does not see.
+
+        The two ways are the flow levels and the hub-minus-tip flow.
+        """
+        passes, found = self.passes, 0
+        if self.levels is None or passes.shift is None:
+            return 0
+        for one, other in ((self.in_stall, passes.in_stall), (passes.in_stall, self.in_stall)):
+            for run in runs_of(one, one.size):
+                long = run.stop - run.start >= passes.rows_of(passes.period_s)
+                found += long and not np.any(other[run] == one[run.start])
+        return found
+
+    @property
+    def _hub_and_tip_explain_more(self) -> bool:
+        """Whether ψ' speaks for the state by hub and tip, too: else their profile has misled it."""
+        other = fit_branches(self.passes, self.spec, self.passes.in_stall, near_s=self.tau_s)
+        return other.cost < self.fit.cost
 
     @property
     def coefficients(self) -> FloatArray:
@@ -97,9 +132,12 @@ class WholeRecordFit:
             return FitState.AT_SEARCH_END
         if not self.estimated:
             return FitState.CONVERGED
-        if abs(self.twins.bias) > 2.0 * self.share:
-            return FitState.TWIN_BIASED
-        return FitState.CONVERGED
+        if abs(self.delay[1]) > self.share:
+            return FitState.MISALIGNED
+        if self.contradictions > 0.5 * self.n_cycles and self._hub_and_tip_explain_more:
+            return FitState.STATES_PART
+        biased = abs(self.twins.bias) > 2.0 * self.share
+        return FitState.TWIN_BIASED if biased else FitState.CONVERGED
 
 
 def fit_whole_record(
@@ -164,6 +202,8 @@ def fit_whole_record(
         scatter_of(twins, fit, degree),
         n_cycles,
         True,
+        law_of_probes(signals, window, spec, levels, fit),
+        delay_of_exit(signals, passes, spec, in_stall, fit),
     )
 
 

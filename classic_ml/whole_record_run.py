@@ -18,6 +18,7 @@ from classic_ml.characteristics import polynomial_names
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import design, profile
+from classic_ml.whole_record.interval import RAMP_MACH
 from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_record_fit import (
     LARGEST_SHARE,
@@ -81,12 +82,23 @@ class WholeRecordRun(WholeRunFit):
 
     @property
     def cautions_(self) -> tuple[str, ...]:
-        """What the interval lacks."""
-        if all(fit.twins.n for fit in self.fits_):
-            return ()
+        """What the interval lacks, and what τ hangs on beside the record."""
+        found = []
+        if not all(fit.twins.n for fit in self.fits_):
+            found.append(
+                "no twins were measured: the interval of τ lacks the errors of calibration and of "
+                "noise near zero flow that all cycles share"
+            )
+        if any(abs(fit.probe_law) > 0.5 * fit.share for fit in self.fits_):
+            found.append(f"τ hangs on the law of the probes near zero flow: {self._probe_law}")
+        return tuple(found)
+
+    @property
+    def _probe_law(self) -> str:
+        moved = max((fit.probe_law for fit in self.fits_), key=abs)
         return (
-            "no twins were measured: the interval of τ lacks the errors of calibration and of "
-            "noise near zero flow that all cycles share",
+            f"with a ramp in place of its jump, below a calculated Mach number of {RAMP_MACH:g}, "
+            f"τ moves by {moved:+.1%}, which is part of its interval"
         )
 
     @property
@@ -110,6 +122,8 @@ class WholeRecordRun(WholeRunFit):
                 "surge cycles, the stall cells cancelled by the rake difference",
             )
         )
+        if all(fit.estimated for fit in self.fits_):
+            kept.append(Field("law of the probes", self._probe_law))
         if self.second_reading_ is not None:
             low, high = (1e3 * end for end in self.second_reading_.ci95_s)
             value = 1e3 * self.second_reading_.value_s
@@ -149,15 +163,16 @@ def fit_whole_records(
     Returns
     -------
     WholeRunFit
-        A :class:`WholeRecordRun`; where a series lacks the signals of its probe pairs, or has those
-        of one rake alone, the fit to the in-stall rows. A state that withholds τ says why.
+        A :class:`WholeRecordRun`; where a series lacks the signals of its probe pairs, the fit to
+        the in-stall rows. A state that withholds τ says why.
     """
     check_rates(records)
     signals = [rake_signals_of(record) for record in records]
-    # With one rake nothing cancels the cells: on such records 0 of 3 answers were right.
-    found = [each for each in signals if each is not None and each.rake_differences(25)]
-    if len(found) < len(records):
-        return _in_stall_alone(records, degree, until_s)
+    one_immersion = any(each and each.hub_minus_tip() is None for each in signals)
+    found = [each for each in signals if each is not None]
+    if one_immersion or len(found) < len(records):
+        why = FitState.ONE_IMMERSION if one_immersion else None
+        return _in_stall_alone(records, degree, until_s, why)
     whole = until_s is None
     ends = [math.inf] * len(records) if until_s is None else until_s
     windows = [_window(record, end) for record, end in zip(records, ends, strict=True)]
@@ -177,25 +192,32 @@ def fit_whole_records(
         # No surge cycle that could be scored: the older fit says what there is.
         return _in_stall_alone(records, degree, until_s)
     second = None
-    if whole and all(map(has_whole_run, records)):
+    # With one rake the rows in stall keep their cells: what they give is no reading.
+    cancelled = not any(each.one_rake for each in found)
+    if whole and cancelled and all(map(has_whole_run, records)):
         second = fit_whole_runs(records, degree=degree)
     return _combined(records, fits, degree, second)
 
 
 def _in_stall_alone(
-    records: Sequence[CoefficientSeries], degree: int, until_s: Sequence[float] | None
+    records: Sequence[CoefficientSeries],
+    degree: int,
+    until_s: Sequence[float] | None,
+    withheld: FitState | None = None,
 ) -> WholeRunFit:
     """Return the fit to the rows in stall, τ withheld where it is not known to 12 %."""
     fit = fit_whole_runs(records, degree=degree, until_s=until_s)
     known = fit.time_constant_stderr_s_ <= LARGEST_SHARE * fit.time_constant_s_
-    if until_s is not None or known or fit.fit_state_ is not FitState.CONVERGED:
+    if until_s is not None or fit.fit_state_ is not FitState.CONVERGED:
+        return fit
+    if known and withheld is None:
         return fit
     return replace(
         fit,
         time_constant_s_=math.nan,
         time_constant_stderr_s_=math.nan,
         covariance_=np.full_like(fit.covariance_, math.nan),
-        fit_state_=FitState.UNCERTAIN,
+        fit_state_=withheld or FitState.UNCERTAIN,
     )
 
 
@@ -273,7 +295,7 @@ def _combined(
             state, other = FitState.TWO_READINGS, found
         else:
             answer = found
-    if not state.withholds and second is not None and not answer.share <= LARGEST_SHARE:
+    if not state.withholds and math.isfinite(answer.share) and not answer.share <= LARGEST_SHARE:
         state, other = FitState.UNCERTAIN, None
     return _result(records, fits, answer, state, other)
 

@@ -92,6 +92,24 @@ class FitState(AdvisedState):
         "than two standard deviations: what is fitted is not what such a machine would leave. Look "
         "for a missing effect, or for a probe that reads wrong.",
     )
+    MISALIGNED = (
+        "misaligned",
+        "With plane 31 moved in time against plane 25 the record is explained better, and with "
+        "another time constant by more than its standard deviation: a delay would be read as the "
+        "lag. Check that all channels share one clock.",
+    )
+    STATES_PART = (
+        "states_part",
+        "In more than half of the cycles the flow levels of stall and recovery give another state "
+        "than the flow at hub and tip, which ψ' confirms: which rows are in stall is not known, "
+        "and without it no time constant is. Check the probes of one immersion against the other.",
+    )
+    ONE_IMMERSION = (
+        "one_immersion",
+        "Probes at one immersion do not show which rows are in stall, and the flow of the plane is "
+        "not theirs: the time constant that they give is off by a fifth and more, and none is "
+        "stated. Add a probe pair at hub or tip.",
+    )
     AT_SEARCH_END = (
         "at_search_end",
         "The time constant lies at an end of what was searched (4 to 80 ms): the record does not "
@@ -171,6 +189,9 @@ WITHHOLDING = frozenset(
         FitState.BLOWDOWN,
         FitState.UNCERTAIN,
         FitState.TWIN_BIASED,
+        FitState.MISALIGNED,
+        FitState.STATES_PART,
+        FitState.ONE_IMMERSION,
         FitState.TOO_FEW_CYCLES,
         FitState.AT_SEARCH_END,
     )

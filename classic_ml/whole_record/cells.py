@@ -21,7 +21,7 @@ __all__ = ["cell_frequency_hz", "without_cells"]
 # A cell passes the rakes some ten to some two hundred times a second; the upper end is where the
 # sampled line still has ten samples in four periods.
 LOWEST_HZ, HIGHEST_SHARE = 30.0, 0.4
-PIECE_ROWS = 512
+PIECE_S = 0.5
 # Taps of half a period and a little more to either side reach every phase of the cell.
 REACH_PERIODS = 0.6
 # Of the mean power of the taps: their neighbours are nearly alike.
@@ -45,13 +45,14 @@ def cell_frequency_hz(signals: RakeSignals, rows: BoolArray) -> float | None:
     """
     from scipy.signal import welch
 
-    differences = signals.rake_differences(25)
+    differences = signals.cell_differences(25)
     rate_hz = 1.0 / signals.sample_period_s
+    fewest = round(PIECE_S * rate_hz)
     power: FloatArray | float = 0.0
     for run in runs_of(rows, rows.size):
-        if differences and rows[run.start] and run.stop - run.start >= PIECE_ROWS:
+        if differences and rows[run.start] and run.stop - run.start >= fewest:
             piece = differences[0][run]
-            frequency, density = welch(piece - np.mean(piece), rate_hz, nperseg=PIECE_ROWS)
+            frequency, density = welch(piece - np.mean(piece), rate_hz, nperseg=fewest)
             power = power + density * piece.size
     if isinstance(power, float):
         return None
@@ -98,7 +99,7 @@ def without_cells(
     """
     planes = signals.planes()
     fitted = in_stall & rows
-    if cell_hz is None or np.count_nonzero(fitted) < PIECE_ROWS:
+    if cell_hz is None or np.count_nonzero(fitted) * signals.sample_period_s < PIECE_S:
         return planes
     inlet, exit_ = (_taps(signals, plane, cell_hz) for plane in (25, 31))
 
@@ -115,7 +116,7 @@ def without_cells(
 
 
 def _taps(signals: RakeSignals, plane: int, cell_hz: float) -> _Taps | None:
-    differences = signals.rake_differences(plane)
+    differences = signals.cell_differences(plane)
     if not differences:
         return None
     period_s, rate_hz = 1.0 / cell_hz, 1.0 / signals.sample_period_s

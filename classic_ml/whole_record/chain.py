@@ -45,6 +45,11 @@ class PairChain:
         return int(self.name.partition("_")[0])
 
     @property
+    def rake(self) -> str:
+        """Such as ``"A"``."""
+        return self.name.split("_")[1]
+
+    @property
     def immersion(self) -> str:
         """``"hub"`` or ``"tip"``."""
         return self.name.rpartition("_")[2]

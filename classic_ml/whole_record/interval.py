@@ -14,12 +14,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.whole_record.branches import BranchFit, Specification, fit_branches
-from classic_ml.whole_record.passes import Passes
+from classic_ml.whole_record.passes import Passes, passes_of
+from classic_ml.whole_record.rakes import RakeSignals
+from classic_ml.whole_record.stall_state import StallLevels, state_by_levels
 from surge_core.types import BoolArray, FloatArray
 
-__all__ = ["Scatter", "jackknife", "scatter_of", "specifications", "variants"]
+__all__ = [
+    "Scatter",
+    "delay_of_exit",
+    "jackknife",
+    "law_of_probes",
+    "scatter_of",
+    "specifications",
+    "variants",
+]
 
 MOST_BLOCKS = 20
+# Eq 2 was calibrated down to about this calculated Mach number; below it is an assumption.
+RAMP_MACH = 0.03
+# Plane 31 is tried up to so many steps later and earlier; tubes and converters differ by less than
+# one step, and beyond the ends the curves themselves would not fit.
+DELAY_STEP_S, DELAY_STEPS = 1e-3, 6
 
 
 @dataclass(frozen=True)
@@ -96,6 +111,49 @@ def variants(passes: Passes, spec: Specification, in_stall: BoolArray, fit: Bran
     alike = [one for one, other in zip(fits, others, strict=True) if other.degree == spec.degree]
     tau = _scatter([fit, *fits], fit, 0, 1.0)
     return replace(tau, curve=_scatter([fit, *alike], fit, spec.degree, 1.0).curve)
+
+
+def law_of_probes(
+    signals: RakeSignals,
+    window: slice | None,
+    spec: Specification,
+    levels: StallLevels | None,
+    fit: BranchFit,
+) -> float:
+    """Return how far log τ moves when the probes' law has a ramp in place of its jump.
+
+    Parameters
+    ----------
+    signals : RakeSignals
+        The record.
+    window : slice or None
+        Rows to stay in.
+    spec, levels, fit
+        The estimate under Eq 2.
+    """
+    passes = passes_of(signals.ramped(RAMP_MACH), window)
+    state = passes.in_stall if levels is None else state_by_levels(passes, levels)
+    return math.log(fit_branches(passes, spec, state, near_s=fit.tau_s).tau_s / fit.tau_s)
+
+
+def delay_of_exit(
+    signals: RakeSignals, passes: Passes, spec: Specification, in_stall: BoolArray, fit: BranchFit
+) -> tuple[float, float]:
+    """Return by how much plane 31 seems late, in seconds, and log τ without that less log τ.
+
+    A time shift between the planes is read as lag; the least error over shifts shows it. A single
+    step is none: the responses of the probes differ by as much.
+    """
+    rows = max(passes.rows_of(DELAY_STEP_S), 1)
+    best = (fit.cost, 0, 0.0)
+    for step in (*range(-DELAY_STEPS, 0), *range(1, DELAY_STEPS + 1)):
+        exit_Pa = np.roll(passes.planes.exit_Pa, -step * rows)
+        _, psi_p, _ = signals.coefficients(replace(passes.planes, exit_Pa=exit_Pa))
+        moved = np.where(np.isfinite(psi_p[passes.row]), psi_p[passes.row], passes.psi_p)
+        other = fit_branches(replace(passes, psi_p=moved), spec, in_stall, near_s=fit.tau_s)
+        best = min(best, (other.cost, step, math.log(other.tau_s / fit.tau_s)))
+    _, step, log_tau = best
+    return (step * rows * passes.sample_period_s, log_tau) if abs(step) > 1 else (0.0, 0.0)
 
 
 def _scatter(fits: Sequence[BranchFit], fit: BranchFit, degree: int, widened: float) -> Scatter:

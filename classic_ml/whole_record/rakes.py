@@ -10,7 +10,7 @@ import numpy as np
 from classic_ml.calibration import near_stall_rows
 from classic_ml.coefficients import flow_coefficient, pressure_coefficient, rate_of_change
 from classic_ml.description import TestDescription
-from classic_ml.flow import corrected_flow, physical_flow
+from classic_ml.flow import corrected_flow, mach_from_corrected_flow, physical_flow
 from classic_ml.records import Record, fault_name
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.chain import STEP, Chain, PairChain
@@ -84,8 +84,20 @@ class RakeSignals:
         ]
         return np.asarray(np.mean(found, axis=0)) if found else None
 
-    def rake_differences(self, plane: int) -> list[FloatArray]:
-        """Return what two rakes read differently at one immersion: cells and noise, no surge."""
+    @property
+    def one_rake(self) -> bool:
+        """Whether plane 25 has a single rake."""
+        return len({pair.rake for pair in self.chain.of_plane(25)}) == 1
+
+    def cell_differences(self, plane: int) -> list[FloatArray]:
+        """Return what two probes of a plane read differently: cells and noise, no surge.
+
+        Two rakes at one immersion; with one rake the total pressures of its two immersions, which
+        the cells reach unalike. Flow is left out there: it shifts between hub and tip in stall.
+        """
+        if self.one_rake:
+            tip, hub = (self.at(self.total_Pa, plane, immersion) for immersion in ("tip", "hub"))
+            return [] if tip is None or hub is None else [tip - hub]
         found = []
         for signals in (self.flow_kg_s, self.total_Pa):
             for immersion in ("tip", "hub"):
@@ -142,6 +154,25 @@ class RakeSignals:
             )
         psi_p = np.where(exit_Pa > planes.exit_Pa, np.nan, psi_p)
         return phi, psi_p, self.chain.corrected_speed(self.inlet_K)
+
+    def ramped(self, below: float) -> RakeSignals:
+        """Return the flows by a law of the probes that has no jump at zero flow.
+
+        Eq 2 reads |M| = a M_calc + b for any flow; here b falls to nothing in proportion to M_calc
+        below a calculated Mach number.
+        """
+        machine = self.chain.compressor
+        flows = {}
+        for pair in self.chain.of_plane(25):
+            area_m2 = self.chain.areas_m2[25]
+            limit = LARGEST_SHARE * float(corrected_flow(np.ones(1), area_m2, machine)[0])
+            flow = self.flow_kg_s[pair.name]
+            mach = mach_from_corrected_flow(np.clip(flow, -limit, limit), area_m2, machine)
+            calculated = np.maximum(np.abs(mach) - pair.offset, 0.0) / pair.slope
+            ramp = pair.slope * calculated + pair.offset * np.minimum(calculated / below, 1.0)
+            moved = corrected_flow(np.copysign(ramp, mach), area_m2, machine)
+            flows[pair.name] = np.where((mach != 0.0) & (calculated < below), moved, flow)
+        return self.measured_again(flows, self.total_Pa)
 
     def columns(self) -> dict[str, FloatArray]:
         """Return what a series file carries of them, a column each."""

@@ -104,6 +104,7 @@ def probe_pressures_pa(
     area_m2: float,
     slope: float,
     offset: float,
+    ramp: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Return what the forward and aft holes of one probe pair feel.
 
@@ -119,6 +120,8 @@ def probe_pressures_pa(
         Annulus area in m².
     slope, offset : float
         Constants a and b of Eq 2.
+    ramp : float
+        Calculated Mach number below which b falls to nothing in proportion; 0: Eq 2 to zero flow.
 
     Returns
     -------
@@ -128,6 +131,8 @@ def probe_pressures_pa(
     total = np.asarray(total_pressure_pa, dtype=np.float64)
     mach = mach_from_corrected_flow(corrected_kg_s, area_m2)
     apparent = np.maximum(np.abs(mach) - offset, 0.0) / slope
+    if ramp:
+        apparent = np.maximum(apparent, np.minimum(np.abs(mach) / (slope + offset / ramp), ramp))
     wake = total / (1.0 + 0.2 * apparent**2) ** 3.5
     forward = np.where(mach >= 0.0, total, wake)
     aft = np.where(mach >= 0.0, wake, total)

@@ -59,7 +59,6 @@ _RAKE_ANGLE = {"A": 0.0, "B": radians(-110.0)}
 _REACH = {"tip": 1.3, "hub": 0.7}
 _PRESSURE_LEAD = radians(30.0)
 _SIDE = {"tip": -1.0, "hub": 1.0}
-_STEP = round(PLANT_RATE_HZ / RAW_RATE_HZ)
 _HALF_SCALE_V = 0.5 * (ADC_HIGH_V - ADC_LOW_V)
 
 
@@ -165,7 +164,9 @@ def _add_pair(bench: _Bench, plane: int, rake: str, immersion: str, out: Instrum
         case, bench.run, settings, bench.altered, plane=plane, rake=rake, immersion=immersion
     )
     area_m2 = case.inlet_area_m2 if plane == 25 else case.exit_area_m2
-    pressures = probe_pressures_pa(flow, total, area_m2=area_m2, slope=slope, offset=offset)
+    pressures = probe_pressures_pa(
+        flow, total, area_m2=area_m2, slope=slope, offset=offset, ramp=settings.probe_ramp
+    )
     if plane == 25 and bench.altered.flow_noise:
         pressures = _with_wake_noise(bench, *pressures)
     true, _, facility = bench.references[plane]
@@ -246,6 +247,7 @@ def _local_flow(
     angle = 2.0 * pi * case.cell_frequency_hz * time_s + _RAKE_ANGLE[rake]
     reach = share * settings.cells * run["cells"] * _REACH[immersion]
     shift = share * settings.hub_tip * case.hub_tip_flow_kg_s * run["blend"] * _SIDE[immersion]
+    shift = shift * (1.0 + settings.hub_tip_bend * (mean / np.mean(mean) - 1.0))
     flow = mean + reach * case.cell_flow_kg_s * _wave(case, angle) + shift
     ripple = reach * case.cell_pressure_frac * _wave(case, angle + _PRESSURE_LEAD)
     if altered.rotating_stall_ripple:
@@ -320,8 +322,14 @@ def _pressure_counts(
         + sensitivity * (felt - bench.references[plane][0])
         + noise * bench.rng.standard_normal(felt.size)
     )
-    volts = anti_alias(tape, corner_hz=settings.anti_alias_hz, rate_hz=PLANT_RATE_HZ)[::_STEP]
+    volts = anti_alias(tape, corner_hz=settings.anti_alias_hz, rate_hz=PLANT_RATE_HZ)[
+        :: _step(settings)
+    ]
     return counts_from_volts(volts, settings.bits)
+
+
+def _step(settings: SensorSettings) -> int:
+    return round(PLANT_RATE_HZ / settings.sample_rate_hz)
 
 
 def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
@@ -332,7 +340,7 @@ def _thermocouple(bench: _Bench, plane: int) -> FloatArray:
         settings.recovery_factor * bench.run[f"T{plane}"],
         time_constant_s=settings.thermocouple_lag_s + unstated_s,
         rate_hz=PLANT_RATE_HZ,
-    )[::_STEP]
+    )[:: _step(settings)]
     reading = junction + settings.thermocouple_noise_k * bench.rng.standard_normal(junction.size)
     limit = bench.case.t31_limit_k
     if plane == 31 and settings.acquisition_limits and limit is not None:

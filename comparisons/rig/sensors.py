@@ -56,6 +56,12 @@ class SensorSettings:
         Factors on the amplitude of the stall cells and on the hub/tip shift.
     probe_offset : float
         Factor on b of Eq 2; 0 takes the dead band of the probe pairs away.
+    probe_ramp : float
+        Calculated Mach number below which b falls to nothing; 0: Eq 2 holds down to zero flow.
+    hub_tip_bend : float
+        How much more of the hub/tip shift there is per unit of flow above the mean of the record.
+    sample_rate_hz : float
+        Of the converter; 10 kHz divided by a whole number.
     sensitivity_scatter, bias_scatter_v : float
         Spread of the transducers' sensitivity (relative) and electrical bias (V).
     sensitivity_per_k, rake_coupling, rake_lag_s : float
@@ -87,6 +93,9 @@ class SensorSettings:
     cells: float = 1.0
     hub_tip: float = 1.0
     probe_offset: float = 1.0
+    probe_ramp: float = 0.0
+    hub_tip_bend: float = 0.0
+    sample_rate_hz: float = 1_000.0
     # Spread of the zero and calibrate readings in the independent record.
     sensitivity_scatter: float = 0.02
     bias_scatter_v: float = 0.05

@@ -118,7 +118,7 @@ def simulate(
     )
     raw = Record.from_arrays(
         {name: (values, chain.channels[name]["unit"]) for name, values in chain.values.items()},
-        sample_rate_hz=RAW_RATE_HZ,
+        sample_rate_hz=settings.sample_rate_hz,
         source=source,
     ).after(did)
     truth = _truth(plant, run, source + ", truth").after(did)
@@ -179,7 +179,7 @@ def _test_table(
     table: dict[str, Any] = {
         "test": {
             "name": f"simulated rig, case {case.name}",
-            "sample_rate_hz": RAW_RATE_HZ,
+            "sample_rate_hz": settings.sample_rate_hz,
             "rotor_speed_rpm": case.rotor_speed_rpm,
             "design_corrected_speed_rpm": case.design_speed_rpm,
         },
@@ -292,7 +292,7 @@ def write_run(run: RigRun, folder: str | Path) -> None:
 
 def _write_table(record: Record, path: Path) -> None:
     """Write a record as CSV: whole counts as integers, kelvin to 1 mK, the rest to 9 digits."""
-    columns, formats = [record.time_s], ["%.3f"]
+    columns, formats = [record.time_s], ["%.3f" if record.sample_rate_hz <= 1e3 else "%.4f"]
     for channel in record.channels.values():
         columns.append(channel.values)
         if np.all(channel.values == np.round(channel.values)):

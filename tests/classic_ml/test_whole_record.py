@@ -223,6 +223,7 @@ def test_what_is_not_known_is_not_printed(
         (replace(fit, n_cycles=4), FitState.TOO_FEW_CYCLES),
         (biased, FitState.TWIN_BIASED),
         (replace(fit, fit=replace(fit.fit, at_end=True)), FitState.AT_SEARCH_END),
+        (replace(fit, delay=(0.004, 2.0 * fit.share)), FitState.MISALIGNED),
     ):
         found = withheld(wrong, series)
         assert found.fit_state_ is state
@@ -261,18 +262,65 @@ def test_two_readings_span_both(series: CoefficientSeries, fitted: WholeRecordRu
     assert found.ci95_s_[1] == pytest.approx(found.second_reading_.ci95_s[1])
 
 
-def test_with_one_rake_the_fall_back_answers(tmp_path: Path) -> None:
-    """Nothing cancels the cells there: the average over their period does."""
+def without(folder: Path, what: str, which: str) -> CoefficientSeries:
+    """Return the series of a record that lacks a rake or an immersion."""
     run = simulate("985", seed=72)
-    gone = [name for name, channel in run.test["channels"].items() if channel["rake"] == "B"]
+    gone = [name for name, channel in run.test["channels"].items() if channel.get(what) == which]
     channels = {n: channel for n, channel in run.test["channels"].items() if n not in gone}
     limits = {n: pair for n, pair in run.test["limits"].items() if n not in gone}
     test = {**run.test, "channels": channels, "limits": limits}
-    write_run(replace(run, raw=run.raw.without(gone), test=test), tmp_path / "one")
-    series = reduce_record(*read_raw(tmp_path / "one/raw.csv", tmp_path / "one/test.toml")).series
-    fit = fit_whole_records([series])
-    assert not isinstance(fit, WholeRecordRun)
-    assert abs(fit.time_constant_s_ - TAU_S) < 3.0 * fit.time_constant_stderr_s_
+    write_run(replace(run, raw=run.raw.without(gone), test=test), folder)
+    return reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
+
+
+def test_with_one_rake_hub_and_tip_cancel_the_cells(tmp_path: Path) -> None:
+    fit = fit_whole_records([without(tmp_path / "one", "rake", "B")], n_twins=4)
+    assert isinstance(fit, WholeRecordRun)
+    period_s = fit.fits_[0].passes.period_s
+    assert period_s == pytest.approx(1.0 / CASES["985"].cell_frequency_hz, rel=0.01)
+    assert fit.ci95_s_[0] < TAU_S < fit.ci95_s_[1]
+    assert abs(fit.time_constant_s_ - TAU_S) < 0.002
+
+
+def test_one_immersion_states_no_time_constant(tmp_path: Path) -> None:
+    fit = fit_whole_records([without(tmp_path / "tip", "immersion", "hub")])
+    assert fit.fit_state_.withholds
+    assert math.isnan(fit.time_constant_s_)
+
+
+def late(signals: RakeSignals, rows: int) -> RakeSignals:
+    total = {n: np.roll(v, rows) if n[:2] == "31" else v for n, v in signals.total_Pa.items()}
+    return replace(signals, total_Pa=total)
+
+
+def test_a_late_plane_is_reported_and_withholds(signals: RakeSignals) -> None:
+    assert fit_whole_record(signals, n_twins=0).delay == (0.0, 0.0)
+    fit = fit_whole_record(late(signals, 5), n_twins=0)
+    assert fit.delay[0] == pytest.approx(0.005, abs=0.0021)
+    assert fit.state is FitState.MISALIGNED
+
+
+def test_a_ramp_in_the_law_of_the_probes_moves_only_what_is_near_zero(
+    signals: RakeSignals,
+) -> None:
+    moved = signals.ramped(0.03)
+    for name, flow in signals.flow_kg_s.items():
+        apart = np.abs(moved.flow_kg_s[name] - flow)
+        assert apart.max() > 0.0
+        assert np.all(np.abs(moved.flow_kg_s[name]) <= np.abs(flow) + 1e-9)
+        assert apart[np.abs(flow) > 0.2 * np.abs(flow).max()].max() < 1e-9
+
+
+@pytest.mark.parametrize("rate_hz", [500.0, 2000.0])
+def test_other_sample_rates_give_the_same_time_constant(tmp_path: Path, rate_hz: float) -> None:
+    sensors = SensorSettings(sample_rate_hz=rate_hz, anti_alias_hz=0.45 * rate_hz)
+    write_run(simulate("985", seed=73, sensors=sensors), tmp_path / "run")
+    series = reduce_record(*read_raw(tmp_path / "run/raw.csv", tmp_path / "run/test.toml")).series
+    signals = rake_signals_of(series)
+    assert signals is not None
+    fit = fit_whole_record(signals, n_twins=0)
+    assert fit.state is FitState.CONVERGED
+    assert abs(math.log(fit.tau_s / TAU_S)) < max(2.0 * fit.share, 0.1)
 
 
 def test_one_reading_that_is_no_pressure_is_bridged_and_many_are_refused(tmp_path: Path) -> None:
