@@ -135,7 +135,7 @@ def _table(path: Path, columns: Sequence[str]) -> FloatArray:
             raise InputError(
                 f"{path}, column {name}",
                 expected="finite numbers",
-                found=f"{frame[name].iloc[bad[0]]!r} in row {bad[0] + 2}",
+                found=f"{frame[name].iloc[bad[0]]} in row {bad[0] + 2}",
                 remedy="cut the record there and give the parts as files",
             )
         frame[name] = values

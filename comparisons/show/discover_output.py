@@ -13,7 +13,8 @@ from comparisons.page.style import FAINT, dress, legend_above, new_figure
 from surge_core.rounding import bracketed, round_to_error
 
 if TYPE_CHECKING:
-    from sindy_surge.discover.dynamics import Rival, SparseDynamics, Term
+    from sindy_surge.discover.dynamics import SparseDynamics
+    from sindy_surge.discover.equations import Rival, Term
     from surge_core.types import FloatArray
 
 __all__ = ["DISCOVER_SCHEMA", "discover_document", "discover_report", "discover_text"]

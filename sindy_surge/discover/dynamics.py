@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator
 
 from sindy_surge.discover.collocation import Collocation, Fit
+from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.features import Features
 from sindy_surge.discover.search import Search, Tried, proposed_by
+from sindy_surge.discover.smoothing import difference_noise, smoothed
 from sindy_surge.discover.trajectories import Trajectories
 from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.types import FloatArray, IndexArray
 from surge_core.validation import one_of
 
-__all__ = ["Rival", "SparseDynamics", "Term"]
+__all__ = ["SparseDynamics"]
 
 # Rows of the segments on which the full library is fitted, and on which supports are compared.
 # Short first: there a library of wrong terms still follows the data.
@@ -39,39 +40,6 @@ _SCORED_ROWS = 300
 _WHITE = 0.2
 # What is left over the noise that differences show, before a run of it counts.
 _EXCESS = 1.2
-
-
-@dataclass(frozen=True)
-class Term:
-    """A term of one equation.
-
-    Parameters
-    ----------
-    name : str
-        As pysindy writes it.
-    coefficient, stderr : float
-        In the units of the data; the error is 0 for a coefficient that was given.
-    """
-
-    name: str
-    coefficient: float
-    stderr: float
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another model that the data cannot separate from the chosen one.
-
-    Parameters
-    ----------
-    equations : tuple of tuple of Term
-        Its terms, equation by equation.
-    behind : float
-        How far its score is behind, in log-likelihood.
-    """
-
-    equations: tuple[tuple[Term, ...], ...]
-    behind: float
 
 
 class SparseDynamics(BaseEstimator):
@@ -283,7 +251,7 @@ class SparseDynamics(BaseEstimator):
             _SCORED_ROWS,
         )
         empty = np.zeros_like(self.coef_.T)
-        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, _smoothed(problem.data))
+        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, smoothed(problem.data))
         measured = ~self._hidden
         y = problem.data.y[:, measured]
         rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
@@ -306,7 +274,7 @@ class SparseDynamics(BaseEstimator):
         self.state_names_ = (*states, *self.hidden)
         known = {name: dict(given) for name, given in (self.known or {}).items()}
         self._check_known(known)
-        noise = np.maximum(_difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
+        noise = np.maximum(difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
         data = self._with_hidden(data, known)
         hidden = np.arange(data.y.shape[1]) >= len(states)
         spread = np.std(data.y, axis=0)
@@ -340,7 +308,7 @@ class SparseDynamics(BaseEstimator):
         """Add the hidden states, as the known equations give them from smoothed derivatives."""
         if not self.hidden:
             return data
-        smooth, rates = _smoothed(data), self._rates(data)
+        smooth, rates = smoothed(data), self._rates(data)
         columns = dict(zip(self.state_names_, smooth.T, strict=False))
         for name in self.hidden:
             state = next(s for s, terms in known.items() if name in terms and s in columns)
@@ -358,7 +326,7 @@ class SparseDynamics(BaseEstimator):
         from pysindy import FiniteDifference
 
         how = self.differentiation if self.differentiation is not None else FiniteDifference()
-        y = data.y if self.differentiation is not None else _smoothed(data)
+        y = data.y if self.differentiation is not None else smoothed(data)
         parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.pieces()]
         return np.concatenate(parts)
 
@@ -404,7 +372,7 @@ class SparseDynamics(BaseEstimator):
         self, problem: Collocation, rates: FloatArray, free: IndexArray
     ) -> tuple[Fit, Collocation]:
         """Fit the whole library on short segments, and with it the noise."""
-        x = _smoothed(problem.data)
+        x = smoothed(problem.data)
         x[:, problem.hidden] = problem.data.y[:, problem.hidden]
         theta = problem.features.values(x, problem.data.u)
         n_terms, n_states = problem.known.shape
@@ -498,39 +466,12 @@ class SparseDynamics(BaseEstimator):
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
         coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
-        seen = _difference_noise(problem.data)[~problem.hidden]
+        floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
+        seen = np.maximum(difference_noise(problem.data), floor)[~problem.hidden]
         above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
         if np.any((coloured > _WHITE) & above):
             return FitState.UNEXPLAINED
         return FitState.OK
-
-
-def _difference_noise(data: Trajectories) -> FloatArray:
-    """Return the noise that sixth differences show, which a sampled smooth signal hardly has."""
-    squares = [np.diff(data.y[p], 6, axis=0) ** 2 for p in data.pieces()]
-    return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0) / 924.0))
-
-
-def _smoothed(data: Trajectories) -> FloatArray:
-    """Return the states, smoothed as far as their noise asks for.
-
-    Cubics over a window whose residual is what the sixth differences show of the noise; the
-    longest such window of 5 to 101 rows.
-    """
-    from scipy.signal import savgol_filter
-
-    noise = _difference_noise(data)
-    result = data.y.copy()
-    for j, each in enumerate(data.y.T):
-        for window in (101, 71, 51, 35, 25, 17, 11, 7, 5):
-            if window >= min(p.stop - p.start for p in data.pieces()):
-                continue
-            parts = [savgol_filter(each[p], window, 3) for p in data.pieces()]
-            smooth = np.concatenate(parts)
-            if np.std(each - smooth) <= 1.1 * noise[j]:
-                break
-        result[:, j] = smooth
-    return result
 
 
 def _moving(y: FloatArray, names: Sequence[str] | None) -> None:

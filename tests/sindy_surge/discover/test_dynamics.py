@@ -65,6 +65,14 @@ def test_simulation_returns_to_the_measured_cycle(models):
     assert models[0].score(x, t) > 0.999
 
 
+def test_without_noise_the_coefficients_are_exact():
+    x, t = van_der_pol(np.random.default_rng(7), noise=0.0)
+    model = SparseDynamics().fit(x, t, feature_names=["x", "y"])
+    assert model.state_.code == "ok"
+    for state, terms in zip(TRUTH, model.equation_terms_, strict=True):
+        assert {t.name: t.coefficient for t in terms} == pytest.approx(TRUTH[state], rel=1e-4)
+
+
 def test_a_useless_optimizer_alone_gives_a_useless_model():
     nothing = ps.STLSQ(threshold=1e12)
     alone = fitted(1, optimizer=nothing, search="optimizer")
