@@ -115,6 +115,17 @@ class FitState(AdvisedState):
         "The time constant lies at an end of what was searched (4 to 80 ms): the record does not "
         "hold it.",
     )
+    UNEXPLAINED = (
+        "unexplained",
+        "the equations leave more than the noise, and what they leave comes in runs: a term that "
+        "the library lacks, a state that was not measured, or an input that is missing; widen the "
+        "library, or give the hidden state",
+    )
+    NO_EQUATIONS = (
+        "no_equations",
+        "no model was found that the data follow, and none is stated: check that every state was "
+        "measured, and on one clock; take shorter records, or a smaller library",
+    )
     OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
         "no_consistent_structure",
@@ -136,7 +147,8 @@ class FitState(AdvisedState):
     LAG_UNDETERMINED = (
         "lag_undetermined",
         "the error of the time constant is as large as itself, or it runs to the length of the "
-        "longest segment; the record does not excite the lag: use longer segments or more cycles",
+        "longest segment; the record does not excite the lag: use longer segments or more "
+        "cycles; a system that is no lag behind a curve is one for `sindy-surge discover`",
     )
     UNRELATED = (
         "unrelated",
@@ -147,6 +159,16 @@ class FitState(AdvisedState):
         "few_equations",
         "a structure was found, but on so few rows that a choice among so many terms is worth "
         "little, and the errors stated are too small: use a longer record, or a smaller library",
+    )
+    DOES_NOT_CYCLE = (
+        "does_not_cycle",
+        "simulated, the model settles or runs away instead of cycling: use more cycles, and look "
+        "for clipped signals, a transient, or channels shifted in time against each other",
+    )
+    CYCLES_DIFFER = (
+        "cycles_differ",
+        "the model cycles, but its period or an extreme is more than 5 % off the record's: look "
+        "for a missing effect, a time shift between the channels, or cycles that drift",
     )
     CONSTANT_SIGNAL = (
         "constant_signal",

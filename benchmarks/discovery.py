@@ -1,0 +1,378 @@
+"""Exact equations of surge loops and other systems from noisy states, over seeds.
+
+Three trajectories of 2 000 rows from random starts; noise as a share of each state's rms. A cell
+counts the seeds on which the support of every equation is exact, gives the median error of the
+coefficients, the time, and beside it pysindy with the best of its optimizers and thresholds,
+picked with the truth at hand. On a miss it says what lacked: "search" where the true support
+scores better than what was found, "data" where it does not.
+
+    python benchmarks/discovery.py [--systems NAME…] [--noise 0.01 0.02 0.05] [--seeds 20]
+        [--first-seed N] [--jobs N] [--no-pysindy] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pysindy as ps
+from scipy.integrate import solve_ivp
+
+from sindy_surge import SparseDynamics
+
+N_TRAJECTORIES, N_ROWS = 3, 2000
+# Thresholds that pysindy is tried with.
+THRESHOLDS = np.geomspace(1e-3, 3.0, 25)
+
+
+@dataclass(frozen=True)
+class System:
+    """A system whose equations are known.
+
+    Parameters
+    ----------
+    states : tuple of str
+        Names.
+    rate : callable
+        dx/dt at (t, x, u).
+    truth : dict
+        Coefficients of each equation by term.
+    low, high : tuple of float
+        Range of the starts.
+    step_s : float
+        Sample period.
+    library : callable
+        Makes the candidate terms.
+    force : callable, optional
+        The input u at a time.
+    hidden : str
+        A state that is not measured, with the equation of the first state known; may be empty.
+    """
+
+    states: tuple[str, ...]
+    rate: Callable[..., Any]
+    truth: dict[str, dict[str, float]]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    step_s: float
+    library: Callable[[], Any] = lambda: ps.PolynomialLibrary(degree=3)
+    force: Callable[[Any], Any] | None = None
+    hidden: str = ""
+
+
+def _with_root(state: int, n_states: int) -> Any:
+    """Return polynomials to degree 3 and the root of one state."""
+    root = ps.CustomLibrary([lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"])
+    parts = [ps.PolynomialLibrary(degree=3), root]
+    return ps.GeneralizedLibrary(parts, inputs_per_library=[list(range(n_states)), [state]])
+
+
+def _of(truth: dict[str, dict[str, float]], states: tuple[str, ...]) -> Callable[..., Any]:
+    """Return dx/dt for equations of polynomial terms, sqrt(·), sin(·) and the input u."""
+
+    def value(term: str, x: Any, u: float) -> float:
+        named = {**dict(zip(states, x, strict=True)), "u": u, "1": 1.0}
+        result = 1.0
+        for factor in term.split():
+            base, _, power = factor.partition("^")
+            if base.startswith(("sqrt(", "sin(")):
+                kind, inner = base[:-1].split("(")
+                result *= np.sqrt(abs(named[inner])) if kind == "sqrt" else np.sin(named[inner])
+            else:
+                result *= named[base] ** int(power or 1)
+        return float(result)
+
+    def rate(t: float, x: Any, u: float) -> list[float]:
+        return [sum(c * value(n, x, u) for n, c in truth[s].items()) for s in states]
+
+    return rate
+
+
+def _system(states: tuple[str, ...], truth: dict[str, dict[str, float]], **kind: Any) -> System:
+    return System(states, _of(truth, states), truth, **kind)
+
+
+GREITZER = {
+    "phi": {"1": 1.2, "phi": 1.2, "phi^3": -1.0, "psi": -1.0},
+    "psi": {"1": 0.3, "phi": 0.45, "sqrt(psi)": -0.42},
+}
+GREITZER_LAG = {
+    "phi": {"psi_c": 1.8, "psi": -1.8},
+    "psi": {"phi": 0.55, "sqrt(psi)": -0.36},
+    "psi_c": {"1": 1.2, "phi^2": 6.0, "phi^3": -4.0, "psi_c": -4.0},
+}
+MOORE_GREITZER = {
+    "phi": {"1": 0.6, "psi": -2.0, "phi^2": 3.0, "phi^3": -1.0, "J": 1.5, "phi J": -1.5},
+    "psi": {"phi": 0.5, "sqrt(psi)": -0.62},
+    "J": {"phi J": 4.0, "phi^2 J": -2.0, "J^2": -0.5},
+}
+SYSTEMS = {
+    "van_der_pol": _system(
+        ("x", "y"),
+        {"x": {"y": 1.0}, "y": {"x": -1.0, "y": 2.0, "x^2 y": -2.0}},
+        low=(-2, -2),
+        high=(2, 2),
+        step_s=0.01,
+    ),
+    "duffing": _system(
+        ("x", "v"),
+        {"x": {"v": 1.0}, "v": {"x": 1.0, "v": -0.3, "x^3": -1.0, "u": 1.0}},
+        low=(-1.5, -1.5),
+        high=(1.5, 1.5),
+        step_s=0.02,
+        force=lambda t: 0.5 * np.cos(1.2 * t),
+    ),
+    "greitzer": _system(
+        ("phi", "psi"),
+        GREITZER,
+        low=(-0.5, 0.6),
+        high=(1.0, 1.6),
+        step_s=0.02,
+        library=partial(_with_root, 1, 2),
+    ),
+    "greitzer_lag": _system(
+        ("phi", "psi", "psi_c"),
+        GREITZER_LAG,
+        low=(0.2, 0.3, 0.3),
+        high=(1.2, 0.9, 0.9),
+        step_s=0.02,
+        library=partial(_with_root, 1, 3),
+    ),
+    "greitzer_lag_hidden": _system(
+        ("phi", "psi", "psi_c"),
+        GREITZER_LAG,
+        low=(0.2, 0.3, 0.3),
+        high=(1.2, 0.9, 0.9),
+        step_s=0.02,
+        library=partial(_with_root, 1, 3),
+        hidden="psi_c",
+    ),
+    "moore_greitzer": _system(
+        ("phi", "psi", "J"),
+        MOORE_GREITZER,
+        low=(0.4, 0.8, 0.1),
+        high=(1.6, 2.0, 1.0),
+        step_s=0.02,
+        library=partial(_with_root, 1, 3),
+    ),
+    # Not developed on.
+    "lorenz": _system(
+        ("x", "y", "z"),
+        {
+            "x": {"x": -10.0, "y": 10.0},
+            "y": {"x": 28.0, "y": -1.0, "x z": -1.0},
+            "z": {"z": -8.0 / 3.0, "x y": 1.0},
+        },
+        low=(-10, -10, 15),
+        high=(10, 10, 35),
+        step_s=0.01,
+    ),
+    "rossler": _system(
+        ("x", "y", "z"),
+        {
+            "x": {"y": -1.0, "z": -1.0},
+            "y": {"x": 1.0, "y": 0.2},
+            "z": {"1": 0.2, "x z": 1.0, "z": -5.7},
+        },
+        low=(-5, -5, 0),
+        high=(5, 5, 1),
+        step_s=0.02,
+    ),
+    "lotka_volterra": _system(
+        ("x", "y"),
+        {"x": {"x": 1.0, "x y": -0.8}, "y": {"y": -1.2, "x y": 0.9}},
+        low=(0.5, 0.5),
+        high=(3, 3),
+        step_s=0.02,
+    ),
+    "tanks": _system(
+        ("a", "b", "c"),
+        {
+            "a": {"u": 1.0, "sqrt(a)": -0.8},
+            "b": {"sqrt(a)": 0.8, "sqrt(b)": -0.7},
+            "c": {"sqrt(b)": 0.7, "sqrt(c)": -0.6},
+        },
+        low=(0.5, 0.5, 0.5),
+        high=(2, 2, 2),
+        step_s=0.02,
+        library=lambda: (
+            ps.PolynomialLibrary(degree=2)
+            + ps.CustomLibrary(
+                [lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"sqrt({x})"]
+            )
+        ),
+        force=lambda t: 0.8 + 0.4 * np.sin(0.7 * t),
+    ),
+    "pendulum": _system(
+        ("q", "w"),
+        {"q": {"w": 1.0}, "w": {"sin(q)": -2.0, "w": -0.1}},
+        low=(-2.5, -1),
+        high=(2.5, 1),
+        step_s=0.02,
+        library=lambda: (
+            ps.PolynomialLibrary(degree=3)
+            + ps.CustomLibrary([np.sin], function_names=[lambda x: f"sin({x})"])
+        ),
+    ),
+}
+DEVELOPED_ON = tuple(SYSTEMS)[:6]
+
+
+def measured(system: System, noise: float, seed: int) -> tuple[Any, ...]:
+    """Return noisy trajectories, times and inputs."""
+    rng = np.random.default_rng([seed, 10])
+    times = np.arange(N_ROWS) * system.step_s
+    force = system.force
+
+    def rate(t: float, x: Any) -> Any:
+        return system.rate(t, x, 0.0 if force is None else force(t))
+
+    runs = []
+    while len(runs) < N_TRAJECTORIES:
+        start = rng.uniform(system.low, system.high)
+        run = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-9, atol=1e-11)
+        if run.success and np.abs(run.y).max() < 1e3:
+            runs.append(run.y.T)
+    rms = np.sqrt(np.mean(np.concatenate(runs) ** 2, axis=0))
+    noisy = [run + noise * rms * rng.standard_normal(run.shape) for run in runs]
+    inputs = None if force is None else [force(times)[:, None] for _ in runs]
+    return noisy, times, inputs
+
+
+def cell(name: str, noise: float, with_pysindy: bool, seed: int) -> dict[str, Any]:
+    """Discover one system once, and compare with its truth."""
+    system = SYSTEMS[name]
+    x, t, u = measured(system, noise, seed)
+    options: dict[str, Any] = {}
+    states = list(system.states)
+    if system.hidden:
+        first = states[0]
+        options = {"hidden": (system.hidden,), "known": {first: system.truth[first]}}
+        kept = [i for i, s in enumerate(states) if s != system.hidden]
+        x, states = [each[:, kept] for each in x], [states[i] for i in kept]
+    began = time.process_time()
+    model = SparseDynamics(library=system.library(), **options)
+    model.fit(x, t, u, feature_names=states)
+    seconds = time.process_time() - began
+    wanted = [set(system.truth[s]) for s in model.state_names_]
+    exact = [set(terms) for terms in model.terms_] == wanted
+    errors = [
+        abs(term.coefficient / system.truth[s][term.name] - 1.0)
+        for s, terms in zip(model.state_names_, model.equation_terms_, strict=True)
+        for term in terms
+        if exact and term.stderr > 0.0
+    ]
+    row = {"system": name, "noise": noise, "seed": seed, "exact": exact, "seconds": seconds}
+    row |= {"error": float(np.median(errors)) if errors else None, "state": model.state_.code}
+    if not exact:
+        row["lacked"] = _lacked(model, wanted)
+        row["found"] = model.equations()
+    if with_pysindy and not system.hidden:
+        row["pysindy"] = _pysindy(system, x, t, u)
+    return row
+
+
+def _lacked(model: SparseDynamics, wanted: list[set[str]]) -> str:
+    n = len(model.candidate_terms_)
+    support = [
+        s * n + i
+        for s, terms in enumerate(wanted)
+        if s not in model.given_states_
+        for i, name in enumerate(model.candidate_terms_)
+        if name in terms
+    ]
+    true = model.search_.try_support(support, model.best_.fit, "truth")
+    return "search" if true.score < model.best_.score else "data"
+
+
+def _pysindy(system: System, x: Any, t: Any, u: Any) -> bool:
+    """Return whether any optimizer and threshold of pysindy gives the exact support."""
+    wanted = [set(system.truth[s]) for s in system.states]
+    library = system.library()
+    for window in (11, 41):
+        smooth = ps.SmoothedFiniteDifference(smoother_kws={"window_length": window})
+        fitted = ps.SINDy(
+            optimizer=ps.STLSQ(threshold=0.0, alpha=1e-9),
+            feature_library=library,
+            differentiation_method=smooth,
+        )
+        fitted.fit(x, t, u=u, feature_names=[*system.states, *(["u"] if u else [])])
+        names = fitted.get_feature_names()
+        theta = np.vstack(
+            [
+                np.asarray(fitted.feature_library.transform(np.column_stack((a, b)) if u else a))
+                for a, b in zip(x, u or x, strict=True)
+            ]
+        )
+        rates = np.vstack([np.asarray(smooth(a, t)) for a in x])
+        for threshold in THRESHOLDS:
+            for normalise in (True, False):
+                optimizer = ps.STLSQ(threshold=threshold, alpha=1e-9, normalize_columns=normalise)
+                optimizer.fit(theta, rates)
+                found = [
+                    {n for n, c in zip(names, row, strict=True) if c != 0.0}
+                    for row in np.atleast_2d(optimizer.coef_)
+                ]
+                if found == wanted:
+                    return True
+    return False
+
+
+def rows(given: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Yield a row for each cell and seed."""
+    seeds = range(given.first_seed, given.first_seed + given.seeds)
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for name in given.systems:
+            for noise in given.noise:
+                one = partial(_quietly, name, noise, not given.no_pysindy)
+                found = list(pool.map(one, seeds))
+                print(_line(name, noise, found), flush=True)
+                yield from found
+
+
+def _quietly(name: str, noise: float, with_pysindy: bool, seed: int) -> dict[str, Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pysindy warns at every threshold that leaves no term
+        return cell(name, noise, with_pysindy, seed)
+
+
+def _line(name: str, noise: float, found: list[dict[str, Any]]) -> str:
+    exact = sum(row["exact"] for row in found)
+    errors = [row["error"] for row in found if row["error"] is not None]
+    error = f"{100 * np.median(errors):.2f} %" if errors else "-"
+    lacked = ", ".join(f"{row['seed']}: {row['lacked']}" for row in found if not row["exact"])
+    beside = [row["pysindy"] for row in found if "pysindy" in row]
+    other = f"{sum(beside)}/{len(beside)}" if beside else "-"
+    seconds = np.median([row["seconds"] for row in found])
+    return (
+        f"{name:22s}{100 * noise:4.0f} %  exact {exact}/{len(found)}  error {error:8s}"
+        f"pysindy {other:6s} {seconds:5.1f} s  {lacked}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=list(SYSTEMS))
+    parser.add_argument("--noise", nargs="+", type=float, default=[0.01, 0.02, 0.05])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--no-pysindy", action="store_true")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    found = list(rows(given))
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,240 @@
+"""The command `sindy-surge discover`: the equations of any measured system."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from comparisons.cli.shared import (
+    JSON,
+    REPORT,
+    Command,
+    argument,
+    command_line,
+    reads,
+    write_asked,
+)
+from surge_core.errors import InputError
+from surge_core.progress import shown_steps
+
+if TYPE_CHECKING:
+    from surge_core.types import FloatArray
+
+__all__ = ["COMMAND"]
+
+FUNCTIONS = ("sqrt", "sin", "cos", "abs")
+HIGHEST_DEGREE = 6
+
+
+def _run(given: argparse.Namespace) -> Iterable[str]:
+    from comparisons.show.discover_output import (
+        discover_document,
+        discover_report,
+        discover_text,
+    )
+    from sindy_surge import SparseDynamics
+
+    if given.loop:
+        return _loop(given)
+    if not given.states:
+        raise InputError(
+            "--states", expected="the columns that are states", found="none", remedy="name them"
+        )
+    states, inputs = _names("--states", given.states), _names("--inputs", given.inputs)
+    hidden = _names("--hidden", given.hidden)
+    with shown_steps(3) as begin:
+        begin("reading")
+        tables = [_table(path, (*states, *inputs)) for path in given.files]
+        x = [table[:, 1 : 1 + len(states)] for table in tables]
+        t = [table[:, 0] for table in tables]
+        u = [table[:, 1 + len(states) :] for table in tables] if inputs else None
+        begin("choosing terms")
+        model = SparseDynamics(
+            library=_library(given.library, (*states, *hidden, *inputs)),
+            search=given.search,
+            hidden=hidden,
+            known=dict(map(_known, given.known)),
+        )
+        model.fit(x, t, u, feature_names=states, input_names=inputs)
+        begin("writing")
+        written = write_asked(
+            given,
+            json=lambda: discover_document(model),
+            report=lambda: discover_report(
+                model, x, t, names=[path.name for path in given.files], command=command_line()
+            ),
+        )
+    return discover_text(model), *written
+
+
+def _loop(given: argparse.Namespace) -> Iterable[str]:
+    from classic_ml.io.series import read_series
+    from comparisons.cli.discover_loop import (
+        discover_series_loop,
+        loop_document,
+        loop_parts,
+        loop_text,
+    )
+    from comparisons.page.html import render_page
+
+    if len(given.files) != 1:
+        raise InputError("--loop", expected="one series", found=f"{len(given.files)} files")
+    path = given.files[0]
+    with shown_steps(3) as begin:
+        begin("reading")
+        series = read_series(path)
+        begin("finding branches, levels and lag")
+        found = discover_series_loop(series)
+        begin("writing")
+        title = f"Surge loop of {path.name}"
+        written = write_asked(
+            given,
+            json=lambda: loop_document(found),
+            report=lambda: render_page(
+                [(path.name, loop_parts(found, path.name))], title=title, command=command_line()
+            ),
+        )
+    return *loop_text(found), *written
+
+
+def _names(option: str, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",")) if text else ()
+    if len(set(names)) != len(names) or "" in names:
+        raise InputError(
+            option, expected="different names, with commas between", found=text or "nothing"
+        )
+    return names
+
+
+def _table(path: Path, columns: Sequence[str]) -> FloatArray:
+    """Return time and columns of a CSV file, (n_rows, 1 + n_columns)."""
+    import numpy as np
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(path)
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(
+            str(path), expected="a CSV table with a header", found=str(error).strip()
+        ) from None
+    wanted = ("time_s", *columns)
+    missing = [name for name in wanted if name not in frame.columns]
+    if missing:
+        raise InputError(
+            str(path),
+            expected="the columns " + ", ".join(wanted),
+            found="none called " + ", ".join(missing),
+            remedy="its columns are " + ", ".join(map(str, frame.columns)),
+        )
+    for name in wanted:
+        values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=np.float64)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(
+                f"{path}, column {name}",
+                expected="finite numbers",
+                found=f"{frame[name].iloc[bad[0]]!r} in row {bad[0] + 2}",
+                remedy="cut the record there and give the parts as files",
+            )
+        frame[name] = values
+    table = frame[list(wanted)].to_numpy(dtype=np.float64)
+    steps = np.diff(table[:, 0])
+    odd = np.flatnonzero((steps <= 0.0) | (steps > 5.0 * np.median(steps)))
+    if steps.size and odd.size:
+        raise InputError(
+            f"{path}, column time_s",
+            expected="times that rise without gaps",
+            found=f"{table[odd[0], 0]:g} s followed by {table[odd[0] + 1, 0]:g} s",
+            remedy="cut the record there and give the parts as files",
+        )
+    return table
+
+
+def _library(text: str, names: Sequence[str]) -> Any:
+    """Return the library that a specification such as ``poly3+sqrt(psi)`` names."""
+    import numpy as np
+    import pysindy as ps
+
+    parts, columns = [], []
+    for part in text.replace(" ", "").split("+"):
+        function, _, inner = part.rstrip(")").partition("(")
+        degree = part.removeprefix("poly")
+        if part.startswith("poly") and degree.isdigit() and int(degree) <= HIGHEST_DEGREE:
+            parts.append(ps.PolynomialLibrary(degree=int(degree)))
+            columns.append(list(range(len(names))))
+        elif function in FUNCTIONS and inner in names and part.endswith(")"):
+            kernel = getattr(np, function)
+            # Noise at zero must not leave the domain of the root.
+            called = (lambda x: np.sqrt(np.abs(x))) if function == "sqrt" else kernel
+            named = [lambda x, word=function: f"{word}({x})"]
+            parts.append(ps.CustomLibrary([called], function_names=named))
+            columns.append([list(names).index(inner)])
+        else:
+            raise InputError(
+                "--library",
+                expected=f"poly1 to poly{HIGHEST_DEGREE} and {', '.join(FUNCTIONS)} of a column, "
+                "joined by +, such as 'poly3+sqrt(psi)'",
+                found=part or "nothing",
+            )
+    if len(parts) == 1:
+        return parts[0]
+    return ps.GeneralizedLibrary(parts, inputs_per_library=columns)
+
+
+def _known(text: str) -> tuple[str, dict[str, float]]:
+    """Return state and coefficients of ``phi: psi_c=1.8, psi=-1.8``."""
+    state, _, rest = text.partition(":")
+    try:
+        pairs = [part.split("=") for part in rest.split(",")]
+        return state.strip(), {name.strip(): float(value) for name, value in pairs}
+    except ValueError:
+        raise InputError(
+            "--known", expected="an equation such as 'phi: psi_c=1.8, psi=-1.8'", found=text
+        ) from None
+
+
+COMMAND = Command(
+    "discover",
+    help="the equations of any measured system",
+    description="Find dx/dt = Θ(x, u) Ξ from noisy measurements of the states: which terms of a "
+    "library each equation has, their coefficients and errors, and the models that the data "
+    "cannot separate from it. Several files are several trajectories. SparseDynamics takes any "
+    "pysindy library, optimizer and differentiation in Python.",
+    arguments=(
+        reads("files", nargs="+", metavar="FILE", help="CSV with time_s and a column per state"),
+        argument("--states", default="", metavar="x,v", help="columns that are states"),
+        argument(
+            "--loop",
+            action="store_true",
+            help="FILE is a reduced series: find the surge loop behind it, with one branch of the "
+            "characteristic or two",
+        ),
+        argument("--inputs", default="", metavar="u", help="columns that are inputs"),
+        argument(
+            "--library",
+            default="poly3",
+            metavar="SPEC",
+            help="candidate terms, such as poly3+sqrt(psi) (default: poly3)",
+        ),
+        argument("--hidden", default="", metavar="h", help="states that were not measured"),
+        argument(
+            "--known",
+            action="append",
+            default=[],
+            metavar="EQUATION",
+            help="an equation that is given, such as 'phi: psi_c=1.8, psi=-1.8'; one of a "
+            "measured state must hold each hidden state",
+        ),
+        argument(
+            "--search",
+            choices=("full", "optimizer"),
+            default="full",
+            help="go on from what the optimizer proposes, or keep it (default: full)",
+        ),
+        JSON,
+        REPORT,
+    ),
+    run=_run,
+)

@@ -1,0 +1,195 @@
+"""Discovered equations as text, JSON and page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from comparisons.page.blocks import Block, Head, Part, Picture, Table, Words
+from comparisons.page.html import render_page
+from comparisons.page.style import FAINT, dress, legend_above, new_figure
+from surge_core.rounding import bracketed, round_to_error
+
+if TYPE_CHECKING:
+    from sindy_surge.discover.dynamics import Rival, SparseDynamics, Term
+    from surge_core.types import FloatArray
+
+__all__ = ["DISCOVER_SCHEMA", "discover_document", "discover_report", "discover_text"]
+
+DISCOVER_SCHEMA = "sindy-surge/discover/1"
+RIVALS_SHOWN = 5
+DISCOVERED = "#1f5fa8"
+
+
+def discover_document(model: SparseDynamics) -> dict[str, Any]:
+    """Return the document of ``discover --json``.
+
+    Parameters
+    ----------
+    model : SparseDynamics
+        Fitted.
+    """
+    return {
+        "schema": DISCOVER_SCHEMA,
+        "equations": _equations(model, model.equation_terms_),
+        "rivals": [
+            {"behind": rival.behind, "equations": _equations(model, rival.equations)}
+            for rival in model.rivals_
+        ],
+        "noise": dict(zip(model.state_names_, model.noise_.tolist(), strict=False)),
+        "fit_state": {"code": model.state_.code, "advice": model.state_.advice},
+    }
+
+
+def _equations(
+    model: SparseDynamics, equations: tuple[tuple[Term, ...], ...]
+) -> list[dict[str, Any]]:
+    return [
+        {
+            "state": state,
+            "terms": [
+                {"name": t.name, "coefficient": t.coefficient, "stderr": t.stderr} for t in terms
+            ],
+        }
+        for state, terms in zip(model.state_names_, equations, strict=True)
+    ]
+
+
+def discover_text(model: SparseDynamics) -> str:
+    """Return the equations, their state and their rivals as text.
+
+    Parameters
+    ----------
+    model : SparseDynamics
+        Fitted.
+    """
+    lines = [f"{model.state_.code}: {model.state_.advice}", ""]
+    for state, terms in zip(model.state_names_, model.equation_terms_, strict=True):
+        lines.append(f"d{state}/dt = {_written(terms)}")
+    lines += ["", rivals_words(model)]
+    lines += [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
+    return "\n".join(lines)
+
+
+def rivals_words(model: SparseDynamics) -> str:
+    """Say how many other models the data leave.
+
+    Parameters
+    ----------
+    model : SparseDynamics
+        Fitted.
+    """
+    if not model.rivals_:
+        return f"rivals: none within 5 of the log-likelihood ({len(model.path_)} models compared)"
+    return (
+        f"rivals: {len(model.rivals_)} of {len(model.path_)} models compared are within 5 of the "
+        "log-likelihood and cannot be excluded"
+    )
+
+
+def _written(terms: Sequence[Term]) -> str:
+    def one(term: Term) -> str:
+        if term.stderr > 0.0:
+            return f"{bracketed(term.coefficient, term.stderr)} {term.name}"
+        return f"{term.coefficient:g} {term.name} (given)"
+
+    return "  +  ".join(one(term) for term in terms) or "0"
+
+
+def _difference(model: SparseDynamics, rival: Rival) -> str:
+    parts = []
+    for state, own, other in zip(
+        model.state_names_, model.equation_terms_, rival.equations, strict=True
+    ):
+        mine, theirs = {t.name for t in own}, {t.name for t in other}
+        changes = [f"without {n}" for n in sorted(mine - theirs)]
+        changes += [f"with {n}" for n in sorted(theirs - mine)]
+        if changes:
+            parts.append(f"d{state}/dt {' and '.join(changes)}")
+    return f"{rival.behind:.1f} behind: {'; '.join(parts)}"
+
+
+def discover_report(
+    model: SparseDynamics,
+    x: Sequence[FloatArray],
+    t: Sequence[FloatArray],
+    *,
+    names: Sequence[str],
+    command: str = "sindy-surge discover",
+) -> str:
+    """Return the equations and their pictures as one self-contained HTML page.
+
+    Parameters
+    ----------
+    model : SparseDynamics
+        Fitted.
+    x, t : sequence of ndarray
+        Measured states and times of each trajectory.
+    names : sequence of str
+        Names of the files.
+    command : str
+        The command line that made it.
+    """
+    blocks: list[Block] = [
+        Words(model.state_.advice, "plain" if model.state_.code == "ok" else "caution"),
+        *(_table(s, e) for s, e in zip(model.state_names_, model.equation_terms_, strict=True)),
+        Words(rivals_words(model)),
+    ]
+    parts = [Part("Equations", tuple(blocks))]
+    parts.append(Part("Measured and estimated", tuple(_pictures(model, x, t))))
+    title = "Equations of " + ", ".join(names)
+    return render_page([(", ".join(names), tuple(parts))], title=title, command=command)
+
+
+def _table(state: str, terms: Sequence[Term]) -> Table:
+    rows = tuple(
+        (t.name, round_to_error(t.coefficient, t.stderr) if t.stderr else f"{t.coefficient:g}")
+        for t in terms
+    )
+    return Table(f"d{state}/dt", (Head("term"), Head("coefficient", numeric=True)), rows)
+
+
+def _pictures(
+    model: SparseDynamics, x: Sequence[FloatArray], t: Sequence[FloatArray]
+) -> list[Block]:
+    """Draw the first trajectory over time, and the first two states against each other."""
+    first, n = len(x[0]), x[0].shape[1]
+    estimated, measured, names = model.x_[:first], x[0], model.state_names_
+    figure = new_figure(height_in=1.2 + 1.5 * n)
+    panels = np.atleast_1d(np.asarray(figure.subplots(n, 1, sharex=True)))
+    for j, ax in enumerate(panels):
+        dress(ax).plot(t[0], measured[:, j], ".", ms=2, color=FAINT, label="measured")
+        ax.plot(t[0], estimated[:, j], color=DISCOVERED, lw=1.2, label="equations")
+        ax.set_ylabel(names[j])
+    panels[-1].set_xlabel("time [s]")
+    legend_above(figure, panels[0])
+    left = np.sqrt(np.mean((measured - estimated[:, :n]) ** 2, axis=0))
+    words = ", ".join(f"{name} {rms:.2g}" for name, rms in zip(names, left, strict=False))
+    pictures: list[Block] = [
+        Picture.of(
+            "States over time, first file",
+            figure,
+            f"Measured states and the run of the equations nearest to them; rms apart: {words}.",
+            "One run of the equations through the whole file, without restarts.",
+        )
+    ]
+    if n < 2:
+        return pictures
+    figure = new_figure(height_in=5.0)
+    ax = dress(figure.subplots())
+    ax.plot(measured[:, 0], measured[:, 1], ".", ms=2, color=FAINT, label="measured")
+    ax.plot(estimated[:, 0], estimated[:, 1], color=DISCOVERED, lw=1.2, label="equations")
+    ax.set_xlabel(names[0])
+    ax.set_ylabel(names[1])
+    legend_above(figure, ax)
+    pictures.append(
+        Picture.of(
+            f"{names[1]} over {names[0]}, first file",
+            figure,
+            "The measured loop and the loop of the equations.",
+            "Where the two part in the same place in every cycle, a term is missing.",
+        )
+    )
+    return pictures

@@ -1,0 +1,1 @@
+"""Equations and surge loops discovered from measured states."""

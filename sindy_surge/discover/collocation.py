@@ -1,0 +1,282 @@
+"""Likelihood of an equation when every state is measured with noise: states and terms together.
+
+The true states obey dx/dt = Θ(x, u) Ξ between any two rows, as the rule of Hermite and Simpson
+writes it (order 4; Hargraves & Paris 1987):
+
+    x_{k+1} - x_k - h/6 (f_k + 4 f_m + f_{k+1}) = 0,   x_m = (x_k + x_{k+1})/2 + h/8 (f_k - f_{k+1})
+
+Among the states that obey it, those nearest to the measured ones are the most likely. About
+states and coefficients at hand, the defects r move by A δx - G δξ; with e = measured - states,
+what noise has to explain is ρ = r + A e - G δξ, of covariance S = A Aᵀ in units of the noise, and
+ρᵀ S⁻¹ ρ is the squared error. S is banded, so that all of it costs as much as a few passes over
+the rows, and H = Gᵀ S⁻¹ G is the information on all terms of the library at once. (Gauss-Newton
+on a fully discretised problem: no run can diverge, as it does from a bad start when shooting.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+
+from sindy_surge.discover.features import Features
+from sindy_surge.discover.trajectories import Trajectories
+from surge_core.types import BoolArray, FloatArray, IndexArray
+
+__all__ = ["Collocation", "Fit", "Linear"]
+
+# A step that moves the coefficients by less than this share of a standard error ends the search.
+_STEP_SIGMA = 1e-2
+_MOST_STEPS = 15
+# The defects that the linearised step leaves, in units of noise, against one row's noise.
+_LEAST_DEFECT = 1e-3
+_HALVINGS = 4
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The regression about one fit: squared error = rest + (ξ - best)ᵀ H (ξ - best).
+
+    Parameters
+    ----------
+    information : ndarray of shape (n, n)
+        H of the columns asked for.
+    score : ndarray of shape (n,)
+        Gᵀ S⁻¹ (ρ at ξ = 0): the right-hand side of the normal equations.
+    squares : float
+        Squared error at ξ = 0.
+    """
+
+    information: FloatArray
+    score: FloatArray
+    squares: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Coefficients of one support with the states that go with them.
+
+    Parameters
+    ----------
+    xi : ndarray of shape (n_terms, n_states)
+        Coefficients; zero outside the support.
+    x : ndarray of shape (n_rows, n_states)
+        Estimated states.
+    chi2 : float
+        Squared error in units of the noise.
+    covariance : ndarray of shape (n_support, n_support)
+        Of the coefficients, in units of the noise's variance.
+    converged : bool
+        Whether the search ended.
+    """
+
+    xi: FloatArray
+    x: FloatArray
+    chi2: float
+    covariance: FloatArray
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """Measured trajectories, candidate terms and the noise.
+
+    Parameters
+    ----------
+    data : Trajectories
+        What was measured.
+    features : Features
+        The candidate terms.
+    noise : ndarray of shape (n_states,)
+        Standard deviation of each state's noise.
+    known : ndarray of shape (n_terms, n_states)
+        Coefficients that are given; zero elsewhere.
+    rows : int, optional
+        Length of the segments that trajectories are cut into, each with a start of its own.
+    hidden : ndarray of bool of shape (n_states,)
+        States that are not measured.
+    """
+
+    data: Trajectories
+    features: Features
+    noise: FloatArray
+    known: FloatArray
+    hidden: BoolArray
+    rows: int | None = None
+    joined: BoolArray = field(init=False)
+    middle: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joined", self.data.within(self.rows))
+        object.__setattr__(self, "middle", self.data.middle_inputs())
+
+    def cut(self, rows: int | None) -> Collocation:
+        """Return the same with other segments."""
+        return replace(self, rows=rows)
+
+    def fit(
+        self,
+        support: IndexArray,
+        xi: FloatArray,
+        x: FloatArray,
+        ridge: FloatArray | None = None,
+        most_steps: int = _MOST_STEPS,
+    ) -> Fit:
+        """Fit some terms, from coefficients and states nearby.
+
+        Parameters
+        ----------
+        support : ndarray of int
+            Columns of Ξ, flattened by state: state * n_terms + term.
+        xi : ndarray of shape (n_terms, n_states)
+            Coefficients to start from.
+        x : ndarray of shape (n_rows, n_states)
+            States to start from.
+        ridge : ndarray of shape (n_support,), optional
+            What is added to the diagonal of H.
+        """
+        n_terms = xi.shape[0]
+        place = support % n_terms, support // n_terms
+        start = np.zeros_like(xi)
+        start[place] = xi[place]
+        xi, converged, chi2 = start, False, np.inf
+        inverse = np.eye(support.size)
+        about = _About(self, x, xi)
+        for _ in range(most_steps):
+            try:
+                linear, solve = about.linear(support)
+            except (LinAlgError, ValueError):
+                return Fit(xi, x, np.inf, inverse, False)
+            H = linear.information + (np.diag(ridge) if ridge is not None else 0.0)
+            inverse = _inverse(H)
+            new = np.zeros_like(xi)
+            new[place] = inverse @ linear.score
+            move = new[place] - xi[place]
+            moved = float(move @ H @ move)
+            target, chi2 = about.states(solve, support, new[place])
+            share = 1.0
+            for _ in range(_HALVINGS):
+                ahead = _About(self, x + share * (target - x), xi + share * (new - xi))
+                # On the way to the step's end the defects shrink with it.
+                if ahead.defect < max(2.0 * about.defect, _LEAST_DEFECT * chi2):
+                    break
+                share *= 0.5
+            x, xi, about = ahead.x, ahead.xi, ahead
+            if not (np.isfinite(chi2) and np.isfinite(about.defect)):
+                return Fit(xi, x, np.inf, inverse, False)
+            small = share == 1.0 and moved < _STEP_SIGMA**2 * max(support.size, 1)
+            if small and about.defect < _LEAST_DEFECT * max(chi2, 1.0):
+                converged = True
+                break
+        return Fit(xi, x, chi2, inverse, converged)
+
+    def linear(self, fit: Fit, support: IndexArray) -> Linear:
+        """Return the regression on some columns about a fit."""
+        return _About(self, fit.x, fit.xi).linear(support)[0]
+
+
+class _About:
+    """The defects and their derivatives at states and coefficients."""
+
+    def __init__(self, problem: Collocation, x: FloatArray, xi: FloatArray) -> None:
+        self.problem, self.x, self.xi = problem, x, xi
+        features, u = problem.features, problem.data.u
+        total = xi + problem.known
+        h = np.where(problem.joined, problem.data.step_s, 0.0)[:, None]
+        self.h = h
+        with np.errstate(all="ignore"):
+            self.theta = features.values(x, u)
+            f = self.theta @ total
+            middle = 0.5 * (x[1:] + x[:-1]) + h / 8.0 * (f[:-1] - f[1:])
+            self.middle = middle
+            self.theta_m = features.values(middle, problem.middle)
+            f_m = self.theta_m @ total
+            r = x[1:] - x[:-1] - h / 6.0 * (f[:-1] + 4.0 * f_m + f[1:])
+            self.r = np.where(problem.joined[:, None], r, 0.0) / problem.noise
+        # Against what one row's noise does to a difference, √2.
+        self.defect = float(np.sum(self.r**2)) / 2.0
+        self.total = total
+
+    def _jacobians(self) -> tuple[FloatArray, FloatArray]:
+        """Return A⁻ and A⁺, (n_rows - 1, n, n), in units of the noise."""
+        problem, u = self.problem, self.problem.data.u
+        slope = problem.features.derivatives(self.x, u)
+        J = np.einsum("kfs,fj->kjs", slope, self.total)
+        slope = problem.features.derivatives(self.middle, problem.middle)
+        self.J_m = np.einsum("kfs,fj->kjs", slope, self.total)
+        h = self.h[:, :, None]
+        eye = np.eye(self.x.shape[1])
+        before = -eye - h / 6.0 * (J[:-1] + 4.0 * self.J_m @ (0.5 * eye + h / 8.0 * J[:-1]))
+        after = eye - h / 6.0 * (J[1:] + 4.0 * self.J_m @ (0.5 * eye - h / 8.0 * J[1:]))
+        scale = problem.noise[None, :] / problem.noise[:, None]
+        open_rows = problem.joined[:, None, None]
+        return np.where(open_rows, before * scale, 0.0), np.where(open_rows, after * scale, 0.0)
+
+    def linear(self, support: IndexArray) -> tuple[Linear, tuple[FloatArray, ...]]:
+        """Return the regression on columns, and what `states` needs."""
+        problem = self.problem
+        before, after = self._jacobians()
+        e = (problem.data.y - self.x) / problem.noise
+        e = np.where(problem.hidden, 0.0, e)
+        G = self._columns(support)
+        xi_now = self.xi.T.ravel()[support]
+        rho = self.r + np.einsum("kij,kj->ki", before, e[:-1])
+        rho += np.einsum("kij,kj->ki", after, e[1:])
+        # At ξ = 0 of the linearised problem: r + A e + G ξ_now.
+        rho = rho.reshape(-1) + G @ xi_now
+        factor = _factor(before, after, problem.joined)
+        solved = cho_solve_banded((factor, True), np.column_stack((G, rho)), check_finite=False)
+        information = G.T @ solved[:, :-1]
+        information = 0.5 * (information + information.T)
+        linear = Linear(information, G.T @ solved[:, -1], float(rho @ solved[:, -1]))
+        return linear, (solved, before, after)
+
+    def states(
+        self, solve: tuple[FloatArray, ...], support: IndexArray, best: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Return the states that go with coefficients, and the squared error there."""
+        solved, before, after = solve
+        problem = self.problem
+        K, n = self.r.shape
+        multiplier = (solved[:, -1] - solved[:, :-1] @ best).reshape(K, n)
+        eta = np.zeros_like(self.x)
+        eta[:-1] -= np.einsum("kij,ki->kj", before, multiplier)
+        eta[1:] -= np.einsum("kij,ki->kj", after, multiplier)
+        measured = np.where(problem.hidden, self.x, problem.data.y)
+        return measured + eta * problem.noise, float(np.sum(eta**2))
+
+    def _columns(self, support: IndexArray) -> FloatArray:
+        """Return G, how the defects move with the coefficients, ((n_rows - 1) n, n_support)."""
+        K, n = self.r.shape
+        n_terms = self.theta.shape[1]
+        term, state = support % n_terms, support // n_terms
+        h = np.where(self.problem.joined[:, None], self.h, 0.0)
+        sums = h / 6.0 * (self.theta[:-1] + 4.0 * self.theta_m + self.theta[1:])[:, term]
+        bends = (h**2 / 12.0) * (self.theta[:-1] - self.theta[1:])[:, term]
+        # ∂x_m/∂ξ moves f_m in every equation.
+        G = np.einsum("kis,ks->kis", self.J_m[:, :, state], bends)
+        G[:, state, np.arange(support.size)] += sums
+        scaled = G / self.problem.noise[:, None]
+        return np.asarray(scaled.reshape(K * n, support.size))
+
+
+def _factor(before: FloatArray, after: FloatArray, joined: BoolArray) -> FloatArray:
+    """Return the banded Cholesky factor of S = A Aᵀ."""
+    K, n, _ = before.shape
+    own = before @ before.transpose(0, 2, 1) + after @ after.transpose(0, 2, 1)
+    own[~joined] = np.eye(n)
+    next_one = before[1:] @ after[:-1].transpose(0, 2, 1)
+    band = np.zeros((2 * n, K * n))
+    for a in range(n):
+        for b in range(a, n):
+            band[b - a, a::n] = own[:, b, a]
+        for b in range(n):
+            band[b - a + n, a : (K - 1) * n : n] = next_one[:, b, a]
+    return np.asarray(cholesky_banded(band, lower=True, check_finite=True))
+
+
+def _inverse(H: FloatArray) -> FloatArray:
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    inverse = np.linalg.pinv(H / np.outer(size, size), hermitian=True)
+    return np.asarray(inverse / np.outer(size, size))

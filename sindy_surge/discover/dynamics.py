@@ -1,0 +1,552 @@
+"""An estimator that discovers the equations of a measured system."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from sindy_surge.discover.collocation import Collocation, Fit
+from sindy_surge.discover.features import Features
+from sindy_surge.discover.search import Search, Tried, proposed_by
+from sindy_surge.discover.trajectories import Trajectories
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray, IndexArray
+from surge_core.validation import one_of
+
+__all__ = ["Rival", "SparseDynamics", "Term"]
+
+# Rows of the segments on which the full library is fitted, and on which supports are compared.
+# Short first: there a library of wrong terms still follows the data.
+_FULL_ROWS = (30, 60)
+_LEVELS = (60, 300, None)
+# A coefficient is at first believed to make no term larger than so many times the derivative.
+_LARGEST_TERM = 10.0
+# Ridge of the first regression, as a share of each term's own size: enough to keep it finite.
+_START_RIDGE = 1e-4
+# Noise assumed at least, as a share of a state's spread: that of a 12-bit converter whose range is
+# five standard deviations.
+_LEAST_NOISE = 3.5e-4
+# How freely a hidden state moves in one step, in units of its spread.
+_HIDDEN_FREEDOM = 10.0
+# Rows of the best runs that `score` restarts.
+_SCORED_ROWS = 300
+# Of white noise the correlation of neighbours is below this on any record of 1 000 rows.
+_WHITE = 0.2
+# What is left over the noise that differences show, before a run of it counts.
+_EXCESS = 1.2
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of one equation.
+
+    Parameters
+    ----------
+    name : str
+        As pysindy writes it.
+    coefficient, stderr : float
+        In the units of the data; the error is 0 for a coefficient that was given.
+    """
+
+    name: str
+    coefficient: float
+    stderr: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another model that the data cannot separate from the chosen one.
+
+    Parameters
+    ----------
+    equations : tuple of tuple of Term
+        Its terms, equation by equation.
+    behind : float
+        How far its score is behind, in log-likelihood.
+    """
+
+    equations: tuple[tuple[Term, ...], ...]
+    behind: float
+
+
+class SparseDynamics(BaseEstimator):
+    """Discover dx/dt = Θ(x, u) Ξ from noisy trajectories.
+
+    All states are taken as measured with white noise of unknown size. States and coefficients are
+    estimated together (errors in variables); the terms are those of the best extended BIC.
+
+    Parameters
+    ----------
+    library : pysindy feature library, optional
+        Candidate terms of states and inputs; polynomials up to degree 3 by default.
+    optimizer : pysindy optimizer, optional
+        Proposes supports, on the whitened regression; STLSQ by default.
+    differentiation : pysindy differentiation, optional
+        Gives the derivatives that the search starts from; a smoothed finite difference by default.
+    search : {"full", "optimizer"}
+        "optimizer" takes what the optimizer proposes and fits it; "full" goes on from there.
+    hidden : sequence of str
+        States that x does not hold. Each must stand, linearly, in an equation of `known`.
+    known : mapping of str to mapping of str to float, optional
+        Equations that are given: state to coefficients by term.
+    random_state : int, optional
+        Accepted as pysindy users expect it; nothing here is random.
+
+    Attributes
+    ----------
+    terms_ : tuple of tuple of str
+        Names of the terms of each equation.
+    covariance_ : ndarray of shape (n_chosen, n_chosen)
+        Of the coefficients, equation by equation.
+    rivals_ : tuple of Rival
+        Models within 5 of the score.
+    inclusion_probability_ : ndarray of shape (n_states, n_terms)
+        Weight of the supports tried that hold each term.
+    path_ : tuple of tuple
+        (what proposed it, terms of each equation, score) of each support compared: on whole
+        trajectories first, best first, then on shorter segments.
+    noise_ : ndarray of shape (n_states,)
+        Standard deviation of each state's noise.
+    state_ : FitState
+        How it ended, with advice.
+    """
+
+    def __init__(
+        self,
+        library: Any = None,
+        optimizer: Any = None,
+        differentiation: Any = None,
+        search: str = "full",
+        hidden: Sequence[str] = (),
+        known: Mapping[str, Mapping[str, float]] | None = None,
+        random_state: int | None = None,
+    ) -> None:
+        self.library = library
+        self.optimizer = optimizer
+        self.differentiation = differentiation
+        self.search = search
+        self.hidden = hidden
+        self.known = known
+        self.random_state = random_state
+
+    def fit(
+        self,
+        x: Any,
+        t: Any,
+        u: Any = None,
+        feature_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+    ) -> Self:
+        """Discover the equations.
+
+        Parameters
+        ----------
+        x : array-like of shape (n_rows, n_states), or list of such
+            One or several trajectories.
+        t : float, array-like of shape (n_rows,), or list of such
+            Sample period, or times.
+        u : array-like of shape (n_rows, n_inputs), or list of such, optional
+            Inputs.
+        feature_names, input_names : sequence of str, optional
+            Names of states and inputs; x0, x1, … and u0, u1, … by default.
+
+        Raises
+        ------
+        InputError
+            If the data cannot be used.
+        """
+        one_of("search", self.search, ("full", "optimizer"))
+        data = Trajectories.of(x, t, u)
+        _moving(data.y, feature_names)
+        problem, rates = self._problem(data, feature_names, input_names)
+        searches, best = self._searched(problem, rates)
+        self._keep(problem, searches, best)
+        return self
+
+    # -- What was found ---------------------------------------------------------------------------
+
+    def coefficients(self) -> FloatArray:
+        """Return Ξ of shape (n_states, n_terms)."""
+        return np.asarray(self.coef_)
+
+    def get_feature_names(self) -> list[str]:
+        """Return the names of the candidate terms."""
+        return list(self.candidate_terms_)
+
+    @property
+    def feature_names(self) -> list[str]:
+        """Names of the states."""
+        return list(self.state_names_)
+
+    def equation_terms(self) -> tuple[tuple[Term, ...], ...]:
+        """Return the terms of each equation, given ones first."""
+        return self.equation_terms_
+
+    def equations(self, precision: int = 3) -> list[str]:
+        """Return the right-hand sides, as pysindy writes them.
+
+        Parameters
+        ----------
+        precision : int
+            Digits behind the point.
+        """
+        return [
+            " + ".join(f"{t.coefficient:.{precision}f} {t.name}" for t in terms) or "0"
+            for terms in self.equation_terms_
+        ]
+
+    def print(self, lhs: Sequence[str] | None = None, precision: int = 3) -> None:
+        """Print the equations, as pysindy does.
+
+        Parameters
+        ----------
+        lhs : sequence of str, optional
+            Left-hand sides; (x)' by default.
+        precision : int
+            Digits behind the point.
+        """
+        import sys
+
+        left = lhs or [f"({name})'" for name in self.state_names_]
+        for one, other in zip(left, self.equations(precision), strict=True):
+            sys.stdout.write(f"{one} = {other}\n")
+
+    def simulate(self, x0: Any, t: Any, u: Any = None) -> FloatArray:
+        """Run the equations from a start.
+
+        Parameters
+        ----------
+        x0 : array-like of shape (n_states,)
+            Start.
+        t : array-like of shape (n_rows,)
+            Times at which the states are returned.
+        u : array-like of shape (n_rows, n_inputs) or callable, optional
+            Inputs at these times, or a function of time.
+
+        Returns
+        -------
+        ndarray of shape (n_rows, n_states)
+            NaN from where the run leaves all bounds.
+        """
+        from scipy.integrate import solve_ivp
+        from scipy.interpolate import CubicSpline
+
+        times = np.asarray(t, dtype=np.float64)
+        features, xi = self._features, self.coef_.T
+        inputs: Any = u
+        if u is not None and not callable(u):
+            given = np.asarray(u, dtype=np.float64).reshape(times.size, -1)
+            inputs = CubicSpline(times, given)
+
+        def rate(time: float, state: FloatArray) -> FloatArray:
+            z = np.zeros((1, 0)) if u is None else np.reshape(inputs(time), (1, -1))
+            return np.asarray((features.values(state[None, :], z) @ xi)[0])
+
+        def lost(time: float, state: FloatArray) -> float:
+            return float(1e3 - np.max(np.abs(state) / self._bound))
+
+        lost.terminal = True  # type: ignore[attr-defined]
+        result = np.full((times.size, xi.shape[1]), np.nan)
+        with np.errstate(all="ignore"):
+            run = solve_ivp(
+                rate,
+                (times[0], times[-1]),
+                np.asarray(x0, dtype=np.float64),
+                t_eval=times,
+                events=lost,
+                rtol=1e-7,
+                atol=1e-9 * float(self._bound.min()),
+            )
+        result[: run.y.shape[1]] = run.y.T
+        return result
+
+    def score(self, x: Any, t: Any, u: Any = None) -> float:
+        """Return R² of runs that restart every 300 rows from their best starts.
+
+        Parameters
+        ----------
+        x, t, u
+            As in `fit`.
+        """
+        data = Trajectories.of(x, t, u)
+        problem = Collocation(
+            self._with_hidden(data, self._known),
+            self._features,
+            self._noise_all,
+            self.coef_.T,
+            self._hidden,
+            _SCORED_ROWS,
+        )
+        empty = np.zeros_like(self.coef_.T)
+        fit = problem.fit(np.zeros(0, dtype=np.intp), empty, _smoothed(problem.data))
+        measured = ~self._hidden
+        y = problem.data.y[:, measured]
+        rest = np.sum((y - fit.x[:, measured]) ** 2, axis=0) if np.isfinite(fit.chi2) else np.inf
+        return float(np.mean(1.0 - rest / np.sum((y - y.mean(axis=0)) ** 2, axis=0)))
+
+    # -- How it is found --------------------------------------------------------------------------
+
+    def _problem(
+        self, data: Trajectories, names: Sequence[str] | None, inputs: Sequence[str] | None
+    ) -> tuple[Collocation, FloatArray]:
+        """Return what is fitted, and the derivatives that the search starts from."""
+        from pysindy import PolynomialLibrary
+
+        states = list(names) if names is not None else [f"x{i}" for i in range(data.y.shape[1])]
+        _named("feature_names", states, data.y.shape[1])
+        columns = list(inputs) if inputs is not None else [f"u{i}" for i in range(data.u.shape[1])]
+        if inputs is None and data.u.shape[1] == 1:
+            columns = ["u"]
+        _named("input_names", columns, data.u.shape[1])
+        self.state_names_ = (*states, *self.hidden)
+        known = {name: dict(given) for name, given in (self.known or {}).items()}
+        self._check_known(known)
+        noise = np.maximum(_difference_noise(data), _LEAST_NOISE * np.std(data.y, axis=0))
+        data = self._with_hidden(data, known)
+        hidden = np.arange(data.y.shape[1]) >= len(states)
+        spread = np.std(data.y, axis=0)
+        noise = np.append(noise, _HIDDEN_FREEDOM * spread[hidden])
+        library = self.library if self.library is not None else PolynomialLibrary(degree=3)
+        sample = np.column_stack((data.y, data.u))
+        features = Features.of(library, self.state_names_, columns, sample)
+        given = np.zeros((len(features.names), data.y.shape[1]))
+        for state, terms in known.items():
+            for name, value in terms.items():
+                given[features.index(name), self.state_names_.index(state)] = value
+        self._known, self._hidden, self.input_names_ = known, hidden, tuple(columns)
+        return Collocation(data, features, noise, given, hidden), self._rates(data)
+
+    def _check_known(self, known: dict[str, dict[str, float]]) -> None:
+        for state in known:
+            if state not in self.state_names_:
+                raise InputError(
+                    "known", expected="states of x or `hidden`", found=state, remedy="name one"
+                )
+        for name in self.hidden:
+            if not any(name in terms for s, terms in known.items() if s not in self.hidden):
+                raise InputError(
+                    "hidden",
+                    expected=f"a known equation of a measured state with the term {name}",
+                    found="none",
+                    remedy="give the equation that ties the hidden state to what is measured",
+                )
+
+    def _with_hidden(self, data: Trajectories, known: Mapping[str, Any]) -> Trajectories:
+        """Add the hidden states, as the known equations give them from smoothed derivatives."""
+        if not self.hidden:
+            return data
+        smooth, rates = _smoothed(data), self._rates(data)
+        columns = dict(zip(self.state_names_, smooth.T, strict=False))
+        for name in self.hidden:
+            state = next(s for s, terms in known.items() if name in terms and s in columns)
+            terms = known[state]
+            rest = rates[:, self.state_names_.index(state)].copy()
+            for other, value in terms.items():
+                if other != name:
+                    rest -= value * (1.0 if other == "1" else columns[other])
+            columns[name] = rest / terms[name]
+        added = np.column_stack([columns[name] for name in self.hidden])
+        return Trajectories(np.column_stack((data.y, added)), data.u, data.time_s, data.run)
+
+    def _rates(self, data: Trajectories) -> FloatArray:
+        """Return dx/dt of shape (n_rows, n_states), by the user's differentiation or a smooth."""
+        from pysindy import FiniteDifference
+
+        how = self.differentiation if self.differentiation is not None else FiniteDifference()
+        y = data.y if self.differentiation is not None else _smoothed(data)
+        parts = [np.asarray(how(y[p], data.time_s[p])) for p in data.pieces()]
+        return np.concatenate(parts)
+
+    def _searched(self, problem: Collocation, rates: FloatArray) -> tuple[list[Search], Tried]:
+        """Return the supports tried at each length of segments, the last first, and the best."""
+        n_terms, n_states = problem.known.shape
+        taken = [self.state_names_.index(name) for name in self._known]
+        free = np.array(
+            [i for i in range(n_terms * n_states) if i // n_terms not in taken], dtype=np.intp
+        )
+        full, problem = self._full(problem, rates, free)
+        self.noise_ = problem.noise[~problem.hidden]
+        measured = problem.cut(_FULL_ROWS[-1])
+        linear = measured.linear(full, free)
+        logs = float(np.log(problem.data.run.size)), float(np.log(n_terms))
+        proposals = self._proposals(linear, free, n_terms)
+        search = Search(measured, free, *logs)
+        if self.search == "optimizer":
+            search = Search(problem.cut(None), free, *logs)
+            best = min(
+                (search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score
+            )
+            return [search], best
+        proposals += [(s, "elimination") for s in search.promising(linear)]
+        best = min((search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score)
+        searches = [search]
+        if not np.isfinite(best.score):
+            return searches, best
+        for rows in _LEVELS:
+            longest = max(p.stop - p.start for p in problem.data.pieces())
+            level = search if rows == _FULL_ROWS[-1] else Search(problem.cut(rows), free, *logs)
+            if rows is not None and rows >= longest:
+                continue
+            start = level.try_support(best.support, best.fit, best.by)
+            if not np.isfinite(start.score):
+                break
+            best = level.climb(start)
+            if level is not search:
+                searches.insert(0, level)
+        return searches, best
+
+    def _full(
+        self, problem: Collocation, rates: FloatArray, free: IndexArray
+    ) -> tuple[Fit, Collocation]:
+        """Fit the whole library on short segments, and with it the noise."""
+        x = _smoothed(problem.data)
+        x[:, problem.hidden] = problem.data.y[:, problem.hidden]
+        theta = problem.features.values(x, problem.data.u)
+        n_terms, n_states = problem.known.shape
+        size = np.sqrt(np.mean(theta**2, axis=0))
+        prior = _LARGEST_TERM * np.sqrt(np.mean(rates**2, axis=0))[None, :] / size[:, None]
+        ridge = (prior.T.ravel()[free]) ** -2.0
+        scaled = theta / size
+        small = _START_RIDGE * len(scaled) * np.eye(n_terms)
+        target = scaled.T @ (rates - theta @ problem.known)
+        xi = np.linalg.solve(scaled.T @ scaled + small, target) / size[:, None]
+        fit = Fit(xi, x, np.inf, np.eye(free.size), False)
+        for rows in _FULL_ROWS:
+            fit = problem.cut(rows).fit(free, fit.xi, fit.x, ridge)
+        own = problem.cut(_FULL_ROWS[-1])
+        n_rows = problem.data.run.size
+        starts = 1 + int(np.count_nonzero(~own.joined))
+        spent = starts + free.size / max(n_states, 1)
+        left = problem.data.y - fit.x
+        found = np.sqrt(np.sum(left**2, axis=0) / max(n_rows - spent, 1.0))
+        floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
+        noise = np.where(problem.hidden, problem.noise, np.maximum(found, floor))
+        if np.isfinite(fit.chi2):
+            problem = Collocation(
+                problem.data, problem.features, noise, problem.known, problem.hidden
+            )
+            fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
+        return fit, problem
+
+    def _proposals(
+        self, linear: Any, free: IndexArray, n_terms: int
+    ) -> list[tuple[tuple[int, ...], str]]:
+        from pysindy import STLSQ
+
+        optimizer = self.optimizer if self.optimizer is not None else STLSQ()
+        name = type(optimizer).__name__
+        return [(s, name) for s in proposed_by(optimizer, linear, free, n_terms)]
+
+    def _keep(self, problem: Collocation, searches: list[Search], best: Tried) -> None:
+        search, nothing = searches[0], np.zeros(0, dtype=np.intp)
+        if not np.isfinite(best.score):
+            empty = search.problem.fit(nothing, np.zeros_like(problem.known), problem.data.y)
+            best = Tried((), np.inf, empty, best.by)
+        features, n_terms = problem.features, problem.known.shape[0]
+        self._features, self._noise_all = features, search.problem.noise
+        self.search_, self.best_ = search, best
+        self.given_states_ = tuple(self.state_names_.index(name) for name in self._known)
+        self._bound = np.max(np.abs(problem.data.y), axis=0)
+        self.candidate_terms_ = features.names
+        self.coef_ = (best.fit.xi + problem.known).T
+        self.covariance_ = best.fit.covariance
+        self.equation_terms_ = self._terms_of(best, problem.known)
+        self.terms_ = tuple(tuple(t.name for t in terms) for terms in self.equation_terms_)
+        self.x_ = best.fit.x
+        self.rivals_ = tuple(
+            Rival(self._terms_of(t, problem.known), t.score - best.score)
+            for t in search.rivals(best)
+        )
+        self.inclusion_probability_ = search.inclusion(self.coef_.size).reshape(-1, n_terms)
+        self.path_ = tuple(
+            (t.by, self._names_of(t.support), float(t.score))
+            for each in searches
+            for t in sorted(each.tried.values(), key=lambda t: t.score)
+        )
+        self.state_ = self._state(problem, best)
+
+    def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
+        n = len(self.candidate_terms_)
+        return tuple(
+            tuple(self.candidate_terms_[i % n] for i in support if i // n == state)
+            for state in range(len(self.state_names_))
+        )
+
+    def _terms_of(self, tried: Tried, known: FloatArray) -> tuple[tuple[Term, ...], ...]:
+        n = len(self.candidate_terms_)
+        errors = dict(zip(tried.support, np.sqrt(np.diag(tried.fit.covariance)), strict=True))
+        xi = tried.fit.xi + known
+        return tuple(
+            tuple(
+                Term(name, float(xi[i, state]), float(errors.get(state * n + i, 0.0)))
+                for i, name in enumerate(self.candidate_terms_)
+                if state * n + i in errors or known[i, state] != 0.0
+            )
+            for state in range(len(self.state_names_))
+        )
+
+    def _state(self, problem: Collocation, best: Tried) -> FitState:
+        if not np.isfinite(best.score):
+            return FitState.NO_EQUATIONS
+        if not best.support:
+            return FitState.NO_EQUATIONS
+        left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
+        together = problem.data.within()[:, None] * left[1:] * left[:-1]
+        coloured = np.sum(together, axis=0) / np.maximum(np.sum(left**2, axis=0), 1e-300)
+        seen = _difference_noise(problem.data)[~problem.hidden]
+        above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
+        if np.any((coloured > _WHITE) & above):
+            return FitState.UNEXPLAINED
+        return FitState.OK
+
+
+def _difference_noise(data: Trajectories) -> FloatArray:
+    """Return the noise that sixth differences show, which a sampled smooth signal hardly has."""
+    squares = [np.diff(data.y[p], 6, axis=0) ** 2 for p in data.pieces()]
+    return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0) / 924.0))
+
+
+def _smoothed(data: Trajectories) -> FloatArray:
+    """Return the states, smoothed as far as their noise asks for.
+
+    Cubics over a window whose residual is what the sixth differences show of the noise; the
+    longest such window of 5 to 101 rows.
+    """
+    from scipy.signal import savgol_filter
+
+    noise = _difference_noise(data)
+    result = data.y.copy()
+    for j, each in enumerate(data.y.T):
+        for window in (101, 71, 51, 35, 25, 17, 11, 7, 5):
+            if window >= min(p.stop - p.start for p in data.pieces()):
+                continue
+            parts = [savgol_filter(each[p], window, 3) for p in data.pieces()]
+            smooth = np.concatenate(parts)
+            if np.std(each - smooth) <= 1.1 * noise[j]:
+                break
+        result[:, j] = smooth
+    return result
+
+
+def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
+    still = np.flatnonzero(np.ptp(y, axis=0) <= 1e-12 * np.abs(y).max(axis=0))
+    if still.size:
+        name = names[still[0]] if names is not None else f"x{still[0]}"
+        raise InputError(
+            str(name),
+            expected="a state that moves",
+            found="a constant",
+            remedy="leave the state out",
+        )
+
+
+def _named(parameter: str, names: Sequence[str], wanted: int) -> None:
+    if len(names) != wanted or len(set(names)) != wanted:
+        raise InputError(
+            parameter, expected=f"{wanted} different names", found=", ".join(names) or "none"
+        )

@@ -1,0 +1,135 @@
+"""The candidate terms of a pysindy library, with their derivatives with respect to the states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
+
+__all__ = ["Features"]
+
+# Central differences: the cube root of the rounding error, as a share of each state's size.
+_STEP = 6e-6
+
+
+@dataclass(frozen=True)
+class Features:
+    """The terms s_i(x, u) of a library.
+
+    Parameters
+    ----------
+    library : pysindy feature library
+        Fitted to states and inputs together.
+    states, inputs : tuple of str
+        Their names.
+    size : ndarray of shape (n_states,)
+        Size of each state, for the steps of numerical derivatives.
+    """
+
+    library: Any
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    size: FloatArray
+
+    @classmethod
+    def of(
+        cls, library: Any, states: Sequence[str], inputs: Sequence[str], sample: FloatArray
+    ) -> Features:
+        """Fit a copy of a library to a sample (n_rows, n_states + n_inputs).
+
+        Raises
+        ------
+        InputError
+            If a term of the library cannot be evaluated on the sample.
+        """
+        # CustomLibrary keeps its functions where sklearn's clone does not look.
+        fitted = deepcopy(library)
+        with np.errstate(all="ignore"):
+            fitted.fit(sample)
+            values = np.asarray(fitted.transform(sample))
+        size = np.maximum(np.sqrt(np.mean(sample[:, : len(states)] ** 2, axis=0)), 1e-300)
+        found = cls(fitted, tuple(states), tuple(inputs), size)
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=0))
+        if bad.size:
+            raise InputError(
+                "library",
+                expected="terms that are finite on the whole record",
+                found=f"{found.names[bad[0]]}, which is not",
+                remedy="leave the term out, or write it so that noise cannot leave its domain",
+            )
+        return found
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the terms, as pysindy writes them."""
+        every = [*self.states, *self.inputs]
+        return tuple(str(n) for n in self.library.get_feature_names(every))
+
+    @cached_property
+    def _powers(self) -> FloatArray | None:
+        """Exponents (n_terms, n_columns) of a polynomial library, None for another."""
+        from pysindy import PolynomialLibrary
+
+        return np.asarray(self.library.powers_) if _is(self.library, PolynomialLibrary) else None
+
+    def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the terms (n_rows, n_terms) at states and inputs (n_rows, …)."""
+        z = np.column_stack((x, u))
+        if self._powers is not None:
+            return _monomials(z, self._powers)
+        return np.asarray(self.library.transform(z), dtype=np.float64)
+
+    def derivatives(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return ∂s_i/∂x_j of shape (n_rows, n_terms, n_states)."""
+        z = np.column_stack((x, u))
+        found = []
+        for j in range(x.shape[1]):
+            if self._powers is not None:
+                lower = self._powers.copy()
+                lower[:, j] = np.maximum(lower[:, j] - 1, 0)
+                found.append(self._powers[:, j] * _monomials(z, lower))
+                continue
+            step = np.zeros(z.shape[1])
+            step[j] = _STEP * self.size[j]
+            ahead, behind = (self.library.transform(z + s * step) for s in (1.0, -1.0))
+            found.append(np.asarray(ahead - behind) / (2.0 * step[j]))
+        return np.stack(found, axis=2)
+
+    def index(self, name: str) -> int:
+        """Return the place of a term.
+
+        Raises
+        ------
+        InputError
+            If the library has no such term.
+        """
+        plain = re.sub(r"\s*\*\s*", " ", name.strip())
+        if plain not in self.names:
+            raise InputError(
+                "known",
+                expected="terms of the library: " + ", ".join(self.names),
+                found=name,
+                remedy="write it as the library does",
+            )
+        return self.names.index(plain)
+
+
+def _is(library: Any, kind: type) -> bool:
+    return type(library) is kind
+
+
+def _monomials(z: FloatArray, powers: FloatArray) -> FloatArray:
+    """Return Π_j z_j^p_ij, built from the powers of each column."""
+    result = np.ones((z.shape[0], powers.shape[0]))
+    for j in range(z.shape[1]):
+        ladder = z[:, j : j + 1] ** np.arange(int(powers[:, j].max()) + 1)
+        result *= ladder[:, powers[:, j].astype(int)]
+    return result

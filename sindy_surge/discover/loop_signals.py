@@ -1,0 +1,171 @@
+"""Noisy signals of surge cycles: smoothed by the record's own risk, and their cycles measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sindy_surge.noise import difference_noise
+from sindy_surge.segments import Segments
+from surge_core.errors import InputError
+from surge_core.types import FloatArray
+
+__all__ = ["Cycles", "hidden_plenum", "measure_cycles", "smoothed"]
+
+_WIDTHS = (1, 5, 7, 9, 11, 13, 15, 17, 21, 25, 31, 37, 45)
+_ORDER = 3
+# The range of φ without spikes; a cycle counts once φ has been below the lower and above the
+# upper edge of its middle third, which noise and ripple do not reach.
+_RANGE = (0.01, 0.99)
+_BAND = 1 / 3
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """What the surge cycles of a record or a simulation measure.
+
+    Parameters
+    ----------
+    period_s : float
+        Mean period in seconds.
+    lowest, highest : tuple of float
+        Extremes of each channel: the mean over the cycles.
+    n_cycles : int
+        Number of whole cycles.
+    """
+
+    period_s: float
+    lowest: tuple[float, ...]
+    highest: tuple[float, ...]
+    n_cycles: int
+
+
+def smoothed(signal: FloatArray) -> tuple[FloatArray, float]:
+    """Smooth a signal by local cubics whose width has the least estimated risk.
+
+    Of a linear smoother S with centre weight s₀, mean (y - S y)² + 2 σ² s₀ - σ² estimates the
+    mean squared error without bias (Stein); σ is known from fourth differences.
+
+    Parameters
+    ----------
+    signal : ndarray of shape (n_rows,)
+        The signal with white noise.
+
+    Returns
+    -------
+    smooth : ndarray of shape (n_rows,)
+        The smoothed signal.
+    noise : float
+        σ, the standard deviation of the noise.
+    """
+    from scipy.signal import savgol_coeffs, savgol_filter
+
+    noise = difference_noise(signal, Segments.from_labels(None, signal.size))
+    best, least = signal, noise**2
+    for width in _WIDTHS[1:]:
+        trial = savgol_filter(signal, width, _ORDER)
+        centre = float(savgol_coeffs(width, _ORDER)[width // 2])
+        risk = float(np.mean((signal - trial) ** 2)) + (2 * centre - 1) * noise**2
+        if risk < least:
+            best, least = trial, risk
+    return best, noise
+
+
+def measure_cycles(states: FloatArray, sample_period_s: float) -> Cycles:
+    """Measure the cycles that the first channel shows.
+
+    A cycle runs from one rise of φ through the middle of its range to the next, with a hysteresis
+    of a third of the range.
+
+    Parameters
+    ----------
+    states : ndarray of shape (n_rows, n_channels)
+        φ first; smooth.
+    sample_period_s : float
+        Sample period in seconds.
+
+    Returns
+    -------
+    Cycles
+        No cycle, and nan for its measures, without one whole.
+    """
+    nothing = (np.nan,) * states.shape[1]
+    if not np.all(np.isfinite(states)) or np.any(np.ptp(states, axis=0) == 0):
+        return Cycles(np.nan, nothing, nothing, 0)
+    rises = _rises(states[:, 0])
+    if len(rises) < 2:
+        return Cycles(np.nan, nothing, nothing, 0)
+    cuts = [states[round(begin) : round(end) + 1] for begin, end in pairwise(rises)]
+    lowest = np.mean([cut.min(axis=0) for cut in cuts], axis=0)
+    highest = np.mean([cut.max(axis=0) for cut in cuts], axis=0)
+    period_s = (rises[-1] - rises[0]) / len(cuts) * sample_period_s
+    return Cycles(period_s, tuple(lowest.tolist()), tuple(highest.tolist()), len(cuts))
+
+
+def _rises(phi: FloatArray) -> list[float]:
+    """Return where φ rises through the middle of its range, in samples and parts of them."""
+    low, high = np.quantile(phi, _RANGE)
+    middle, half = (low + high) / 2, (high - low) * _BAND / 2
+    # Between the edges the last edge left behind counts.
+    side = np.where(phi > middle + half, 1, np.where(phi < middle - half, -1, 0))
+    known = np.flatnonzero(side)
+    up = np.flatnonzero((side[known][:-1] < 0) & (side[known][1:] > 0))
+    found = []
+    for below, above in zip(known[up], known[up + 1], strict=True):
+        crossed = np.flatnonzero(
+            (phi[below:above] <= middle) & (phi[below + 1 : above + 1] > middle)
+        )
+        row = below + int(crossed[crossed.size // 2])
+        found.append(float(row + (middle - phi[row]) / (phi[row + 1] - phi[row])))
+    return found
+
+
+def hidden_plenum(
+    phi: FloatArray, psi_p: FloatArray, sample_period_s: float, period_samples: int
+) -> FloatArray:
+    """Estimate a plenum pressure that was not measured, from the duct.
+
+    dφ/dt = a (ψ' - Ψ) gives Ψ = ψ' - (dφ/dt)/a. Differentiated once more and with the throttle
+    drawn as a straight line, d²φ/dt² = a dψ'/dt + terms in 1, φ, ψ' and dφ/dt: in the weak form
+    the coefficient of dψ'/dt is a.
+
+    Parameters
+    ----------
+    phi, psi_p : ndarray of shape (n_rows,)
+        φ and ψ', smoothed.
+    sample_period_s : float
+        Sample period in seconds.
+    period_samples : int
+        Rows of a cycle.
+
+    Returns
+    -------
+    ndarray of shape (n_rows,)
+        Ψ in the unit of ψ'.
+
+    Raises
+    ------
+    InputError
+        If ψ' does not drive φ as a duct would have it.
+    """
+    half_width = max(period_samples // 12, 6)
+    z = np.arange(-half_width, half_width + 1) / half_width
+    step = half_width * sample_period_s
+    weight = (1 - z**2) ** 4
+    # By parts, a derivative of the signal becomes one of w; a convolution flips the odd one.
+    slope = -8 * z * (1 - z**2) ** 3 / step
+    bend = (48 * z**2 * (1 - z**2) ** 2 - 8 * (1 - z**2) ** 3) / step**2
+    pairs = [(psi_p, slope), (phi, weight), (psi_p, weight), (phi, slope), (phi, bend)]
+    *sides, goal = (np.convolve(signal, kernel, "valid") for signal, kernel in pairs)
+    terms = np.column_stack((*sides, np.ones_like(goal)))
+    gain = float(np.linalg.lstsq(terms, goal, rcond=None)[0][0])
+    if not gain > 0:
+        raise InputError(
+            "plenum",
+            expected="φ to rise with ψ', as through a duct, when no plenum pressure is given",
+            found=f"dφ/dt = {gain:.3g} (ψ' - Ψ)",
+            remedy="give the plenum pressure, or check the sign and timing of φ and ψ'",
+        )
+    return np.asarray(psi_p - np.gradient(phi, sample_period_s) / gain)

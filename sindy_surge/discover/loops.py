@@ -1,0 +1,396 @@
+"""Surge loops discovered: one branch of the characteristic or two with hysteresis, duct, plenum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from sindy_surge.discover.loop_balance import Balance, fit_balance
+from sindy_surge.discover.loop_lag import (
+    Branch,
+    LagFit,
+    LagRows,
+    fit_one_branch,
+    fit_two_branches,
+)
+from sindy_surge.discover.loop_signals import Cycles, hidden_plenum, measure_cycles, smoothed
+from sindy_surge.text import signed_sum
+from surge_core.errors import InputError
+from surge_core.fit_state import FitState
+from surge_core.types import FloatArray, IntArray
+from surge_core.validation import positive
+
+__all__ = ["STATES", "SurgeLoop", "discover_loop"]
+
+STATES = ("phi", "psi_p", "plenum")
+# Two branches must leave less than this share of the variance that the richest single one leaves.
+_SHARE = 0.7
+# White noise taken out of both, as a share of the variance that differences show: they scatter by
+# some 5 %, and noise shared by both would make any two fits alike.
+_NOISE = 0.8
+_FEWEST_CYCLES = 4
+_FEWEST_SAMPLES = 30
+_SUBSTEPS = 8
+_CYCLES = 10
+# Simulated and measured cycles agree within this.
+_AGREEMENT = 0.05
+# Of the right structure the rest of ψ' is its white noise, and what the noise of φ adds.
+_EXCESS = 2.0
+
+
+@dataclass(frozen=True)
+class SurgeLoop:
+    """A surge loop d(φ, ψ', Ψ)/dt with one branch of its characteristic or two, and its own start.
+
+    Parameters
+    ----------
+    lag : LagFit
+        τ, the branches, and the levels φ_rec (up through it: unstalled) and φ_s (down through it:
+        stalled).
+    duct, plenum : Balance
+        dφ/dt and dΨ/dt.
+    start : ndarray of shape (3,)
+        State at the lowest φ of a cycle, from where `simulate` runs.
+    sample_period_s : float
+        Sample period of the record in seconds.
+    measured_cycles, simulated_cycles : Cycles
+        What the cycles of the record and of the model measure.
+    single_branch_rest, noise : float
+        What the richest single branch leaves of ψ', and the white noise of ψ'.
+    plenum_hidden : bool
+        Whether Ψ was not measured but taken from the duct.
+    state : FitState
+        How the discovery ended, with advice.
+    """
+
+    lag: LagFit
+    duct: Balance
+    plenum: Balance
+    start: FloatArray
+    sample_period_s: float
+    measured_cycles: Cycles
+    simulated_cycles: Cycles
+    single_branch_rest: float
+    noise: float
+    plenum_hidden: bool
+    state: FitState
+
+    @property
+    def n_branches(self) -> int:
+        """Number of branches of the characteristic."""
+        return len(self.lag.branches)
+
+    @property
+    def time_constant_s(self) -> float:
+        """τ of the lag in seconds."""
+        return self.lag.time_constant_s
+
+    @property
+    def period_s(self) -> float:
+        """Period of the simulated cycles in seconds; nan if the model does not cycle."""
+        return self.simulated_cycles.period_s
+
+    def equations(self) -> tuple[str, ...]:
+        """Return dφ/dt, dψ'/dt of each branch and dΨ/dt as text, rounded to their errors."""
+        lines = [
+            f"τ dψ'/dt + ψ' = {_sum(b)}" + ("" if b.name == "single" else f"   [{b.name}]")
+            for b in self.lag.branches
+        ]
+        return (
+            f"dφ/dt = {_sum(self.duct)}   [1/s]",
+            *lines,
+            f"dΨ/dt = {_sum(self.plenum)}   [1/s]",
+        )
+
+    def simulate(
+        self, x0: ArrayLike | None = None, t: ArrayLike | None = None, throttle: float = 1.0
+    ) -> FloatArray:
+        """Let the model run by itself.
+
+        Parameters
+        ----------
+        x0 : array-like of shape (3,), optional
+            φ, ψ' and Ψ at first; the model's own start by default.
+        t : array-like of shape (n_times,), optional
+            Uniform times in seconds; ten periods of the record by default.
+        throttle : float
+            Opening of the throttle over that of the record: factor of √Ψ in dΨ/dt.
+
+        Returns
+        -------
+        ndarray of shape (n_times, 3)
+            φ, ψ' and Ψ; nan from where the model has run away.
+        """
+        if t is None:
+            times = np.arange(0.0, _CYCLES * self.measured_cycles.period_s, self.sample_period_s)
+        else:
+            times = np.asarray(t, dtype=np.float64)
+        first = np.asarray(self.start if x0 is None else x0, dtype=np.float64)
+        recover, stall = self.lag.levels or (-np.inf, -np.inf)
+        curves = np.zeros((2, 8))
+        kinks = np.zeros((2, 3))
+        for i in range(2):
+            branch = self.lag.branches[min(i, self.n_branches - 1)]
+            for power, beta in zip(branch.powers, branch.coefficients.tolist(), strict=True):
+                if power < 0:
+                    kinks[i, 0], kinks[i, -power] = branch.knot, beta
+                else:
+                    curves[i, power] = beta
+        plenum = self._throttled(throttle)
+        return _run(
+            first,
+            times.size,
+            float(times[1] - times[0]) / _SUBSTEPS,
+            curves,
+            kinks,
+            np.array([recover, stall]),
+            self.lag.time_constant_s,
+            self.duct.exponents,
+            self.duct.coefficients,
+            self.plenum.exponents,
+            plenum,
+        )
+
+    def operating_point(self, throttle: float = 1.0) -> tuple[FloatArray, float]:
+        """Return the steady state on the unstalled branch and the growth rate about it.
+
+        Parameters
+        ----------
+        throttle : float
+            Opening of the throttle over that of the record.
+
+        Returns
+        -------
+        state : ndarray of shape (3,)
+            φ, ψ' and Ψ; nan where there is none.
+        growth : float
+            Largest real part of the eigenvalues, per second; negative where it is stable.
+        """
+        from scipy.optimize import root
+
+        branch = self.lag.branches[-1]
+        duct, plenum = self.duct, replace(self.plenum, coefficients=self._throttled(throttle))
+
+        def rate(x: FloatArray) -> FloatArray:
+            lagging = (float(branch(x[:1])[0]) - x[1]) / self.lag.time_constant_s
+            return np.array([duct.rate(x[None])[0], lagging, plenum.rate(x[None])[0]])
+
+        for phi in np.linspace(self.measured_cycles.highest[0], 0.0, 12):
+            psi_p = float(branch(np.array([phi]))[0])
+            found = root(rate, np.array([phi, psi_p, psi_p]))
+            if found.success and abs(found.x[0]) < 3 * self.measured_cycles.highest[0]:
+                step = 1e-6
+                jacobian = np.column_stack(
+                    [(rate(found.x + step * e) - rate(found.x - step * e)) for e in np.eye(3)]
+                )
+                growth = float(np.linalg.eigvals(jacobian / (2 * step)).real.max())
+                return np.asarray(found.x), growth
+        return np.full(3, np.nan), np.nan
+
+    def surge_line(self) -> tuple[float, FloatArray]:
+        """Return the throttle opening at which a steady unstalled flow is lost, and its state.
+
+        It is lost where a closing throttle makes it unstable, or brings φ down to φ_s.
+
+        Returns
+        -------
+        throttle : float
+            Opening over that of the record; nan if none up to four times it is stable.
+        state : ndarray of shape (3,)
+            φ, ψ' and Ψ there.
+        """
+        stall = self.lag.levels[1] if self.lag.levels else -np.inf
+
+        def steady(throttle: float) -> bool:
+            state, growth = self.operating_point(throttle)
+            return bool(growth < 0 and state[0] > stall)
+
+        openings = np.geomspace(4.0, 0.25, 60)
+        lost = [i for i in range(1, 60) if steady(openings[i - 1]) and not steady(openings[i])]
+        if not lost:
+            return np.nan, np.full(3, np.nan)
+        open_, shut = openings[lost[0] - 1], openings[lost[0]]
+        for _ in range(20):
+            middle = float(np.sqrt(open_ * shut))
+            open_, shut = (middle, shut) if steady(middle) else (open_, middle)
+        return float(open_), self.operating_point(float(open_))[0]
+
+    def _throttled(self, throttle: float) -> FloatArray:
+        through = self.plenum.exponents[:, 3] > 0
+        return np.asarray(np.where(through, throttle, 1.0) * self.plenum.coefficients)
+
+
+def discover_loop(
+    phi: ArrayLike | Sequence[ArrayLike],
+    psi_p: ArrayLike | Sequence[ArrayLike],
+    plenum: ArrayLike | Sequence[ArrayLike] | None,
+    sample_period_s: float,
+) -> SurgeLoop:
+    """Discover the surge loop behind measured cycles: branches, levels, lag, duct and plenum.
+
+    Two branches stand where the free run of the lag leaves less than 0.7 of what the richest
+    single branch leaves (degree 7, with other cubics beyond a kink), the white noise apart, and
+    the Bayesian information criterion agrees.
+
+    Parameters
+    ----------
+    phi, psi_p : array-like of shape (n_rows,), or a list of such records
+        Flow coefficient in the duct, and pressure coefficient ψ' of the compressor.
+    plenum : array-like of shape (n_rows,), a list, or None
+        Plenum pressure above that behind the throttle, best as a coefficient in the unit of ψ'.
+        None: hidden, Ψ = ψ' - (dφ/dt)/a for a duct without losses.
+    sample_period_s : float
+        Sample period in seconds.
+
+    Returns
+    -------
+    SurgeLoop
+        The loop; its `state` says whether to trust it.
+
+    Raises
+    ------
+    InputError
+        If a channel cannot be used, or the records have fewer than four surge cycles.
+    """
+    positive("sample_period_s", sample_period_s)
+    step = float(sample_period_s)
+    records = [_records(x) for x in (phi, psi_p, plenum) if x is not None]
+    _check(records)
+    starts = np.cumsum([0, *(x.size for x in records[0][:-1])]).astype(np.int64)
+    measured = [np.concatenate(channel) for channel in records]
+    smooth, noise = [], []
+    for channel in records:
+        pairs = [smoothed(x) for x in channel]
+        smooth.append(np.concatenate([x for x, _ in pairs]))
+        noise.append(float(np.mean([sigma for _, sigma in pairs])))
+    cycles = measure_cycles(np.column_stack(smooth), step)
+    if cycles.n_cycles < _FEWEST_CYCLES or cycles.period_s < _FEWEST_SAMPLES * step:
+        raise InputError(
+            "phi",
+            expected=f"at least {_FEWEST_CYCLES} whole surge cycles of at least {_FEWEST_SAMPLES} "
+            "samples",
+            found=f"{cycles.n_cycles} in {smooth[0].size} samples, of {cycles.period_s:.3g} s",
+            remedy="use a longer record, or sample faster",
+        )
+    period_samples = round(cycles.period_s / step)
+    rows = LagRows(smooth[0], measured[1], starts, step, 2 * noise[0], period_samples, noise[0])
+    one, richest = fit_one_branch(rows)
+    two = fit_two_branches(rows, one.time_constant_s)
+    richest = min(richest, one.rest)
+    white = _NOISE * noise[1] ** 2
+    kept = (two.rest**2 - white) / max(richest**2 - white, 1e-300)
+    lag = two if kept < _SHARE and two.better_than(one) else one
+    if plenum is None:
+        smooth.append(hidden_plenum(smooth[0], smooth[1], step, period_samples))
+        measured.append(smooth[-1])
+        cycles = measure_cycles(np.column_stack(smooth), step)
+    states = np.column_stack(smooth)
+    duct, balance = (fit_balance(measured[i], states, starts, period_samples, step) for i in (0, 2))
+    whole = states[: period_samples + 1]
+    start = whole[int(np.argmin(whole[:, 0]))]
+    none = Cycles(np.nan, (), (), 0)
+    loop = SurgeLoop(
+        lag, duct, balance, start, step, cycles, none, richest, noise[1], plenum is None,
+        FitState.OK,
+    )  # fmt: skip
+    return _judged(loop)
+
+
+def _records(channel: ArrayLike | Sequence[ArrayLike]) -> list[FloatArray]:
+    if isinstance(channel, list | tuple) and np.ndim(channel[0]) == 1:
+        return [np.asarray(x, dtype=np.float64) for x in channel]
+    return [np.asarray(channel, dtype=np.float64)]
+
+
+def _check(channels: list[list[FloatArray]]) -> None:
+    sizes = [[x.shape for x in channel] for channel in channels]
+    alike = all(s == sizes[0] for s in sizes) and all(len(s) == 1 for s in sizes[0])
+    if not alike or not all(x.size and 0 < np.ptp(x) < np.inf for c in channels for x in c):
+        raise InputError(
+            "phi, psi_p, plenum",
+            expected="one finite value of each for every sample, that changes with the cycles",
+            found="; ".join(f"{s}" for s in sizes),
+            remedy="cut the channels to the same rows; a gap cannot be simulated across",
+        )
+
+
+def _sum(part: Branch | Balance) -> str:
+    values = zip(part.terms, part.coefficients.tolist(), part.stderr.tolist(), strict=True)
+    return signed_sum(list(values))
+
+
+def _judged(loop: SurgeLoop) -> SurgeLoop:
+    """Let the model run by itself, and say what came of it."""
+    period_s, step = loop.measured_cycles.period_s, loop.sample_period_s
+    # The first two cycles run from the start onto the limit cycle.
+    skipped = round(2 * period_s / step)
+    states = loop.simulate(t=np.arange(0.0, (_CYCLES + 3.5) * period_s, step))[skipped:]
+    found = measure_cycles(states, step)
+    loop = replace(loop, simulated_cycles=found)
+    measured = loop.measured_cycles
+    state = FitState.OK
+    if found.n_cycles < _CYCLES // 2:
+        state = FitState.DOES_NOT_CYCLE
+    elif _difference(measured, found) > _AGREEMENT:
+        state = FitState.CYCLES_DIFFER
+    elif loop.lag.rest > _EXCESS * loop.noise:
+        state = FitState.MODEL_ERROR_DOMINATES
+    return replace(loop, state=state)
+
+
+def _difference(measured: Cycles, simulated: Cycles) -> float:
+    """Return the largest difference: of the period, and of extremes as a share of the range."""
+    low, high = np.array(measured.lowest), np.array(measured.highest)
+    off = np.abs(np.array([simulated.lowest - low, simulated.highest - high])) / (high - low)
+    return float(max(off.max(), abs(simulated.period_s / measured.period_s - 1)))
+
+
+@njit(cache=True)
+def _balance(
+    x: FloatArray, exponents: IntArray, coefficients: FloatArray
+) -> float:  # pragma: no cover
+    root = np.copysign(np.sqrt(abs(x[2])), x[2])
+    total = 0.0
+    for i in range(coefficients.size):
+        e = exponents[i]
+        total += coefficients[i] * x[0] ** e[0] * x[1] ** e[1] * x[2] ** e[2] * root ** e[3]
+    return total
+
+
+@njit(cache=True)
+def _run(
+    x: FloatArray, n: int, dt: float, curves: FloatArray, kinks: FloatArray, levels: FloatArray,
+    tau_s: float, duct: IntArray, duct_c: FloatArray, plenum: IntArray, plenum_c: FloatArray,
+) -> FloatArray:  # fmt: skip  # pragma: no cover
+    """Integrate by Runge-Kutta steps of fourth order; φ crossing a level changes the branch."""
+    out = np.full((n, 3), np.nan)
+    x = x.copy()
+    k = np.zeros((4, 3))
+    at = (0.0, 0.5, 0.5, 1.0)
+    stalled = x[0] < 0.5 * (levels[0] + levels[1])
+    for row in range(n):
+        out[row] = x
+        for _ in range(_SUBSTEPS):
+            curve, kink = (curves[0], kinks[0]) if stalled else (curves[1], kinks[1])
+            for i in range(4):
+                y = x if i == 0 else x + at[i] * dt * k[i - 1]
+                beyond = max(y[0] - kink[0], 0.0)
+                target = (kink[1] + kink[2] * beyond) * beyond
+                for power in range(curve.size):
+                    target += curve[power] * y[0] ** power
+                k[i, 0] = _balance(y, duct, duct_c)
+                k[i, 1] = (target - y[1]) / tau_s
+                k[i, 2] = _balance(y, plenum, plenum_c)
+            before = x[0]
+            x = x + dt / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
+            if not np.all(np.abs(x) < 1e3):
+                return out
+            if stalled and before < levels[0] <= x[0]:
+                stalled = False
+            elif not stalled and before > levels[1] >= x[0]:
+                stalled = True
+    return out

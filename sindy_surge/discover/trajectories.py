@@ -1,0 +1,153 @@
+"""Measured trajectories, stacked, with the inputs between their rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from surge_core.errors import InputError
+from surge_core.types import BoolArray, FloatArray, IndexArray
+
+__all__ = ["Trajectories"]
+
+# Fewer rows than this hold no more than their own noise.
+_FEWEST_ROWS = 20
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Trajectories one behind the other.
+
+    Parameters
+    ----------
+    y : ndarray of shape (n_rows, n_states)
+        Measured states.
+    u : ndarray of shape (n_rows, n_inputs)
+        Inputs.
+    time_s : ndarray of shape (n_rows,)
+        Time of each row.
+    run : ndarray of int of shape (n_rows,)
+        Number of the trajectory of each row.
+    """
+
+    y: FloatArray
+    u: FloatArray
+    time_s: FloatArray
+    run: IndexArray
+
+    @classmethod
+    def of(cls, x: Any, t: Any, u: Any = None) -> Trajectories:
+        """Read what a user passes: arrays or lists of arrays, times or a step.
+
+        Raises
+        ------
+        InputError
+            If they cannot be used.
+        """
+        xs = _listed("x", x)
+        ts = list(t) if isinstance(t, list | tuple) and np.ndim(t[0]) else [t] * len(xs)
+        us = _listed("u", u) if u is not None else [np.zeros((len(each), 0)) for each in xs]
+        _same("u", len(us), len(xs), "trajectories")
+        _same("t", len(ts), len(xs), "trajectories")
+        times = []
+        for number, (states, inputs, each) in enumerate(zip(xs, us, ts, strict=True)):
+            _same(f"u of trajectory {number}", len(inputs), len(states), "rows")
+            _same(f"x of trajectory {number}", states.shape[1], xs[0].shape[1], "states")
+            times.append(_times(each, len(states)))
+            if len(states) < _FEWEST_ROWS:
+                raise InputError(
+                    f"x of trajectory {number}",
+                    expected=f"at least {_FEWEST_ROWS} rows",
+                    found=str(len(states)),
+                    remedy="take a longer record",
+                )
+        run = np.repeat(np.arange(len(xs)), [len(each) for each in xs])
+        return cls(np.concatenate(xs), np.concatenate(us), np.concatenate(times), run)
+
+    @property
+    def step_s(self) -> FloatArray:
+        """Time from each row to the next, (n_rows - 1,); meaningless between trajectories."""
+        return np.diff(self.time_s)
+
+    def within(self, rows: int | None = None) -> BoolArray:
+        """Return whether a row and the next belong together, (n_rows - 1,).
+
+        Parameters
+        ----------
+        rows : int, optional
+            Cut each trajectory into segments of so many rows.
+        """
+        joined: BoolArray = self.run[1:] == self.run[:-1]
+        if rows is None:
+            return joined
+        starts = np.searchsorted(self.run, self.run)
+        offset = np.arange(self.run.size) - starts
+        return np.asarray(joined & (offset[1:] % rows != 0))
+
+    def middle_inputs(self) -> FloatArray:
+        """Return the inputs half-way between rows (n_rows - 1, n_inputs), by cubics."""
+        u, joined = self.u, self.within()
+        linear = 0.5 * (u[1:] + u[:-1])
+        if u.shape[0] < 4 or not u.shape[1]:
+            return linear
+        cubic = linear.copy()
+        cubic[1:-1] = (9.0 * (u[1:-2] + u[2:-1]) - (u[:-3] + u[3:])) / 16.0
+        inner = np.zeros(joined.size, dtype=bool)
+        inner[1:-1] = joined[:-2] & joined[1:-1] & joined[2:]
+        return np.where(inner[:, None], cubic, linear)
+
+    def pieces(self) -> list[slice]:
+        """Return the rows of each trajectory."""
+        ends = np.flatnonzero(np.diff(self.run)) + 1
+        edges = [0, *ends.tolist(), self.run.size]
+        return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _listed(name: str, values: Any) -> list[FloatArray]:
+    several = isinstance(values, list | tuple) and np.ndim(values[0]) > 0
+    try:
+        arrays = [np.asarray(v, dtype=np.float64) for v in (values if several else [values])]
+    except (TypeError, ValueError):
+        raise InputError(
+            name, expected="numbers", found="something else", remedy="pass arrays of floats"
+        ) from None
+    arrays = [a[:, None] if a.ndim == 1 else a for a in arrays]
+    for a in arrays:
+        if a.ndim != 2 or not a.size:
+            raise InputError(
+                name,
+                expected="an array of shape (n_rows, n_columns), or a list of such",
+                found=f"shape {a.shape}",
+            )
+        if not np.isfinite(a).all():
+            row = int(np.flatnonzero(~np.isfinite(a).all(axis=1))[0])
+            raise InputError(
+                name,
+                expected="finite values",
+                found=f"NaN or infinity in row {row}",
+                remedy="cut the record there and pass the parts as trajectories",
+            )
+    return arrays
+
+
+def _times(t: Any, rows: int) -> FloatArray:
+    times = np.asarray(t, dtype=np.float64)
+    if times.ndim == 0:
+        times = np.asarray(np.arange(rows) * float(times), dtype=np.float64)
+    _same("t", times.size, rows, "rows")
+    if not (np.isfinite(times).all() and np.all(np.diff(times) > 0.0)):
+        raise InputError(
+            "t",
+            expected="times that rise, or a positive step",
+            found="a repeat, a step back or NaN",
+            remedy="pass the sample period, or the time of each row",
+        )
+    return times.ravel()
+
+
+def _same(name: str, found: int, wanted: int, of_what: str) -> None:
+    if found != wanted:
+        raise InputError(name, expected=f"{wanted} {of_what}", found=str(found))

@@ -1,0 +1,77 @@
+"""`sindy-surge discover` through the command line."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from comparisons.cli import main
+
+STEP_S = 0.05
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Two swings of a damped oscillator, x'' = -x - 0.2 x'."""
+    rng = np.random.default_rng(8)
+    times = np.arange(600) * STEP_S
+    rate = -0.1 + 1j * np.sqrt(1 - 0.01)
+    paths = []
+    for number, start in enumerate((2.0, 1.0 - 1.5j)):
+        x, v = (start * np.exp(rate * times)).real, (start * rate * np.exp(rate * times)).real
+        table = pd.DataFrame({"time_s": times, "x": x, "v": v})
+        table[["x", "v"]] += 0.02 * rng.standard_normal((600, 2))
+        paths.append(tmp_path / f"swing{number}.csv")
+        table.to_csv(paths[-1], index=False)
+    return paths
+
+
+def test_equations_reach_json_and_page(files, tmp_path, capsys):
+    out, page = tmp_path / "d.json", tmp_path / "d.html"
+    given = [*map(str, files), "--states", "x,v", "--json", str(out), "--report", str(page)]
+    assert main(["discover", *given]) == 0
+    document = json.loads(out.read_text())
+    assert document["schema"] == "sindy-surge/discover/1"
+    found = {
+        e["state"]: {t["name"]: t["coefficient"] for t in e["terms"]} for e in document["equations"]
+    }
+    assert found["x"] == {"v": pytest.approx(1.0, abs=0.01)}
+    assert found["v"] == {"x": pytest.approx(-1.0, abs=0.01), "v": pytest.approx(-0.2, abs=0.01)}
+    assert all(t["stderr"] > 0 for e in document["equations"] for t in e["terms"])
+    assert document["fit_state"]["code"] == "ok"
+    assert isinstance(document["rivals"], list)
+    assert "dv/dt = " in capsys.readouterr().out
+    assert "data:image" in page.read_text()
+
+
+def test_one_state_alone_is_not_called_ok(files, capsys):
+    assert main(["discover", str(files[0]), "--states", "x"]) == 0
+    assert capsys.readouterr().out.startswith(("unexplained: ", "no_equations: "))
+
+
+@pytest.mark.parametrize(
+    ("options", "spoil", "named"),
+    [
+        (["--states", "x,w"], None, "w"),
+        (["--states", "x,x"], None, "--states"),
+        (["--states", "x,v", "--library", "tan(x)"], None, "--library"),
+        (["--states", "x,v", "--hidden", "h"], None, "hidden"),
+        (["--states", "x,v", "--known", "q: x=1"], None, "known"),
+        (["--states", "x,v", "--known", "nonsense"], None, "--known"),
+        (["--states", "x,v"], ("x", 3, "n/a"), "row 5"),
+        (["--states", "x,v"], ("time_s", 7, 0.0), "time_s"),
+        (["--states", "x,v"], ("x", slice(None), 1.0), "constant"),
+    ],
+)
+def test_a_mistake_is_one_sentence(files, capsys, options, spoil, named):
+    if spoil:
+        table = pd.read_csv(files[0], dtype=object)
+        table.loc[spoil[1], spoil[0]] = spoil[2]
+        table.to_csv(files[0], index=False)
+    assert main(["discover", str(files[0]), *options]) == 2
+    said = capsys.readouterr().err.strip()
+    assert named in said
+    assert len(said.splitlines()) == 1

@@ -1,0 +1,157 @@
+"""Equations recovered from simulated systems; the truth comes from scipy's integrator alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pysindy as ps
+import pytest
+from scipy.integrate import solve_ivp
+
+from sindy_surge import InputError, SparseDynamics
+
+STEP_S = 0.02
+TRUTH = {"x": {"y": 1.0}, "y": {"x": -1.0, "y": 2.0, "x^2 y": -2.0}}
+
+
+def van_der_pol(rng, noise=0.02, rows=1000, n=2, scale=(1.0, 1.0)):
+    def rate(_, z):
+        return [z[1], -z[0] + 2.0 * (1.0 - z[0] ** 2) * z[1]]
+
+    times = np.arange(rows) * STEP_S
+    runs = [
+        solve_ivp(rate, (0, times[-1]), rng.uniform(-2, 2, 2), t_eval=times, rtol=1e-9).y.T
+        for _ in range(n)
+    ]
+    return [
+        (run + noise * run.std(axis=0) * rng.standard_normal(run.shape)) * scale for run in runs
+    ], times
+
+
+def fitted(seed, **options):
+    x, t = van_der_pol(np.random.default_rng(seed))
+    return SparseDynamics(**options).fit(x, t, feature_names=["x", "y"])
+
+
+@pytest.fixture(scope="module")
+def models():
+    return [fitted(seed) for seed in range(6)]
+
+
+def test_terms_are_exact_and_errors_cover(models):
+    pulls = []
+    for model in models:
+        assert [set(terms) for terms in model.terms_] == [set(e) for e in TRUTH.values()]
+        assert model.state_.code == "ok"
+        pulls += [
+            (term.coefficient - TRUTH[state][term.name]) / term.stderr
+            for state, terms in zip(TRUTH, model.equation_terms_, strict=True)
+            for term in terms
+        ]
+    assert np.abs(pulls).max() < 4.0
+    # 24 standard normal pulls: their rms lies within 0.65 to 1.4 with 99 %.
+    assert 0.65 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+
+
+def test_noise_is_estimated(models):
+    x, _ = van_der_pol(np.random.default_rng(0), noise=0.0)
+    true = 0.02 * np.mean([each.std(axis=0) for each in x], axis=0)
+    assert models[0].noise_ == pytest.approx(true, rel=0.06)
+
+
+def test_simulation_returns_to_the_measured_cycle(models):
+    x, t = van_der_pol(np.random.default_rng(0), noise=0.0)
+    run = models[0].simulate(x[0][0], t)
+    assert np.abs(run - x[0]).max() < 0.15
+    assert models[0].score(x, t) > 0.999
+
+
+def test_a_useless_optimizer_alone_gives_a_useless_model():
+    nothing = ps.STLSQ(threshold=1e12)
+    alone = fitted(1, optimizer=nothing, search="optimizer")
+    assert alone.terms_ == ((), ())
+    assert alone.state_.code == "no_equations"
+    assert alone.score(*van_der_pol(np.random.default_rng(1))) < 0.5
+    full = fitted(1, optimizer=nothing)
+    assert [set(terms) for terms in full.terms_] == [set(e) for e in TRUTH.values()]
+    assert "STLSQ" in {by for by, _, _ in full.path_}
+
+
+def test_units_of_the_states_change_nothing_but_units():
+    scale = np.array([1e5, 1e-2])
+    x, t = van_der_pol(np.random.default_rng(2))
+    plain = SparseDynamics().fit(x, t)
+    scaled = SparseDynamics().fit([each * scale for each in x], t)
+    assert scaled.terms_ == plain.terms_
+    # dy/dt = … -2 x² y: its coefficient goes with 1/x².
+    name = plain.candidate_terms_.index("x0^2 x1")
+    ratio = scaled.coefficients()[1, name] / plain.coefficients()[1, name]
+    assert ratio == pytest.approx(1e-10, rel=1e-4)
+
+
+def test_order_of_the_states_changes_nothing():
+    x, t = van_der_pol(np.random.default_rng(3))
+    model = SparseDynamics().fit([each[:, ::-1] for each in x], t, feature_names=["y", "x"])
+    assert set(model.terms_[0]) == {"x", "y", "y x^2"}
+    assert model.terms_[1] == ("y",)
+
+
+def test_a_hidden_state_behind_a_known_equation():
+    # A lag of 0.25 behind a cubic drives the flow, and only flow and plenum are measured.
+    def rate(t, z):
+        lagged = 1.2 + 6.0 * z[0] ** 2 - 4.0 * z[0] ** 3 - 4.0 * z[2]
+        return [1.8 * (z[2] - z[1]), 0.55 * z[0] - 0.36 * np.sqrt(abs(z[1])), lagged]
+
+    rng = np.random.default_rng(4)
+    t = np.arange(2000) * STEP_S
+    start = np.array([0.5, 0.6, 0.6])
+    run = solve_ivp(rate, (0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-11).y.T
+    noisy = (run + 0.01 * run.std(axis=0) * rng.standard_normal(run.shape))[:, :2]
+    root = ps.CustomLibrary([lambda x: np.sqrt(np.abs(x))], function_names=[lambda x: f"√{x}"])
+    library = ps.GeneralizedLibrary(
+        [ps.PolynomialLibrary(3), root], inputs_per_library=[[0, 1, 2], [1]]
+    )
+    known = {"phi": {"psi_c": 1.8, "psi": -1.8}}
+    model = SparseDynamics(library, hidden=("psi_c",), known=known)
+    model.fit(noisy, t, feature_names=["phi", "psi"])
+    assert set(model.terms_[1]) == {"phi", "√psi"}
+    assert set(model.terms_[2]) == {"1", "phi^2", "phi^3", "psi_c"}
+    lag = next(term for term in model.equation_terms_[2] if term.name == "psi_c")
+    assert lag.coefficient == pytest.approx(-4.0, abs=4 * lag.stderr)
+
+
+def test_forced_by_an_input():
+    rng = np.random.default_rng(5)
+    t = np.arange(1500) * STEP_S
+
+    def force(time):
+        return np.sin(1.3 * time) + np.sin(0.4 * time)
+
+    run = solve_ivp(
+        lambda time, z: [-0.7 * z[0] + 0.5 * force(time)], (0, t[-1]), [1.0], t_eval=t, rtol=1e-9
+    ).y.T
+    noisy = run + 0.02 * run.std() * rng.standard_normal(run.shape)
+    model = SparseDynamics().fit(noisy, t, u=force(t))
+    assert set(model.terms_[0]) == {"x0", "u"}
+    assert model.equations(1) == ["-0.7 x0 + 0.5 u"]
+
+
+def test_a_missing_state_is_not_called_ok():
+    x, t = van_der_pol(np.random.default_rng(6))
+    model = SparseDynamics().fit([each[:, :1] for each in x], t)
+    assert model.state_.code in ("unexplained", "no_equations")
+
+
+@pytest.mark.parametrize(
+    ("x", "t", "u", "where"),
+    [
+        (np.full((100, 2), np.nan), 0.1, None, "x"),
+        (np.ones((100, 2)), 0.1, None, "x0"),
+        (np.random.default_rng(0).random((10, 2)), 0.1, None, "x of trajectory 0"),
+        (np.random.default_rng(0).random((100, 2)), -0.1, None, "t"),
+        (np.random.default_rng(0).random((100, 2)), 0.1, np.ones(50), "u of trajectory 0"),
+    ],
+)
+def test_bad_input_is_named(x, t, u, where):
+    with pytest.raises(InputError) as error:
+        SparseDynamics().fit(x, t, u)
+    assert error.value.where == where

@@ -1,0 +1,104 @@
+"""Loops drawn at random and measured with noise: branches, levels, lag, curves, duct and plenum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from surge_machines import STEP_S, draw, measured
+
+from sindy_surge import InputError, discover_loop
+from sindy_surge.discover.loop_signals import measure_cycles, smoothed
+from surge_core.fit_state import FitState
+
+
+def curve_error(loop, machine, states, modes):
+    worst = 0.0
+    for i, branch in enumerate(loop.lag.branches):
+        phi = states[:, 0] if loop.n_branches == 1 else states[modes == (i == 0), 0]
+        grid = np.linspace(*np.quantile(phi, (0.005, 0.995)), 50)
+        truth = np.array([machine.curves[i](x) for x in grid])
+        worst = max(worst, float(np.max(np.abs(branch(grid) - truth))))
+    return worst
+
+
+@pytest.mark.parametrize("seed", [0, 7, 11])
+def test_two_branches_with_their_levels(seed: int) -> None:
+    machine, states, modes = draw(seed, "two")
+    record = measured(states, 0.02, seed)
+    loop = discover_loop(*record.T, STEP_S)
+    assert loop.n_branches == 2
+    np.testing.assert_allclose(loop.lag.levels, machine.levels, atol=0.005)
+    assert loop.time_constant_s == pytest.approx(machine.tau_s, rel=0.01)
+    assert curve_error(loop, machine, states, modes) < 0.03
+    assert loop.state is FitState.OK
+    # It surges by itself as the machine does.
+    clean = measure_cycles(states, STEP_S)
+    assert loop.period_s == pytest.approx(clean.period_s, rel=0.02)
+    span = np.ptp(states, axis=0)
+    assert np.all(np.abs(np.subtract(loop.simulated_cycles.lowest, clean.lowest)) < 0.05 * span)
+    assert np.all(np.abs(np.subtract(loop.simulated_cycles.highest, clean.highest)) < 0.05 * span)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("one", 0), ("one", 1), ("kinked", 1), ("kinked", 8)])
+def test_one_branch_stays_one_with_a_kink_too(kind: str, seed: int) -> None:
+    machine, states, modes = draw(seed, kind)
+    record = measured(states, 0.02, seed)
+    loop = discover_loop(*record.T, STEP_S)
+    assert loop.n_branches == 1
+    assert loop.lag.levels == ()
+    assert curve_error(loop, machine, states, modes) < 0.03
+
+
+def test_duct_plenum_and_errors() -> None:
+    machine, states, _ = draw(0, "two")
+    loop = discover_loop(*measured(states, 0.01, 5).T, STEP_S)
+    assert loop.duct.terms == ("psi_p", "plenum")
+    assert loop.plenum.terms == ("phi", "sqrt(plenum)")
+    truth = np.array([machine.plenum, -machine.plenum * machine.throttle])
+    assert np.all(np.abs(loop.plenum.coefficients - truth) < 5 * loop.plenum.stderr)
+    np.testing.assert_allclose(loop.duct.coefficients, [machine.duct, -machine.duct], rtol=0.01)
+    assert loop.equations()[1].endswith("[stalled]")
+
+
+def test_records_side_by_side() -> None:
+    machine, states, _ = draw(0, "two")
+    record = measured(states, 0.01, 5)
+    halves = [list(np.array_split(channel, 2)) for channel in record.T]
+    loop = discover_loop(*halves, STEP_S)
+    assert loop.n_branches == 2
+    assert loop.time_constant_s == pytest.approx(machine.tau_s, rel=0.01)
+
+
+def test_a_throttle_opened_beyond_the_surge_line_is_steady() -> None:
+    machine, states, _ = draw(0, "two")
+    loop = discover_loop(*measured(states, 0.01, 5).T, STEP_S)
+    limit, at = loop.surge_line()
+    assert limit > 1  # the record surges
+    beyond, growth = loop.operating_point(1.05 * limit)
+    assert growth < 0
+    assert beyond[0] > at[0] > machine.levels[1] - 0.01
+    times, nudged = np.arange(0, 4, STEP_S), beyond + np.array([0.002, 0, 0])
+    opened = loop.simulate(nudged, times, throttle=1.05 * limit)
+    assert np.ptp(opened[-500:, 0]) < 0.01
+    closed = loop.simulate(nudged, times, throttle=0.9 * limit)
+    assert np.ptp(closed[-1000:, 0]) > 0.2
+
+
+def test_smoothing_lowers_the_noise_and_leaves_a_clean_signal() -> None:
+    t = np.arange(2000) * STEP_S
+    clean = np.sin(2 * np.pi * 3 * t)
+    noisy = clean + np.random.default_rng(0).normal(0, 0.02, t.size)
+    smooth, noise = smoothed(noisy)
+    assert noise == pytest.approx(0.02, rel=0.15)
+    assert np.std(smooth - clean) < 0.008
+    assert np.max(np.abs(smoothed(clean)[0] - clean)) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("phi", "words"),
+    [(np.full(500, 0.3), "changes with the cycles"), (np.linspace(0, 1, 500), "surge cycles")],
+)
+def test_records_that_cannot_be_used(phi: np.ndarray, words: str) -> None:
+    psi_p = np.linspace(0, 1, 500) + 0.01 * np.random.default_rng(0).normal(size=500)
+    with pytest.raises(InputError, match=words):
+        discover_loop(phi, psi_p, psi_p, STEP_S)
