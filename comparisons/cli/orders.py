@@ -29,9 +29,11 @@ ROWS_SHOWN = 12
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.orders import select_order
+    from comparisons.harness.cautions import tau_caution
     from comparisons.harness.rows import stack_rows
 
-    rows = stack_rows(read_records(given.series))
+    records = read_records(given.series)
+    rows = stack_rows(records)
     table = select_order(
         rows.X,
         rows.measured,
@@ -43,7 +45,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
     )
     sources = [str(path) for path in given.series]
     written = write_asked(given, json=lambda: _document(table, sources))
-    return *_lines(table), *written
+    caution = tau_caution([record.history for record in records])
+    return *_lines(table), *([f"caution: {caution.text}"] if caution else []), *written
 
 
 def _lines(table: OrderTable) -> list[str]:

@@ -47,6 +47,7 @@ def comparison_cautions(
         What the estimators made of them.
     """
     cautions = [*_of_rows(records, rows, results), *_of_records(records), *_taus_apart(results)]
+    cautions += _shared_rows(results)
     if rows.target == "psi_p":
         cautions += filter_cautions(rows)
     for result in results:
@@ -182,6 +183,20 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
         for entry in record.history
         for flag in entry.flags
     ]
+
+
+def _shared_rows(results: tuple[EstimatorResult, ...]) -> list[Caution]:
+    """Say whether the two rivals are independent evidence: what they share of the rows."""
+    whole = {r.name: r.whole_run for r in results if r.name in ("classic_ml", "sindy")}
+    if len(whole) < 2:
+        return []
+    if all(whole.values()):
+        shared = "the forward rows in stall that sindy scores are among those of classic_ml"
+    elif not any(whole.values()):
+        shared = "both are fitted to the same rows"
+    else:
+        return []
+    return [Caution.of("shared_rows", shared=shared)]
 
 
 def _taus_apart(results: tuple[EstimatorResult, ...]) -> list[Caution]:

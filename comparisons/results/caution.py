@@ -40,6 +40,9 @@ SENTENCES: Mapping[str, str] = {
     "estimator": "{remark}",
     "taus_apart": "{who} put τ between {low_ms:.3g} and {high_ms:.3g} ms: what they disagree on is "
     "not measured by those rows",
+    "shared_rows": "classic_ml and sindy are not independent evidence here: {shared}, so "
+    "that an error of these signals is in both; their agreement checks the choice of terms and of "
+    "the noise model, not the record",
     "psi_low_passed": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ is not: ψ' "
     "was low-passed and φ was not, or differently; filter ψ' and every s_i(φ) alike",
     "corners_apart": "the spectrum of ψ' is emptied from {psi_hz:.2g} Hz on, that of φ from "
