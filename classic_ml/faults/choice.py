@@ -57,7 +57,7 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
     slow = {name: means for name, means in slow.items() if name not in bad}
     agreements = compare_probes(slow, test)
     bad |= _come_off(agreements, window)
-    dropped, gone, spared = _drop_pairs(record, test, bad, window)
+    dropped, gone = _drop_pairs(record, test, bad)
     for plane in test.areas_m2:
         couples = test.thermocouples(plane)
         out = [c.name for c in couples if c.name in bad]
@@ -74,7 +74,7 @@ def choose_channels(record: Record, test: TestDescription, window: slice) -> Rec
         f"{len(test.channel_names) - len(gone)} of {len(test.channel_names)} channels are used",
         {"clipped_share": CLIPPED_SHARE, "beyond_limits_share": BEYOND_SHARE},
         tuple(dropped),
-        (*spared, *disagreements(used, test, agreements)),
+        tuple(disagreements(used, test, agreements)),
     )
     kept = with_faults_bridged(kept.after(entry), [c.name for c in test.temperatures])
     return with_faults_bridged(kept, [p.name for p in test.pressures], SPIKED)
@@ -134,12 +134,10 @@ def _come_off(agreements: Mapping[str, Agreement], window: slice) -> dict[str, D
 
 
 def _drop_pairs(
-    record: Record, test: TestDescription, bad: Mapping[str, Dropped], window: slice
-) -> tuple[list[Dropped], list[str], list[str]]:
+    record: Record, test: TestDescription, bad: Mapping[str, Dropped]
+) -> tuple[list[Dropped], list[str]]:
     dropped: list[Dropped] = []
     gone: list[str] = []
-    spared: list[str] = []
-    few = BEYOND_SHARE * (window.stop - window.start)
     for plane in test.areas_m2:
         pairs = test.pairs(plane)
         verdicts = {p.name: bad.get(p.forward.name) or bad.get(p.aft.name) for p in pairs}
@@ -147,17 +145,14 @@ def _drop_pairs(
             verdict = verdicts[pair.name]
             if verdict is None:
                 continue
-            beside = [verdicts[p.name] for p in pairs if p.immersion == pair.immersion]
-            if all(beside) and verdict.count <= few:
-                # The fit to whole records leaves those rows out.
-                spared.append(f"{verdict.what} is {verdict.why}: kept, as the last there")
-                continue
-            if all(each is not None and each.count > few for each in beside):
-                raise _refusal(record, verdict, f"the last {pair.immersion} pair of plane {plane}")
+            beside = (p for p in pairs if p.immersion == pair.immersion)
+            if all(verdicts[p.name] is not None for p in beside):
+                last = f"the last {pair.immersion} pair of plane {plane}"
+                raise _refusal(record, verdict, last)
             gone += [pair.forward.name, pair.aft.name]
             why = f"{verdict.what} is {verdict.why}"
             dropped.append(Dropped(f"pair {pair.name}", verdict.count, why))
-    return dropped, gone, spared
+    return dropped, gone
 
 
 def _refusal(record: Record, verdict: Dropped, last: str) -> InputError:
