@@ -220,7 +220,7 @@ SYSTEMS = {
         step_s=0.02,
         library=lambda: (
             ps.PolynomialLibrary(degree=3)
-            + ps.CustomLibrary([np.sin], function_names=[lambda x: f"sin({x})"])
+            + ps.CustomLibrary([lambda q: np.sin(1.0 * q)], function_names=[lambda x: f"sin({x})"])
         ),
     ),
 }

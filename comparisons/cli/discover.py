@@ -165,9 +165,7 @@ def _library(text: str, names: Sequence[str]) -> Any:
             parts.append(ps.PolynomialLibrary(degree=int(degree)))
             columns.append(list(range(len(names))))
         elif function in FUNCTIONS and inner in names and part.endswith(")"):
-            kernel = getattr(np, function)
-            # Noise at zero must not leave the domain of the root.
-            called = (lambda x: np.sqrt(np.abs(x))) if function == "sqrt" else kernel
+            called = _function(getattr(np, function), of_size=function == "sqrt")
             named = [lambda x, word=function: f"{word}({x})"]
             parts.append(ps.CustomLibrary([called], function_names=named))
             columns.append([list(names).index(inner)])
@@ -181,6 +179,16 @@ def _library(text: str, names: Sequence[str]) -> Any:
     if len(parts) == 1:
         return parts[0]
     return ps.GeneralizedLibrary(parts, inputs_per_library=columns)
+
+
+def _function(kernel: Any, *, of_size: bool) -> Any:
+    """Return a function that pysindy can count the arguments of; a root is that of abs(x)."""
+    # Noise at zero must not leave the domain of the root.
+
+    def called(x: Any) -> Any:
+        return kernel(abs(x) if of_size else x)
+
+    return called
 
 
 def _known(text: str) -> tuple[str, dict[str, float]]:

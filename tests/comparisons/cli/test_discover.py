@@ -47,6 +47,12 @@ def test_equations_reach_json_and_page(files, tmp_path, capsys):
     assert "data:image" in page.read_text()
 
 
+def test_functions_of_a_column_join_the_library(files, capsys):
+    given = ["discover", str(files[0]), "--states", "x,v"]
+    assert main([*given, "--library", "poly1+sin(x)+sqrt(v)+cos(x)+abs(v)"]) == 0
+    assert "ok: " in capsys.readouterr().out
+
+
 def test_one_state_alone_is_not_called_ok(files, capsys):
     assert main(["discover", str(files[0]), "--states", "x"]) == 0
     assert capsys.readouterr().out.startswith(("unexplained: ", "no_equations: "))
