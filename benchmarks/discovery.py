@@ -261,7 +261,7 @@ def cell(name: str, noise: float, with_pysindy: bool, seed: int) -> dict[str, An
         x, states = [each[:, kept] for each in x], [states[i] for i in kept]
     began = time.process_time()
     model = SparseDynamics(library=system.library(), **options)
-    model.fit(x, t, u, feature_names=states)
+    model.fit(x, t, u, feature_names=[*states, *(["u"] if u else [])])
     seconds = time.process_time() - began
     wanted = [set(system.truth[s]) for s in model.state_names_]
     exact = [set(terms) for terms in model.terms_] == wanted

@@ -126,6 +126,16 @@ class FitState(AdvisedState):
         "no model was found that the data follow, and none is stated: check that every state was "
         "measured, and on one clock; take shorter records, or a smaller library",
     )
+    SHORT_RUNS_ONLY = (
+        "short_runs_only",
+        "the equations follow the data over short stretches, and no run of them follows a whole "
+        "record: cut the record where something changed, or look for a missing term",
+    )
+    PROPOSED = (
+        "proposed",
+        "the terms are those that the optimizer proposed, fitted; they were compared with no "
+        "others: search='full' does that",
+    )
     OK = ("ok", "the structure stands: no larger one explains more than its terms cost")
     NO_CONSISTENT_STRUCTURE = (
         "no_consistent_structure",

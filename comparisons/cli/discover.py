@@ -57,7 +57,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
             hidden=hidden,
             known=dict(map(_known, given.known)),
         )
-        model.fit(x, t, u, feature_names=states, input_names=inputs)
+        model.fit(x, t, u, feature_names=(*states, *inputs))
         begin("writing")
         written = write_asked(
             given,

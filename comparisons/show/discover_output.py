@@ -69,19 +69,13 @@ def discover_text(model: SparseDynamics) -> str:
     lines = [f"{model.state_.code}: {model.state_.advice}", ""]
     for state, terms in zip(model.state_names_, model.equation_terms_, strict=True):
         lines.append(f"d{state}/dt = {_written(terms)}")
-    lines += ["", rivals_words(model)]
+    lines += ["", _rivals_words(model)]
     lines += [f"  {_difference(model, rival)}" for rival in model.rivals_[:RIVALS_SHOWN]]
     return "\n".join(lines)
 
 
-def rivals_words(model: SparseDynamics) -> str:
-    """Say how many other models the data leave.
-
-    Parameters
-    ----------
-    model : SparseDynamics
-        Fitted.
-    """
+def _rivals_words(model: SparseDynamics) -> str:
+    """Say how many other models the data leave."""
     if not model.rivals_:
         return f"rivals: none within 5 of the log-likelihood ({len(model.path_)} models compared)"
     return (
@@ -136,7 +130,7 @@ def discover_report(
     blocks: list[Block] = [
         Words(model.state_.advice, "plain" if model.state_.code == "ok" else "caution"),
         *(_table(s, e) for s, e in zip(model.state_names_, model.equation_terms_, strict=True)),
-        Words(rivals_words(model)),
+        Words(_rivals_words(model)),
     ]
     parts = [Part("Equations", tuple(blocks))]
     parts.append(Part("Measured and estimated", tuple(_pictures(model, x, t))))

@@ -121,7 +121,6 @@ class Collocation:
         xi: FloatArray,
         x: FloatArray,
         ridge: FloatArray | None = None,
-        most_steps: int = _MOST_STEPS,
     ) -> Fit:
         """Fit some terms, from coefficients and states nearby.
 
@@ -143,7 +142,7 @@ class Collocation:
         xi, converged, chi2 = start, False, np.inf
         inverse = np.eye(support.size)
         about = _About(self, x, xi)
-        for _ in range(most_steps):
+        for _ in range(_MOST_STEPS):
             try:
                 linear, solve = about.linear(support)
             except (LinAlgError, ValueError):

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from sindy_surge.discover.collocation import Collocation, Fit
+from sindy_surge.discover.collocation import Collocation, Fit, Linear
 from sindy_surge.discover.equations import Rival, Term
 from sindy_surge.discover.features import Features
 from sindy_surge.discover.search import Search, Tried, proposed_by
@@ -36,8 +36,8 @@ _LEAST_NOISE = 3.5e-4
 _HIDDEN_FREEDOM = 10.0
 # Rows of the best runs that `score` restarts.
 _SCORED_ROWS = 300
-# Of white noise the correlation of neighbours is below this on any record of 1 000 rows.
-_WHITE = 0.2
+# Of white noise the correlation of neighbours scatters by 1/√N.
+_WHITE_SIGMAS = 5.0
 # What is left over the noise that differences show, before a run of it counts.
 _EXCESS = 1.2
 
@@ -69,6 +69,8 @@ class SparseDynamics(BaseEstimator):
     ----------
     terms_ : tuple of tuple of str
         Names of the terms of each equation.
+    equation_terms_ : tuple of tuple of Term
+        The same with coefficients and standard errors.
     covariance_ : ndarray of shape (n_chosen, n_chosen)
         Of the coefficients, equation by equation.
     rivals_ : tuple of Rival
@@ -108,7 +110,6 @@ class SparseDynamics(BaseEstimator):
         t: Any,
         u: Any = None,
         feature_names: Sequence[str] | None = None,
-        input_names: Sequence[str] | None = None,
     ) -> Self:
         """Discover the equations.
 
@@ -120,8 +121,9 @@ class SparseDynamics(BaseEstimator):
             Sample period, or times.
         u : array-like of shape (n_rows, n_inputs), or list of such, optional
             Inputs.
-        feature_names, input_names : sequence of str, optional
-            Names of states and inputs; x0, x1, … and u0, u1, … by default.
+        feature_names : sequence of str, optional
+            Names of the states and, behind them, of the inputs; x0, x1, … and u0, u1, … by
+            default.
 
         Raises
         ------
@@ -131,7 +133,7 @@ class SparseDynamics(BaseEstimator):
         one_of("search", self.search, ("full", "optimizer"))
         data = Trajectories.of(x, t, u)
         _moving(data.y, feature_names)
-        problem, rates = self._problem(data, feature_names, input_names)
+        problem, rates = self._problem(data, feature_names)
         searches, best = self._searched(problem, rates)
         self._keep(problem, searches, best)
         return self
@@ -150,10 +152,6 @@ class SparseDynamics(BaseEstimator):
     def feature_names(self) -> list[str]:
         """Names of the states."""
         return list(self.state_names_)
-
-    def equation_terms(self) -> tuple[tuple[Term, ...], ...]:
-        """Return the terms of each equation, given ones first."""
-        return self.equation_terms_
 
     def equations(self, precision: int = 3) -> list[str]:
         """Return the right-hand sides, as pysindy writes them.
@@ -260,17 +258,17 @@ class SparseDynamics(BaseEstimator):
     # -- How it is found --------------------------------------------------------------------------
 
     def _problem(
-        self, data: Trajectories, names: Sequence[str] | None, inputs: Sequence[str] | None
+        self, data: Trajectories, names: Sequence[str] | None
     ) -> tuple[Collocation, FloatArray]:
         """Return what is fitted, and the derivatives that the search starts from."""
         from pysindy import PolynomialLibrary
 
-        states = list(names) if names is not None else [f"x{i}" for i in range(data.y.shape[1])]
-        _named("feature_names", states, data.y.shape[1])
-        columns = list(inputs) if inputs is not None else [f"u{i}" for i in range(data.u.shape[1])]
-        if inputs is None and data.u.shape[1] == 1:
-            columns = ["u"]
-        _named("input_names", columns, data.u.shape[1])
+        n_states, n_inputs = data.y.shape[1], data.u.shape[1]
+        default = [f"x{i}" for i in range(n_states)] + [f"u{i}" for i in range(n_inputs)]
+        named = list(default if names is None else names)
+        named += default[len(named) :] if len(named) == n_states else []
+        _check_names((*named, *self.hidden), n_states + n_inputs + len(self.hidden))
+        states, self.input_names_ = named[:n_states], tuple(named[n_states:])
         self.state_names_ = (*states, *self.hidden)
         known = {name: dict(given) for name, given in (self.known or {}).items()}
         self._check_known(known)
@@ -281,12 +279,12 @@ class SparseDynamics(BaseEstimator):
         noise = np.append(noise, _HIDDEN_FREEDOM * spread[hidden])
         library = self.library if self.library is not None else PolynomialLibrary(degree=3)
         sample = np.column_stack((data.y, data.u))
-        features = Features.of(library, self.state_names_, columns, sample)
+        features = Features.of(library, self.state_names_, self.input_names_, sample)
         given = np.zeros((len(features.names), data.y.shape[1]))
         for state, terms in known.items():
             for name, value in terms.items():
                 given[features.index(name), self.state_names_.index(state)] = value
-        self._known, self._hidden, self.input_names_ = known, hidden, tuple(columns)
+        self._known, self._hidden = known, hidden
         return Collocation(data, features, noise, given, hidden), self._rates(data)
 
     def _check_known(self, known: dict[str, dict[str, float]]) -> None:
@@ -303,6 +301,15 @@ class SparseDynamics(BaseEstimator):
                     found="none",
                     remedy="give the equation that ties the hidden state to what is measured",
                 )
+            for terms in (t for s, t in known.items() if name in t and s not in self.hidden):
+                plain = {"1", *self.state_names_, *self.input_names_}
+                if not set(terms) <= plain or terms[name] == 0.0:
+                    raise InputError(
+                        "known",
+                        expected=f"a sum of states, inputs and 1, with a share of {name}, in the "
+                        f"equation that gives {name}",
+                        found=", ".join(f"{n}={value:g}" for n, value in terms.items()),
+                    )
 
     def _with_hidden(self, data: Trajectories, known: Mapping[str, Any]) -> Trajectories:
         """Add the hidden states, as the known equations give them from smoothed derivatives."""
@@ -310,8 +317,9 @@ class SparseDynamics(BaseEstimator):
             return data
         smooth, rates = smoothed(data), self._rates(data)
         columns = dict(zip(self.state_names_, smooth.T, strict=False))
+        columns |= dict(zip(self.input_names_, data.u.T, strict=True))
         for name in self.hidden:
-            state = next(s for s, terms in known.items() if name in terms and s in columns)
+            state = next(s for s, terms in known.items() if name in terms and s not in self.hidden)
             terms = known[state]
             rest = rates[:, self.state_names_.index(state)].copy()
             for other, value in terms.items():
@@ -342,14 +350,11 @@ class SparseDynamics(BaseEstimator):
         measured = problem.cut(_FULL_ROWS[-1])
         linear = measured.linear(full, free)
         logs = float(np.log(problem.data.run.size)), float(np.log(n_terms))
-        proposals = self._proposals(linear, free, n_terms)
+        proposals = [self._proposal(linear, free, n_terms)]
         search = Search(measured, free, *logs)
         if self.search == "optimizer":
             search = Search(problem.cut(None), free, *logs)
-            best = min(
-                (search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score
-            )
-            return [search], best
+            return [search], search.try_support(proposals[0][0], full, proposals[0][1])
         proposals += [(s, "elimination") for s in search.promising(linear)]
         best = min((search.try_support(s, full, by) for s, by in proposals), key=lambda t: t.score)
         searches = [search]
@@ -389,7 +394,7 @@ class SparseDynamics(BaseEstimator):
         own = problem.cut(_FULL_ROWS[-1])
         n_rows = problem.data.run.size
         starts = 1 + int(np.count_nonzero(~own.joined))
-        spent = starts + free.size / max(n_states, 1)
+        spent = starts + free.size / n_states
         left = problem.data.y - fit.x
         found = np.sqrt(np.sum(left**2, axis=0) / max(n_rows - spent, 1.0))
         floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
@@ -401,14 +406,14 @@ class SparseDynamics(BaseEstimator):
             fit = problem.cut(_FULL_ROWS[-1]).fit(free, fit.xi, fit.x, ridge)
         return fit, problem
 
-    def _proposals(
-        self, linear: Any, free: IndexArray, n_terms: int
-    ) -> list[tuple[tuple[int, ...], str]]:
+    def _proposal(
+        self, linear: Linear, free: IndexArray, n_terms: int
+    ) -> tuple[tuple[int, ...], str]:
         from pysindy import STLSQ
 
         optimizer = self.optimizer if self.optimizer is not None else STLSQ()
         name = type(optimizer).__name__
-        return [(s, name) for s in proposed_by(optimizer, linear, free, n_terms)]
+        return proposed_by(optimizer, linear, free, n_terms), name
 
     def _keep(self, problem: Collocation, searches: list[Search], best: Tried) -> None:
         search, nothing = searches[0], np.zeros(0, dtype=np.intp)
@@ -436,7 +441,7 @@ class SparseDynamics(BaseEstimator):
             for each in searches
             for t in sorted(each.tried.values(), key=lambda t: t.score)
         )
-        self.state_ = self._state(problem, best)
+        self.state_ = self._state(problem, best, search.problem)
 
     def _names_of(self, support: tuple[int, ...]) -> tuple[tuple[str, ...], ...]:
         n = len(self.candidate_terms_)
@@ -458,10 +463,8 @@ class SparseDynamics(BaseEstimator):
             for state in range(len(self.state_names_))
         )
 
-    def _state(self, problem: Collocation, best: Tried) -> FitState:
-        if not np.isfinite(best.score):
-            return FitState.NO_EQUATIONS
-        if not best.support:
+    def _state(self, problem: Collocation, best: Tried, compared_on: Collocation) -> FitState:
+        if not np.isfinite(best.score) or not best.support:
             return FitState.NO_EQUATIONS
         left = (problem.data.y - best.fit.x)[:, ~problem.hidden]
         together = problem.data.within()[:, None] * left[1:] * left[:-1]
@@ -469,9 +472,12 @@ class SparseDynamics(BaseEstimator):
         floor = _LEAST_NOISE * np.std(problem.data.y, axis=0)
         seen = np.maximum(difference_noise(problem.data), floor)[~problem.hidden]
         above = np.sqrt(np.mean(left**2, axis=0)) > _EXCESS * seen
-        if np.any((coloured > _WHITE) & above):
+        white = _WHITE_SIGMAS / np.sqrt(len(left))
+        if np.any((coloured > white) & above):
             return FitState.UNEXPLAINED
-        return FitState.OK
+        if compared_on.rows is not None:
+            return FitState.SHORT_RUNS_ONLY
+        return FitState.OK if self.search == "full" else FitState.PROPOSED
 
 
 def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
@@ -486,8 +492,10 @@ def _moving(y: FloatArray, names: Sequence[str] | None) -> None:
         )
 
 
-def _named(parameter: str, names: Sequence[str], wanted: int) -> None:
+def _check_names(names: Sequence[str], wanted: int) -> None:
     if len(names) != wanted or len(set(names)) != wanted:
         raise InputError(
-            parameter, expected=f"{wanted} different names", found=", ".join(names) or "none"
+            "feature_names, hidden",
+            expected=f"{wanted} different names of states and inputs",
+            found=", ".join(names) or "none",
         )

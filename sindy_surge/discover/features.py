@@ -53,8 +53,15 @@ class Features:
         # CustomLibrary keeps its functions where sklearn's clone does not look.
         fitted = deepcopy(library)
         with np.errstate(all="ignore"):
-            fitted.fit(sample)
-            values = np.asarray(fitted.transform(sample))
+            try:
+                values = np.asarray(fitted.fit(sample).transform(sample))
+            except (AttributeError, TypeError, ValueError) as error:
+                raise InputError(
+                    "library",
+                    expected="a pysindy feature library that takes the states and inputs",
+                    found=str(error),
+                    remedy="a function in it must be written in Python, as lambda x: np.sin(x)",
+                ) from error
         size = np.maximum(np.sqrt(np.mean(sample[:, : len(states)] ** 2, axis=0)), 1e-300)
         found = cls(fitted, tuple(states), tuple(inputs), size)
         bad = np.flatnonzero(~np.isfinite(values).all(axis=0))
@@ -78,7 +85,9 @@ class Features:
         """Exponents (n_terms, n_columns) of a polynomial library, None for another."""
         from pysindy import PolynomialLibrary
 
-        return np.asarray(self.library.powers_) if _is(self.library, PolynomialLibrary) else None
+        # Not of a subclass, whose terms may be others.
+        plain = type(self.library) is PolynomialLibrary
+        return np.asarray(self.library.powers_) if plain else None
 
     def values(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the terms (n_rows, n_terms) at states and inputs (n_rows, …)."""
@@ -120,10 +129,6 @@ class Features:
                 remedy="write it as the library does",
             )
         return self.names.index(plain)
-
-
-def _is(library: Any, kind: type) -> bool:
-    return type(library) is kind
 
 
 def _monomials(z: FloatArray, powers: FloatArray) -> FloatArray:

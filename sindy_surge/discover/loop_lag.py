@@ -154,7 +154,7 @@ class LagFit:
 @njit(cache=True)
 def _stalled_share(
     phi: FloatArray, starts: IntArray, recover: float, stall: float, rearm: float
-) -> FloatArray:  # pragma: no cover
+) -> FloatArray:
     """Share of the interval before each row that was spent in stall."""
     share = np.zeros(phi.size)
     first = 0
@@ -184,7 +184,7 @@ def _stalled_share(
 @njit(cache=True)
 def _responses(
     columns: FloatArray, share: FloatArray, gains: FloatArray, starts: IntArray
-) -> FloatArray:  # pragma: no cover
+) -> FloatArray:
     """Free run of x[k] = a x[k-1] + share[k] (now s[k] + before s[k-1]) for each column s."""
     out = np.zeros(columns.shape)
     a, now, before = gains

@@ -140,19 +140,13 @@ class SurgeLoop:
                     kinks[i, 0], kinks[i, -power] = branch.knot, beta
                 else:
                     curves[i, power] = beta
-        plenum = self._throttled(throttle)
         return _run(
             first,
             times.size,
             float(times[1] - times[0]) / _SUBSTEPS,
-            curves,
-            kinks,
-            np.array([recover, stall]),
-            self.lag.time_constant_s,
-            self.duct.exponents,
-            self.duct.coefficients,
-            self.plenum.exponents,
-            plenum,
+            (curves, kinks, np.array([recover, stall]), self.lag.time_constant_s),
+            (self.duct.exponents, self.duct.coefficients),
+            (self.plenum.exponents, self._throttled(throttle)),
         )
 
     def operating_point(self, throttle: float = 1.0) -> tuple[FloatArray, float]:
@@ -294,9 +288,18 @@ def discover_loop(
     start = whole[int(np.argmin(whole[:, 0]))]
     none = Cycles(np.nan, (), (), 0)
     loop = SurgeLoop(
-        lag, duct, balance, start, step, cycles, none, richest, noise[1], plenum is None,
-        FitState.OK,
-    )  # fmt: skip
+        lag=lag,
+        duct=duct,
+        plenum=balance,
+        start=start,
+        sample_period_s=step,
+        measured_cycles=cycles,
+        simulated_cycles=none,
+        single_branch_rest=richest,
+        noise=noise[1],
+        plenum_hidden=plenum is None,
+        state=FitState.OK,
+    )
     return _judged(loop)
 
 
@@ -350,9 +353,7 @@ def _difference(measured: Cycles, simulated: Cycles) -> float:
 
 
 @njit(cache=True)
-def _balance(
-    x: FloatArray, exponents: IntArray, coefficients: FloatArray
-) -> float:  # pragma: no cover
+def _balance(x: FloatArray, exponents: IntArray, coefficients: FloatArray) -> float:
     root = np.copysign(np.sqrt(abs(x[2])), x[2])
     total = 0.0
     for i in range(coefficients.size):
@@ -363,10 +364,18 @@ def _balance(
 
 @njit(cache=True)
 def _run(
-    x: FloatArray, n: int, dt: float, curves: FloatArray, kinks: FloatArray, levels: FloatArray,
-    tau_s: float, duct: IntArray, duct_c: FloatArray, plenum: IntArray, plenum_c: FloatArray,
-) -> FloatArray:  # fmt: skip  # pragma: no cover
-    """Integrate by Runge-Kutta steps of fourth order; φ crossing a level changes the branch."""
+    x: FloatArray,
+    n: int,
+    dt: float,
+    lag: tuple[FloatArray, FloatArray, FloatArray, float],
+    duct: tuple[IntArray, FloatArray],
+    plenum: tuple[IntArray, FloatArray],
+) -> FloatArray:
+    """Integrate by Runge-Kutta steps of fourth order; φ crossing a level changes the branch.
+
+    The lag is its curves, kinks, levels and τ; duct and plenum are exponents and coefficients.
+    """
+    curves, kinks, levels, tau_s = lag
     out = np.full((n, 3), np.nan)
     x = x.copy()
     k = np.zeros((4, 3))
@@ -382,9 +391,9 @@ def _run(
                 target = (kink[1] + kink[2] * beyond) * beyond
                 for power in range(curve.size):
                     target += curve[power] * y[0] ** power
-                k[i, 0] = _balance(y, duct, duct_c)
+                k[i, 0] = _balance(y, duct[0], duct[1])
                 k[i, 1] = (target - y[1]) / tau_s
-                k[i, 2] = _balance(y, plenum, plenum_c)
+                k[i, 2] = _balance(y, plenum[0], plenum[1])
             before = x[0]
             x = x + dt / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
             if not np.all(np.abs(x) < 1e3):

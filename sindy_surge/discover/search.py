@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from sindy_surge.discover.collocation import Collocation, Fit, Linear
+from surge_core.errors import InputError
 from surge_core.types import FloatArray, IndexArray
 
-__all__ = ["Search", "Tried", "eliminated", "proposed_by"]
+__all__ = ["Search", "Tried", "proposed_by"]
 
 Support = tuple[int, ...]
 
@@ -131,7 +132,7 @@ class Search:
             places = np.searchsorted(self.free, support)
             return 0.5 * _squares(linear, places) + len(support) * self.price
 
-        return sorted(eliminated(linear, self.free), key=score)[:_ELIMINATED]
+        return sorted(_eliminated(linear, self.free), key=score)[:_ELIMINATED]
 
     def _neighbours(
         self, support: Support, linear: Linear, most_left_out: int, most_added: int
@@ -185,7 +186,7 @@ class Search:
         return result
 
 
-def eliminated(linear: Linear, free: IndexArray) -> list[Support]:
+def _eliminated(linear: Linear, free: IndexArray) -> list[Support]:
     """Drop the term that costs least, one by one; return what is left each time."""
     own = np.arange(free.size)
     path = [tuple(int(i) for i in free)]
@@ -199,42 +200,40 @@ def eliminated(linear: Linear, free: IndexArray) -> list[Support]:
     return path
 
 
-def proposed_by(optimizer: Any, linear: Linear, free: IndexArray, n_terms: int) -> list[Support]:
+def proposed_by(optimizer: Any, linear: Linear, free: IndexArray, n_terms: int) -> Support:
     """Let a pysindy optimizer choose terms, equation by equation.
 
     The regression about the full fit is A ξ = b with Aᵀ A = H. For one equation all others are
     left free: what the data say of its terms is the inverse of its block of H⁻¹.
+
+    Raises
+    ------
+    InputError
+        If the optimizer cannot be fitted.
     """
-    covariance = _inverted(linear.information)
-    xi = covariance @ linear.score
-    choices: list[list[IndexArray]] = []
-    for state in np.unique(free // n_terms):
-        rows = np.flatnonzero(free // n_terms == state)
-        values, basis = np.linalg.eigh(_inverted(covariance[np.ix_(rows, rows)]))
-        A = np.sqrt(np.maximum(values, 0.0))[:, None] * basis.T
-        choices.append([free[rows[kept]] for kept in _kept(optimizer, A, A @ xi[rows])])
-    # An optimizer with a path gives one choice of each length for every equation.
-    longest = max(map(len, choices))
-    filled = [each + [each[-1]] * (longest - len(each)) for each in choices]
-    return [
-        tuple(sorted(int(i) for part in one for i in part)) for one in zip(*filled, strict=True)
-    ]
-
-
-def _kept(optimizer: Any, A: FloatArray, b: FloatArray) -> list[IndexArray]:
     import warnings
 
     from sklearn.base import clone
 
-    chosen = clone(optimizer)
-    with warnings.catch_warnings():
-        # What an optimizer has to say of its own threshold is in what it chooses.
-        warnings.simplefilter("ignore")
-        try:
-            chosen.fit(A, b[:, None])
-        except (ValueError, np.linalg.LinAlgError):
-            return [np.zeros(0, dtype=np.intp)]
-    return [np.flatnonzero(np.ravel(chosen.coef_) != 0.0)]
+    covariance = _inverted(linear.information)
+    xi = covariance @ linear.score
+    chosen: list[int] = []
+    for state in np.unique(free // n_terms):
+        rows = np.flatnonzero(free // n_terms == state)
+        values, basis = np.linalg.eigh(_inverted(covariance[np.ix_(rows, rows)]))
+        A = np.sqrt(np.maximum(values, 0.0))[:, None] * basis.T
+        fitted = clone(optimizer)
+        with warnings.catch_warnings():
+            # What an optimizer has to say of its own threshold is in what it chooses.
+            warnings.simplefilter("ignore")
+            try:
+                fitted.fit(A, (A @ xi[rows])[:, None])
+            except (AttributeError, TypeError, ValueError) as error:
+                raise InputError(
+                    "optimizer", expected="a pysindy optimizer", found=str(error)
+                ) from error
+        chosen += free[rows[np.flatnonzero(np.ravel(fitted.coef_))]].tolist()
+    return tuple(sorted(chosen))
 
 
 def _squares(linear: Linear, places: IndexArray) -> float:

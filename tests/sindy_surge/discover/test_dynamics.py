@@ -84,6 +84,12 @@ def test_a_useless_optimizer_alone_gives_a_useless_model():
     assert "STLSQ" in {by for by, _, _ in full.path_}
 
 
+def test_a_proposal_alone_is_said_to_be_one():
+    alone = fitted(1, optimizer=ps.STLSQ(threshold=0.3), search="optimizer")
+    assert [set(terms) for terms in alone.terms_] == [set(e) for e in TRUTH.values()]
+    assert alone.state_.code == "proposed"
+
+
 def test_units_of_the_states_change_nothing_but_units():
     scale = np.array([1e5, 1e-2])
     x, t = van_der_pol(np.random.default_rng(2))
@@ -139,14 +145,30 @@ def test_forced_by_an_input():
     ).y.T
     noisy = run + 0.02 * run.std() * rng.standard_normal(run.shape)
     model = SparseDynamics().fit(noisy, t, u=force(t))
-    assert set(model.terms_[0]) == {"x0", "u"}
-    assert model.equations(1) == ["-0.7 x0 + 0.5 u"]
+    assert set(model.terms_[0]) == {"x0", "u0"}
+    assert model.equations(1) == ["-0.7 x0 + 0.5 u0"]
 
 
 def test_a_missing_state_is_not_called_ok():
     x, t = van_der_pol(np.random.default_rng(6))
     model = SparseDynamics().fit([each[:, :1] for each in x], t)
     assert model.state_.code in ("unexplained", "no_equations")
+
+
+@pytest.mark.parametrize(
+    ("options", "where"),
+    [
+        ({"library": ps.CustomLibrary([np.sin])}, "library"),
+        ({"optimizer": ps.FiniteDifference()}, "optimizer"),
+        ({"hidden": ["h"], "known": {"x": {"h": 1.0, "x y": 2.0}}}, "known"),
+        ({"hidden": ["h"], "known": {"x": {"h": 0.0}}}, "known"),
+        ({"hidden": ["x"]}, "feature_names, hidden"),
+    ],
+)
+def test_bad_options_are_named(options, where):
+    with pytest.raises(InputError) as error:
+        fitted(0, **options)
+    assert error.value.where == where
 
 
 @pytest.mark.parametrize(
