@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from comparisons.missing_effect.systems.bench import Bench, base_bench
-from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import SystemEffect
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
@@ -216,19 +217,9 @@ def _found(fit: Fit, cov: FloatArray, step: Round, records: Records) -> FoundEff
             "score": evidence.score,
             "p_value": evidence.p_value,
         },
-        _written(placed.effect.equation, placed.where(model)),
-        placed.effect.says,
-        placed.effect.confirm,
-    )
-
-
-def _written(equation: str, place: dict[str, str]) -> str:
-    """Return the equation of an effect with the signals of its place."""
-    signal = place.get("signal", place.get("input", ""))
-    return (
-        equation.replace("{s}", signal)
-        .replace("{o}", place.get("times", ""))
-        .replace("{p}", place.get("parameter", ""))
+        placed.equation(model),
+        placed.words(model).says,
+        placed.words(model).confirm,
     )
 
 

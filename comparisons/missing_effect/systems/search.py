@@ -19,7 +19,8 @@ from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
-from comparisons.missing_effect.systems.score import Probe, Prober, placed_effects
+from comparisons.missing_effect.systems.placing import placed_effects
+from comparisons.missing_effect.systems.score import Probe, Prober
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
@@ -185,7 +186,7 @@ def _promising(raw: Sequence[Probe], white: Sequence[Probe]) -> list[Probe]:
         least = max(LEAST_PROMISE, LEAST_PROMISE_SHARE * best)
         named = [p for p in probes if p.gain > least and not p.placed.effect.unnamed]
         terms = [p for p in probes if p.gain > least and p.placed.effect.unnamed]
-        bare = [p for p in probes if not p.placed.effect.numbers]
+        bare = [p for p in probes if p.placed.effect.begins_afresh]
         for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 3], *bare):
             kept.setdefault(probe.placed.key, probe)
     # The plain form of whatever is promising races beside it.
@@ -240,7 +241,7 @@ def _begun(bench: Bench, probe: Probe) -> Fit:
         return fit_runs(structure, bench.train, bench.raw, theta, starts, most=most)
 
     begun = _beginnings(bench, probe, structure)
-    most = FIRST_LAP if probe.placed.effect.numbers else MOST_ITERATIONS
+    most = MOST_ITERATIONS if probe.placed.effect.begins_afresh else FIRST_LAP
     if len(begun) == 1:
         return lap(begun[0], bench.fit.starts, most)
     heats = [lap(theta, bench.fit.starts, HEAT) for theta in begun]
@@ -255,7 +256,7 @@ def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatA
     end = first + len(structure.model.inputs)
     slots = structure.slots((0.0, *probe.start[1:]) if effect.linear else probe.start)
     out = [np.concatenate([theta, slots])]
-    if not effect.numbers:
+    if effect.begins_afresh:
         # What makes another reading of everything: the model without it may be far off.
         begun = structure.start()
         out.append(np.concatenate([begun[:end], theta[end:], slots]))
