@@ -114,7 +114,9 @@ def system_blocks(name: str) -> dict[str, str]:
         (
             f"`{n.name}`",
             equation_of(form) + f" ({PLACES[form.kind].partition(',')[0]})" * (len(forms) > 1),
-            bounds_of(-n.high, -n.low) if form.resists and slot == 0 else bounds_of(n.low, n.high),
+            bounds_of(0.0 - n.high, -n.low)
+            if form.resists and slot == 0
+            else bounds_of(n.low, n.high),
             "1" if n.name == "exponent" else SCALES[form.kind][slot],
         )
         for form in forms

@@ -6,7 +6,6 @@ model are compiled again in each process.
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -115,24 +114,25 @@ def expression_address(model: Model, expression: Expression) -> int:
 
 def _function(model: Model, part: str) -> Any:
     """Compile one function of a model."""
-    count = len(model.states) if part == "rhs" else len(model.outputs)
+    count = model.own_states if part == "rhs" else len(model.outputs)
     return _cfunc(model, part, getattr(model, part), count, numbers=_returns_tuple(model, part))
 
 
 def _cfunc(model: Model, part: str, user: Any, count: int, *, numbers: bool) -> Any:
     """Compile a function as ``void (t, x*, u*, p*, out*)``."""
-    groups: dict[str, Any] = {
-        "x": namedtuple("x", model.state_names),
-        "u": namedtuple("u", model.input_names),
-        "p": namedtuple("p", model.param_names),
-    }
+    own, n_p = model.own_states, len(model.params)
+    groups = dict(zip(("x", "u", "p"), model.group_kinds, strict=True))
     lines = ["def wrapped(t, x, u, p, out):"]
-    given = []
-    for name, group in groups.items():
-        fields = ", ".join(f"{name}[{i}]" for i in range(len(group._fields)))
-        given.append(f"{name}_group({fields})")
+    fields = {
+        name: [f"{name}[{i}]" for i in range(len(group._fields))] for name, group in groups.items()
+    }
+    # Parameters of records are states behind those of the model.
+    fields["p"] = fields["p"][:n_p] + [f"x[{own + i}]" for i in range(len(model.per_record))]
+    given = [f"{name}_group({', '.join(read)})" for name, read in fields.items()]
     lines.append(f"    found = user(t, {', '.join(given)})")
     values = [f"found[{i}]" for i in range(count)] if numbers else ["found"]
+    if part == "rhs":
+        values += ["0.0"] * len(model.per_record)
     lines += [f"    out[{i}] = {value}" for i, value in enumerate(values)]
     # Only names that were checked to be identifiers reach this source, and none of them does:
     # fields are read by number.

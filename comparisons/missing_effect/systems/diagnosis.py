@@ -84,6 +84,7 @@ def diagnose_model(
         When records do not fit the model.
     """
     report = progress or (lambda _: None)
+    model = model.with_record_parameters()
     records = Records.of(model, [fit] if isinstance(fit, Experiment) else list(fit))
     given = [check] if isinstance(check, Experiment) else list(check)
     checks = [_checkable(e.of(model), records) for e in given]
@@ -169,7 +170,7 @@ def _concluded(
         rounds,
         before,
         after,
-        _parameters(model, before, before_cov, after, after_cov),
+        _parameters(records, before, before_cov, after, after_cov),
         _offsets(model, after, after_cov),
         tuple(_trained(records, e, before, after, r) for r, e in enumerate(records.whole)),
         checked,
@@ -245,10 +246,10 @@ def _foretells_badly(bench: Bench) -> bool:
 
 
 def _parameters(
-    model: Model, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
+    records: Records, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
 ) -> tuple[ParameterRow, ...]:
     rows = []
-    for i, (name, parameter) in enumerate(model.params.items()):
+    for i, (name, parameter) in enumerate(records.model.params.items()):
         value = float(after.theta[i])
         reach = AT_BOUND * (parameter.high - parameter.low)
         rows.append(
@@ -262,7 +263,34 @@ def _parameters(
                 min(value - parameter.low, parameter.high - value) < reach,
             )
         )
-    return tuple(rows)
+    return (*rows, *_record_parameters(records, before, before_cov, after, after_cov))
+
+
+def _record_parameters(
+    records: Records, before: Fit, before_cov: FloatArray, after: Fit, after_cov: FloatArray
+) -> list[ParameterRow]:
+    """Return the parameters that are of each record, one row a record."""
+    model, rows = records.model, []
+    for k, (name, p) in enumerate(model.per_record.items()):
+        for r, record in enumerate(records.whole):
+            at, c = model.own_states + k, k + len(model.per_record) * r
+            value, reach = float(after.starts[r][at]), AT_BOUND * (p.high - p.low)
+            own_before, own_after = (
+                float(np.sqrt(max(cov[fit.theta.size + c, fit.theta.size + c], 0.0)))
+                for fit, cov in ((before, before_cov), (after, after_cov))
+            )
+            rows.append(
+                ParameterRow(
+                    f"{name} of {record.name}",
+                    p.unit,
+                    float(before.starts[r][at]),
+                    value,
+                    own_before,
+                    own_after,
+                    min(value - p.low, p.high - value) < reach,
+                )
+            )
+    return rows
 
 
 def _offsets(model: Model, fit: Fit, cov: FloatArray) -> tuple[FittedNumber, ...]:
@@ -300,7 +328,7 @@ def _checked(
     settle = experiment.settle or _settle_rows(records.model)
     simulated = []
     for fit in (before, after):
-        run = check_run(records, experiment, fit.structure.between, fit.scale)
+        run = check_run(records, experiment, fit)
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
         there = settled(fit, [run], raw, rows=settle)
         simulated.append(run.outputs - there.errors[0])

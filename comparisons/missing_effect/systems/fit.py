@@ -337,6 +337,7 @@ class _Search:
         for r, start in enumerate(point.starts):
             moved = start.copy()
             moved[:n_x] += step[m + n_x * r : m + n_x * (r + 1)]
+            moved[:n_x] = np.clip(moved[:n_x], *self.structure.start_bounds)
             starts.append(moved)
         return theta, tuple(starts)
 

@@ -6,7 +6,7 @@ import keyword
 import math
 from collections import namedtuple
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
@@ -28,12 +28,16 @@ class P:
         In the parameter's own unit; ``low <= start <= high``.
     unit : str
         For example ``"kg"``; ``"1"`` without one.
+    per_record : bool
+        Whether each record has a value of its own, such as the bias of a sensor that was set up
+        anew. A check record's is estimated from its first rows, with its start.
     """
 
     start: float
     low: float
     high: float
     unit: str = "1"
+    per_record: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,8 @@ class Model(Displayed):
         that effects in it are given in N.
     name : str
         How it is called in reports.
+    per_record : mapping of str to P
+        Parameters of records, as `with_record_parameters` lays them out; not to be given.
 
     Raises
     ------
@@ -81,9 +87,10 @@ class Model(Displayed):
     x0: Mapping[str, Any] = field(default_factory=dict)
     balance: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     name: str = "model"
+    per_record: Mapping[str, P] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for part in ("states", "inputs", "outputs", "params", "x0", "balance"):
+        for part in ("states", "inputs", "outputs", "params", "x0", "balance", "per_record"):
             value = getattr(self, part)
             if not isinstance(value, Mapping):
                 raise _refused(part, "a mapping of names", f"{type(value).__name__}")
@@ -114,6 +121,28 @@ class Model(Displayed):
         """Names of the parameters, in order."""
         return tuple(self.params)
 
+    @property
+    def own_states(self) -> int:
+        """How many states are the model's; behind them are the parameters of records."""
+        return len(self.states) - len(self.per_record)
+
+    def with_record_parameters(self) -> Model:
+        """Return the model whose parameters of records are states that stay as they start.
+
+        Each run has a start of its own; so each record gets a value of its own.
+        """
+        own = {name: p for name, p in self.params.items() if p.per_record}
+        if not own:
+            return self
+        return replace(
+            self,
+            states={**self.states, **{name: p.unit for name, p in own.items()}},
+            params={name: p for name, p in self.params.items() if name not in own},
+            exact=(*self.exact, *own),
+            x0={**self.x0, **{name: p.start for name, p in own.items()}},
+            per_record={**self.per_record, **own},
+        )
+
     def evaluate(
         self, t: float, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]
     ) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -127,7 +156,16 @@ class Model(Displayed):
             States, inputs and parameters, in their order.
         """
         given = self.groups(x, u, p)
-        return as_numbers(self.rhs(t, *given)), as_numbers(self.output(t, *given))
+        dx = as_numbers(self.rhs(t, *given))
+        return (*dx, *(0.0,) * len(self.per_record)), as_numbers(self.output(t, *given))
+
+    @property
+    def group_kinds(self) -> tuple[Any, Any, Any]:
+        """Named tuples of states, inputs and parameters, as the functions take them."""
+        n = self.own_states
+        own = self.state_names[:n], self.input_names, (*self.param_names, *self.state_names[n:])
+        kinds: list[Any] = [namedtuple(kind, names) for kind, names in zip("xup", own, strict=True)]
+        return kinds[0], kinds[1], kinds[2]
 
     def groups(
         self, x: tuple[float, ...], u: tuple[float, ...], p: tuple[float, ...]
@@ -139,19 +177,24 @@ class Model(Displayed):
         x, u, p : tuple of float
             In their order.
         """
-        named = (("x", self.state_names), ("u", self.input_names), ("p", self.param_names))
-        kinds: list[Any] = [namedtuple(kind, names) for kind, names in named]
-        return kinds[0](*x), kinds[1](*u), kinds[2](*p)
+        n, (states, inputs, params) = self.own_states, self.group_kinds
+        return states(*x[:n]), inputs(*u), params(*p, *x[n:])
 
     def _sheet(self) -> Sheet:
-        signals = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
+        states = dict(list(self.states.items())[: self.own_states])
+        signals = (("states", states), ("inputs", self.inputs), ("outputs", self.outputs))
         fields = tuple(
             Field(kind, ", ".join(f"{n} [{_shown(u)}]" for n, u in units.items()) or "none")
             for kind, units in signals
         )
         rows = tuple(
-            (name, f"{p.start:g}", f"{p.low:g} to {p.high:g}", _shown(p.unit))
-            for name, p in self.params.items()
+            (
+                name + " (of each record)" * p.per_record,
+                f"{p.start:g}",
+                f"{p.low:g} to {p.high:g}",
+                _shown(p.unit),
+            )
+            for name, p in {**self.params, **self.per_record}.items()
         )
         header = ("parameter", "start", "bounds", "unit")
         grid = Grid("Parameters", header, rows, frozenset({0, 3}))

@@ -33,6 +33,8 @@ POWERS = {Term.LINEAR: 1, Term.SQUARE: 2, Term.CUBE: 3, Term.DRAG: 2, Term.SIZE:
 def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     """Return the covariance of θ, zero for what is not fitted: a sandwich over blocks of rows.
 
+    Behind θ stand the parameters that each record has of its own, record by record.
+
     Parameters
     ----------
     fit : Fit
@@ -47,7 +49,8 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
     m, n_x = which.size, len(fit.structure.model.states)
     size = m + n_x * len(runs)
     if fit.failed:
-        return np.full((fit.theta.size, fit.theta.size), np.nan)
+        size = fit.theta.size + len(runs) * len(fit.structure.model.per_record)
+        return np.full((size, size), np.nan)
     own = metric.with_size_of(fit.errors)
     steps = parameter_steps(fit.structure, fit.theta)[which]
     normal, scores = np.zeros((size, size)), []
@@ -66,9 +69,12 @@ def covariance(fit: Fit, runs: Sequence[Run], metric: Metric) -> FloatArray:
         normal[at[m:], at[m:]] += 1.0 / run.x0_sd**2
     bread = np.array(scores)
     spread = bread.T @ bread * len(scores) / max(len(scores) - 1, 1)
-    small = _sandwich(normal, spread)[:m, :m]
-    whole = np.zeros((fit.theta.size, fit.theta.size))
-    whole[np.ix_(which, which)] = small
+    model = fit.structure.model
+    of_records = [m + n_x * r + i for r in range(len(runs)) for i in range(model.own_states, n_x)]
+    kept = np.r_[np.arange(m), np.array(of_records, dtype=np.int64)]
+    at = np.r_[which, fit.theta.size + np.arange(len(of_records))]
+    whole = np.zeros((at.size + fit.theta.size - m,) * 2)
+    whole[np.ix_(at, at)] = _sandwich(normal, spread)[np.ix_(kept, kept)]
     return whole
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rate_factors, rate_of
 from comparisons.missing_effect.systems.structure import Run
@@ -67,6 +68,7 @@ class Records:
         InputError
             When there is none, or rates differ.
         """
+        model = model.with_record_parameters()
         if not experiments:
             raise InputError("fit", expected="at least one experiment", found="none")
         whole = tuple(e.of(model) for e in experiments)
@@ -121,7 +123,7 @@ def runs_of(
     )
 
 
-def check_run(records: Records, experiment: Experiment, between: str, scale: FloatArray) -> Run:
+def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
     """Return a check record as a run whose unknown starts are as large as in training.
 
     Parameters
@@ -130,14 +132,22 @@ def check_run(records: Records, experiment: Experiment, between: str, scale: Flo
         The training records.
     experiment : Experiment
         The check record.
-    between : str
-        How inputs run between samples.
-    scale : ndarray of shape (n_x,)
-        rms of each state in training: a few samples alone would give a hidden state any value.
+    fit : Fit
+        To the training records: a few samples alone would give a hidden state, or a parameter
+        that is of each record, any value.
     """
-    mean, sd = known_start(records.model, experiment, begun=True)
-    sd = np.where(np.isfinite(sd), sd, scale[: sd.size])
-    return Run.of(records.model, experiment, between, records.span, (mean, sd))
+    model = records.model
+    mean, sd = known_start(model, experiment, begun=True)
+    sd = np.where(np.isfinite(sd), sd, fit.scale[: sd.size])
+    for i, p in enumerate(model.per_record.values(), start=model.own_states):
+        found = np.array([start[i] for start in fit.starts])
+        mean[i] = np.mean(found)
+        sd[i] = (
+            max(np.std(found, ddof=1), 1e-3 * (p.high - p.low))
+            if found.size > 1
+            else 0.5 * (p.high - p.low)
+        )
+    return Run.of(model, experiment, fit.structure.between, records.span, (mean, sd))
 
 
 def known_start(

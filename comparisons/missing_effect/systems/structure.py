@@ -114,6 +114,14 @@ class Structure:
         return np.array(low), np.array(high)
 
     @property
+    def start_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the model's states at a start: only parameters of records have any."""
+        own = [(-np.inf, np.inf)] * self.model.own_states
+        both = [*own, *((p.low, p.high) for p in self.model.per_record.values())]
+        low, high = np.array(both).T
+        return low, high
+
+    @property
     def free(self) -> NDArray[np.int64]:
         """Which numbers of θ are fitted."""
         held = [False] * len(self.model.params)
