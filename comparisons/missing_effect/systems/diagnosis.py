@@ -38,9 +38,9 @@ MOST_EFFECTS = 4
 # raw errors on held-out rows.
 LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
 # What a firm name needs: so many standard errors, held-out rows that gain at least this share of
-# what fitted ones gain each, and no rival elsewhere that explains this share of it. A check whose
-# error grew beyond this factor is worse.
-FIRM_ERRORS, LEAST_HELD_OUT_RATE, RIVAL_SHARE, WORSE = 3.0, 0.2, 0.8, 1.02
+# what fitted ones gain each, and no rival elsewhere that the record does not reject at this
+# chance. A check whose error grew beyond this factor is worse.
+FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED, WORSE = 3.0, 0.2, 0.01, 1.02
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
@@ -257,7 +257,8 @@ def _doubts(
     assert winner is not None
     assert winner.evidence is not None
     out = []
-    if numbers and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
+    amplitude = bool(numbers) and winner.placed.effect.linear
+    if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
     if step.rivalled:
@@ -268,19 +269,12 @@ def _doubts(
             f"it explains {100.0 * held / fitted:.0f} % as much a row on held-out rows as on "
             "those fitted"
         )
-    same = {c.probe.key for c in step.aliases}
-    rival = next(
-        (
-            c
-            for c in step.candidates
-            if c.accepted and not c.unnamed and c.probe.key not in same and c.placed.place != winner.placed.place
-            and not ({e.key for e in c.added} & {e.key for e in winner.added})
-        ),
-        None,
-    )
-    if rival is not None and rival.score > RIVAL_SHARE * winner.score:
+    rival = step.rival
+    if rival is not None and step.rival_p > REJECTED:
         share = 100.0 * rival.score / winner.score
-        out.append(f"{rival.label(model)} explains {share:.0f} % as much")
+        out.append(
+            f"{rival.label(model)} explains {share:.0f} % as much, and the record does not reject it"
+        )
     if worse:
         names = ", ".join(run.experiment.name for run in worse)
         out.append(f"the error on {names} got no better by it")

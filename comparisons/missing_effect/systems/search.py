@@ -29,6 +29,7 @@ from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.rivals import rejected
 from comparisons.missing_effect.systems.score import Answers, Probe, Prober, placed_effects
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
@@ -60,6 +61,8 @@ UNNAMED_SHARE = 0.02
 # corrects the same (cosine of the corrections), where it wins this share of what that wins.
 SIMPLE_SHARE, SAME_COSINE = 0.9, 0.98
 FLIP_SEED = 0
+# A name elsewhere that explains this share of what the winner explains is a rival.
+RIVAL_SHARE = 0.8
 # By how many powers of e small changes of the state may grow beyond the model without a term.
 MOST_GROWTH = 3.0
 
@@ -122,7 +125,7 @@ class Candidate:
         e = self.evidence
         if e is None or self.vanished or self.wild:
             return False
-        if e.train <= self.chance:
+        if e.train + e.later <= self.chance:
             return False
         alone = e.later > 0.0 and e.p_value < LARGEST_P and self.one_sided
         return e.accepted or alone
@@ -182,6 +185,10 @@ class Round:
         Share of the squared whitened errors that the winner explains.
     rates : (float, float)
         Log-units that the winner gains a row, on rows fitted and held out.
+    rival : Candidate or None
+        The best name elsewhere that explains nearly as much as the winner.
+    rival_p : float
+        Chance of the winner's advantage if the rival were the truth.
     """
 
     bench: Bench
@@ -193,6 +200,8 @@ class Round:
     rivalled: bool = False
     share: float = 0.0
     rates: tuple[float, float] = (0.0, 0.0)
+    rival: Candidate | None = None
+    rival_p: float = 0.0
 
 
 def search_round(
@@ -236,7 +245,30 @@ def search_round(
             winner.evidence.train / np.count_nonzero(weigher.rows.of_part(TRAIN)),
             winner.evidence.later / np.count_nonzero(weigher.rows.of_part(LATER)),
         )
-    return Round(bench, metric, ranked, winner, aliases, refused, rivalled, share, rates)
+    rival, p = _rival(weigher, winner, aliases, ranked), 0.0
+    if winner is not None and rival is not None:
+        assert winner.fit is not None
+        assert rival.fit is not None
+        rng = np.random.default_rng(FLIP_SEED)
+        p = rejected(winner.fit, rival.fit, bench.train, metric, rng)
+    return Round(bench, metric, ranked, winner, aliases, refused, rivalled, share, rates, rival, p)
+
+
+def _rival(
+    weigher: _Weigher,
+    winner: Candidate | None,
+    aliases: Sequence[Candidate],
+    ranked: Sequence[Candidate],
+) -> Candidate | None:
+    """Return the best name that shares no effect with the winner and explains nearly as much."""
+    if winner is None or winner.unnamed:
+        return None
+    listed = {placed.key for c in aliases for placed in c.added}
+    for c in ranked:
+        apart = not listed & {placed.key for placed in c.added}
+        if c.accepted and not c.unnamed and apart and c.score > RIVAL_SHARE * winner.score:
+            return c
+    return None
 
 
 def _promising(raw: Answers, white: Answers) -> list[Probe]:
