@@ -42,7 +42,7 @@ PLACES = {
 RMS, RATE = "the rms of its signal", "the rms of the derivative"
 SCALES: dict[Kind, tuple[str, ...]] = {
     Kind.TERM: (RATE, RMS, "1"),
-    Kind.HYSTERESIS: (RATE, "rms × a time of the signal"),
+    Kind.HYSTERESIS: (RATE, "rms × a time of the signal", "1"),
     Kind.INPUT_MAP: (RMS,),
     Kind.INPUT_PLAY: (RMS,),
     Kind.INPUT_DELAY: ("samples",),
@@ -98,16 +98,24 @@ def equation_of(form: SystemEffect) -> str:
     return form.equation.format(s="s", o="o", p="p")
 
 
+def says_of(form: SystemEffect) -> str:
+    """Return what happens, and what is said of it where nothing moves."""
+    if form.neutral is None:
+        return form.says
+    title, says = form.neutral.title, form.neutral.says
+    return f"{form.says} Where nothing moves, a {title}: {says[0].lower()}{says[1:]}"
+
+
 def system_blocks(name: str) -> dict[str, str]:
     """Return the blocks of an effect of the general catalogue."""
     forms = find_system_effect(name)
-    rows = [(equation_of(form), PLACES[form.kind], form.says) for form in forms]
+    rows = [(equation_of(form), PLACES[form.kind], says_of(form)) for form in forms]
     numbers = [
         (
             f"`{n.name}`",
             equation_of(form) + f" ({PLACES[form.kind].partition(',')[0]})" * (len(forms) > 1),
-            bounds_of(n.low, n.high),
-            SCALES[form.kind][slot],
+            bounds_of(-n.high, -n.low) if form.resists and slot == 0 else bounds_of(n.low, n.high),
+            "1" if n.name == "exponent" else SCALES[form.kind][slot],
         )
         for form in forms
         for slot, n in enumerate(form.numbers)

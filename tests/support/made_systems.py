@@ -10,11 +10,12 @@ import numpy as np
 
 from comparisons.missing_effect.evidence import Evidence
 from comparisons.missing_effect.systems.bench import Bench
-from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.metric import raw_metric
 from comparisons.missing_effect.systems.model import Model, P
+from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.records import Records
 from comparisons.missing_effect.systems.results import (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from comparisons.missing_effect.systems.catalogue_parts import (
     THRESHOLDS,
+    against_storing,
     alone,
     always,
     at_inputs,
@@ -11,8 +12,8 @@ from comparisons.missing_effect.systems.catalogue_parts import (
     at_parameters,
     at_spills,
     at_states,
+    blind_to_sign,
     both_signs,
-    every_signal,
     everywhere,
     fixed,
     from_gap,
@@ -21,21 +22,24 @@ from comparisons.missing_effect.systems.catalogue_parts import (
     from_rim,
     from_upper_end,
     from_zero,
-    input_signals,
     on,
-    on_products,
-    one_side,
+    on_own,
 )
-from comparisons.missing_effect.systems.places import Number, SystemEffect
+from comparisons.missing_effect.systems.places import Neutral, Number, SystemEffect
 from comparisons.missing_effect.systems.roles import angles, displacements, rates
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 
-__all__ = ["OPEN_TERMS", "SYSTEM_CATALOGUE", "find_system_effect"]
+__all__ = ["SYSTEM_CATALOGUE", "find_system_effect"]
 
 
 # Amplitudes are in units of what the equation, or the reading, has already.
 def _amplitude(symbol: str) -> Number:
     return Number(symbol, -50.0, 50.0)
+
+
+def _resistance(symbol: str) -> Number:
+    """Return an amplitude whose sign is part of the effect: it is subtracted."""
+    return Number(symbol, -50.0, 0.0)
 
 
 # Width of a change of sign, over the rms of the signal. Wider than a quarter the change is no
@@ -45,6 +49,7 @@ WIDTH_START = 0.02
 
 _FORCE = "a force, flow or current in this equation against the signal, both measured"
 _SENSOR = "a calibration of the sensor, in rest and over its range"
+_SUM = "what this equation sums up against the signal, both measured"
 _DRIVE = "the drive's answer to slow steps up and down, measured behind it"
 
 SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
@@ -60,6 +65,7 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         from_zero,
         always,
         _FORCE,
+        neutral=Neutral("cubic law", "A law that bends with the cube of the quantity.", _SUM),
     ),
     SystemEffect(
         "quadratic_stiffness",
@@ -73,6 +79,9 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         from_zero,
         always,
         _FORCE,
+        neutral=Neutral(
+            "quadratic law", "A law that bends: its slope changes with the quantity.", _SUM
+        ),
     ),
     SystemEffect(
         "quadratic_drag",
@@ -80,11 +89,14 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         Term.DRAG,
         "− c₂ {s}|{s}|",
         "A resistance that grows with the square of the speed or flow: turbulence.",
-        (_amplitude("c_2"),),
-        on(rates),
+        (_resistance("c_2"),),
+        on_own,
         from_zero,
         always,
         _FORCE,
+        neutral=Neutral(
+            "quadratic loss", "A loss that grows with the square of the quantity.", _SUM
+        ),
     ),
     SystemEffect(
         "coulomb_friction",
@@ -92,11 +104,14 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         Term.COULOMB,
         "− F_c sign({s})",
         "A dry friction of constant size against the motion.",
-        (_amplitude("F_c"), WIDTH),
-        on(rates),
+        (_resistance("F_c"), WIDTH),
+        on_own,
         fixed((0.0, WIDTH_START)),
         both_signs,
         "a slow motion in both directions: the force to keep it up",
+        neutral=Neutral(
+            "constant loss", "A loss of constant size that changes sign with the quantity.", _SUM
+        ),
         simple_form_of=("stribeck_friction", "softening_damping"),
     ),
     SystemEffect(
@@ -105,11 +120,16 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         Term.STRIBECK,
         "− F_c sign({s})(1 + b e^(−({s}/s_s)²))",
         "A dry friction that is larger near rest than in motion.",
-        (_amplitude("F_c"), WIDTH, Number("excess", -0.5, 3.0)),
-        on(rates),
+        (_resistance("F_c"), WIDTH, Number("excess", -0.5, 3.0)),
+        on_own,
         fixed((0.0, WIDTH_START, 0.3)),
         both_signs,
         "a slow motion in both directions at several speeds near rest",
+        neutral=Neutral(
+            "loss that is larger near zero",
+            "A loss that changes sign with the quantity and is larger near zero than beyond.",
+            _SUM,
+        ),
     ),
     SystemEffect(
         "dead_zone",
@@ -130,11 +150,16 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         Term.GAP,
         "− k_s ({s} beyond ± c)",
         "A contact or a clearance: a force that sets in beyond a gap.",
-        (_amplitude("k_s"), Number("gap", 0.0, 5.0)),
-        on(displacements),
+        (_resistance("k_s"), Number("gap", 0.0, 5.0)),
+        against_storing,
         from_gap,
         always,
         _FORCE,
+        neutral=Neutral(
+            "loss beyond a threshold",
+            "A loss that sets in where the quantity exceeds a threshold: a relief, a breakdown.",
+            _SUM,
+        ),
     ),
     SystemEffect(
         "backlash",
@@ -154,13 +179,19 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "hysteresis",
         Kind.HYSTERESIS,
         0,
-        "− F_h z, δ dz/dt = {s} − ½|{s}|z − ½{s}|z| (Bouc–Wen)",
+        "− F_h z, δ dz/dt = {s} − ½|{s}|z − ½r {s}|z| (Bouc–Wen)",
         "A force that depends on the path and not on the position alone.",
-        (_amplitude("F_h"), Number("reach", 0.02, 20.0)),
-        on(rates),
-        fixed((0.0, 0.1), (0.0, 1.0)),
+        # The shape of the loop: 1 is Dahl's, −1 closes it to an ellipse, beyond it hardens.
+        (_resistance("F_h"), Number("reach", 0.02, 20.0), Number("ratio", -2.0, 2.0)),
+        on_own,
+        fixed((0.0, 0.1, 1.0), (0.0, 1.0, 1.0)),
         both_signs,
         "slow loops of several sizes: force against position",
+        neutral=Neutral(
+            "hysteresis",
+            "What the equation sums up depends on the path and not on the present value alone.",
+            "slow loops of several sizes, " + _SUM,
+        ),
         own_state=True,
     ),
     SystemEffect(
@@ -258,14 +289,15 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         "absolute_value_sensor",
         Kind.OUTPUT_MAP,
         Map.ABSOLUTE,
-        "reading = |y|",
+        "reading = |y|ⁿ",
         "A sensor that is blind to the sign, such as a pulse counter.",
-        (),
+        (Number("exponent", 1.0, 2.5),),
         at_outputs,
-        fixed(()),
-        one_side,
+        fixed((1.0,), (1.8,)),
+        blind_to_sign,
         _SENSOR,
         linear=False,
+        begins_afresh=True,
     ),
     SystemEffect(
         "rectifying_sensor",
@@ -276,9 +308,10 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         (),
         at_outputs,
         fixed(()),
-        one_side,
+        blind_to_sign,
         _SENSOR,
         linear=False,
+        begins_afresh=True,
     ),
     SystemEffect(
         "gravity",
@@ -297,12 +330,17 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         Kind.TERM,
         Term.CONSTANT,
         "+ g",
-        "A constant force, flow or current in the equation, such as gravity.",
+        "A constant force in the equation, such as gravity.",
         (_amplitude("g"),),
         alone,
         from_zero,
         always,
         "the system at rest without input",
+        neutral=Neutral(
+            "constant offset",
+            "A constant in the equation: a bias, a leak, a surrounding that was left out.",
+            "the system at rest without input",
+        ),
     ),
     SystemEffect(
         "constant_bias",
@@ -380,6 +418,11 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         from_zero,
         both_signs,
         "a steady motion in both directions: the force to keep it up",
+        neutral=Neutral(
+            "loss that differs between the signs",
+            "A loss that is larger for one sign of the quantity than for the other.",
+            _SUM,
+        ),
     ),
     SystemEffect(
         "softening_damping",
@@ -387,11 +430,14 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         Term.COULOMB,
         "− c_s tanh({s}/s_0)",
         "A damping that falls with amplitude: a friction whose change of sign is wide.",
-        (_amplitude("c_s"), Number("width", WIDTH.high, 3.0)),
-        on(rates),
+        (_resistance("c_s"), Number("width", WIDTH.high, 3.0)),
+        on_own,
         fixed((0.0, 0.5)),
         both_signs,
         "free decay from several amplitudes",
+        neutral=Neutral(
+            "loss that saturates", "A loss that grows ever less with the quantity.", _SUM
+        ),
     ),
     SystemEffect(
         "recording_filter",
@@ -418,35 +464,6 @@ SYSTEM_CATALOGUE: tuple[SystemEffect, ...] = (
         always,
         "the same test again, before and after",
     ),
-)
-
-_OPEN = "a term without a name"
-
-# What would be found where no name fits: general terms, and readings with a bend.
-OPEN_TERMS: tuple[SystemEffect, ...] = tuple(
-    SystemEffect(
-        f"open_{name}",
-        kind,
-        code,
-        equation,
-        _OPEN,
-        (_amplitude("c_s"),),
-        places,
-        from_zero,
-        always,
-        "",
-        unnamed=True,
-    )
-    for name, kind, code, equation, places in (
-        ("product", Kind.TERM, Term.PRODUCT, "+ c {s}·{o}", on_products),
-        ("linear", Kind.TERM, Term.LINEAR, "+ c {s}", on(every_signal)),
-        ("square", Kind.TERM, Term.SQUARE, "+ c {s}²", on(input_signals)),
-        ("cube", Kind.TERM, Term.CUBE, "+ c {s}³", on(input_signals)),
-        ("rate_square", Kind.TERM, Term.SQUARE, "+ c {s}²", on(rates)),
-        ("rate_cube", Kind.TERM, Term.CUBE, "+ c {s}³", on(rates)),
-        ("reading_square", Kind.OUTPUT_MAP, Map.SQUARE, "y + c y²", at_outputs),
-        ("reading_cube", Kind.OUTPUT_MAP, Map.CUBE, "y + c y³", at_outputs),
-    )
 )
 
 

@@ -8,11 +8,19 @@ import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Place
-from comparisons.missing_effect.systems.roles import displacements, free_equations, physical
+from comparisons.missing_effect.systems.roles import (
+    displacements,
+    free_equations,
+    physical,
+    rates,
+    stored_from,
+)
 from surge_core.types import FloatArray
 
 __all__ = [
     "THRESHOLDS",
+    "Places",
+    "against_storing",
     "alone",
     "always",
     "at_inputs",
@@ -20,6 +28,7 @@ __all__ = [
     "at_parameters",
     "at_spills",
     "at_states",
+    "blind_to_sign",
     "both_signs",
     "every_signal",
     "everywhere",
@@ -32,8 +41,9 @@ __all__ = [
     "from_zero",
     "input_signals",
     "on",
+    "on_own",
     "on_products",
-    "one_side",
+    "on_square_products",
 ]
 
 Places = Callable[[Model], tuple[Place, ...]]
@@ -54,6 +64,22 @@ def on(signals: Callable[[Model], Sequence[int]]) -> Places:
         return tuple(Place(i, s) for i in free_equations(model) for s in signals(model))
 
     return places
+
+
+def on_own(model: Model) -> tuple[Place, ...]:
+    """Return every rate in its own equation: what resists a motion acts on that motion."""
+    return tuple(Place(i, i) for i in free_equations(model) if i in rates(model))
+
+
+def against_storing(model: Model) -> tuple[Place, ...]:
+    """Return where a deflection pushes back: its own equation, and those of what it sums up."""
+    free, stored = free_equations(model), stored_from(model)
+    return tuple(
+        Place(i, s, sign=1 if i == s else stored[s, i])
+        for s in displacements(model)
+        for i in free
+        if i == s or (s, i) in stored
+    )
 
 
 def alone(model: Model) -> tuple[Place, ...]:
@@ -111,7 +137,12 @@ def every_signal(model: Model) -> tuple[int, ...]:
 
 def on_products(model: Model) -> tuple[Place, ...]:
     """Return places in every equation that is not exact, on each two signals."""
-    pairs = [(a, b) for a in every_signal(model) for b in every_signal(model) if a < b]
+    return tuple(place for place in on_square_products(model) if place.signal < place.other)
+
+
+def on_square_products(model: Model) -> tuple[Place, ...]:
+    """Return places in every equation that is not exact, on each two signals in either order."""
+    pairs = [(a, b) for a in every_signal(model) for b in every_signal(model) if a != b]
     return tuple(Place(i, a, b) for i in free_equations(model) for a, b in pairs)
 
 
@@ -154,12 +185,12 @@ def from_gap(signal: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple((0.0, float(v)) for v in np.quantile(np.abs(signal), (0.3, 0.6, 0.85)))
 
 
-def always(_: FloatArray) -> str:
+def always(_: FloatArray, __: FloatArray) -> str:
     """Refuse no signal."""
     return ""
 
 
-def both_signs(signal: FloatArray) -> str:
+def both_signs(signal: FloatArray, _: FloatArray) -> str:
     """Return why a signal does not change sign, or an empty text.
 
     Parameters
@@ -171,13 +202,17 @@ def both_signs(signal: FloatArray) -> str:
     return "" if share >= LEAST_SIDE_SHARE else "needs a signal that changes sign"
 
 
-def one_side(reading: FloatArray) -> str:
-    """Return why a reading cannot come from a sensor that shows one side only, or an empty text.
+def blind_to_sign(simulated: FloatArray, reading: FloatArray) -> str:
+    """Return why a sensor cannot be blind to a sign, or an empty text.
+
+    What is read must change its sign, as the model has it, and the reading must not.
 
     Parameters
     ----------
-    reading : ndarray
-        Over its rms. Noise may take a few readings below zero.
+    simulated, reading : ndarray
+        Output of the model, and what was measured, over their rms. Noise may take a few readings
+        below zero.
     """
-    beyond = float(np.mean(reading < -SIDE))
-    return "" if beyond <= LEAST_SIDE_SHARE else "needs a reading that stays on one side of zero"
+    if float(np.mean(reading < -SIDE)) > LEAST_SIDE_SHARE:
+        return "needs a reading that stays on one side of zero"
+    return both_signs(simulated, reading) and "needs an output that changes sign in the model"

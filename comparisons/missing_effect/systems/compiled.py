@@ -10,7 +10,7 @@ from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 from llvmlite import ir
 from numba import cfunc, njit, types
@@ -20,7 +20,9 @@ from numba.extending import intrinsic
 from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError
 
-__all__ = ["Compiled", "call_at", "compiled"]
+__all__ = ["Compiled", "call_at", "compiled", "expression_address"]
+
+Expression: TypeAlias = Callable[[Model], Callable[..., float]]
 
 
 def _call_at(
@@ -88,11 +90,37 @@ def compiled(model: Model) -> Compiled:
     return Compiled(model, _function(model, "rhs"), _function(model, "output"))
 
 
+@lru_cache(maxsize=512)
+def _expression(model: Model, expression: Expression) -> Any:
+    return _cfunc(model, "library", expression(model), 1, numbers=False)
+
+
+def expression_address(model: Model, expression: Expression) -> int:
+    """Return where a term of the user's own is, compiled for a model.
+
+    Parameters
+    ----------
+    model : Model
+        The model whose states, inputs and parameters it reads.
+    expression : callable
+        ``expression(model)`` gives it as a function of (t, x, u, p).
+
+    Raises
+    ------
+    InputError
+        When it uses what cannot be compiled.
+    """
+    return int(_expression(model, expression).address)
+
+
 def _function(model: Model, part: str) -> Any:
-    """Compile one function as ``void (t, x*, u*, p*, out*)``."""
-    user: Callable[..., Any] = getattr(model, part)
-    numbers = _returns_tuple(model, part)
+    """Compile one function of a model."""
     count = len(model.states) if part == "rhs" else len(model.outputs)
+    return _cfunc(model, part, getattr(model, part), count, numbers=_returns_tuple(model, part))
+
+
+def _cfunc(model: Model, part: str, user: Any, count: int, *, numbers: bool) -> Any:
+    """Compile a function as ``void (t, x*, u*, p*, out*)``."""
     groups: dict[str, Any] = {
         "x": namedtuple("x", model.state_names),
         "u": namedtuple("u", model.input_names),

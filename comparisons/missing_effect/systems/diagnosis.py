@@ -9,13 +9,15 @@ import numpy as np
 
 from comparisons.missing_effect.nulls import Leftover, foretold
 from comparisons.missing_effect.systems.bench import Bench, base_bench
-from comparisons.missing_effect.systems.catalogue import OPEN_TERMS, SYSTEM_CATALOGUE
+from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
+from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import (
@@ -25,7 +27,7 @@ from comparisons.missing_effect.systems.results import (
     ParameterRow,
     SystemDiagnosis,
 )
-from comparisons.missing_effect.systems.score import Prober, placed_effects
+from comparisons.missing_effect.systems.score import Prober
 from comparisons.missing_effect.systems.search import Round, search_round
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
@@ -57,6 +59,7 @@ def diagnose_model(
     check: Experiment | Sequence[Experiment] = (),
     *,
     catalogue: Sequence[SystemEffect] = SYSTEM_CATALOGUE,
+    library: Sequence[SystemEffect] = OPEN_TERMS,
     most_effects: int = MOST_EFFECTS,
     progress: Progress | None = None,
 ) -> SystemDiagnosis:
@@ -75,6 +78,8 @@ def diagnose_model(
         Records that are only shown.
     catalogue : sequence of SystemEffect
         The names.
+    library : sequence of SystemEffect
+        Terms without a name, for what no name fits (`open_effect` makes one's own).
     most_effects : int
         Add at most so many.
     progress : callable, optional
@@ -100,7 +105,7 @@ def diagnose_model(
     added = 0
     while added < most_effects and not bench.fit.failed:
         report(f"round {len(rounds) + 1}")
-        rounds.append(search_round(bench, catalogue, OPEN_TERMS))
+        rounds.append(search_round(bench, catalogue, library))
         winner = rounds[-1].winner
         if winner is None or winner.fit is None:
             break
@@ -110,7 +115,7 @@ def diagnose_model(
             break
         bench, added = moved, added + len(winner.added)
     report("testing what is left")
-    left = leftover_of(bench, catalogue, OPEN_TERMS)
+    left = leftover_of(bench, catalogue, library)
     report("fitting all rows")
     return _concluded(base, bench, tuple(rounds), checks, left)
 
@@ -242,9 +247,9 @@ def _found(
             "score": evidence.score,
             "p_value": evidence.p_value,
         },
-        _written(placed.effect.equation, placed.where(model)),
-        placed.effect.says,
-        placed.effect.confirm,
+        placed.equation(model),
+        placed.words(model).says,
+        placed.words(model).confirm,
         doubts,
     )
 
@@ -279,15 +284,6 @@ def _doubts(
         names = ", ".join(run.experiment.name for run in worse)
         out.append(f"the error on {names} got no better by it")
     return tuple(out)
-
-
-def _written(equation: str, place: dict[str, str]) -> str:
-    """Return the equation of an effect with the signals of its place."""
-    signal = place.get("signal", place.get("input", ""))
-    return (
-        equation.replace("{s}", signal)
-        .replace("{o}", place.get("times", ""))
-        .replace("{p}", place.get("parameter", ""))
     )
 
 

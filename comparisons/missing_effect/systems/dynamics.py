@@ -19,6 +19,7 @@ from comparisons.missing_effect.systems.shapes import map_value, term_value
 from surge_core.types import FloatArray, IntArray
 
 __all__ = [
+    "FLOATS",
     "HEAD",
     "ROW",
     "SLOTS",
@@ -34,8 +35,10 @@ SLOTS = 4
 # Integers before the rows of effects: addresses of the right-hand side and the output; numbers of
 # states, inputs, parameters, outputs, own states and effects; pieces a sample.
 HEAD = 9
-# Integers of an effect: kind, code, equation or channel, signal, second signal, own state.
-ROW = 6
+# Integers of an effect: kind, code, equation or channel, signal, second signal, own state, address
+# of an expression of the user's own. Floats of an effect: scales of what it enters, of its signal,
+# of a second signal or a time; centres of both signals.
+ROW, FLOATS = 7, 5
 # A spilling vessel gives off what exceeds its rim within this many samples; a play follows its
 # drive within as few. Fast enough to be instantaneous at the sample rate, and no faster.
 SPILL_SAMPLES = 0.25
@@ -87,12 +90,12 @@ def _inputs(
         j, own = ints[row + 2], ints[row + 5]
         a = theta[n_p + n_u + SLOTS * e]
         if kind == 1:
-            u[j] = map_value(ints[row + 1], u[j], floats[3 * e + 1], a)
+            u[j] = map_value(ints[row + 1], u[j], floats[FLOATS * e + 1], a)
         elif kind == 2:
             dX[own] = (u[j] - X[own]) / (max(a, 1e-3) * h)
             u[j] = X[own]
         elif kind == 4:
-            gap = a * floats[3 * e + 1]
+            gap = a * floats[FLOATS * e + 1]
             off = u[j] - X[own]
             dX[own] = (max(off - gap, 0.0) + min(off + gap, 0.0)) / (PLAY_SAMPLES * h)
             u[j] = X[own]
@@ -115,7 +118,7 @@ def _parameters(
         row = HEAD + ROW * e
         if ints[row] == 7:
             along = (t + clock[0] - clock[2]) / clock[3]
-            p[ints[row + 2]] += theta[n_p + n_u + SLOTS * e] * floats[3 * e] * along
+            p[ints[row + 2]] += theta[n_p + n_u + SLOTS * e] * floats[FLOATS * e] * along
 
 
 @njit(cache=True, error_model="numpy")
@@ -156,12 +159,13 @@ def prepare(
         if ints[row] == 8:
             i = ints[row + 2]
             a = theta[n_p + n_u + SLOTS * e]
-            x[i] = map_value(ints[row + 1], x[i], floats[3 * e + 1], a)
+            x[i] = map_value(ints[row + 1], x[i], floats[FLOATS * e + 1], a)
 
 
 @njit(cache=True, error_model="numpy")
 def add_effect(
     e: int,
+    t: float,
     X: FloatArray,
     theta: FloatArray,
     ints: IntArray,
@@ -179,24 +183,34 @@ def add_effect(
     amount, a, b = theta[at], theta[at + 1], theta[at + 2]
     if kind == 0:
         # Inputs follow the states in the scratch as they do in the numbers of signals.
-        s = (X[k] if k < n_x else scratch[k]) / floats[3 * e + 1]
-        m = ints[row + 4]
-        other = 0.0
-        if ints[row + 1] == 9:
-            other = (X[m] if m < n_x else scratch[m]) / floats[3 * e + 2]
-        dX[i] += amount * floats[3 * e] * term_value(ints[row + 1], s, other, a, b)
+        scale = FLOATS * e
+        m, value = ints[row + 4], 0.0
+        if ints[row + 1] == 12:
+            n_u, n_p = ints[3], ints[4]
+            x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
+            given = scratch[n_x + n_u + n_p : n_x + n_u + n_p + 1]
+            call_at(ints[row + 6], t, x, u, p, given)
+            value = given[0] / floats[scale + 1]
+        else:
+            s = ((X[k] if k < n_x else scratch[k]) - floats[scale + 3]) / floats[scale + 1]
+            other = 0.0
+            if m >= 0:
+                other = (X[m] if m < n_x else scratch[m]) - floats[scale + 4]
+                other /= floats[scale + 2]
+            value = term_value(ints[row + 1], s, other, a, b)
+        dX[i] += amount * floats[scale] * value
     elif kind == 9:
-        spilt = max(X[i] - amount * floats[3 * e + 1], 0.0) / (SPILL_SAMPLES * clock[1])
+        spilt = max(X[i] - amount * floats[FLOATS * e + 1], 0.0) / (SPILL_SAMPLES * clock[1])
         dX[i] -= spilt
         if ints[row + 4] >= 0:
             dX[ints[row + 4]] += a * spilt
     elif kind == 10:
         own = ints[row + 5]
-        s = X[k] / floats[3 * e + 1]
+        s = X[k] / floats[FLOATS * e + 1]
         z = X[own]
-        # Bouc and Wen with n = 1 and β = γ = 1/2, which is Dahl's model.
-        dX[own] = (s - 0.5 * abs(s) * z - 0.5 * s * abs(z)) / (a * floats[3 * e + 2])
-        dX[i] += amount * floats[3 * e] * z
+        # Bouc and Wen with n = 1, z in units of 2β; where γ = β (b = 1) it is Dahl's model.
+        dX[own] = (s - 0.5 * abs(s) * z - 0.5 * b * s * abs(z)) / (a * floats[FLOATS * e + 2])
+        dX[i] += amount * floats[FLOATS * e] * z
 
 
 @njit(cache=True, error_model="numpy")
@@ -237,7 +251,7 @@ def extended_rhs(
     x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     call_at(ints[0], t, x, u, p, dX)
     for e in range(ints[7]):
-        add_effect(e, X, theta, ints, floats, clock, dX, scratch)
+        add_effect(e, t, X, theta, ints, floats, clock, dX, scratch)
     for e in range(ints[7]):
         row = HEAD + ROW * e
         if ints[row] == 6:
@@ -262,7 +276,7 @@ def _map_outputs(
         row = HEAD + ROW * e
         if ints[row] == 5:
             j = ints[row + 2]
-            y[j] = map_value(ints[row + 1], y[j], floats[3 * e + 1], theta[at + SLOTS * e])
+            y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], theta[at + SLOTS * e])
 
 
 @njit(cache=True, error_model="numpy")
@@ -293,4 +307,4 @@ def extended_output(
         if ints[row] == 6:
             y[j] = X[ints[row + 5]]
         elif ints[row] == 5:
-            y[j] = map_value(ints[row + 1], y[j], floats[3 * e + 1], theta[at + SLOTS * e])
+            y[j] = map_value(ints[row + 1], y[j], floats[FLOATS * e + 1], theta[at + SLOTS * e])

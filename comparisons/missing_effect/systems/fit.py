@@ -319,8 +319,11 @@ class _Search:
         first = len(structure.model.params) + len(structure.model.inputs)
         for e, placed in enumerate(structure.effects):
             for slot in range(int(placed.effect.linear), len(placed.effect.numbers)):
+                number = placed.effect.numbers[slot]
+                # What may change its sign must not creep about zero.
+                least = 0.1 * (number.high - number.low) if slot and number.low < 0.0 else 0.02
                 for c in np.flatnonzero(which == first + SLOTS * e + slot):
-                    size = 0.5 * abs(float(theta[which[c]])) + 0.02
+                    size = 0.5 * abs(float(theta[which[c]])) + least
                     low[c], high[c] = max(low[c], -size), min(high[c], size)
         return low, high
 

@@ -213,7 +213,7 @@ def _moved_alone(
         out[j] = 0.0
     if i >= n_p:
         e = (i - n_p - n_u) // SLOTS
-        add_effect(e, X, moved, ints, floats, clock, out, scratch)
+        add_effect(e, t, X, moved, ints, floats, clock, out, scratch)
         return
     x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     value = p[i]
@@ -392,7 +392,8 @@ def along(
             own += fine_s * dX[n]
             # A hysteresis stays within its bounds; other states of effects are readings.
             if ints[HEAD + ROW * (ints[7] - 1)] == 10:
-                own = min(max(own, -1.0), 1.0)
+                most = 2.0 / max(1.0 + theta[theta.size - SLOTS + 2], 0.1)
+                own = min(max(own, -most), most)
     return forcing, direct
 
 

@@ -8,10 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.shapes import Kind, Term
+from comparisons.missing_effect.systems.units import is_mechanical
 from surge_core.types import FloatArray
 
-__all__ = ["Number", "Place", "Placed", "SystemEffect", "signal_names"]
+__all__ = ["Neutral", "Number", "Place", "Placed", "SystemEffect", "signal_names"]
+
+# How often the signal of an open term counts, in labels.
+RAISED = {Term.SQUARE: "²", Term.SQUARE_PRODUCT: "²", Term.CUBE: "³"}
+AT_INPUTS = (Kind.INPUT_MAP, Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY)
+AT_OUTPUTS = (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG)
 
 
 def signal_names(model: Model) -> tuple[str, ...]:
@@ -28,7 +34,8 @@ class Number:
     name : str
         Symbol.
     low, high : float
-        Bounds, in units of the scale.
+        Bounds, in units of the scale. The sign of an effect is part of it: an amplitude that only
+        resists ends at zero.
     held : bool
         Whether it stays where the search started it.
     """
@@ -50,11 +57,29 @@ class Place:
     signal, other : int
         What it acts on: states first, then inputs; and a second signal, or the state into which
         an overflow spills.
+    sign : int
+        −1 in an equation where what resists the signal is added and not subtracted.
     """
 
     at: int
     signal: int = -1
     other: int = -1
+    sign: int = 1
+
+
+@dataclass(frozen=True)
+class Neutral:
+    """What an effect is called where nothing moves: of a temperature, a voltage, a level.
+
+    Parameters
+    ----------
+    title, says, confirm : str
+        As of `SystemEffect`.
+    """
+
+    title: str
+    says: str
+    confirm: str
 
 
 @dataclass(frozen=True)
@@ -79,17 +104,27 @@ class SystemEffect:
         ``starts(signal)`` lists where a search starts, from the signal that it acts on (scaled by
         its rms): one tuple of numbers a start.
     refused : callable
-        ``refused(signal)`` says why this signal cannot show it, or an empty text.
+        ``refused(signal, measured)`` says why it cannot be shown, or an empty text: by the signal
+        of the model, and by what was measured in its place, if anything was.
     confirm : str
         The measurement that would confirm it.
     own_state : bool
         Whether it brings a state of its own.
     linear : bool
-        Whether its first number is an amplitude that may have either sign and starts at zero.
+        Whether its first number is an amplitude that starts at zero.
     unnamed : bool
         Whether it is an open term, without a name.
     simple_form_of : tuple of str
         Effects that are this one with something more.
+    begins_afresh : bool
+        Whether it makes another reading of everything, so that the model without it may be far
+        off and a fit with it also begins at the user's own starts.
+    centred : bool
+        Whether signals that keep their sign count from their mean.
+    neutral : Neutral, optional
+        Its words where nothing moves; its own fit everywhere without.
+    expression : callable, optional
+        ``expression(model)`` gives a term of the user's own as a function of (t, x, u, p).
     """
 
     name: str
@@ -100,17 +135,28 @@ class SystemEffect:
     numbers: tuple[Number, ...]
     places: Callable[[Model], tuple[Place, ...]]
     starts: Callable[[FloatArray], tuple[tuple[float, ...], ...]]
-    refused: Callable[[FloatArray], str]
+    refused: Callable[[FloatArray, FloatArray], str]
     confirm: str
     own_state: bool = False
     linear: bool = True
     unnamed: bool = False
     simple_form_of: tuple[str, ...] = ()
+    begins_afresh: bool = False
+    centred: bool = False
+    neutral: Neutral | None = None
+    expression: Callable[[Model], Callable[..., float]] | None = None
 
     @property
     def resists(self) -> bool:
         """Whether its amplitude is reported as a resistance: positive against the signal."""
         return self.equation.startswith("−")
+
+    def allows(self, amplitude: float) -> bool:
+        """Tell whether an amount of it has its sign; of one without an amplitude there is more."""
+        if not self.linear:
+            return amplitude > 0.0
+        low, high = self.numbers[0].low, self.numbers[0].high
+        return low < 0.0 if amplitude < 0.0 else high > 0.0
 
 
 @dataclass(frozen=True)
@@ -127,17 +173,26 @@ class Placed:
         Of what it enters, of its signal, and of its second signal or its time.
     starts : tuple of tuple of float
         Where a search of its numbers starts.
+    centres : (float, float)
+        What its two signals count from.
     """
 
     effect: SystemEffect
     place: Place
     scales: tuple[float, float, float]
     starts: tuple[tuple[float, ...], ...]
+    centres: tuple[float, float] = (0.0, 0.0)
 
     @property
     def key(self) -> tuple[str, Place, int, int]:
         """What makes it the same as another: its name and place, and which of its forms it is."""
         return self.effect.name, self.place, int(self.effect.kind), self.effect.code
+
+    @property
+    def floats(self) -> tuple[float, ...]:
+        """Scales, the first with the sign of the place, and centres."""
+        into, own, other = self.scales
+        return into * self.place.sign, own, other, *self.centres
 
     @property
     def held(self) -> tuple[bool, ...]:
@@ -168,9 +223,9 @@ class Placed:
         names: dict[str, str] = {}
         if kind in (Kind.TERM, Kind.HYSTERESIS):
             names["equation"] = f"d{model.state_names[at]}/dt"
-        elif kind in (Kind.INPUT_MAP, Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY):
+        elif kind in AT_INPUTS:
             names["input"] = model.input_names[at]
-        elif kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
+        elif kind in AT_OUTPUTS:
             names["sensor"] = model.output_names[at]
         elif kind == Kind.DRIFT:
             names["parameter"] = model.param_names[at]
@@ -186,7 +241,7 @@ class Placed:
         return names
 
     def label(self, model: Model) -> str:
-        """Return name and place in one line, for tables.
+        """Return name and place in one line, for tables: factors are joined by ``·``.
 
         Parameters
         ----------
@@ -194,7 +249,10 @@ class Placed:
             The model that it sits in.
         """
         names = self.where(model)
-        inner = "·".join(names[k] for k in ("signal", "times") if k in names)
+        factors = [names[k] for k in ("signal", "times") if k in names]
+        if factors and self.effect.unnamed and self.effect.kind == Kind.TERM:
+            factors[0] += RAISED.get(Term(self.effect.code), "")
+        inner = "·".join(factors)
         outer = next(
             (
                 names[k]
@@ -207,8 +265,45 @@ class Placed:
         joined = f"({inner}) in {outer}" if inner else f" of {outer}"
         return f"{self.name}{joined}{into}"
 
+    def equation(self, model: Model) -> str:
+        """Return what it adds, with the signals of its place and what they count from.
+
+        Parameters
+        ----------
+        model : Model
+            The model that it sits in.
+        """
+        names = self.where(model)
+        signal, other = (
+            f"({name} {'−' if centre > 0.0 else '+'} {abs(centre):.4g})" if centre else name
+            for name, centre in zip(
+                (names.get("signal", names.get("input", "")), names.get("times", "")),
+                self.centres,
+                strict=True,
+            )
+        )
+        written = self.effect.equation.replace("{s}", signal).replace("{o}", other)
+        return written.replace("{p}", names.get("parameter", ""))
+
+    def words(self, model: Model) -> Neutral:
+        """Return what it is called, what happens and what would confirm it, as its units ask for.
+
+        Parameters
+        ----------
+        model : Model
+            The model that it sits in.
+        """
+        effect, place = self.effect, self.place
+        if effect.neutral is not None:
+            units = [*model.states.values(), *model.inputs.values()]
+            acting = units[place.at], units[place.signal if place.signal >= 0 else place.at]
+            if not all(is_mechanical(unit) for unit in acting):
+                return effect.neutral
+        return Neutral(effect.name.replace("_", " "), effect.says, effect.confirm)
+
 
 def rms(values: FloatArray) -> float:
-    """Return the root mean square; 1 for a signal that is zero throughout."""
-    size = float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    """Return the root mean square of what is finite; 1 for a signal that is zero throughout."""
+    kept = values[np.isfinite(values)]
+    size = float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0
     return size if size > 0.0 else 1.0

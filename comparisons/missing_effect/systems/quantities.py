@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from comparisons.missing_effect.systems.results import FittedNumber
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
 from comparisons.missing_effect.systems.simulate import answers
 from comparisons.missing_effect.systems.structure import Run
+from comparisons.missing_effect.systems.units import product_of_units
 from surge_core.types import FloatArray
 
 __all__ = ["covariance", "numbers_of"]
@@ -23,7 +25,6 @@ __all__ = ["covariance", "numbers_of"]
 # Of the largest eigenvalue of the scaled normal matrix: below it lies rounding; and the share of a
 # number in such directions from which on it is not reported.
 LEAST_INFORMATION, BLIND_SHARE = 1e-12, 1e-3
-POWER_SIGNS = ("", "", "²", "³")
 # Blocks over which scores are summed for the sandwich: errors of neighbouring rows go together.
 SANDWICH_BLOCKS = 40
 POWERS = {Term.LINEAR: 1, Term.SQUARE: 2, Term.CUBE: 3, Term.DRAG: 2, Term.SIZE: 1, Term.GAP: 1}
@@ -136,14 +137,13 @@ def _balanced(
     parameter, unit = model.balance[name]
     i = model.param_names.index(parameter)
     mass = fit.theta[i]
-    first, value, _, old = numbers[0]
+    first, value, _, own = numbers[0]
     amplitude = fit.theta[at]
     slope = np.array([value, value * mass / amplitude if amplitude else 0.0])
     variance = float(slope @ cov[np.ix_([i, at], [i, at])] @ slope)
     stderr = float(np.sqrt(max(variance, 0.0)))
-    derivative = f"{model.states[name]}/s"
-    per = old.removeprefix(derivative)
-    return [(first, value * mass, stderr, f"{unit}{per}"), *numbers[1:]]
+    whole = product_of_units((unit, 1), (own, 1), (model.states[name], -1), ("s", 1))
+    return [(first, value * mass, stderr, whole), *numbers[1:]]
 
 
 def _factor(model: Model, placed: Placed, slot: int, clock: FloatArray) -> tuple[float, str]:
@@ -162,36 +162,44 @@ def _factor(model: Model, placed: Placed, slot: int, clock: FloatArray) -> tuple
     unit = _channel_unit(model, placed)
     if kind == Kind.OUTPUT_MAP and code in (Map.SQUARE, Map.CUBE):
         power = 1 if code == Map.SQUARE else 2
-        return own**-power, f"1/({unit})" + ("²" if power == 2 else "")
-    return (own, unit) if slot == 0 else (1.0, "1")
+        return own**-power, product_of_units((unit, -power))
+    number = slot > 0 or (kind == Kind.OUTPUT_MAP and code == Map.ABSOLUTE)
+    return (1.0, "1") if number else (own, unit)
 
 
 def _term_factor(model: Model, placed: Placed, slot: int) -> tuple[float, str]:
     """Return factor and unit of a number of a term in an equation."""
     kind, code, place = placed.effect.kind, placed.effect.code, placed.place
-    into, own, other = placed.scales
+    into, own, other, *_ = placed.floats
     units = [*model.states.values(), *model.inputs.values()]
-    signal = units[place.signal] if place.signal >= 0 else ""
-    enters = f"{units[place.at]}/s"
+    signal = units[place.signal] if place.signal >= 0 else "1"
+    enters = (units[place.at], 1), ("s", -1)
     if kind == Kind.HYSTERESIS:
-        return (into, enters) if slot == 0 else (own * other, _times_seconds(signal))
+        return (
+            (into, product_of_units(*enters)),
+            (own * other, product_of_units((signal, 1), ("s", 1))),
+            (1.0, "1"),
+        )[slot]
     if slot > 0:
         return (own, signal) if slot == 1 else (1.0, "1")
-    if code == Term.PRODUCT:
-        return into / (own * other), f"{enters}/({signal}·{units[place.other]})"
+    if code == Term.CALLED:
+        return into / own, product_of_units(*enters, (_unit_of_term(model, placed), -1))
+    if code in (Term.PRODUCT, Term.SQUARE_PRODUCT):
+        power = 1 if code == Term.PRODUCT else 2
+        unit = product_of_units(*enters, (signal, -power), (units[place.other], -1))
+        return into / (own**power * other), unit
     power = POWERS.get(Term(code), 0)
-    grouped = signal if signal.isalpha() else f"({signal})"
-    per = "" if not power else f"/{grouped}" + POWER_SIGNS[power]
-    return into / own**power, enters + per
+    return into / own**power, product_of_units(*enters, (signal, -power))
 
 
-def _times_seconds(unit: str) -> str:
-    """Return the unit of a rate times that of time: the reach of a speed is a length."""
-    if unit.endswith("/s²"):
-        return unit.removesuffix("²")
-    if unit.endswith("/s"):
-        return unit.removesuffix("/s")
-    return "s" if unit == "1" else f"{unit}·s"
+def _unit_of_term(model: Model, placed: Placed) -> str:
+    """Return the unit of a term of the user's own, "1" for what is no product of powers."""
+    written = placed.effect.equation.removeprefix("+ c ")
+    known = {**model.states, **model.inputs, **{n: q.unit for n, q in model.params.items()}}
+    names = set(re.findall(r"[^\W\d]\w*", written))
+    if not names <= set(known) or re.search(r"[^\w\s^*/·²³]", written):
+        return "1"
+    return re.sub(r"[^\W\d]\w*", lambda name: f"({known[name[0]]})", written)
 
 
 def _channel_unit(model: Model, placed: Placed) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.roles import measured_as, rate_of
+from comparisons.missing_effect.systems.roles import measured_as, rate_factors, rate_of
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -155,10 +155,14 @@ def known_start(
         Whether it begins where the record does.
     """
     mean, sd = np.zeros(len(model.states)), np.full(len(model.states), np.inf)
-    measured = measured_as(model)
+    measured, factors = measured_as(model), rate_factors(model)
     for i, j in rate_of(model).items():
         if i in measured:
-            mean[[i, j]], sd[[i, j]] = _first_rows(experiment, measured[i])
+            factor = factors[i]
+            value, spread = _first_rows(experiment, measured[i])
+            mean[i], sd[i] = value[0], spread[0]
+            if np.isfinite(factor):
+                mean[j], sd[j] = value[1] / factor, spread[1] / abs(factor)
     for i, name in enumerate(model.state_names):
         start = model.x0.get(name)
         if start == "first" or (i in measured and not begun):

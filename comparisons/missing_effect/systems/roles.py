@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
+from surge_core.types import FloatArray
 
 __all__ = [
     "angles",
@@ -12,13 +15,17 @@ __all__ = [
     "free_equations",
     "measured_as",
     "physical",
+    "rate_factors",
     "rate_of",
     "rates",
+    "stored_from",
 ]
 
 # Points at which an exact equation is compared with another state.
 TRIES = 5
 SAME = 1e-9
+# Share of the largest slope of an equation below which it does not depend on a state.
+DEPENDS = 1e-7
 ANGLE_UNITS = ("rad", "deg", "°")
 
 
@@ -33,17 +40,75 @@ def rate_of(model: Model) -> dict[int, int]:
     Parameters
     ----------
     model : Model
-        The model; dq/dt = v makes v the rate of q.
+        The model; dq/dt = v makes v the rate of q, and so does dq/dt = S v for any S.
     """
-    agree = {
-        (i, j)
-        for i, name in enumerate(model.state_names)
-        for j in range(len(model.states))
-        if name in model.exact and i != j
-    }
-    for x, dx, _ in _tries(model):
-        agree = {(i, j) for i, j in agree if abs(dx[i] - x[j]) < SAME}
-    return dict(sorted(agree))
+    return {i: j for i, (j, _) in _rates(model).items()}
+
+
+def rate_factors(model: Model) -> dict[int, float]:
+    """Return S of dq/dt = S v for each exact state with a rate; NaN where parameters make it.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    """
+    return {i: factor for i, (_, factor) in _rates(model).items()}
+
+
+@lru_cache(maxsize=64)
+def _rates(model: Model) -> dict[int, tuple[int, float]]:
+    """Return rate and factor of each exact state; the factor is the same at all states."""
+    states = range(len(model.states))
+    exact = [i for i in states if model.state_names[i] in model.exact]
+    factors: dict[tuple[int, int], list[float]] = {}
+    for seed in range(2):
+        tries = _tries(model, seed)
+        for i, j in ((i, j) for i in exact for j in states if i != j):
+            found = [dx[i] / x[j] for x, dx, _ in tries]
+            same = max(found) - min(found) <= SAME * abs(found[0])
+            if same and np.isfinite(found[0]) and found[0] != 0.0:
+                factors.setdefault((i, j), []).append(found[0])
+    out = {}
+    for (i, j), found in sorted(factors.items()):
+        if len(found) == 2:
+            one, other = found
+            out[i] = (j, one if abs(one - other) <= SAME * abs(one) else float("nan"))
+    return out
+
+
+@lru_cache(maxsize=64)
+def stored_from(model: Model) -> dict[tuple[int, int], int]:
+    """Return which states are integrals of which others, and with which sign: {(x, v): ±1}.
+
+    Parameters
+    ----------
+    model : Model
+        The model. A state is an integral where its own value does not matter to its slope: a
+        deflection of speeds, a charge of a current. What resists it acts on those against the sign.
+    """
+    n = len(model.states)
+    signs: dict[tuple[int, int], set[int]] = {}
+    rng = np.random.default_rng(1)
+    for p in (_middle(model, 0), _middle(model, 1)):
+        x, u = rng.uniform(0.1, 1.0, n), tuple(rng.uniform(0.1, 1.0, len(model.inputs)).tolist())
+        slopes = np.array(
+            [
+                (_slope(model, x + step, u, p) - _slope(model, x - step, u, p)) / 2e-6
+                for step in 1e-6 * np.eye(n)
+            ]
+        ).T
+        sizes = np.max(np.abs(slopes), axis=1)
+        for i in range(n):
+            for j in (j for j in range(n) if j != i):
+                free = abs(slopes[i, i]) <= DEPENDS * sizes[i]
+                acts = abs(slopes[i, j]) > DEPENDS * sizes[i]
+                signs.setdefault((i, j), set()).add(int(np.sign(slopes[i, j])) * (free and acts))
+    return {pair: found.pop() for pair, found in signs.items() if found in ({1}, {-1})}
+
+
+def _slope(model: Model, x: FloatArray, u: tuple[float, ...], p: tuple[float, ...]) -> FloatArray:
+    return np.array(model.evaluate(0.3, tuple(x.tolist()), u, p)[0])
 
 
 def measured_as(model: Model) -> dict[int, str]:
@@ -60,18 +125,20 @@ def measured_as(model: Model) -> dict[int, str]:
     return {i: model.output_names[k] for i, k in sorted(agree)}
 
 
+def _middle(model: Model, seed: int) -> tuple[float, ...]:
+    """Return parameters well within their bounds: an offset that starts at zero would hide."""
+    shares = np.random.default_rng(seed).uniform(0.3, 0.7, len(model.params))
+    return tuple(
+        float(q.low + share * (q.high - q.low))
+        for q, share in zip(model.params.values(), shares, strict=True)
+    )
+
+
 def _tries(
-    model: Model,
+    model: Model, seed: int = 0
 ) -> list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]:
     """Return the model at a few points: states, their slopes, outputs."""
-    rng = np.random.default_rng(0)
-    # Not at the starts: an offset that starts at zero would hide.
-    p = tuple(
-        float(q.low + share * (q.high - q.low))
-        for q, share in zip(
-            model.params.values(), rng.uniform(0.3, 0.7, len(model.params)), strict=True
-        )
-    )
+    rng, p = np.random.default_rng(seed + 10), _middle(model, seed)
     out = []
     for _ in range(TRIES):
         x = tuple(rng.uniform(0.1, 1.0, len(model.states)).tolist())
@@ -86,9 +153,20 @@ def physical(model: Model) -> tuple[int, ...]:
     An exact state that is no displacement is a definition of the user's, such as the filter of a
     controller: nothing in the plant feels it.
     """
-    known = rate_of(model)
-    free = set(free_equations(model))
+    free, known = free_equations(model), _deflections(model)
     return tuple(i for i in range(len(model.states)) if i in free or i in known)
+
+
+def _deflections(model: Model) -> set[int]:
+    """Return the exact states that sum up others: of one rate, or of several and of no input."""
+    summed = {i for i, _ in stored_from(model)} - set(free_equations(model))
+    p, rest = _middle(model, 0), (0.0,) * len(model.inputs)
+    inner = {
+        i
+        for i in summed
+        if all(model.evaluate(0.3, x, rest, p)[0][i] == dx[i] for x, dx, _ in _tries(model))
+    }
+    return inner | set(rate_of(model))
 
 
 def displacements(model: Model) -> tuple[int, ...]:
@@ -99,7 +177,7 @@ def displacements(model: Model) -> tuple[int, ...]:
 
 def rates(model: Model) -> tuple[int, ...]:
     """Return the states that may be speeds or flows: all but those whose rate is a state."""
-    known = rate_of(model)
+    known = _deflections(model)
     return tuple(i for i in physical(model) if i not in known)
 
 

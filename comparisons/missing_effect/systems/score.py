@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.systems.fit import Fit, own_starts, parameter_steps
 from comparisons.missing_effect.systems.linearised import FINE, along, forced, propagators
 from comparisons.missing_effect.systems.metric import Metric
-from comparisons.missing_effect.systems.places import Place, Placed, SystemEffect, rms
+from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.simulate import answers, filled, output_answers
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
-__all__ = ["Answers", "Probe", "Prober", "placed_effects"]
+__all__ = ["Answers", "Probe", "Prober"]
 
 # Amplitude at which an effect that is linear in it is laid along the run.
 SMALL = 1e-4
@@ -129,7 +129,8 @@ class Answers:
         below = np.where(below < 1.0 - LARGEST_COSINE**2, np.inf, below)
         first = (along[:, None] - gram * along[None, :]) / below
         both = 0.5 * (along[:, None] * first + along[None, :] * first.T)
-        signs = np.array([_signs(self.probes[k].placed) for k in pool])
+        effects = [self.probes[k].placed.effect for k in pool]
+        signs = np.array([(e.allows(-1.0), e.allows(1.0)) for e in effects])
         fits = np.where(first < 0.0, signs[:, :1], signs[:, 1:])
         # A coefficient whose sign is no physics of the effect is none.
         both = np.where(fits & fits.T, both, 0.0)
@@ -177,14 +178,6 @@ class Answers:
         np.add.at(sums, self.block, self.columns * self.error[:, None])
         along = rng.choice([-1.0, 1.0], size=(FLIPS, n_blocks)) @ sums
         return np.asarray(0.5 * np.max(along**2, axis=1, initial=0.0))
-
-
-def _signs(placed: Placed) -> tuple[bool, bool]:
-    """Return whether the first number of an effect may be negative, and positive."""
-    if not placed.effect.linear or not placed.effect.numbers:
-        return False, True
-    number = placed.effect.numbers[0]
-    return number.low < 0.0, number.high > 0.0
 
 
 class Prober:
@@ -284,9 +277,7 @@ class Prober:
                 if not size > LEAST_OWN_SHARE * whole:
                     continue
                 along = float(column @ error)
-                negative, positive = _signs(placed)
-                fair = positive if along > 0.0 else negative
-                gain = 0.5 * along**2 / size if fair else 0.0
+                gain = 0.5 * along**2 / size if placed.effect.allows(along) else 0.0
                 probes.append(Probe(placed, start, along / size, gain))
                 columns.append(column / np.sqrt(size))
         joined = np.column_stack(columns) if columns else np.zeros((error.size, 0))
@@ -346,96 +337,3 @@ def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:
 
 def _joined(arrays: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([a.ravel() for a in arrays])
-
-
-def placed_effects(
-    fit: Fit, runs: Sequence[Run], effects: Sequence[SystemEffect]
-) -> tuple[list[Placed], dict[str, str]]:
-    """Return all effects at all their places, scaled by the model's runs.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    runs : sequence of Run
-        What it was fitted to.
-    effects : sequence of SystemEffect
-        The catalogue.
-
-    Returns
-    -------
-    placed : list of Placed
-        Those that the signals can show and that the model has not.
-    refused : dict of str to str
-        Effects that cannot be shown at any place, and why.
-    """
-    signals = _Signals(fit, runs)
-    present = {e.key for e in fit.structure.effects}
-    placed: list[Placed] = []
-    refused: dict[str, str] = {}
-    for effect in effects:
-        for place in effect.places(fit.structure.model):
-            values = signals.of(effect, place)
-            scaled = values / rms(values)
-            why = (
-                effect.refused(scaled)
-                if float(np.ptp(values)) > 0.0
-                else "needs a signal that changes"
-            )
-            if why:
-                refused.setdefault(effect.name, why)
-                continue
-            one = Placed(effect, place, signals.scales(effect, place), effect.starts(scaled))
-            if one.key not in present:
-                placed.append(one)
-    for one in placed:
-        refused.pop(one.name, None)
-    return placed, refused
-
-
-class _Signals:
-    """Signals and equations along the runs of a model, for scales."""
-
-    def __init__(self, fit: Fit, runs: Sequence[Run]) -> None:
-        n_x = len(fit.structure.model.states)
-        self.model = fit.structure.model
-        self.theta = fit.theta
-        every = [path.states[::FINE, :n_x] for path in fit.paths]
-        self.states = np.concatenate(every)
-        names = self.model.input_names
-        self.inputs = np.concatenate([run.experiment.columns(names) for run in runs])
-        self.outputs = np.concatenate([run.outputs for run in runs])
-        h = runs[0].sample_period_s
-        self.slopes = np.concatenate([np.gradient(x, h, axis=0) for x in every])
-
-    def of(self, effect: SystemEffect, place: Place) -> FloatArray:
-        """Return the signal that an effect acts on."""
-        if effect.kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
-            return self.outputs[:, place.at]
-        if effect.kind in (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.INPUT_MAP):
-            return self.inputs[:, place.at]
-        if place.signal >= 0:
-            return self._signal(place.signal)
-        # Constants, drifts and the recorder act on no signal that could be at fault.
-        return np.array([1.0, -1.0])
-
-    def _signal(self, index: int) -> FloatArray:
-        n_x = self.states.shape[1]
-        return self.states[:, index] if index < n_x else self.inputs[:, index - n_x]
-
-    def scales(self, effect: SystemEffect, place: Place) -> tuple[float, float, float]:
-        """Return the scales of what it enters, of its signal, and of a second one or a time."""
-        if effect.kind == Kind.DRIFT:
-            value = abs(float(self.theta[place.at]))
-            return value if value > 0.0 else 1.0, 1.0, 1.0
-        own = rms(self.of(effect, place))
-        if effect.kind not in (Kind.TERM, Kind.HYSTERESIS):
-            return 1.0, own, 1.0
-        into = rms(self.slopes[:, place.at])
-        if effect.name == "gravity" and place.signal >= 0:
-            own = 1.0
-        if effect.kind == Kind.HYSTERESIS:
-            slope = self.slopes[:, place.signal]
-            return into, own, own / rms(slope)
-        other = rms(self._signal(place.other)) if place.other >= 0 else 1.0
-        return into, own, other

@@ -29,8 +29,9 @@ from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.rivals import rejected
-from comparisons.missing_effect.systems.score import Answers, Probe, Prober, placed_effects
+from comparisons.missing_effect.systems.score import Answers, Probe, Prober
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
@@ -345,7 +346,7 @@ def _begun(bench: Bench, probe: Probe) -> Fit:
         return fit_runs(structure, bench.train, bench.raw, theta, starts, most=most)
 
     begun = _beginnings(bench, probe, structure)
-    most = FIRST_LAP if probe.placed.effect.numbers else MOST_ITERATIONS
+    most = MOST_ITERATIONS if probe.placed.effect.begins_afresh else FIRST_LAP
     if len(begun) == 1:
         return lap(begun[0], bench.fit.starts, most)
     heats = [lap(theta, bench.fit.starts, HEAT) for theta in begun]
@@ -362,7 +363,7 @@ def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatA
     if probe.second is not None:
         return [np.concatenate([theta, slots, _slots(structure, probe.second)])]
     out = [np.concatenate([theta, slots])]
-    if not effect.numbers or effect.kind == Kind.OUTPUT_MAP and not effect.linear:
+    if effect.begins_afresh:
         # What makes another reading of everything: the model without it may be far off.
         begun = structure.start()
         out.append(np.concatenate([begun[:end], theta[end:], slots]))

@@ -45,6 +45,9 @@ class Term(IntEnum):
     SINE = 8
     PRODUCT = 9
     SIZE = 10
+    SQUARE_PRODUCT = 11
+    # An expression of the user's own, behind an address.
+    CALLED = 12
 
 
 class Map(IntEnum):
@@ -97,6 +100,8 @@ def term_value(code: int, s: float, other: float, a: float, b: float) -> float:
         value = s * other
     elif code == 10:
         value = abs(s)
+    elif code == 11:
+        value = s * s * other
     return value
 
 
@@ -111,7 +116,7 @@ def map_value(code: int, value: float, scale: float, a: float) -> float:
     value, scale : float
         The signal and its rms.
     a : float
-        Parameter, in units of the rms.
+        Parameter, in units of the rms; the exponent of a reading that is blind to the sign.
     """
     at = a * scale
     out = value
@@ -126,7 +131,7 @@ def map_value(code: int, value: float, scale: float, a: float) -> float:
     elif code == 4:
         out = max(value - at, 0.0) + min(value + at, 0.0)
     elif code == 5:
-        out = abs(value)
+        out = scale * (abs(value) / scale) ** a
     elif code == 6:
         out = max(value, 0.0)
     elif code == 7:

@@ -98,7 +98,7 @@ def path_of(
 
 def filled(floats: FloatArray) -> FloatArray:
     """Return scales as a contiguous array that is never empty."""
-    return floats if floats.size else np.zeros(3)
+    return floats if floats.size else np.zeros(1)
 
 
 @njit(cache=True, error_model="numpy")

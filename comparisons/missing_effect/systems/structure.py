@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.systems.compiled import compiled
+from comparisons.missing_effect.systems.compiled import compiled, expression_address
 from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS
 from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
 from comparisons.missing_effect.systems.model import Model
@@ -85,7 +85,8 @@ class Structure:
         rows, own = [], len(model.states)
         for placed in self.effects:
             effect, place = placed.effect, placed.place
-            rows += [effect.kind, effect.code, place.at, place.signal, place.other, own]
+            address = expression_address(model, effect.expression) if effect.expression else 0
+            rows += [effect.kind, effect.code, place.at, place.signal, place.other, own, address]
             own += effect.own_state
         out = np.array([*head, *rows], dtype=np.int64)
         assert out.size == HEAD + ROW * len(self.effects)
@@ -93,8 +94,8 @@ class Structure:
 
     @property
     def floats(self) -> FloatArray:
-        """Scales for the kernels, three an effect."""
-        return np.array([value for e in self.effects for value in e.scales], dtype=np.float64)
+        """Scales and centres for the kernels, five numbers an effect."""
+        return np.array([value for e in self.effects for value in e.floats], dtype=np.float64)
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

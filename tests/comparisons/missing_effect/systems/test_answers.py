@@ -73,7 +73,7 @@ EFFECTS: dict[str, tuple[Placed, list[float], float]] = {
     "backlash": (make.placed("backlash", Kind.INPUT_PLAY, 0, 2, scales=FORCE), [0.15], KINKED),
     "hysteresis": (
         make.placed("hysteresis", Kind.HYSTERESIS, 1, 1, scales=(5.0, 1.5, 0.2)),
-        [-0.3, 0.8],
+        [-0.3, 0.8, -0.7],
         KINKED,
     ),
     "drift": (

@@ -80,7 +80,7 @@ def test_the_number_of_an_effect_and_its_error_are_right() -> None:
         fit = make.fitted(structure, [run], [*TRUE, 0.0, 0.0, 0.0, 0.0, 0.0])
         cov = covariance(fit, [run], raw_metric([run.outputs]))
         number = numbers_of(fit, effect, cov, run.clock)[0]
-        assert number.unit == "N/(m/s)²"
+        assert number.unit == "N·s²/m²"
         assert number.stderr < 0.08
         # The catalogue's sign is that of the model's right-hand side.
         z.append((abs(number.value) - 0.4) / number.stderr)
