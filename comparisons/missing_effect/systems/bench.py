@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.linearised import propagators
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, runs_of
+from comparisons.missing_effect.systems.simulate import filled
 from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Bench", "base_bench", "tolerance_for", "whitened_fit"]
+__all__ = ["Bench", "base_bench", "growth_of", "tolerance_for", "whitened_fit"]
 
 # Steps in a whitening metric, whose valleys are narrow and bent.
 MOST_WHITENED = 20
@@ -70,6 +72,22 @@ class Bench:
         held = replace(structure, offsets_free=False)
         fit = fit_runs(held, bench.train, self.raw, theta, self.fit.starts)
         return replace(bench, fit=fit)
+
+    def with_winner(self, white: Fit, raw: Fit | None) -> Bench:
+        """Return the bench with what a round found, from the better of two ends of its race.
+
+        The whitened fit and the raw race may end in different valleys of the raw error.
+
+        Parameters
+        ----------
+        white, raw : Fit
+            Of the winner, in the metric of the round and in the raw one.
+        """
+        moved = [self.refitted(white.structure, white.theta)]
+        if raw is not None and not raw.failed:
+            theta = _with_offsets(raw, white)
+            moved.append(self.refitted(raw.structure, theta))
+        return replace(min(moved, key=lambda bench: bench.fit.cost), white=white)
 
     def timed(self) -> Bench:
         """Return the bench with the timing offsets that whitened errors ask for."""
@@ -218,6 +236,31 @@ def whitened_fit(bench: Bench, fit: Fit, metric: Metric) -> Fit:
         starts = [starts[int(np.argmin(costs))]]
     theta, x0 = starts[0]
     return fit_runs(free, bench.train, metric, theta, x0, fit.scale, most=MOST_WHITENED)
+
+
+def growth_of(fit: Fit, bench: Bench) -> float:
+    """Return by how many powers of e small changes of the state grow along the runs, at most.
+
+    Parameters
+    ----------
+    fit : Fit
+        A model.
+    bench : Bench
+        The runs that it was fitted to.
+    """
+    structure, most = fit.structure, 0.0
+    for run, path in zip(bench.train, fit.paths, strict=True):
+        given = (structure.ints, filled(structure.floats), run.pieces_for(structure, fit.theta))
+        whole, _ = propagators(path.states, fit.theta, *given, run.clock, fit.scale)
+        change, size = np.diag(fit.scale), 0.0
+        for step in whole:
+            change = step @ change
+            norm = float(np.linalg.norm(change / fit.scale[:, None]))
+            if not 0.0 < norm < np.inf:
+                break
+            change, size = change / norm, size + float(np.log(norm))
+            most = max(most, size)
+    return most
 
 
 def _with_offsets(fit: Fit, timed: Fit) -> FloatArray:

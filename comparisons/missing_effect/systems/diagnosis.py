@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.missing_effect.nulls import Leftover, foretold
 from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
-from comparisons.missing_effect.systems.places import SystemEffect
+from comparisons.missing_effect.systems.placing import placed_effects
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import (
@@ -24,6 +27,7 @@ from comparisons.missing_effect.systems.results import (
     ParameterRow,
     SystemDiagnosis,
 )
+from comparisons.missing_effect.systems.score import Prober
 from comparisons.missing_effect.systems.search import Round, search_round
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
@@ -35,6 +39,10 @@ MOST_EFFECTS = 4
 # What an effect beyond the first must explain: of the squared whitened errors, or of the squared
 # raw errors on held-out rows.
 LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
+# What a firm name needs: so many standard errors, held-out rows that gain at least this share of
+# what fitted ones gain each, and no rival elsewhere that the record does not reject at this
+# chance. A check whose error grew beyond this factor is worse.
+FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED, WORSE = 3.0, 0.2, 0.01, 1.02
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
@@ -51,6 +59,7 @@ def diagnose_model(
     check: Experiment | Sequence[Experiment] = (),
     *,
     catalogue: Sequence[SystemEffect] = SYSTEM_CATALOGUE,
+    library: Sequence[SystemEffect] = OPEN_TERMS,
     most_effects: int = MOST_EFFECTS,
     progress: Progress | None = None,
 ) -> SystemDiagnosis:
@@ -69,6 +78,8 @@ def diagnose_model(
         Records that are only shown.
     catalogue : sequence of SystemEffect
         The names.
+    library : sequence of SystemEffect
+        Terms without a name, for what no name fits (`open_effect` makes one's own).
     most_effects : int
         Add at most so many.
     progress : callable, optional
@@ -92,22 +103,22 @@ def diagnose_model(
     bench = base_bench(records)
     base = bench
     rounds: list[Round] = []
-    while len(rounds) < most_effects and not bench.fit.failed:
+    added = 0
+    while added < most_effects and not bench.fit.failed:
         report(f"round {len(rounds) + 1}")
-        rounds.append(search_round(bench, catalogue, OPEN_TERMS))
+        rounds.append(search_round(bench, catalogue, library))
         winner = rounds[-1].winner
         if winner is None or winner.fit is None:
             break
-        moved = replace(
-            bench.refitted(winner.fit.structure, winner.fit.theta), white=winner.fit
-        ).between_chosen()
-        if len(rounds) > 1 and not _worth_adding(rounds[-1], bench, moved):
+        moved = bench.with_winner(winner.fit, winner.raw).between_chosen()
+        unnamed = any(e.effect.unnamed for e in bench.fit.structure.effects)
+        if bench is not base and not _worth_adding(rounds[-1], bench, moved, unnamed):
             break
-        bench = moved
-        if winner.placed.effect.unnamed:
-            break
+        bench, added = moved, added + len(winner.added)
+    report("testing what is left")
+    left = leftover_of(bench, catalogue, library)
     report("fitting all rows")
-    return _concluded(base, bench, tuple(rounds), checks)
+    return _concluded(base, bench, tuple(rounds), checks, left)
 
 
 def _checkable(experiment: Experiment, records: Records) -> Experiment:
@@ -135,19 +146,24 @@ def _settle_rows(model: Model) -> int:
     return max(10, 5 * len(model.states))
 
 
-def _worth_adding(step: Round, bench: Bench, moved: Bench) -> bool:
-    """Tell whether an effect beyond the first is: named, and a fair share of what is left.
+def _worth_adding(step: Round, bench: Bench, moved: Bench, unnamed: bool) -> bool:
+    """Tell whether an effect beyond the first is: a fair share of what is left.
 
-    Where model error rules, and not noise, every term of some flexibility wins something.
+    Where model error rules, and not noise, every term of some flexibility wins something. Terms
+    without a name go on where terms without a name began.
     """
     assert step.winner is not None
     raw = 1.0 - (moved.held_out_size() / bench.held_out_size()) ** 2
     fair = step.share >= LEAST_FURTHER_SHARE or raw >= LEAST_FURTHER_RAW_SHARE
-    return fair and not step.winner.placed.effect.unnamed
+    return fair and (unnamed or not step.winner.unnamed)
 
 
 def _concluded(
-    base: Bench, bench: Bench, rounds: tuple[Round, ...], checks: Sequence[Experiment]
+    base: Bench,
+    bench: Bench,
+    rounds: tuple[Round, ...],
+    checks: Sequence[Experiment],
+    left: Leftover,
 ) -> SystemDiagnosis:
     records = base.records
     before, before_cov, metric = _whole(base)
@@ -156,15 +172,20 @@ def _concluded(
         after, after_cov, metric = _whole(bench)
     added = after.structure.effects
     won = [
-        r for r in rounds if r.winner is not None and r.winner.placed.key in {e.key for e in added}
+        (r, placed)
+        for r in rounds
+        if r.winner is not None
+        for placed in r.winner.added
+        if placed.key in {e.key for e in added}
     ]
-    missing = tuple(_found(after, after_cov, r, records) for r in won)
     model = records.model
-    checked = tuple(_checked(records, e, before, after, bool(missing)) for e in checks)
+    checked = tuple(_checked(records, e, before, after, bool(added)) for e in checks)
+    worse = [run for run in checked if np.any(run.after_rms > WORSE * run.before_rms)]
+    missing = tuple(_found(after, after_cov, r, p, records, worse) for r, p in won)
     remarks = [text for run in checked for text in _refitted_words(run)]
     return SystemDiagnosis(
         model,
-        _verdict(missing, base),
+        _verdict(missing, base, left),
         missing,
         records,
         rounds,
@@ -176,7 +197,7 @@ def _concluded(
         checked,
         metric.sigma,
         rounds[-1].refused if rounds else {},
-        (*_remarks(base, rounds, missing), *remarks),
+        (*_remarks(base, rounds, missing, left), *remarks),
     )
 
 
@@ -193,24 +214,33 @@ def _whole_runs(records: Records, structure: Structure) -> tuple[Run, ...]:
     return runs_of(records, records.whole, structure.between, begun=True)
 
 
-def _found(fit: Fit, cov: FloatArray, step: Round, records: Records) -> FoundEffect:
+def _found(
+    fit: Fit,
+    cov: FloatArray,
+    step: Round,
+    placed: Placed,
+    records: Records,
+    worse: Sequence[CheckRun],
+) -> FoundEffect:
     winner = step.winner
     assert winner is not None
     assert winner.evidence is not None
-    model, placed = records.model, winner.placed
-    labels = tuple(c.placed.label(model) for c in step.aliases)
-    names = tuple(dict.fromkeys(c.placed.name for c in step.aliases))
-    evidence = winner.evidence
-    clock = step.bench.train[0].clock
+    model, evidence = records.model, winner.evidence
+    alone = len(winner.added) == 1
+    aliases = [c for c in step.aliases if alone] or [winner]
+    labels = tuple(c.label(model) for c in aliases) if alone else (placed.label(model),)
+    names = tuple(dict.fromkeys(c.placed.name for c in aliases)) if alone else (placed.name,)
+    numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
+    doubts = () if placed.effect.unnamed else _doubts(step, numbers, worse, model)
     return FoundEffect(
         placed.name,
         placed.label(model),
         placed.where(model),
         names,
         labels,
-        step.rivalled,
+        bool(doubts),
         placed.effect.unnamed,
-        numbers_of(fit, placed, cov, clock),
+        numbers,
         {
             "train": evidence.train,
             "held_out": evidence.later,
@@ -221,19 +251,115 @@ def _found(fit: Fit, cov: FloatArray, step: Round, records: Records) -> FoundEff
         placed.equation(model),
         placed.words(model).says,
         placed.words(model).confirm,
+        doubts,
     )
 
 
-def _verdict(missing: Sequence[FoundEffect], base: Bench) -> str:
+def _doubts(
+    step: Round, numbers: Sequence[FittedNumber], worse: Sequence[CheckRun], model: Model
+) -> tuple[str, ...]:
+    """Return why a name is not firm; empty where it is."""
+    winner = step.winner
+    assert winner is not None
+    assert winner.evidence is not None
+    out = []
+    amplitude = bool(numbers) and winner.placed.effect.linear
+    if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
+        size = abs(numbers[0].value) / numbers[0].stderr
+        out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
+    if step.rivalled:
+        out.append("a term without a name explains more")
+    fitted, held = step.rates
+    if held < LEAST_HELD_OUT_RATE * fitted:
+        out.append(
+            f"it explains {100.0 * held / fitted:.0f} % as much a row on held-out rows as on "
+            "those fitted"
+        )
+    rival = step.rival
+    if rival is not None and step.rival_p > REJECTED:
+        share = 100.0 * rival.score / winner.score
+        out.append(
+            f"{rival.label(model)} explains {share:.0f} % as much, and the record does not reject it"
+        )
+    if worse:
+        names = ", ".join(run.experiment.name for run in worse)
+        out.append(f"the error on {names} got no better by it")
+    return tuple(out)
+    )
+
+
+def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str:
     if base.fit.failed:
         return "unexplained_structure"
     if not missing:
-        return "unexplained_structure" if _foretells_badly(base) else "nothing_missing"
+        open_ = _foretells_badly(base) or left.structured or left.disturbed
+        return "unexplained_structure" if open_ else "nothing_missing"
     if missing[0].unnamed:
         return "unnamed_term"
     if any(item.provisional for item in missing):
         return "provisional"
     return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"
+
+
+def _left_words(left: Leftover, named: bool) -> str:
+    """Say that something is missing that nothing here fits: its size, and what it follows."""
+    lead = "Beyond what was found s" if named else "S"
+    if left.structured:
+        follows = f"; it follows {left.follows} most" if left.follows else ""
+        share = (
+            f", and the inputs and states foretell {100.0 * left.foretold_share:.0f} % of the squared "
+            "error on held-out rows"
+            if left.foretold_share > 0.01
+            else ""
+        )
+        return (
+            f"{lead}omething is missing that nothing here fits: the error is {left.ratio:.1f} times "
+            f"what is new in each sample{share}{follows}."
+        )
+    return (
+        f"{lead}omething slow is left: the error is {left.ratio:.0f} times what is new in each "
+        "sample. A disturbance does that, and so does something missing that no input shows."
+    )
+
+
+def leftover_of(
+    bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
+) -> Leftover:
+    """Test what a model leaves for anything that effects, inputs or states still explain.
+
+    Parameters
+    ----------
+    bench : Bench
+        The model and the records.
+    catalogue, library : sequence of SystemEffect
+        Names, and terms without one.
+    """
+    if bench.fit.failed:
+        return Leftover(1.0, 1.0, 0.0, np.inf)
+    rng = np.random.default_rng(0)
+    placed, _ = placed_effects(bench.fit, bench.train, [*catalogue, *library])
+    metric = metric_of(bench.fit.errors)
+    answers = Prober(bench.fit, bench.train).laid(placed, metric)
+    best = answers.best()
+    by_chance = answers.flipped(rng)
+    gain = best[0].gain if best else 0.0
+    flip_p = (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + by_chance.size)
+    later = settled(bench.fit, bench.later, bench.raw)
+    model = bench.records.model
+    names = (*model.state_names, *model.input_names)
+    n_x = len(model.states)
+    signals = [
+        np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
+        for run, path in zip(bench.later, later.paths, strict=True)
+    ]
+    p, share, follows = 1.0, 0.0, ""
+    for j in range(len(model.outputs)):
+        found = foretold([e[:, j] for e in later.errors], signals, names, rng)
+        if found[0] < p or (found[0] == p and found[1] > share):
+            p, share, follows = found
+    size = np.sqrt(np.mean(np.concatenate(bench.fit.errors) ** 2, axis=0))
+    ratio = float(np.max(size / np.asarray(metric.sigma)))
+    return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows)
 
 
 def _foretells_badly(bench: Bench) -> bool:
@@ -355,9 +481,11 @@ def _refitted_words(run: CheckRun) -> list[str]:
 
 
 def _remarks(
-    base: Bench, rounds: Sequence[Round], missing: Sequence[FoundEffect]
+    base: Bench, rounds: Sequence[Round], missing: Sequence[FoundEffect], left: Leftover
 ) -> tuple[str, ...]:
     out = []
+    if not base.fit.failed and (left.structured or left.disturbed):
+        out.append(_left_words(left, bool(missing)))
     if base.fit.failed:
         out.append(
             "The model could not be simulated from its starts, so that nothing can be said of what "
@@ -371,8 +499,8 @@ def _remarks(
         )
     last = rounds[-1] if rounds else None
     if last is not None and last.winner is not None and len(rounds) > len(missing):
-        label = last.winner.placed.label(base.records.model)
+        label = last.winner.label(base.records.model)
         share = f"{100.0 * last.share:.1f} % of the squared whitened errors"
-        kind = "a term without a name" if last.winner.placed.effect.unnamed else "small"
+        kind = "a term without a name" if last.winner.unnamed else "small"
         out.append(f"{label} would explain {share} that are left; {kind}, and not added.")
     return tuple(out)

@@ -7,7 +7,7 @@ that outputs of different units weigh as their own errors ask for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import rms
-from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.shapes import Kind, Map
 from comparisons.missing_effect.systems.simulate import Path, answers, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray
@@ -380,13 +380,20 @@ def settled(fit: Fit, runs: Sequence[Run], metric: Metric, rows: int | None = No
     rows : int, optional
         Estimate the starts from so many rows alone.
     """
-    return fit_runs(
-        fit.structure,
-        runs,
-        metric,
-        fit.theta,
-        [run.x0_mean for run in runs],
-        fit.scale,
-        only_starts=True,
-        rows=rows,
+
+    def begun(given: Sequence[Run]) -> Fit:
+        means = [run.x0_mean for run in given]
+        theta, scale = fit.theta, fit.scale
+        return fit_runs(
+            fit.structure, given, metric, theta, means, scale, only_starts=True, rows=rows
+        )
+
+    blind = any(
+        placed.effect.kind == Kind.OUTPUT_MAP and placed.effect.code == Map.ABSOLUTE
+        for placed in fit.structure.effects
     )
+    if not blind:
+        return begun(runs)
+    # A reading without a sign says nothing of which way a run begins: either, by what follows.
+    either = [(run, replace(run, x0_mean=-run.x0_mean)) for run in runs]
+    return begun([min(pair, key=lambda run: begun([run]).cost) for pair in either])

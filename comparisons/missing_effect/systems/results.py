@@ -65,6 +65,8 @@ class FoundEffect:
         Gains in log-units on fitted and held-out rows, their z and the score.
     equation, says, confirm : str
         What it adds, what happens, and the measurement that would confirm it.
+    doubts : tuple of str
+        Why the name is not firm.
     """
 
     effect: str
@@ -79,6 +81,7 @@ class FoundEffect:
     equation: str
     says: str
     confirm: str
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ is held against the errors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from comparisons.missing_effect.systems.fit import Fit, own_starts, parameter_steps
 from comparisons.missing_effect.systems.linearised import FINE, along, forced, propagators
@@ -21,17 +22,24 @@ from comparisons.missing_effect.systems.simulate import answers, filled, output_
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
-__all__ = ["Probe", "Prober"]
+__all__ = ["Answers", "Probe", "Prober"]
 
 # Amplitude at which an effect that is linear in it is laid along the run.
 SMALL = 1e-4
 # A column that keeps less than this share of itself beside what is fitted already says nothing.
 LEAST_OWN_SHARE = 1e-6
+# Flips of sign, the quantile of the largest gain that counts as chance, rows of a block, and
+# fewest blocks of a run.
+FLIPS, CHANCE, FLIPPED_ROWS, FEWEST_FLIPPED = 1000, 0.99, 20, 12
+# Share of its power below which an autocorrelation remembers nothing.
+REMEMBERED = 0.1
+# Columns that are paired, and the cosine from which on two say the same.
+MOST_PAIRED, LARGEST_COSINE = 250, 0.98
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What one effect at one place promises.
+    """What one effect at one place promises, or two together.
 
     Parameters
     ----------
@@ -43,12 +51,133 @@ class Probe:
         How much of it the errors ask for, by first order.
     gain : float
         Log-units that it would win.
+    second : Probe, optional
+        A second effect that wins them together with it.
     """
 
     placed: Placed
     start: tuple[float, ...]
     amplitude: float
     gain: float
+    second: Probe | None = None
+
+    @property
+    def added(self) -> tuple[Placed, ...]:
+        """The effects."""
+        return (self.placed,) if self.second is None else (self.placed, self.second.placed)
+
+    @property
+    def key(self) -> frozenset[object]:
+        """What makes it the same as another, whatever the order."""
+        return frozenset(placed.key for placed in self.added)
+
+    @property
+    def unnamed(self) -> bool:
+        """Whether a term without a name is part of it."""
+        return any(placed.effect.unnamed for placed in self.added)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """First-order answers to effects in a metric, free of what is fitted already.
+
+    Parameters
+    ----------
+    probes : tuple of Probe
+        One a column.
+    columns : ndarray of shape (n, K)
+        Of unit length.
+    error : ndarray of shape (n,)
+        Whitened errors; n counts the rows of all outputs of all runs.
+    block : ndarray of int, shape (n,)
+        Block of each row, for flips of sign.
+    """
+
+    probes: tuple[Probe, ...]
+    columns: FloatArray
+    error: FloatArray
+    block: NDArray[np.int64]
+
+    def best(self) -> list[Probe]:
+        """Return the best start of each effect at each place, best first."""
+        kept: dict[object, Probe] = {}
+        for probe in sorted(self.probes, key=lambda p: -p.gain):
+            kept.setdefault(probe.key, probe)
+        return list(kept.values())
+
+    def pairs(self, most: int, least: float) -> list[Probe]:
+        """Return the pairs that win clearly more together than either alone, best first.
+
+        Effects that hide each other lose one at a time: a pair is found from one matrix of
+        products of all columns.
+
+        Parameters
+        ----------
+        most : int
+            At most so many.
+        least : float
+            Log-units by which a pair must beat its better half.
+        """
+        index = {id(p): k for k, p in enumerate(self.probes)}
+        pool = [index[id(p)] for p in self.best()[:MOST_PAIRED]]
+        if len(pool) < 2:
+            return []
+        columns = self.columns[:, pool]
+        gram, along = columns.T @ columns, columns.T @ self.error
+        below = 1.0 - gram**2
+        np.fill_diagonal(below, 1.0)
+        below = np.where(below < 1.0 - LARGEST_COSINE**2, np.inf, below)
+        first = (along[:, None] - gram * along[None, :]) / below
+        both = 0.5 * (along[:, None] * first + along[None, :] * first.T)
+        effects = [self.probes[k].placed.effect for k in pool]
+        signs = np.array([(e.allows(-1.0), e.allows(1.0)) for e in effects])
+        fits = np.where(first < 0.0, signs[:, :1], signs[:, 1:])
+        # A coefficient whose sign is no physics of the effect is none.
+        both = np.where(fits & fits.T, both, 0.0)
+        # A name beside a term without one is no answer: names pair with names.
+        open_ = np.array([self.probes[k].unnamed for k in pool])
+        both = np.where(open_[:, None] == open_[None, :], both, 0.0)
+        alone = np.array([self.probes[k].gain for k in pool])
+        extra = both - np.maximum(alone[:, None], alone[None, :])
+        out: list[Probe] = []
+        for at in np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)[: 4 * most]:
+            i, j = divmod(int(at), len(pool))
+            one, two = self.probes[pool[i]], self.probes[pool[j]]
+            if i >= j or not extra[i, j] > least or len(out) == most:
+                continue
+            if alone[j] > alone[i]:
+                one, two, i, j = two, one, j, i
+            out.append(replace(one, gain=float(both[i, j]), second=two))
+        return out
+
+    def chance(self, rng: np.random.Generator, share: float = CHANCE) -> float:
+        """Return what the best of all columns wins by chance: signs of blocks of errors flipped.
+
+        Flips leave each block its size and its colour; what is not tied to the inputs wins as much
+        with them as without. A constant would be too low where errors are large in a few places.
+
+        Parameters
+        ----------
+        rng : Generator
+            Of the flips.
+        share : float
+            Quantile of the largest gain.
+        """
+        return float(np.quantile(self.flipped(rng), share)) if self.probes else 0.0
+
+    def flipped(self, rng: np.random.Generator) -> FloatArray:
+        """Return the largest first-order gain under each of many flips of sign.
+
+        Parameters
+        ----------
+        rng : Generator
+            Of the flips.
+        """
+        n_blocks = int(self.block.max()) + 1
+        sums = np.zeros((n_blocks, len(self.probes)))
+        np.add.at(sums, self.block, self.columns * self.error[:, None])
+        along = rng.choice([-1.0, 1.0], size=(FLIPS, n_blocks)) @ sums
+        return np.asarray(0.5 * np.max(along**2, axis=1, initial=0.0))
 
 
 class Prober:
@@ -122,8 +251,8 @@ class Prober:
             out.append(slopes[:, :, 0] + direct)
         return out
 
-    def probes(self, effects: Sequence[Placed], metric: Metric) -> list[Probe]:
-        """Return what each effect promises in a metric, best first.
+    def laid(self, effects: Sequence[Placed], metric: Metric) -> Answers:
+        """Return the first-order answers to effects in a metric.
 
         Parameters
         ----------
@@ -136,9 +265,8 @@ class Prober:
         error = _joined([own.whitened(e) for e in self.fit.errors])
         basis = self._basis(own)
         error = error - basis @ (basis.T @ error)
-        found = []
+        probes, columns = [], []
         for placed in effects:
-            best: Probe | None = None
             for start in placed.starts:
                 column = _joined([own.whitened(c) for c in self._kept(placed, start)])
                 if not np.all(np.isfinite(column)):
@@ -148,15 +276,23 @@ class Prober:
                 size = float(column @ column)
                 if not size > LEAST_OWN_SHARE * whole:
                     continue
-                amount = float(column @ error) / size
-                gain = 0.5 * amount**2 * size
-                if not placed.effect.allows(amount):
-                    gain = 0.0
-                if best is None or gain > best.gain:
-                    best = Probe(placed, start, amount, gain)
-            if best is not None:
-                found.append(best)
-        return sorted(found, key=lambda probe: -probe.gain)
+                along = float(column @ error)
+                gain = 0.5 * along**2 / size if placed.effect.allows(along) else 0.0
+                probes.append(Probe(placed, start, along / size, gain))
+                columns.append(column / np.sqrt(size))
+        joined = np.column_stack(columns) if columns else np.zeros((error.size, 0))
+        return Answers(tuple(probes), joined, error, self._blocks(own))
+
+    def _blocks(self, metric: Metric) -> NDArray[np.int64]:
+        """Return a block of each row: twenty rows, or twice as many as the errors remember."""
+        remembered = max(_memory([e[:, j] for e in self.fit.errors], metric, j) for j in range(len(metric.sigma)))
+        out, first = [], 0
+        for e in self.fit.errors:
+            rows = max(FLIPPED_ROWS, min(2 * remembered, e.shape[0] // FEWEST_FLIPPED))
+            own = first + np.arange(e.shape[0]) // rows
+            out.append(np.repeat(own, e.shape[1]))
+            first = int(own[-1]) + 1
+        return np.concatenate(out)
 
     def _kept(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
         """Return the columns, made once for all metrics."""
@@ -183,6 +319,20 @@ class Prober:
         kept = joined[:, size > 0.0] / size[size > 0.0]
         left, values, _ = np.linalg.svd(kept, full_matrices=False)
         return np.asarray(left[:, values > 1e-9 * values[0]])
+
+
+def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:
+    """Return the rows over which whitened errors of one output go together."""
+    longest = max(errors, key=len)
+    columns = np.zeros((longest.size, len(metric.sigma)))
+    columns[:, output] = longest
+    white = metric.whitened(columns)[:, output]
+    size = int(2 ** np.ceil(np.log2(2 * white.size)))
+    power = np.abs(np.fft.rfft(white - white.mean(), size)) ** 2
+    correlation = np.fft.irfft(power, size)[: white.size]
+    # The last lag that still remembers, not the first zero: errors of a resonance swing about it.
+    large = np.flatnonzero(np.abs(correlation[: white.size // FEWEST_FLIPPED]) > REMEMBERED * correlation[0])
+    return int(large[-1]) + 1 if large.size else 1
 
 
 def _joined(arrays: Sequence[FloatArray]) -> FloatArray:

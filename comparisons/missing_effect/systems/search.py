@@ -1,8 +1,10 @@
-"""The search: which effect, at which place, a user's model lacks.
+"""The search: which effect, at which place, or which two, a model lacks.
 
-One formulation for every system. The colour of the errors is taken from the best candidate, never
-from the model that lacks it, which would whiten the effect away. In that metric all candidates
-are fitted again and weighed on the rows fitted and on those held out.
+One formulation for every system. All places are laid along the run once; singles and pairs are
+read off their products. Promising ones, and all shapes with a threshold, race in the raw metric.
+The colour of the errors is taken from the candidate that held-out rows favour, never from the
+model that lacks it, which would whiten the effect away. In that metric all candidates are fitted
+again and weighed on the rows fitted and on those held out.
 """
 
 from __future__ import annotations
@@ -12,15 +14,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from comparisons.missing_effect.evidence import Evidence, Rows, alias_rows, evidence_of
+from comparisons.missing_effect.evidence import (
+    LARGEST_P,
+    Evidence,
+    Rows,
+    alias_rows,
+    block_sums,
+    evidence_of,
+)
 from comparisons.missing_effect.lag_data import LATER, TRAIN
-from comparisons.missing_effect.systems.bench import Bench, whitened_fit
+from comparisons.missing_effect.systems.bench import Bench, growth_of, whitened_fit
 from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
 from comparisons.missing_effect.systems.metric import Metric, metric_of
+from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.placing import placed_effects
-from comparisons.missing_effect.systems.score import Probe, Prober
+from comparisons.missing_effect.systems.rivals import rejected
+from comparisons.missing_effect.systems.score import Answers, Probe, Prober
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
@@ -31,31 +42,40 @@ __all__ = ["Candidate", "Round", "search_round"]
 VANISHING = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
 # Effects that make an input or a reading come late.
 LATE = (Kind.INPUT_LAG, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
+# Effects that promise nothing to first order where the model without them went elsewhere: a wall
+# or a rim that the run of a wrong model never meets. They always race.
+BENT = (Kind.INPUT_MAP, Kind.STATE_LIMIT, Kind.OVERFLOW, Kind.OUTPUT_MAP, Kind.INPUT_PLAY)
 # Candidates that are fitted: the most promising of each metric, as long as they promise a
-# hundredth of the best and more than chance.
-MOST_FITTED = 6
+# hundredth of the best and more than chance; and pairs.
+MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
 # Steps from each of several starts, steps of the first lap, those that go on by either count, and
 # steps to the end.
-HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 3, 4, 15
-LEAST_PROMISE, LEAST_PROMISE_SHARE = 6.0, 0.01
+HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 4, 15
 BLOCKS = 60
 LEAST_BLOCK_ROWS = 20
+# Held-out blocks that lose no more than this share of what the others win speak with one voice.
+ONE_SIDED_SHARE = 0.1
 # An open term takes the place of a name only when it is better by this much.
 UNNAMED_GAP = 12.0
 UNNAMED_SHARE = 0.02
 # A plain form speaks for a refined one, and provisionally a name for a term without one that
 # corrects the same (cosine of the corrections), where it wins this share of what that wins.
 SIMPLE_SHARE, SAME_COSINE = 0.9, 0.98
+FLIP_SEED = 0
+# A name elsewhere that explains this share of what the winner explains is a rival.
+RIVAL_SHARE = 0.8
+# By how many powers of e small changes of the state may grow beyond the model without a term.
+MOST_GROWTH = 3.0
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one place, fitted and weighed.
+    """One effect at one place, or two, fitted and weighed.
 
     Parameters
     ----------
     placed : Placed
-        The effect.
+        The effect, the first of two.
     probe : Probe
         What the score test promised.
     fit : Fit or None
@@ -64,6 +84,12 @@ class Candidate:
         Whitened errors, fitted rows before held-out ones.
     evidence : Evidence or None
         For it.
+    raw : Fit or None
+        The same in the raw metric.
+    one_sided : bool
+        Whether held-out blocks speak for it with hardly one against it, where it acts in episodes.
+    wild : bool
+        Whether small changes of the state grow much more with it than without.
     """
 
     placed: Placed
@@ -71,6 +97,23 @@ class Candidate:
     fit: Fit | None = None
     errors: FloatArray | None = None
     evidence: Evidence | None = None
+    raw: Fit | None = None
+    one_sided: bool = False
+    wild: bool = False
+
+    @property
+    def added(self) -> tuple[Placed, ...]:
+        """The effects."""
+        return self.probe.added
+
+    @property
+    def unnamed(self) -> bool:
+        """Whether a term without a name is part of it."""
+        return self.probe.unnamed
+
+    def label(self, model: Model) -> str:
+        """Return names and places in one line."""
+        return " + ".join(placed.label(model) for placed in self.added)
 
     @property
     def score(self) -> float:
@@ -80,25 +123,39 @@ class Candidate:
     @property
     def accepted(self) -> bool:
         """Whether fitted and held-out rows both speak for it, and it did not vanish."""
-        return self.evidence is not None and self.evidence.accepted and not self.vanished
+        e = self.evidence
+        if e is None or self.vanished or self.wild:
+            return False
+        if e.train + e.later <= self.chance:
+            return False
+        alone = e.later > 0.0 and e.p_value < LARGEST_P and self.one_sided
+        return e.accepted or alone
+
+    chance: float = 0.0
 
     @property
     def vanished(self) -> bool:
-        """Whether its first number ended at the bound where it is no effect any more.
+        """Whether a first number ended at the bound where it is no effect any more.
 
         A lag or a delay of one sample is the timing offset that every model has.
         """
-        numbers = self.placed.effect.numbers
-        if self.fit is None or self.placed.effect.linear or not numbers:
+        return any(self._vanished(i) for i in range(len(self.added)))
+
+    def _vanished(self, which: int) -> bool:
+        placed = self.added[which]
+        numbers = placed.effect.numbers
+        if self.fit is None or not numbers:
             return False
-        value = float(self.fit.theta[-SLOTS])
-        smallest = self.placed.effect.kind in VANISHING
+        value = float(self.fit.theta[SLOTS * (which - len(self.added))])
+        if placed.effect.linear:
+            return value == 0.0
+        smallest = placed.effect.kind in VANISHING
         return smallest and value <= numbers[0].low * (1.0 + 1e-6)
 
     @property
     def outgrown(self) -> bool:
         """Whether a shape ended at its upper bound: what is there is something wider."""
-        if self.fit is None or not self.placed.effect.simple_form_of:
+        if self.fit is None or not self.placed.effect.simple_form_of or len(self.added) > 1:
             return False
         shapes = self.fit.theta[-SLOTS:][1 : len(self.placed.effect.numbers)]
         bounds = [number.high for number in self.placed.effect.numbers[1:]]
@@ -127,6 +184,12 @@ class Round:
         Whether a term without a name does as well as the winner.
     share : float
         Share of the squared whitened errors that the winner explains.
+    rates : (float, float)
+        Log-units that the winner gains a row, on rows fitted and held out.
+    rival : Candidate or None
+        The best name elsewhere that explains nearly as much as the winner.
+    rival_p : float
+        Chance of the winner's advantage if the rival were the truth.
     """
 
     bench: Bench
@@ -137,12 +200,15 @@ class Round:
     refused: dict[str, str]
     rivalled: bool = False
     share: float = 0.0
+    rates: tuple[float, float] = (0.0, 0.0)
+    rival: Candidate | None = None
+    rival_p: float = 0.0
 
 
 def search_round(
     bench: Bench, effects: Sequence[SystemEffect], open_terms: Sequence[SystemEffect]
 ) -> Round:
-    """Try every effect at every place.
+    """Try every effect at every place, alone and in pairs.
 
     Parameters
     ----------
@@ -153,48 +219,83 @@ def search_round(
     """
     placed, refused = placed_effects(bench.fit, bench.train, [*effects, *open_terms])
     prober = Prober(bench.fit, bench.train)
-    raw = prober.probes(placed, bench.raw)
-    white = prober.probes(placed, metric_of(bench.fit.errors))
+    raw = prober.laid(placed, bench.raw)
+    white = prober.laid(placed, metric_of(bench.fit.errors))
     promising = _promising(raw, white)
     raw_fits = _raced(bench, promising)
-    metric = _metric_of_best([bench.fit, *raw_fits.values()])
-    weigher = _Weigher.of(bench, metric, placed)
+    metric = _favoured_metric(bench, raw_fits)
+    weigher = _Weigher.of(bench, metric, placed, prober)
     tried = [
         weigher.weighed(
-            Candidate(probe.placed, probe), whitened_fit(bench, raw_fits[probe], metric)
+            Candidate(probe.placed, probe, raw=raw_fits[probe]),
+            whitened_fit(bench, raw_fits[probe], metric),
         )
         for probe in promising
         if probe in raw_fits
     ]
-    keys = {c.placed.key for c in tried}
-    rest = [Candidate(p.placed, p) for p in white if p.placed.key not in keys]
+    keys = {c.probe.key for c in tried}
+    rest = [Candidate(p.placed, p) for p in white.best() if p.key not in keys]
     ranked = tuple(sorted(tried, key=lambda c: -c.score)) + tuple(rest)
     winner, aliases, rivalled = _winner(weigher, [c for c in ranked if c.accepted])
-    share = 0.0
-    if winner is not None and winner.errors is not None:
+    share, rates = 0.0, (0.0, 0.0)
+    if winner is not None and winner.errors is not None and winner.evidence is not None:
         valid = weigher.rows.valid
         base = float(np.sum(weigher.base_errors[valid] ** 2))
         share = 1.0 - float(np.sum(winner.errors[valid] ** 2)) / base
-    return Round(bench, metric, ranked, winner, aliases, refused, rivalled, share)
+        rates = (
+            winner.evidence.train / np.count_nonzero(weigher.rows.of_part(TRAIN)),
+            winner.evidence.later / np.count_nonzero(weigher.rows.of_part(LATER)),
+        )
+    rival, p = _rival(weigher, winner, aliases, ranked), 0.0
+    if winner is not None and rival is not None:
+        assert winner.fit is not None
+        assert rival.fit is not None
+        rng = np.random.default_rng(FLIP_SEED)
+        p = rejected(winner.fit, rival.fit, bench.train, metric, rng)
+    return Round(bench, metric, ranked, winner, aliases, refused, rivalled, share, rates, rival, p)
 
 
-def _promising(raw: Sequence[Probe], white: Sequence[Probe]) -> list[Probe]:
-    """Return the most promising of both metrics, each place once."""
+def _rival(
+    weigher: _Weigher,
+    winner: Candidate | None,
+    aliases: Sequence[Candidate],
+    ranked: Sequence[Candidate],
+) -> Candidate | None:
+    """Return the best name that shares no effect with the winner and explains nearly as much."""
+    if winner is None or winner.unnamed:
+        return None
+    listed = {placed.key for c in aliases for placed in c.added}
+    for c in ranked:
+        apart = not listed & {placed.key for placed in c.added}
+        if c.accepted and not c.unnamed and apart and c.score > RIVAL_SHARE * winner.score:
+            return c
+    return None
+
+
+def _promising(raw: Answers, white: Answers) -> list[Probe]:
+    """Return the most promising of both metrics, each place once, and every bent shape."""
     kept: dict[object, Probe] = {}
-    for probes in (white, raw):
+    for answers in (white, raw):
+        probes = answers.best()
         best = probes[0].gain if probes else 0.0
-        least = max(LEAST_PROMISE, LEAST_PROMISE_SHARE * best)
-        named = [p for p in probes if p.gain > least and not p.placed.effect.unnamed]
-        terms = [p for p in probes if p.gain > least and p.placed.effect.unnamed]
-        bare = [p for p in probes if p.placed.effect.begins_afresh]
-        for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 3], *bare):
-            kept.setdefault(probe.placed.key, probe)
-    # The plain form of whatever is promising races beside it.
-    wanted = {(p.placed.name, p.placed.place) for p in kept.values()}
-    for probe in white:
-        forms = {(name, probe.placed.place) for name in probe.placed.effect.simple_form_of}
-        if forms & wanted:
-            kept.setdefault(probe.placed.key, probe)
+        chance = answers.chance(np.random.default_rng(FLIP_SEED))
+        least = max(chance, LEAST_PROMISE_SHARE * best)
+        named = [p for p in probes if p.gain > least and not p.unnamed]
+        terms = [p for p in probes if p.gain > least and p.unnamed]
+        pairs = answers.pairs(MOST_PAIRS, least)
+        for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 2], *pairs):
+            kept.setdefault(probe.key, probe)
+    for probe in white.best():
+        if probe.placed.effect.kind in BENT and not probe.placed.effect.linear:
+            kept.setdefault(probe.key, probe)
+    # The plain form of whatever is promising races beside it, and each half of a pair alone.
+    wanted = {(e.name, e.place) for p in kept.values() for e in p.added}
+    for probe in white.best():
+        placed = probe.placed
+        forms = {(name, placed.place) for name in placed.effect.simple_form_of}
+        half = any(p.second is not None and placed.key in p.key for p in kept.values())
+        if forms & wanted or half:
+            kept.setdefault(probe.key, probe)
     return list(kept.values())
 
 
@@ -208,17 +309,19 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     if not begun:
         return {}
     own = {p: metric_of(f.errors).log_likelihood(f.errors) for p, f in begun.items()}
-    by_size = sorted(begun, key=lambda p: begun[p].cost)[:FINALISTS]
-    by_own = sorted(begun, key=lambda p: -own[p])[:FINALISTS]
-    ahead = [p for p in begun if p in by_size or p in by_own]
+    ahead: list[Probe] = []
+    for unnamed in (False, True):
+        group = [p for p in begun if p.unnamed == unnamed]
+        by_size = sorted(group, key=lambda p: begun[p].cost)[:FINALISTS]
+        by_own = sorted(group, key=lambda p: -own[p])[:FINALISTS]
+        ahead += [p for p in group if p in by_size or p in by_own]
     forms = {(p.placed.name, p.placed.place) for p in ahead}
-    plain = [
+    ahead += [
         p
         for p in begun
         if p not in ahead
         and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
     ]
-    ahead += plain
     return {
         p: fit_runs(
             begun[p].structure,
@@ -235,7 +338,9 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
 
 def _begun(bench: Bench, probe: Probe) -> Fit:
     """Fit a few steps from where the score test points, or from the best of several starts."""
-    structure = bench.fit.structure.with_effect(probe.placed)
+    structure = bench.fit.structure
+    for placed in probe.added:
+        structure = structure.with_effect(placed)
 
     def lap(theta: FloatArray, starts: Sequence[FloatArray], most: int) -> Fit:
         return fit_runs(structure, bench.train, bench.raw, theta, starts, most=most)
@@ -250,11 +355,13 @@ def _begun(bench: Bench, probe: Probe) -> Fit:
 
 
 def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatArray]:
-    """Return where a fit of one more effect may begin."""
+    """Return where a fit of one more effect, or of two, may begin."""
     effect, theta = probe.placed.effect, bench.fit.theta
     first = len(structure.model.params)
     end = first + len(structure.model.inputs)
-    slots = structure.slots((0.0, *probe.start[1:]) if effect.linear else probe.start)
+    slots = _slots(structure, probe)
+    if probe.second is not None:
+        return [np.concatenate([theta, slots, _slots(structure, probe.second)])]
     out = [np.concatenate([theta, slots])]
     if effect.begins_afresh:
         # What makes another reading of everything: the model without it may be far off.
@@ -263,24 +370,31 @@ def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatA
     elif effect.kind in LATE:
         # What comes late through it, the model without it has put down to a timing offset.
         out.append(np.concatenate([theta[:first], 0.0 * theta[first:end], theta[end:], slots]))
-    elif not effect.linear:
+    if effect.numbers and not effect.linear:
         # A threshold in the run of a model that lacks it may be nowhere near the true one.
         others = [start for start in probe.placed.starts if start != probe.start]
         out += [np.concatenate([theta, structure.slots(start)]) for start in others]
     return out
 
 
-def _metric_of_best(fits: Sequence[Fit]) -> Metric:
-    """Return the metric of the errors that are likeliest in their own."""
-    good = [fit for fit in fits if not fit.failed]
-    n = sum(e.size for e in good[0].errors)
-    found = [(metric_of(fit.errors), fit) for fit in good]
-    price = 0.5 * np.log(n)
-    best = max(
-        found,
-        key=lambda pair: pair[0].log_likelihood(pair[1].errors) - price * pair[1].n_parameters,
-    )
-    return best[0]
+def _slots(structure: Structure, probe: Probe) -> FloatArray:
+    linear = probe.placed.effect.linear and bool(probe.placed.effect.numbers)
+    return structure.slots((0.0, *probe.start[1:]) if linear else probe.start)
+
+
+def _favoured_metric(bench: Bench, raw_fits: dict[Probe, Fit]) -> Metric:
+    """Return the metric of the errors of the candidate that held-out rows favour.
+
+    By its own likelihood on the rows fitted, the most flexible wins, whatever comes after.
+    """
+    good = [bench.fit, *[fit for fit in raw_fits.values() if not fit.failed]]
+
+    def held_out(fit: Fit) -> float:
+        own = metric_of(fit.errors)
+        later = settled(fit, bench.later, own)
+        return -np.inf if later.failed else own.log_likelihood(later.errors)
+
+    return metric_of(max(good, key=held_out).errors)
 
 
 @dataclass(frozen=True)
@@ -293,13 +407,19 @@ class _Weigher:
     base_errors: FloatArray
     rows: Rows
     names: tuple[str, ...]
+    chance: float
+    growth: float
 
     @classmethod
-    def of(cls, bench: Bench, metric: Metric, placed: Sequence[Placed]) -> _Weigher:
+    def of(
+        cls, bench: Bench, metric: Metric, placed: Sequence[Placed], prober: Prober
+    ) -> _Weigher:
         base = whitened_fit(bench, bench.fit, metric)
         errors = _errors(bench, metric, base)
         names = tuple(one.name for one in placed)
-        return cls(bench, metric, base, errors, _rows(bench, metric), names)
+        chance = prober.laid(placed, metric).chance(np.random.default_rng(FLIP_SEED))
+        rows = _rows(bench, metric)
+        return cls(bench, metric, base, errors, rows, names, chance, growth_of(bench.fit, bench))
 
     def weighed(self, candidate: Candidate, fit: Fit) -> Candidate:
         """Return a candidate with its evidence."""
@@ -310,7 +430,20 @@ class _Weigher:
         evidence = evidence_of(
             self.rows, self.base_errors, errors, added=added, searched=float(len(self.names))
         )
-        return replace(candidate, fit=fit, errors=errors, evidence=evidence)
+        sums = block_sums(0.5 * (self.base_errors**2 - errors**2), self.rows, LATER)
+        against = -float(sums[sums < 0.0].sum())
+        one_sided = against < ONE_SIDED_SHARE * float(sums[sums > 0.0].sum())
+        raw = candidate.raw
+        wild = raw is not None and growth_of(raw, self.bench) > self.growth + MOST_GROWTH
+        return replace(
+            candidate,
+            fit=fit,
+            errors=errors,
+            evidence=evidence,
+            one_sided=one_sided,
+            wild=wild,
+            chance=self.chance,
+        )
 
 
 def _errors(bench: Bench, metric: Metric, fit: Fit) -> FloatArray:
@@ -350,20 +483,20 @@ def _winner(
     named = [
         c
         for c, same in zip(pool, near, strict=True)
-        if not c.placed.effect.unnamed
+        if not c.unnamed
         and (same or best.score - c.score < margin or _corrects_the_same(weigher, c, best))
     ]
     rivalled = False
-    if best.placed.effect.unnamed and named:
+    if best.unnamed and named:
         # A name speaks wherever the records cannot tell it from a term without one.
         name = max(named, key=lambda c: c.score)
         best, rivalled = name, best.score - name.score > UNNAMED_GAP
-        pool = [best, *[c for c in accepted if c is not best and not c.placed.effect.unnamed]]
+        pool = [best, *[c for c in accepted if c is not best and not c.unnamed]]
         near = _near(weigher, pool)
     simple = _simple_form(best, pool)
     aliases = [c for c, same in zip(pool, near, strict=True) if same or c is simple or c is best]
-    if not best.placed.effect.unnamed:
-        aliases = [c for c in aliases if not c.placed.effect.unnamed]
+    if not best.unnamed:
+        aliases = [c for c in aliases if not c.unnamed]
         aliases = [c for c in aliases if c is best or not c.outgrown]
     # Names that rounding alone parts stand in the order of the catalogue.
     order = {name: i for i, name in enumerate(dict.fromkeys(weigher.names))}
@@ -408,6 +541,8 @@ def _simple_form(best: Candidate, pool: Sequence[Candidate]) -> Candidate | None
     refinement may be found in the next round.
     """
     for candidate in pool:
+        if len(candidate.added) > 1 or len(best.added) > 1:
+            continue
         same = candidate.placed.place == best.placed.place
         plain = best.placed.name in candidate.placed.effect.simple_form_of
         fair = candidate.score > SIMPLE_SHARE * best.score and not candidate.outgrown
@@ -418,5 +553,7 @@ def _simple_form(best: Candidate, pool: Sequence[Candidate]) -> Candidate | None
 
 def _numbers(candidate: Candidate) -> int:
     """Return how much an effect brings: its numbers, and its own state."""
-    effect = candidate.placed.effect
-    return sum(not held for held in candidate.placed.held) + effect.own_state
+    return sum(
+        sum(not held for held in placed.held) + placed.effect.own_state
+        for placed in candidate.added
+    )

@@ -40,7 +40,7 @@ def with_outputs(run: Run, outputs: np.ndarray, seed: int) -> Run:
 def placed_on(structure: Structure, run: Run) -> tuple[Fit, list[Probe]]:
     fit = make.fitted(structure, [run], PARAMETERS)
     effects, _ = placed_effects(fit, [run], [*SYSTEM_CATALOGUE, *OPEN_TERMS])
-    return fit, Prober(fit, [run]).probes(effects, raw_metric([run.outputs]))
+    return fit, Prober(fit, [run]).laid(effects, raw_metric([run.outputs])).best()
 
 
 @pytest.fixture(scope="module")
@@ -162,6 +162,6 @@ def test_what_is_fitted_already_promises_nothing(
     complete = make.fitted(extended, [made], np.concatenate([PARAMETERS, [-0.05, 0, 0, 0]]))
     effects, _ = placed_effects(complete, [made], SYSTEM_CATALOGUE)
     assert cubic.placed.key not in {e.key for e in effects}
-    left = Prober(complete, [made]).probes(effects, raw_metric([made.outputs]))
+    left = Prober(complete, [made]).laid(effects, raw_metric([made.outputs])).best()
     assert left[0].gain < 12.0 < others[0].gain
     assert fit.cost > complete.cost
