@@ -285,7 +285,6 @@ def _doubts(
         names = ", ".join(run.experiment.name for run in worse)
         out.append(f"the error on {names} got no better by it")
     return tuple(out)
-    )
 
 
 def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str:
@@ -354,10 +353,10 @@ def leftover_of(
     ]
     p, share, follows = 1.0, 0.0, ""
     for j in range(len(model.outputs)):
-        found = foretold([e[:, j] for e in later.errors], signals, names, rng)
+        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], signals, names, rng)
         if found[0] < p or (found[0] == p and found[1] > share):
             p, share, follows = found
-    size = np.sqrt(np.mean(np.concatenate(bench.fit.errors) ** 2, axis=0))
+    size = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
     ratio = float(np.max(size / np.asarray(metric.sigma)))
     return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows)
 
@@ -367,7 +366,7 @@ def _foretells_badly(bench: Bench) -> bool:
 
     What happens in them alone cannot be found: nothing is fitted to them.
     """
-    fitted = np.sqrt(np.mean(np.concatenate(bench.fit.errors) ** 2, axis=0))
+    fitted = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
     return bool(np.any(bench.held_out_rms() > FORETOLD_BADLY * fitted))
 
 
@@ -442,8 +441,8 @@ def _trained(
         0,
         records.model.output_names,
         measured,
-        measured - before.errors[which],
-        measured - after.errors[which],
+        before.paths[which].outputs,
+        after.paths[which].outputs,
     )
 
 
@@ -457,12 +456,12 @@ def _checked(
         run = check_run(records, experiment, fit)
         raw = raw_metric([run.outputs]).with_size_of(fit.errors)
         there = settled(fit, [run], raw, rows=settle)
-        simulated.append(run.outputs - there.errors[0])
+        simulated.append(there.paths[0].outputs)
     if refit and not there.failed:
         own = fit_runs(
             there.structure, [run], raw, there.theta, there.starts, there.scale, most=REFIT_STEPS
         )
-        simulated.append(run.outputs - own.errors[0])
+        simulated.append(own.paths[0].outputs)
     measured = experiment.columns(records.model.output_names)
     return CheckRun(experiment, True, settle, records.model.output_names, measured, *simulated)
 

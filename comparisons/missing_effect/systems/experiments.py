@@ -10,11 +10,12 @@ import numpy as np
 
 from comparisons.missing_effect.systems.model import Model
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["Experiment", "input_pieces"]
 
 FEWEST_ROWS = 40
+FEWEST_READINGS = 10
 # Pieces a sample for a band-limited input: a spline through four times as many points follows it
 # to well below the noise of any record here.
 BAND_FACTOR = 4
@@ -31,7 +32,8 @@ class Experiment:
     sample_period_s : float
         In seconds.
     channels : mapping of str to ndarray of shape (n,)
-        Inputs and outputs of the model, in its units; others are left alone.
+        Inputs and outputs of the model, in its units; others are left alone. An output that is
+        not a number in a row was not read there: a slower sensor, irregular times, an outage.
     first_s : float
         Clock of the first sample, in seconds.
     settle : int
@@ -41,7 +43,7 @@ class Experiment:
     Raises
     ------
     InputError
-        When channels differ in length, are not finite, or are too short.
+        When channels differ in length, are infinite, or are too short.
     """
 
     name: str
@@ -78,7 +80,10 @@ class Experiment:
             raise InputError(
                 self.named(name), expected="one value a row", found=f"shape {values.shape}"
             )
-        bad = np.flatnonzero(~np.isfinite(values))
+        self._finite(name, np.isinf(values), values)
+
+    def _finite(self, name: str, wrong: BoolArray, values: FloatArray) -> None:
+        bad = np.flatnonzero(wrong)
         if bad.size:
             raise InputError(
                 self.named(name),
@@ -107,7 +112,8 @@ class Experiment:
         Raises
         ------
         InputError
-            When an input or an output of the model is missing, or an output is constant.
+            When an input or an output of the model is missing, an input has gaps, or an output is
+            constant or hardly read.
         """
         wanted = (*model.input_names, *model.output_names)
         for name in wanted:
@@ -118,8 +124,17 @@ class Experiment:
                     found=f"{', '.join(self.channels)}",
                     remedy=f"name the column '{name}' in the file, or as it is in the model",
                 )
+        for name in model.input_names:
+            self._finite(name, np.isnan(self.channels[name]), self.channels[name])
         for name in model.output_names:
-            if float(np.ptp(self.channels[name])) == 0.0:
+            read = self.channels[name][np.isfinite(self.channels[name])]
+            if read.size < FEWEST_READINGS:
+                raise InputError(
+                    self.named(name),
+                    expected=f"at least {FEWEST_READINGS} readings",
+                    found=f"{read.size}",
+                )
+            if float(np.ptp(read)) == 0.0:
                 raise InputError(
                     self.named(name), expected="an output that changes", found="a constant"
                 )

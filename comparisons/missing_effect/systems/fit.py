@@ -51,7 +51,8 @@ class Fit:
     cost : float
         Negative log-likelihood, the sizes of errors at their best, and what the starts cost.
     errors : tuple of ndarray of shape (n, n_y)
-        Measured minus simulated, of each run.
+        Measured minus simulated, of each run: not a number where there is no reading, infinite
+        where the simulation failed.
     paths : tuple of Path
         The runs.
     failed : bool
@@ -98,7 +99,7 @@ def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
         if placed.effect.kind in (Kind.INPUT_LAG, Kind.INPUT_PLAY):
             out.append(run.pieces[at, :1, 0])
         elif placed.effect.kind == Kind.OUTPUT_LAG:
-            out.append(run.outputs[:1, at])
+            out.append(run.outputs[run.valid[:, at], at][:1])
         else:
             out.append(np.zeros(1))
     return np.concatenate(out)
@@ -210,7 +211,8 @@ class _Search:
             for run, start in zip(self.runs, starts, strict=True)
         )
         errors = tuple(
-            run.outputs - path.outputs for run, path in zip(self.runs, paths, strict=True)
+            np.where(run.valid, np.inf, np.nan) if path.failed else run.outputs - path.outputs
+            for run, path in zip(self.runs, paths, strict=True)
         )
         cost = np.inf
         if not any(path.failed for path in paths):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from comparisons.missing_effect.autoregression import autoregression
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["MOST_LAGS", "Metric", "metric_of", "raw_metric"]
 
@@ -19,56 +19,98 @@ MOST_LAGS = 4
 class Metric:
     """In which errors are white and of unit variance.
 
+    An error that is not a number marks a row without a reading: it is not scored, and no whitened
+    error looks across it.
+
     Parameters
     ----------
     sigma : tuple of float
         Standard deviation of what is new in an error of each output, in its unit.
     ar : tuple of ndarray
         Autoregression of each output's errors; empty arrays for the raw metric.
+    strides : tuple of int, optional
+        Rows from one reading of each output to the next.
     """
 
     sigma: tuple[float, ...]
     ar: tuple[FloatArray, ...]
+    strides: tuple[int, ...] = ()
 
     @property
     def lost(self) -> int:
         """Rows at the start of a run that have no whitened error."""
-        return max(a.size for a in self.ar)
+        return max(lags[-1] if lags else 0 for lags in self._lags)
+
+    @property
+    def _lags(self) -> list[list[int]]:
+        """Return how many rows each coefficient looks back, one list an output."""
+        strides = self.strides or (1,) * len(self.sigma)
+        return [
+            [stride * lag for lag in range(1, a.size + 1)]
+            for a, stride in zip(self.ar, strides, strict=True)
+        ]
+
+    def scored(self, errors: FloatArray) -> BoolArray:
+        """Return which whitened errors of one run there are, shape (n, n_y).
+
+        Parameters
+        ----------
+        errors : ndarray of shape (n, n_y)
+            Errors, or readings; not a number where there is none.
+        """
+        there = ~np.isnan(errors)
+        out = there.copy()
+        for j, lags in enumerate(self._lags):
+            for lag in lags:
+                out[lag:, j] &= there[:-lag, j]
+        out[: self.lost] = False
+        return out
 
     def whitened(self, errors: FloatArray) -> FloatArray:
         """Return whitened errors of one run, or columns of a Jacobian.
 
         Parameters
         ----------
-        errors : ndarray of shape (n, n_y) or (n, n_y, c)
-            Rows at the start that have no whitened error become zero.
+        errors : ndarray of shape (n, n_y) or (n, n_y, columns)
+            Where a row has no whitened error it is zero; not a number where a run failed.
         """
         out = np.empty_like(errors)
-        for j, (sigma, ar) in enumerate(zip(self.sigma, self.ar, strict=True)):
+        for j, (sigma, ar, lags) in enumerate(zip(self.sigma, self.ar, self._lags, strict=True)):
             white = errors[:, j].copy()
-            for lag, a in enumerate(ar, start=1):
+            for a, lag in zip(ar, lags, strict=True):
                 white[lag:] -= a * errors[:-lag, j]
             out[:, j] = white / sigma
+        first = errors.reshape(*errors.shape[:2], -1)[:, :, 0] if errors.size else errors
+        unknown = ~np.isfinite(out)
+        if np.any(unknown):
+            out[unknown] = np.nan
+            out[~self.scored(first)] = 0.0
         out[: self.lost] = 0.0
         return out
 
     def log_likelihood(self, errors: Sequence[FloatArray]) -> float:
         """Return the log-likelihood of errors with the size of each output's at its best."""
         total = 0.0
-        for j in range(len(self.sigma)):
-            rows = np.concatenate([self.whitened(e)[self.lost :, j] for e in errors])
-            mean = float(np.mean(rows**2)) * self.sigma[j] ** 2
+        for sigma, rows in zip(self.sigma, self._rows(errors), strict=True):
+            mean = float(np.mean(rows**2)) * sigma**2
             total -= 0.5 * rows.size * float(np.log(max(mean, 1e-300)))
         return total
 
     def with_size_of(self, errors: Sequence[FloatArray]) -> Metric:
         """Return the metric with the size of each output's errors at its best."""
         sizes = []
-        for j, sigma in enumerate(self.sigma):
-            rows = np.concatenate([self.whitened(e)[self.lost :, j] for e in errors])
+        for sigma, rows in zip(self.sigma, self._rows(errors), strict=True):
             size = sigma * float(np.sqrt(np.mean(rows**2)))
             sizes.append(size if size > 0.0 else sigma)
-        return Metric(tuple(sizes), self.ar)
+        return replace(self, sigma=tuple(sizes))
+
+    def _rows(self, errors: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return all whitened errors that there are, one array an output."""
+        white, scored = [self.whitened(e) for e in errors], [self.scored(e) for e in errors]
+        return [
+            np.concatenate([w[s[:, j], j] for w, s in zip(white, scored, strict=True)])
+            for j in range(len(self.sigma))
+        ]
 
 
 def raw_metric(outputs: Sequence[FloatArray]) -> Metric:
@@ -79,7 +121,7 @@ def raw_metric(outputs: Sequence[FloatArray]) -> Metric:
     outputs : sequence of ndarray of shape (n, n_y)
         Measured outputs of the runs.
     """
-    swing = np.std(np.concatenate(list(outputs)), axis=0)
+    swing = np.nanstd(np.concatenate(list(outputs)), axis=0)
     return Metric(tuple(float(s) for s in swing), (np.zeros(0),) * swing.size)
 
 
@@ -91,6 +133,22 @@ def metric_of(errors: Sequence[FloatArray]) -> Metric:
     errors : sequence of ndarray of shape (n, n_y)
         Of the runs.
     """
-    n_y = errors[0].shape[1]
-    ar = tuple(autoregression([e[:, j] for e in errors], MOST_LAGS) for j in range(n_y))
-    return Metric((1.0,) * n_y, ar).with_size_of(errors)
+    ar, strides = [], []
+    for j in range(errors[0].shape[1]):
+        stride, pieces = _pieces([e[:, j] for e in errors])
+        ar.append(autoregression(pieces, MOST_LAGS))
+        strides.append(stride)
+    return Metric((1.0,) * len(ar), tuple(ar), tuple(strides)).with_size_of(errors)
+
+
+def _pieces(errors: Sequence[FloatArray]) -> tuple[int, list[FloatArray]]:
+    """Return the usual rows from reading to reading, and the pieces without a longer gap."""
+    rows = [np.flatnonzero(~np.isnan(e)) for e in errors]
+    steps, counts = np.unique(np.concatenate([np.diff(r) for r in rows]), return_counts=True)
+    stride = int(steps[np.argmax(counts)]) if steps.size else 1
+    pieces = [
+        e[piece]
+        for e, r in zip(errors, rows, strict=True)
+        for piece in np.split(r, np.flatnonzero(np.diff(r) != stride) + 1)
+    ]
+    return stride, pieces

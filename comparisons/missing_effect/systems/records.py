@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.missing_effect.systems.experiments import Experiment
+from comparisons.missing_effect.systems.experiments import FEWEST_READINGS, Experiment
 from comparisons.missing_effect.systems.fit import Fit
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.roles import measured_as, rate_factors, rate_of
@@ -27,7 +27,7 @@ FEWEST_HELD_OUT = 40
 FEWEST_ROWS = 3 * FEWEST_HELD_OUT
 # Rows whose cubic tells a measured displacement and its speed at the start, and the factor by which
 # its errors are widened: a cubic is no more than a fair description of so short a stretch.
-FIRST_ROWS, FIRST_ROWS_DOUBT = 20, 3.0
+FIRST_ROWS, FIRST_ROWS_DOUBT, FEWEST_FIRST = 20, 3.0, 10
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,24 @@ class Records:
             most_out = max(int(MOST_HELD_OUT * share), FEWEST_HELD_OUT)
             fitted.append(e.rows(0, min(cut, most)))
             held_out.append(e.rows(cut, e.n_samples).rows(0, most_out))
+            _check_read(model, fitted[-1], "the first two thirds")
+            _check_read(model, held_out[-1], "the last third")
         span = (
             min(e.first_s for e in whole),
             max(e.first_s + e.n_samples * e.sample_period_s for e in whole),
         )
         return cls(model, whole, tuple(fitted), tuple(held_out), span)
+
+
+def _check_read(model: Model, stretch: Experiment, which: str) -> None:
+    for name in model.output_names:
+        n = int(np.count_nonzero(np.isfinite(stretch.channels[name])))
+        if n < FEWEST_READINGS:
+            raise InputError(
+                stretch.named(name),
+                expected=f"at least {FEWEST_READINGS} readings in {which} of the record",
+                found=f"{n}",
+            )
 
 
 def runs_of(
@@ -177,7 +190,8 @@ def known_start(
         start = model.x0.get(name)
         if start == "first" or (i in measured and not begun):
             if not np.isfinite(sd[i]):
-                mean[i] = experiment.channels[measured.get(i, name)][0]
+                values = experiment.channels[measured.get(i, name)]
+                mean[i] = values[np.isfinite(values)][0]
         elif start is not None and begun:
             mean[i], sd[i] = start if isinstance(start, tuple) else (start, np.inf)
         elif isinstance(start, tuple):
@@ -193,16 +207,20 @@ def _first_rows(experiment: Experiment, name: str) -> tuple[FloatArray, FloatArr
     Where a displacement is measured, its first rows know the speed; a free search would use the
     speed at the start to make up for what the model lacks, and carry that into every other record.
     """
-    n = min(FIRST_ROWS, experiment.n_samples)
-    rows = np.arange(n, dtype=np.float64)
+    values = experiment.channels[name]
+    rows = np.flatnonzero(np.isfinite(values[:FIRST_ROWS])).astype(np.float64)
+    read = values[np.isfinite(values)]
+    if rows.size < FEWEST_FIRST:
+        return np.array([read[0], 0.0]), np.array([np.inf, np.inf])
     cubic = np.vander(rows, 4, increasing=True)
-    values = experiment.channels[name][:n]
-    coefficients = np.linalg.lstsq(cubic, values, rcond=None)[0]
-    left = values - cubic @ coefficients
+    first = read[: rows.size]
+    coefficients = np.linalg.lstsq(cubic, first, rcond=None)[0]
+    left = first - cubic @ coefficients
     # A reading of a few bits can repeat itself exactly; its step is then the least error.
-    steps = np.abs(np.diff(experiment.channels[name]))
+    steps = np.abs(np.diff(read))
     noise = max(
-        float(np.sqrt(left @ left / (n - 4))), float(np.min(steps[steps > 0.0])) / np.sqrt(12.0)
+        float(np.sqrt(left @ left / (rows.size - 4))),
+        float(np.min(steps[steps > 0.0])) / np.sqrt(12.0),
     )
     spread = FIRST_ROWS_DOUBT * noise * np.sqrt(np.diag(np.linalg.inv(cubic.T @ cubic)))
     per = experiment.sample_period_s

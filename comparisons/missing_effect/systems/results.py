@@ -157,7 +157,7 @@ class CheckRun:
 
 
 def _rms_columns(errors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)

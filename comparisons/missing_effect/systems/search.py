@@ -460,11 +460,11 @@ def _rows(bench: Bench, metric: Metric) -> Rows:
     for value, runs in ((TRAIN, bench.train), (LATER, bench.later)):
         for run in runs:
             part.append(np.full(run.n_samples, value, dtype=np.int8))
-            valid.append(np.arange(run.n_samples) >= metric.lost)
+            valid.append(metric.scored(run.outputs))
     n_y = len(metric.sigma)
     total = sum(p.size for p in part)
     block = max(LEAST_BLOCK_ROWS, total // BLOCKS)
-    return Rows.of(np.tile(np.concatenate(part), n_y), np.tile(np.concatenate(valid), n_y), block)
+    return Rows.of(np.tile(np.concatenate(part), n_y), np.concatenate(valid).T.ravel(), block)
 
 
 def _winner(

@@ -169,7 +169,13 @@ def answers(
     start = np.hstack([np.zeros((n_X, m)), np.eye(n_X)])
     moved = forced(whole, half, forcing, start, run.sample_period_s / FINE)
     slopes = output_slopes(path.states, moved, theta, (which, steps), *given, scale, n_y)
-    return structure.recorded(slopes, theta) + direct
+    return _read(run, structure.recorded(slopes, theta) + direct)
+
+
+def _read(run: Run, columns: FloatArray) -> FloatArray:
+    """Return columns that are not a number where the run has no reading."""
+    columns[~run.valid] = np.nan
+    return columns
 
 
 def _filter_forcing(
@@ -226,4 +232,4 @@ def output_answers(
         scale,
         run.outputs.shape[1],
     )
-    return structure.recorded(slopes, theta)
+    return _read(run, structure.recorded(slopes, theta))

@@ -14,7 +14,7 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.recording import all_pass
 from comparisons.missing_effect.systems.shapes import Kind
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["FIRST_TOLERANCE", "MOST_OFFSET", "Run", "Structure"]
 
@@ -168,7 +168,7 @@ class Run:
     experiment : Experiment
         The stretch.
     outputs : ndarray of shape (n, n_y)
-        Measured outputs.
+        Measured outputs; not a number where there is no reading.
     pieces : ndarray of shape (n_u, m, 4)
         Inputs between samples.
     clock : ndarray of shape (4,)
@@ -219,6 +219,11 @@ class Run:
         true = all_pass(inputs, theta[at], theta[at + 1], inverse=True)
         made = [input_pieces(true[:, j], structure.between)[0] for j in range(len(names))]
         return np.ascontiguousarray(np.stack(made))
+
+    @property
+    def valid(self) -> BoolArray:
+        """Which readings there are, shape (n, n_y)."""
+        return ~np.isnan(self.outputs)
 
     @property
     def n_samples(self) -> int:

@@ -140,7 +140,7 @@ BAD = {
     "gap.csv": (lambda: text(good().drop(index=range(80, 90))), "a gap in row 81"),
     "nan_time.csv": (changed(70, "time_s", ""), "time_s: expected finite times, found nan in row"),
     "jitter.csv": (jitter, "row 51 off by 0.002 periods"),
-    "nan.csv": (changed(12, "y", ""), "y: expected finite values, found nan in row 13"),
+    "nan.csv": (changed(12, "F", ""), "F: expected finite values, found nan in row 13"),
     "word.csv": (changed(12, "y", "over"), "y: expected numbers, found 'over' in row 13"),
     "no_input.csv": (header("time_s,force,y"), "F: expected columns F, y, found y"),
     "semicolons.csv": (header("time_s;F;y"), "columns separated by commas"),
@@ -165,6 +165,13 @@ BAD = {
     ),
     "text.nc": (lambda: text(good()), "a netCDF file, found what cannot be read"),
 }
+
+
+def test_an_empty_cell_of_an_output_is_no_reading(tmp_path: Path, model_file: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(changed(12, "y", "")())
+    read = read_experiment(path, load_model(model_file))
+    assert np.flatnonzero(np.isnan(read.channels["y"])).tolist() == [12]
 
 
 @pytest.mark.parametrize("name", BAD)

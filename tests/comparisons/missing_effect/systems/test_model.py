@@ -90,9 +90,34 @@ def channels(n: int = 60) -> dict[str, Any]:
 
 BAD_RECORDS: dict[str, tuple[Callable[[], object], str]] = {
     "no period": (lambda: Experiment("a", 0.0, channels()), "a: sample period: .*positive.*0.0"),
-    "a gap": (
-        lambda: Experiment("a", 1.0, {**channels(), "y": np.r_[0.0, np.nan, np.arange(58.0)]}),
-        "a: y: expected finite values, found nan in row 2",
+    "a gap in an input": (
+        lambda: Experiment("a", 1.0, {**channels(), "F": np.r_[0.0, np.nan, np.arange(58.0)]}).of(
+            Model(**GOOD)
+        ),
+        "a: F: expected finite values, found nan in row 2",
+    ),
+    "a reading that is infinite": (
+        lambda: Experiment("a", 1.0, {**channels(), "y": np.r_[0.0, np.inf, np.arange(58.0)]}),
+        "a: y: expected finite values, found inf in row 2",
+    ),
+    "an output that is hardly read": (
+        lambda: Experiment(
+            "a", 1.0, {**channels(), "y": np.r_[np.arange(9.0), np.full(51, np.nan)]}
+        ).of(Model(**GOOD)),
+        "a: y: expected at least 10 readings, found 9",
+    ),
+    "an output that is not read at the end": (
+        lambda: Records.of(
+            Model(**GOOD),
+            [
+                Experiment(
+                    "a",
+                    1.0,
+                    {**channels(150), "y": np.r_[np.arange(100.0), np.full(50, np.nan)]},
+                )
+            ],
+        ),
+        "a: y: expected at least 10 readings in the last third of the record, found 0",
     ),
     "channels of two lengths": (
         lambda: Experiment("a", 1.0, {**channels(), "y": np.arange(61.0)}),

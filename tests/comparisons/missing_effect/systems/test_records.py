@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 import system_models as make
 import system_truths as truth
+from scipy.signal import lfilter
 
 from comparisons.missing_effect.systems.bench import base_bench
 from comparisons.missing_effect.systems.diagnosis import diagnose_model
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import settled
-from comparisons.missing_effect.systems.metric import raw_metric
+from comparisons.missing_effect.systems.metric import metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model, P
 from comparisons.missing_effect.systems.quantities import covariance
 from comparisons.missing_effect.systems.records import Records, check_run
+from comparisons.missing_effect.systems.structure import Structure
+
 
 def biased_body(**changes: Any) -> Model:
     """The body with a force whose zero was set anew for each record."""
@@ -76,3 +79,72 @@ def test_a_check_begins_from_the_values_of_the_training_records() -> None:
     assert there.starts[0][2] == pytest.approx(2.0, abs=0.5)
     cov = covariance(fit, base_bench(records).train, raw_metric([run.outputs]))
     assert cov.shape == (fit.theta.size + 2,) * 2
+
+
+GAPS = {
+    "an outage": lambda n, rng: (np.arange(n) < 200) | (np.arange(n) >= 330),
+    "a sensor of a fifth of the rate": lambda n, rng: np.arange(n) % 5 == 2,
+    "irregular times": lambda n, rng: rng.random(n) < 0.3,
+}
+
+
+def coloured(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Errors of an autoregression 0.9, of unit variance."""
+    return np.asarray(lfilter([np.sqrt(1 - 0.81)], [1.0, -0.9], rng.standard_normal(n)))
+
+
+@pytest.mark.parametrize("case", GAPS)
+def test_readings_that_are_missing_are_not_scored(case: str) -> None:
+    """The truth is found with honest errors, whatever stands in the rows without a reading."""
+    n, model, z = 900, make.body(), []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        made = truth.body(5, n, noise=0.0)
+        there = GAPS[case](n, rng)
+        made["q"] = np.where(there, made["q"] + 0.01 * coloured(n, rng), np.nan)
+        run = make.runs_on(model, [make.experiment("body", made)])[0]
+        assert np.array_equal(run.valid[:, 0], there)
+        fit = make.fitted(Structure(model, (), "cubic", 1e-6, offsets_free=False), [run])
+        assert np.array_equal(np.isnan(fit.errors[0][:, 0]), ~there)
+        assert np.all(np.isfinite(fit.paths[0].outputs))
+        stderr = np.sqrt(np.diag(covariance(fit, [run], raw_metric([run.outputs])))[:3])
+        z.append((fit.theta[:3] - list(truth.BODY.values())) / stderr)
+    sizes = np.sqrt(np.mean(np.square(z), axis=0))
+    assert np.all((sizes > 0.4) & (sizes < 1.8)), sizes
+
+
+def test_no_whitened_error_looks_across_a_gap() -> None:
+    """Errors of an autoregression 0.9: white within each piece, nothing at its first rows."""
+    errors = coloured(4000, np.random.default_rng(3))[:, None]
+    errors[1000:1040] = np.nan
+    metric = metric_of([errors])
+    assert metric.ar[0][0] == pytest.approx(0.9, abs=0.03)
+    assert metric.strides == (1,)
+    order = metric.ar[0].size
+    scored = metric.scored(errors)[:, 0]
+    assert not np.any(scored[:order])
+    assert not np.any(scored[1000 : 1040 + order])
+    assert np.count_nonzero(scored) == 4000 - 40 - 2 * order
+    white = metric.whitened(errors)[:, 0]
+    assert np.all(white[~scored] == 0.0)
+    assert np.std(white[scored]) == pytest.approx(1.0, abs=0.01)
+    slow = np.full((4000, 1), np.nan)
+    slow[3::4] = coloured(1000, np.random.default_rng(4))[:, None]
+    slower = metric_of([slow])
+    assert slower.strides == (4,)
+    assert slower.ar[0][0] == pytest.approx(0.9, abs=0.05)
+    left = slower.whitened(slow)[slower.scored(slow)]
+    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.1
+
+
+def test_a_slower_output_and_an_outage_leave_the_name() -> None:
+    """A drag in a pipe whose flow is read every third row, with an outage, is named as it is."""
+    made = truth.pipe(1, 1200, drag=0.3, noise=0.01)
+    rows = np.arange(1200)
+    made["Q"] = np.where((rows % 3 == 0) & ((rows < 500) | (rows > 560)), made["Q"], np.nan)
+    found = diagnose_model(make.pipe(), make.experiment("pipe", made), most_effects=1)
+    assert found.missing[0].effect == "quadratic_drag"
+    number = found.missing[0].numbers[0]
+    assert abs(number.value - 0.3) < 4.0 * number.stderr < 0.06
+    assert np.all(np.isfinite(found.training[0].after_rms))
+    assert np.all(np.isfinite(found.training[0].after))
