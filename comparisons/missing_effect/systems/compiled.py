@@ -12,11 +12,12 @@ from functools import lru_cache
 from typing import Any, TypeAlias
 
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import njit, types
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
 from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at
 from surge_core.errors import InputError
 
 __all__ = ["Compiled", "call_at", "compiled", "expression_address"]
@@ -113,9 +114,12 @@ def expression_address(model: Model, expression: Expression) -> int:
 
 
 def _function(model: Model, part: str) -> Any:
-    """Compile one function of a model."""
+    """Compile one function of a model, unless it is machine code already."""
+    given = getattr(model, part)
+    if isinstance(given, AtAddress):
+        return given
     count = model.own_states if part == "rhs" else len(model.outputs)
-    return _cfunc(model, part, getattr(model, part), count, numbers=_returns_tuple(model, part))
+    return _cfunc(model, part, given, count, numbers=_returns_tuple(model, part))
 
 
 def _cfunc(model: Model, part: str, user: Any, count: int, *, numbers: bool) -> Any:
@@ -137,12 +141,11 @@ def _cfunc(model: Model, part: str, user: Any, count: int, *, numbers: bool) -> 
     # Only names that were checked to be identifiers reach this source, and none of them does:
     # fields are read by number.
     space: dict[str, Any] = {f"{name}_group": group for name, group in groups.items()}
-    pointer: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
     try:
         # As numpy does: a division by zero is an infinity that the integrator sees, no exception.
         space["user"] = njit(error_model="numpy")(user)
         exec("\n".join(lines), space)
-        return cfunc(types.void(types.float64, *(pointer,) * 4))(space["wrapped"])
+        return compiled_at(space["wrapped"])
     except (NumbaError, TypeError, ValueError, NotImplementedError) as error:
         raise InputError(
             f"model: {part}",

@@ -10,14 +10,10 @@ from typing import Any
 
 import numpy as np
 from numba import carray, cfunc, types  # type: ignore[attr-defined]
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.systems.dynamics import (
-    SLOTS,
-    extended_rhs,
-    scratch_for,
-)
+from comparisons.missing_effect.systems.dynamics import SLOTS, extended_rhs, scratch_for
+from comparisons.missing_effect.systems.pointers import INTEGERS, NUMBERS, integers_at, numbers_at
 from surge_core.types import FloatArray
 
 __all__ = ["integrated"]
@@ -30,36 +26,14 @@ LONGEST_STEP = 3.0
 MOST_STEPS = 50
 MOST_MEGABYTES = 4000
 
-_Number: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
-_Integer: Any = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
 
-
-def _as_pointer(context: Any, builder: Any, sig: Any, arguments: Any) -> Any:
-    return builder.inttoptr(arguments[0], context.get_value_type(sig.return_type))
-
-
-def _number_pointer(typing: Any, address: Any) -> tuple[Any, Any]:
-    """Return the pointer to numbers at an address."""
-    return _Number(types.int64), _as_pointer
-
-
-def _integer_pointer(typing: Any, address: Any) -> tuple[Any, Any]:
-    """Return the pointer to integers at an address."""
-    return _Integer(types.int64), _as_pointer
-
-
-# numba gives the typing context itself: to callers they have one argument.
-_numbers_at: Any = intrinsic(_number_pointer)
-_integers_at: Any = intrinsic(_integer_pointer)
-
-
-@cfunc(types.void(_Number, types.float64, _Number, _Integer), cache=True)
+@cfunc(types.void(NUMBERS, types.float64, NUMBERS, INTEGERS), cache=True)
 def _slope(out: Any, t: float, state: Any, given: Any) -> None:
     """Fill dX/dt; not a number where the state has run away, so that the integrator gives up."""
     n = given[0]
-    ints = carray(_integers_at(given[1]), (given[2],))
-    packed = carray(_numbers_at(given[3]), (given[4],))
-    pieces = carray(_numbers_at(given[5]), (given[6], given[7], 4))
+    ints = carray(integers_at(given[1]), (given[2],))
+    packed = carray(numbers_at(given[3]), (given[4],))
+    pieces = carray(numbers_at(given[5]), (given[6], given[7], 4))
     X = carray(state, (n,))
     gone = False
     for i in range(n):
@@ -72,7 +46,7 @@ def _slope(out: Any, t: float, state: Any, given: Any) -> None:
     at = 4 + n
     n_theta = ints[4] + ints[3] + SLOTS * ints[7]
     theta, floats = packed[at : at + n_theta], packed[at + n_theta :]
-    scratch = carray(_numbers_at(given[8]), (given[9],))
+    scratch = carray(numbers_at(given[8]), (given[9],))
     dX = carray(out, (n,))
     extended_rhs(t, X, theta, ints, floats, pieces, packed[:4], dX, scratch)
 

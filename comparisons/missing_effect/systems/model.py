@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import keyword
 import math
+import os
 from collections import namedtuple
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -100,6 +101,49 @@ class Model(Displayed):
         _check_params(self)
         _check_options(self)
         _check_functions(self)
+
+    @classmethod
+    def from_fmu(
+        cls,
+        path: str | os.PathLike[str],
+        inputs: Sequence[str] | Mapping[str, str],
+        outputs: Sequence[str] | Mapping[str, str],
+        params: Sequence[str] | Mapping[str, P],
+        **options: Any,
+    ) -> Model:
+        """Return the model of a functional mock-up unit for model exchange, of FMI 2 or 3.
+
+        Parameters
+        ----------
+        path : str or path
+            The unit. It is a program: it is executed with all rights of the calling user.
+        inputs, outputs : sequence of str, or mapping of str to str
+            Its variables, or what they are called in the records and in the unit.
+        params : sequence of str, or mapping of str to P
+            Its variables that are fitted; without a `P` the unit's own start and bounds hold.
+            In names dots and brackets become underscores.
+        **options
+            ``exact``, ``x0``, ``balance``, ``input_between_samples`` and ``name``.
+
+        Raises
+        ------
+        InputError
+            When it is no such unit, has events, or lacks a variable or a bound.
+        """
+        from comparisons.missing_effect.systems.fmu import unit_parts
+
+        parts = unit_parts(path, inputs, outputs, tuple(params))
+        given = list(params.values()) if isinstance(params, Mapping) else []
+        made = {}
+        for i, (name, (start, low, high, unit)) in enumerate(parts["params"].items()):
+            if given and given[i].per_record:
+                raise _refused(f"params: {name}", "one value for all records", "per_record")
+            if not given and (start is None or low is None or high is None):
+                raise _refused(
+                    f"params: {name}", "P(start, low, high)", "no start and bounds in the unit"
+                )
+            made[name] = given[i] if given else P(float(start), float(low), float(high), unit)
+        return cls(**{**parts, "params": made, **options})
 
     @property
     def state_names(self) -> tuple[str, ...]:

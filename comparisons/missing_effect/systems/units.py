@@ -10,7 +10,7 @@ __all__ = ["is_mechanical", "product_of_units"]
 
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-TOKEN = re.compile(r"\s*([()/*·]|[^\W\d_]+|[°%]\w*|1(?!\d))(?:(?:\^|\*\*)?(-?\d+))?\s*")
+TOKEN = re.compile(r"\s*([()/*·.]|[^\W\d_]+|[°%]\w*|1(?!\d))(?:(?:\^|\*\*)?(-?\d+))?\s*")
 TIMES = ("s", "ms", "min", "h")
 LENGTHS = ("m", "mm", "cm", "dm", "km", "µm", "μm", "um", "nm", "in", "ft")
 ANGLES = ("rad", "mrad", "deg", "°", "rev", "turn", "rpm")
@@ -34,7 +34,7 @@ def _powers(unit: str) -> dict[str, Fraction]:
             _multiply(groups[-1][0], inner, outside * power)
         elif token == ")":
             return {unit: Fraction(1)}
-        elif token in "/*·":
+        elif token in "/*·.":
             sign = -1 if token == "/" else 1
             continue
         else:

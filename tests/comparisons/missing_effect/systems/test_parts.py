@@ -264,6 +264,7 @@ def test_a_definition_may_be_scaled() -> None:
         ((("N s/m", 1), ("m/s", 1)), "N"),
         ((("kPa s²/dm³", 1), ("dm³/s", 2)), "kPa·dm³"),
         ((("m/s", 1), ("s", 1)), "m"),
+        ((("N.s/m", 1), ("m/s2", 1)), "N/s"),
         ((("1", 1), ("s", -1)), "1/s"),
         ((("J/(kg·K)", 1), ("kg", 1), ("K", 1)), "J"),
         ((("%, full scale", 1),), "%, full scale"),

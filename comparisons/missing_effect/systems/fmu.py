@@ -1,0 +1,329 @@
+"""Functional mock-up units: the equations of a model that another tool exported.
+
+A unit of model exchange gives derivatives and outputs for a time, states, inputs and parameters; a
+short trampoline in machine code puts it behind the address that the kernels call.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numba import carray, njit  # type: ignore[attr-defined]
+
+from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at, numbers_at
+from surge_core.errors import InputError
+
+__all__ = ["unit_parts"]
+
+# From this status on a call of a unit has failed: discard, error, fatal.
+DISCARDED = 2
+_ADDRESS, _NUMBER, _FLAG = ctypes.c_size_t, ctypes.c_double, ctypes.c_int
+Names = Sequence[str] | Mapping[str, str]
+
+
+def unit_parts(
+    path: str | os.PathLike[str], inputs: Names, outputs: Names, params: Sequence[str]
+) -> dict[str, Any]:
+    """Return what a model is made of: units of its signals, starts of its parameters, functions.
+
+    Parameters
+    ----------
+    path : str or path
+        A unit for model exchange, of FMI 2 or 3.
+    inputs, outputs : sequence of str, or mapping of str to str
+        Variables of the unit, or what they are called in the records and in the unit.
+    params : sequence of str
+        Variables of the unit that are fitted.
+
+    Returns
+    -------
+    dict
+        ``states``, ``inputs``, ``outputs`` (name: unit), ``x0`` (name: value), ``params``
+        (name: (start, low, high, unit)), ``rhs``, ``output`` and ``name``.
+
+    Raises
+    ------
+    InputError
+        When it is no such unit, has events, or lacks a variable.
+    """
+    fmpy = _fmpy()
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(str(file), expected="a functional mock-up unit", found="no such file")
+    try:
+        described = fmpy.read_model_description(str(file), validate=False)
+    except Exception as error:
+        said = " ".join(str(error).split())[:200]
+        raise InputError(
+            str(file), expected="a functional mock-up unit (.fmu)", found=said or "another file"
+        ) from error
+    _check_kind(file, described)
+    known = {v.name: v for v in described.modelVariables}
+    slopes = [unknown.variable for unknown in described.derivatives]
+    groups = {
+        "states": {_identifier(v.derivative.name): v.derivative for v in slopes},
+        "inputs": _chosen(file, "inputs", inputs, known),
+        "outputs": _chosen(file, "outputs", outputs, known),
+        "params": _chosen(file, "params", params, known),
+    }
+    unit = _instance(fmpy, file, described)
+    made: dict[str, Any] = {
+        part: {name: _unit(v) for name, v in group.items()} for part, group in groups.items()
+    }
+    made["params"] = {name: _range(v) for name, v in groups["params"].items()}
+    made["x0"] = {n: float(v.start) for n, v in groups["states"].items() if v.start is not None}
+    references = [
+        np.array([v.valueReference for v in groups[part].values()], dtype=np.uint32)
+        for part in ("inputs", "params", "outputs")
+    ]
+    made["rhs"], made["output"] = _functions(unit, described, len(slopes), references)
+    return {**made, "name": described.modelName or file.stem}
+
+
+def _fmpy() -> ModuleType:
+    try:
+        import fmpy
+    except ImportError as error:
+        raise InputError(
+            "functional mock-up units",
+            expected="the package fmpy",
+            found="none",
+            remedy="install it with: pip install 'sindy-surge[fmu]'",
+        ) from error
+    return fmpy  # type: ignore[no-any-return]
+
+
+def _check_kind(file: Path, described: Any) -> None:
+    if described.fmiMajorVersion not in (2, 3) or described.modelExchange is None:
+        kind = "co-simulation" if described.coSimulation is not None else "another kind"
+        raise InputError(
+            str(file),
+            expected="a unit for model exchange, of FMI 2 or 3",
+            found=f"{kind}, of FMI {described.fmiVersion}",
+            remedy="export it for model exchange, or give Model.from_simulate a function that runs "
+            "it",
+        )
+    for what, n in (
+        ("event indicators", described.numberOfEventIndicators),
+        ("clocked states", len(described.clockedStates)),
+    ):
+        if n:
+            raise InputError(
+                str(file),
+                expected="a unit without events, whose states run continuously",
+                found=f"{n} {what}",
+            )
+    if not described.derivatives:
+        raise InputError(str(file), expected="a unit with states", found="none")
+
+
+def _identifier(name: str) -> str:
+    """Return a variable's name as a Python identifier: ``body.x[1]`` is ``body_x_1``."""
+    return re.sub(r"\W+", "_", name).strip("_")
+
+
+def _chosen(file: Path, part: str, names: Names, known: Mapping[str, Any]) -> dict[str, Any]:
+    pairs = names if isinstance(names, Mapping) else {_identifier(name): name for name in names}
+    for name in pairs.values():
+        if name not in known or known[name].type not in ("Real", "Float64"):
+            reals = [n for n, v in known.items() if v.type in ("Real", "Float64")]
+            raise InputError(
+                f"{file}: {part}",
+                expected="real variables of the unit: " + ", ".join(reals[:20]),
+                found=f"'{name}'",
+            )
+    return {own: known[name] for own, name in pairs.items()}
+
+
+def _unit(variable: Any) -> str:
+    declared = variable.declaredType
+    return str(variable.unit or (declared.unit if declared is not None else None) or "1")
+
+
+def _range(variable: Any) -> tuple[float | None, float | None, float | None, str]:
+    """Return start, bounds and unit as far as the unit gives them."""
+    declared = variable.declaredType
+    given = [
+        getattr(variable, key) or getattr(declared, key, None) for key in ("start", "min", "max")
+    ]
+    start, low, high = (None if value is None else float(value) for value in given)
+    return start, low, high, _unit(variable)
+
+
+def _instance(fmpy: ModuleType, file: Path, described: Any) -> Any:
+    """Return a unit that is loaded; its files stay as long as it runs."""
+    module = import_module(f"fmpy.fmi{described.fmiMajorVersion}")
+    folder = tempfile.mkdtemp(prefix="fmu")
+    try:
+        fmpy.extract(str(file), folder)
+        unit = getattr(module, f"FMU{described.fmiMajorVersion}Model")(
+            guid=described.guid,
+            modelIdentifier=described.modelExchange.modelIdentifier,
+            unzipDirectory=folder,
+            instanceName="unit",
+        )
+        unit.instantiate()
+    except Exception as error:
+        # fmpy raises bare exceptions.
+        shutil.rmtree(folder, ignore_errors=True)
+        said = " ".join(str(error).split())[:200]
+        raise InputError(
+            str(file), expected="a unit that runs on this machine", found=said
+        ) from error
+    weakref.finalize(unit, shutil.rmtree, folder, ignore_errors=True)
+    return unit
+
+
+def _call(unit: Any, name: str, *kinds: Any) -> Any:
+    """Return a function of a unit's library; all pointers are numbers to the machine."""
+    address = int(ctypes.cast(getattr(unit.dll, name), ctypes.c_void_p).value or 0)
+    return ctypes.CFUNCTYPE(ctypes.c_int, _ADDRESS, *kinds)(address)
+
+
+def _functions(
+    unit: Any, described: Any, n_x: int, references: Sequence[Any]
+) -> tuple[AtAddress, AtAddress]:
+    """Return the trampolines of derivatives and outputs."""
+    version = described.fmiMajorVersion
+    component = int(unit.component if isinstance(unit.component, int) else unit.component.value)
+    n_u, n_p, n_y = (r.size for r in references)
+    u_at, p_at, y_at = (int(r.ctypes.data) for r in references)
+    # The parameters that the unit was initialized with; room for what it says of events.
+    known, said = np.full(max(n_p, 1), np.nan), np.zeros(16)
+    begun, said_at = int(known.ctypes.data), int(said.ctypes.data)
+    set_time = _call(unit, f"fmi{version}SetTime", _NUMBER)
+    set_states = _call(unit, f"fmi{version}SetContinuousStates", _ADDRESS, _ADDRESS)
+    slopes = "fmi2GetDerivatives" if version == 2 else "fmi3GetContinuousStateDerivatives"
+    get_slopes = _call(unit, slopes, _ADDRESS, _ADDRESS)
+    begin, set_values, get_values = (_fmi2 if version == 2 else _fmi3)(unit, component, said_at)
+
+    @njit
+    def prepared(t: float, x: Any, u: Any, p: Any) -> int:
+        initialized = carray(numbers_at(begun), (max(n_p, 1),))
+        values = carray(p, (n_p,))
+        status = 0
+        same = initialized[0] == 0.0 if n_p == 0 else True
+        for i in range(n_p):
+            same = same and initialized[i] == values[i]
+        if not same:
+            # Of a unit in use only tunable parameters may change; one that begins takes any.
+            status = begin(p_at, n_p, values.ctypes.data)
+            initialized[0] = 0.0
+            for i in range(n_p):
+                initialized[i] = values[i]
+        status = max(status, set_time(component, t))
+        status = max(status, set_states(component, carray(x, (n_x,)).ctypes.data, n_x))
+        if n_u > 0:
+            status = max(status, set_values(u_at, n_u, carray(u, (n_u,)).ctypes.data))
+        if status >= DISCARDED:
+            # What failed begins anew at the next call.
+            initialized[0] = np.nan
+        return int(status)
+
+    def rhs(t: Any, x: Any, u: Any, p: Any, out: Any) -> None:
+        dx = carray(out, (n_x,))
+        status = prepared(t, x, u, p)
+        status = max(status, get_slopes(component, dx.ctypes.data, n_x))
+        if status >= DISCARDED:
+            dx[:] = np.nan
+
+    def output(t: Any, x: Any, u: Any, p: Any, out: Any) -> None:
+        y = carray(out, (n_y,))
+        status = prepared(t, x, u, p)
+        status = max(status, get_values(y_at, n_y, y.ctypes.data))
+        if status >= DISCARDED:
+            y[:] = np.nan
+
+    kept = (unit, references, known, said)
+    return AtAddress(compiled_at(rhs), n_x, kept), AtAddress(compiled_at(output), n_y, kept)
+
+
+def _fmi2(unit: Any, component: int, said_at: int) -> tuple[Any, Any, Any]:
+    """Return how a unit of FMI 2 begins with parameters, takes values and gives them."""
+    reset, enter, leave, run = (
+        _call(unit, f"fmi2{name}")
+        for name in (
+            "Reset",
+            "EnterInitializationMode",
+            "ExitInitializationMode",
+            "EnterContinuousTimeMode",
+        )
+    )
+    setup = _call(unit, "fmi2SetupExperiment", _FLAG, _NUMBER, _NUMBER, _FLAG, _NUMBER)
+    discrete = _call(unit, "fmi2NewDiscreteStates", _ADDRESS)
+    set_real, get_real = (
+        _call(unit, f"fmi2{name}", _ADDRESS, _ADDRESS, _ADDRESS) for name in ("SetReal", "GetReal")
+    )
+
+    @njit
+    def set_values(references: int, n: int, values: int) -> int:
+        status: int = set_real(component, references, n, values)
+        return status
+
+    @njit
+    def get_values(references: int, n: int, values: int) -> int:
+        status: int = get_real(component, references, n, values)
+        return status
+
+    @njit
+    def begin(references: int, n: int, values: int) -> int:
+        status = reset(component)
+        if n > 0:
+            status = max(status, set_real(component, references, n, values))
+        status = max(status, setup(component, 0, 0.0, 0.0, 0, 0.0))
+        status = max(status, enter(component))
+        status = max(status, leave(component))
+        status = max(status, discrete(component, said_at))
+        status = max(status, run(component))
+        return int(status)
+
+    return begin, set_values, get_values
+
+
+def _fmi3(unit: Any, component: int, said_at: int) -> tuple[Any, Any, Any]:
+    """Return how a unit of FMI 3 begins with parameters, takes values and gives them."""
+    reset, leave, run = (
+        _call(unit, f"fmi3{name}")
+        for name in ("Reset", "ExitInitializationMode", "EnterContinuousTimeMode")
+    )
+    flag = ctypes.c_uint8
+    enter = _call(unit, "fmi3EnterInitializationMode", flag, _NUMBER, _NUMBER, flag, _NUMBER)
+    update = _call(unit, "fmi3UpdateDiscreteStates", *(_ADDRESS,) * 6)
+    set_float, get_float = (
+        _call(unit, f"fmi3{name}", *(_ADDRESS,) * 4) for name in ("SetFloat64", "GetFloat64")
+    )
+
+    @njit
+    def set_values(references: int, n: int, values: int) -> int:
+        status: int = set_float(component, references, n, values, n)
+        return status
+
+    @njit
+    def get_values(references: int, n: int, values: int) -> int:
+        status: int = get_float(component, references, n, values, n)
+        return status
+
+    @njit
+    def begin(references: int, n: int, values: int) -> int:
+        status = reset(component)
+        if n > 0:
+            status = max(status, set_float(component, references, n, values, n))
+        status = max(status, enter(component, 0, 0.0, 0.0, 0, 0.0))
+        status = max(status, leave(component))
+        at = said_at
+        status = max(status, update(component, at, at + 8, at + 16, at + 24, at + 32, at + 40))
+        status = max(status, run(component))
+        return int(status)
+
+    return begin, set_values, get_values

@@ -1,0 +1,84 @@
+"""Addresses: pointers for compiled kernels, and functions that stand behind one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import cfunc, types
+from numba.extending import intrinsic
+
+from surge_core.types import FloatArray
+
+__all__ = [
+    "INTEGERS",
+    "NUMBERS",
+    "AtAddress",
+    "compiled_at",
+    "integers_at",
+    "numbers_at",
+]
+
+NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+INTEGERS: Any = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
+# ``void (t, x*, u*, p*, out*)``: how kernels call the functions of a model.
+_FUNCTION = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS)
+
+
+def _as_pointer(context: Any, builder: Any, sig: Any, arguments: Any) -> Any:
+    return builder.inttoptr(arguments[0], context.get_value_type(sig.return_type))
+
+
+def _number_pointer(typing: Any, address: Any) -> tuple[Any, Any]:
+    """Return the pointer to numbers at an address."""
+    return NUMBERS(types.int64), _as_pointer
+
+
+def _integer_pointer(typing: Any, address: Any) -> tuple[Any, Any]:
+    """Return the pointer to integers at an address."""
+    return INTEGERS(types.int64), _as_pointer
+
+
+# numba gives the typing context itself: to callers they have one argument.
+numbers_at: Any = intrinsic(_number_pointer)
+integers_at: Any = intrinsic(_integer_pointer)
+
+
+@dataclass(frozen=True, eq=False)
+class AtAddress:
+    """A function of a model that is machine code already.
+
+    Parameters
+    ----------
+    function : object
+        Compiled as ``void (t, x*, u*, p*, out*)``.
+    count : int
+        How many numbers it gives.
+    kept : object
+        What must live as long as it.
+    """
+
+    function: Any
+    count: int
+    kept: Any = None
+
+    @property
+    def address(self) -> int:
+        """Where it is."""
+        return int(self.function.address)
+
+    def __call__(self, t: float, x: Any, u: Any, p: Any) -> tuple[float, ...]:
+        """Return its numbers at one point."""
+        import ctypes
+
+        out: FloatArray = np.full(self.count, np.nan)
+        given = [np.array(group, dtype=np.float64) for group in (x, u, p)]
+        pointer = ctypes.POINTER(ctypes.c_double)
+        self.function.ctypes(t, *(array.ctypes.data_as(pointer) for array in (*given, out)))
+        return tuple(out.tolist())
+
+
+def compiled_at(function: Any) -> Any:
+    """Return a function compiled as ``void (t, x*, u*, p*, out*)``."""
+    return cfunc(_FUNCTION)(function)
