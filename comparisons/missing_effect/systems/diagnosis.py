@@ -284,7 +284,6 @@ def _doubts(
         names = ", ".join(run.experiment.name for run in worse)
         out.append(f"the error on {names} got no better by it")
     return tuple(out)
-    )
 
 
 def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str:

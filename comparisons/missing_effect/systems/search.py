@@ -304,7 +304,8 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
 
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
     """
-    begun = {probe: _begun(bench, probe) for probe in probes}
+    white = metric_of(bench.fit.errors)
+    begun = {probe: _begun(bench, probe, white) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:
         return {}
@@ -336,7 +337,7 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     }
 
 
-def _begun(bench: Bench, probe: Probe) -> Fit:
+def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
     """Fit a few steps from where the score test points, or from the best of several starts."""
     structure = bench.fit.structure
     for placed in probe.added:
