@@ -149,13 +149,14 @@ def _settle_rows(model: Model) -> int:
 def _worth_adding(step: Round, bench: Bench, moved: Bench, unnamed: bool) -> bool:
     """Tell whether an effect beyond the first is: a fair share of what is left.
 
-    Where model error rules, and not noise, every term of some flexibility wins something. Terms
-    without a name go on where terms without a name began.
+    Where model error rules, and not noise, every term of some flexibility wins something. A term
+    without a name follows a name only where it takes a good part of the plain held-out error.
     """
     assert step.winner is not None
     raw = 1.0 - (moved.held_out_size() / bench.held_out_size()) ** 2
-    fair = step.share >= LEAST_FURTHER_SHARE or raw >= LEAST_FURTHER_RAW_SHARE
-    return fair and (unnamed or not step.winner.unnamed)
+    if raw >= LEAST_FURTHER_RAW_SHARE:
+        return True
+    return step.share >= LEAST_FURTHER_SHARE and (unnamed or not step.winner.unnamed)
 
 
 def _concluded(
@@ -269,6 +270,10 @@ def _doubts(
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
     if step.rivalled:
         out.append("a term without a name explains more")
+    elif step.outfitted:
+        out.append("terms without a name fit the rows fitted better, if not those held out")
+    if not winner.accepted:
+        out.append("it explains the slow part of the error alone, which a disturbance may be")
     fitted, held = step.rates
     if held < LEAST_HELD_OUT_RATE * fitted:
         out.append(

@@ -62,8 +62,13 @@ UNNAMED_SHARE = 0.02
 # corrects the same (cosine of the corrections), where it wins this share of what that wins.
 SIMPLE_SHARE, SAME_COSINE = 0.9, 0.98
 FLIP_SEED = 0
+# A term without a name that wins this share more on the rows fitted says that more is there.
+OUTFITTED_SHARE = 0.5
 # A name elsewhere that explains this share of what the winner explains is a rival.
 RIVAL_SHARE = 0.8
+# What is won in plain errors alone must be this share of the squared held-out error, and this
+# share of what it is on the rows fitted.
+LEAST_SLOW_SHARE, HELD_OUT_SHARE = 0.25, 0.5
 # By how many powers of e small changes of the state may grow beyond the model without a term.
 MOST_GROWTH = 3.0
 
@@ -90,6 +95,10 @@ class Candidate:
         Whether held-out blocks speak for it with hardly one against it, where it acts in episodes.
     wild : bool
         Whether small changes of the state grow much more with it than without.
+    chance : float
+        Log-units that the best of all candidates wins by chance.
+    slow : float
+        Log-units that it wins in plain errors, where those are more than chance.
     """
 
     placed: Placed
@@ -100,6 +109,8 @@ class Candidate:
     raw: Fit | None = None
     one_sided: bool = False
     wild: bool = False
+    chance: float = 0.0
+    slow: float = 0.0
 
     @property
     def added(self) -> tuple[Placed, ...]:
@@ -131,7 +142,13 @@ class Candidate:
         alone = e.later > 0.0 and e.p_value < LARGEST_P and self.one_sided
         return e.accepted or alone
 
-    chance: float = 0.0
+    @property
+    def accepted_slow(self) -> bool:
+        """Whether it wins in plain errors what chance does not, here and on held-out rows.
+
+        Chance is that of single effects: pairs are too many for it.
+        """
+        return self.slow > 0.0 and len(self.added) == 1 and not self.vanished and not self.wild
 
     @property
     def vanished(self) -> bool:
@@ -204,6 +221,18 @@ class Round:
     rival: Candidate | None = None
     rival_p: float = 0.0
 
+    @property
+    def outfitted(self) -> bool:
+        """Whether something without a name fits the rows fitted far better than the winner."""
+        if self.winner is None or self.winner.evidence is None:
+            return False
+        won = self.winner.evidence.train
+        return any(
+            c.evidence.train > won + max(UNNAMED_GAP, OUTFITTED_SHARE * won)
+            for c in self.candidates
+            if c.evidence is not None and c.unnamed and not c.wild
+        )
+
 
 def search_round(
     bench: Bench, effects: Sequence[SystemEffect], open_terms: Sequence[SystemEffect]
@@ -224,7 +253,7 @@ def search_round(
     promising = _promising(raw, white)
     raw_fits = _raced(bench, promising)
     metric = _favoured_metric(bench, raw_fits)
-    weigher = _Weigher.of(bench, metric, placed, prober)
+    weigher = _Weigher.of(bench, metric, placed, prober, raw)
     tried = [
         weigher.weighed(
             Candidate(probe.placed, probe, raw=raw_fits[probe]),
@@ -237,6 +266,10 @@ def search_round(
     rest = [Candidate(p.placed, p) for p in white.best() if p.key not in keys]
     ranked = tuple(sorted(tried, key=lambda c: -c.score)) + tuple(rest)
     winner, aliases, rivalled = _winner(weigher, [c for c in ranked if c.accepted])
+    slow = [c for c in ranked if c.accepted_slow]
+    if winner is None and slow:
+        winner = max(slow, key=lambda c: c.slow)
+        aliases = (winner,)
     share, rates = 0.0, (0.0, 0.0)
     if winner is not None and winner.errors is not None and winner.evidence is not None:
         valid = weigher.rows.valid
@@ -304,7 +337,8 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
 
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
     """
-    begun = {probe: _begun(bench, probe) for probe in probes}
+    white = metric_of(bench.fit.errors)
+    begun = {probe: _begun(bench, probe, white) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:
         return {}
@@ -336,7 +370,7 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
     }
 
 
-def _begun(bench: Bench, probe: Probe) -> Fit:
+def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
     """Fit a few steps from where the score test points, or from the best of several starts."""
     structure = bench.fit.structure
     for placed in probe.added:
@@ -409,17 +443,30 @@ class _Weigher:
     names: tuple[str, ...]
     chance: float
     growth: float
+    plain: Metric
+    plain_errors: FloatArray
+    plain_chance: float
 
     @classmethod
     def of(
-        cls, bench: Bench, metric: Metric, placed: Sequence[Placed], prober: Prober
+        cls, bench: Bench, metric: Metric, placed: Sequence[Placed], prober: Prober, raw: Answers
     ) -> _Weigher:
         base = whitened_fit(bench, bench.fit, metric)
-        errors = _errors(bench, metric, base)
-        names = tuple(one.name for one in placed)
-        chance = prober.laid(placed, metric).chance(np.random.default_rng(FLIP_SEED))
-        rows = _rows(bench, metric)
-        return cls(bench, metric, base, errors, rows, names, chance, growth_of(bench.fit, bench))
+        rng = np.random.default_rng(FLIP_SEED)
+        plain = bench.raw.with_size_of(bench.fit.errors)
+        return cls(
+            bench,
+            metric,
+            base,
+            _errors(bench, metric, base),
+            _rows(bench, metric),
+            tuple(one.name for one in placed),
+            prober.laid(placed, metric).chance(rng),
+            growth_of(bench.fit, bench),
+            plain,
+            _errors(bench, plain, bench.fit),
+            raw.chance(rng),
+        )
 
     def weighed(self, candidate: Candidate, fit: Fit) -> Candidate:
         """Return a candidate with its evidence."""
@@ -443,7 +490,28 @@ class _Weigher:
             one_sided=one_sided,
             wild=wild,
             chance=self.chance,
+            slow=self._slow(raw),
         )
+
+    def _slow(self, raw: Fit | None) -> float:
+        """Return the log-units that a candidate wins in plain errors; 0 where chance does.
+
+        Slow errors weigh next to nothing once they are whitened, and yet they are what a
+        simulation is judged by.
+        """
+        if raw is None or raw.failed:
+            return 0.0
+        errors = _errors(self.bench, self.plain, raw)
+        rows = _rows(self.bench, self.plain)
+        gain = 0.5 * (self.plain_errors**2 - errors**2)
+        shares = []
+        for part in (TRAIN, LATER):
+            here = rows.of_part(part)
+            base = 0.5 * float(np.sum(self.plain_errors[here] ** 2))
+            shares.append(float(gain[here].sum()) / base)
+        won = float(gain[rows.valid].sum())
+        fair = shares[1] > max(LEAST_SLOW_SHARE, HELD_OUT_SHARE * shares[0])
+        return won if fair and won > self.plain_chance else 0.0
 
 
 def _errors(bench: Bench, metric: Metric, fit: Fit) -> FloatArray:
