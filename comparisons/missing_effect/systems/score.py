@@ -140,7 +140,9 @@ class Answers:
         alone = np.array([self.probes[k].gain for k in pool])
         extra = both - np.maximum(alone[:, None], alone[None, :])
         out: list[Probe] = []
-        for at in np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)[: 4 * most]:
+        for at in np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)[
+            : 4 * most
+        ]:
             i, j = divmod(int(at), len(pool))
             one, two = self.probes[pool[i]], self.probes[pool[j]]
             if i >= j or not extra[i, j] > least or len(out) == most:
@@ -268,9 +270,10 @@ class Prober:
         probes, columns = [], []
         for placed in effects:
             for start in placed.starts:
-                column = _joined([own.whitened(c) for c in self._kept(placed, start)])
-                if not np.all(np.isfinite(column)):
+                kept = self._kept(placed, start)
+                if not all(np.all(np.isfinite(c)) for c in kept):
                     continue
+                column = _joined([own.whitened(c) for c in kept])
                 whole = float(column @ column)
                 column = column - basis @ (basis.T @ column)
                 size = float(column @ column)
@@ -285,7 +288,9 @@ class Prober:
 
     def _blocks(self, metric: Metric) -> NDArray[np.int64]:
         """Return a block of each row: twenty rows, or twice as many as the errors remember."""
-        remembered = max(_memory([e[:, j] for e in self.fit.errors], metric, j) for j in range(len(metric.sigma)))
+        remembered = max(
+            _memory([e[:, j] for e in self.fit.errors], metric, j) for j in range(len(metric.sigma))
+        )
         out, first = [], 0
         for e in self.fit.errors:
             rows = max(FLIPPED_ROWS, min(2 * remembered, e.shape[0] // FEWEST_FLIPPED))
@@ -331,7 +336,9 @@ def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:
     power = np.abs(np.fft.rfft(white - white.mean(), size)) ** 2
     correlation = np.fft.irfft(power, size)[: white.size]
     # The last lag that still remembers, not the first zero: errors of a resonance swing about it.
-    large = np.flatnonzero(np.abs(correlation[: white.size // FEWEST_FLIPPED]) > REMEMBERED * correlation[0])
+    large = np.flatnonzero(
+        np.abs(correlation[: white.size // FEWEST_FLIPPED]) > REMEMBERED * correlation[0]
+    )
     return int(large[-1]) + 1 if large.size else 1
 
 
