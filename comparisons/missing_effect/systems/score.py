@@ -270,10 +270,10 @@ class Prober:
         probes, columns = [], []
         for placed in effects:
             for start in placed.starts:
-                kept = self._kept(placed, start)
-                if not all(np.all(np.isfinite(c)) for c in kept):
+                with np.errstate(invalid="ignore"):
+                    column = _joined([own.whitened(c) for c in self._kept(placed, start)])
+                if not np.all(np.isfinite(column)):
                     continue
-                column = _joined([own.whitened(c) for c in kept])
                 whole = float(column @ column)
                 column = column - basis @ (basis.T @ column)
                 size = float(column @ column)

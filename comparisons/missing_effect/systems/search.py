@@ -87,7 +87,7 @@ def search_round(
         assert winner.fit is not None
         assert rival.fit is not None
         rng = np.random.default_rng(FLIP_SEED)
-        p = rejected(winner.fit, rival.fit, bench.train, metric, rng)
+        p = rejected(winner.fit, rival.fit, bench.raced(), metric, rng)
     return Round(bench, metric, ranked, winner, aliases, refused, rivalled, share, rates, rival, p)
 
 

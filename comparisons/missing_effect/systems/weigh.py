@@ -24,11 +24,13 @@ BLOCKS = 60
 LEAST_BLOCK_ROWS = 20
 # Held-out blocks that lose no more than this share of what the others win speak with one voice.
 ONE_SIDED_SHARE = 0.1
-# What is won in plain errors alone must be this share of the squared held-out error, and this
-# share of what it is on the rows fitted.
+# What is won in plain errors alone must be this share of the squared error, on rows fitted and
+# held out, and of the latter this share of the former.
 LEAST_SLOW_SHARE, HELD_OUT_SHARE = 0.25, 0.5
 # By how many powers of e small changes of the state may grow beyond the model without a term.
 MOST_GROWTH = 3.0
+# Whitened error of a run that ran away.
+RAN_AWAY = 1e3
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class Weigher:
             base = 0.5 * float(np.sum(self.plain_errors[here] ** 2))
             shares.append(float(gain[here].sum()) / base)
         won = float(gain[rows.valid].sum())
-        fair = shares[1] > max(LEAST_SLOW_SHARE, HELD_OUT_SHARE * shares[0])
+        fair = min(shares) > LEAST_SLOW_SHARE and shares[1] > HELD_OUT_SHARE * shares[0]
         return won if fair and won > self.plain_chance else 0.0
 
 
@@ -119,9 +121,10 @@ def _errors(bench: Bench, metric: Metric, fit: Fit) -> FloatArray:
     """Return whitened errors of all outputs, fitted rows and then those held out."""
     later = settled(fit, bench.later, metric)
     runs = (*fit.errors, *later.errors)
-    white = np.concatenate([metric.whitened(e) for e in runs])
-    # A start that could not be simulated loses everywhere.
-    return np.asarray(np.nan_to_num(white.T.ravel(), nan=1e3), dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        white = np.concatenate([metric.whitened(e) for e in runs])
+    # A run that could not be simulated loses everywhere.
+    return np.asarray(np.where(np.isfinite(white), white, RAN_AWAY).T.ravel(), dtype=np.float64)
 
 
 def _rows(bench: Bench, metric: Metric) -> Rows:
