@@ -70,6 +70,8 @@ class Model(Displayed):
         How it is called in reports.
     per_record : mapping of str to P
         Parameters of records, as `with_record_parameters` lays them out; not to be given.
+    simulate : callable, optional
+        A simulation that is a black box, as of `from_simulate`.
 
     Raises
     ------
@@ -81,14 +83,15 @@ class Model(Displayed):
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
     params: Mapping[str, P]
-    rhs: Callable[..., Any]
-    output: Callable[..., Any]
+    rhs: Callable[..., Any] | None
+    output: Callable[..., Any] | None
     exact: tuple[str, ...] = ()
     input_between_samples: BetweenSamples = "auto"
     x0: Mapping[str, Any] = field(default_factory=dict)
     balance: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     name: str = "model"
     per_record: Mapping[str, P] = field(default_factory=dict)
+    simulate: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
         for part in ("states", "inputs", "outputs", "params", "x0", "balance", "per_record"):
@@ -101,6 +104,38 @@ class Model(Displayed):
         _check_params(self)
         _check_options(self)
         _check_functions(self)
+
+    @classmethod
+    def from_simulate(
+        cls,
+        simulate: Callable[..., Any],
+        inputs: Mapping[str, str],
+        outputs: Mapping[str, str],
+        params: Mapping[str, P],
+        **options: Any,
+    ) -> Model:
+        """Return the model of a simulation that is a black box.
+
+        Effects are sought at its inputs and outputs and in its parameters; what acts inside is out
+        of reach. It starts itself, and is run for every difference in a parameter.
+
+        Parameters
+        ----------
+        simulate : callable
+            ``simulate(t, u, p)`` returns the outputs, shape (n, n_y) or one array an output, for
+            times t in seconds from the start, inputs ``u.name`` of shape (n,) and parameters
+            ``p.name``.
+        inputs, outputs, params : mapping
+            As of `Model`.
+        **options
+            ``input_between_samples`` and ``name``.
+
+        Raises
+        ------
+        InputError
+            When names or bounds do not fit together.
+        """
+        return cls({}, inputs, outputs, params, None, None, simulate=simulate, **options)
 
     @classmethod
     def from_fmu(
@@ -199,6 +234,8 @@ class Model(Displayed):
         x, u, p : tuple of float
             States, inputs and parameters, in their order.
         """
+        assert self.rhs is not None
+        assert self.output is not None
         given = self.groups(x, u, p)
         dx = as_numbers(self.rhs(t, *given))
         return (*dx, *(0.0,) * len(self.per_record)), as_numbers(self.output(t, *given))
@@ -261,7 +298,8 @@ def _check_names(model: Model) -> None:
     seen: set[str] = set()
     for part in ("states", "inputs", "outputs", "params"):
         names = list(getattr(model, part))
-        if not names and part in ("states", "outputs"):
+        needed = part == "outputs" or (part == "states" and model.simulate is None)
+        if not names and needed:
             raise _refused(part, "at least one", "none")
         for name in names:
             good = isinstance(name, str) and name.isidentifier() and not name.startswith("_")
@@ -328,7 +366,11 @@ def _check_options(model: Model) -> None:
 
 
 def _check_functions(model: Model) -> None:
-    """Try both functions once, as Python, at the starts."""
+    """Try both functions once, as Python, at the starts; a black box runs on records alone."""
+    if model.simulate is not None:
+        if not callable(model.simulate):
+            raise _refused("simulate", "a function of (t, u, p)", f"{model.simulate!r}")
+        return
     for part in ("rhs", "output"):
         if not callable(getattr(model, part)):
             raise _refused(part, "a function of (t, x, u, p)", f"{getattr(model, part)!r}")

@@ -59,6 +59,8 @@ def rate_factors(model: Model) -> dict[int, float]:
 @lru_cache(maxsize=64)
 def _rates(model: Model) -> dict[int, tuple[int, float]]:
     """Return rate and factor of each exact state; the factor is the same at all states."""
+    if model.simulate is not None:
+        return {}
     states = range(len(model.states))
     exact = [i for i in states if model.state_names[i] in model.exact]
     factors: dict[tuple[int, int], list[float]] = {}
@@ -87,6 +89,8 @@ def stored_from(model: Model) -> dict[tuple[int, int], int]:
         The model. A state is an integral where its own value does not matter to its slope: a
         deflection of speeds, a charge of a current. What resists it acts on those against the sign.
     """
+    if model.simulate is not None:
+        return {}
     n = len(model.states)
     signs: dict[tuple[int, int], set[int]] = {}
     rng = np.random.default_rng(1)
@@ -119,6 +123,8 @@ def measured_as(model: Model) -> dict[int, str]:
     model : Model
         The model; an output that returns x.q makes q measured.
     """
+    if model.simulate is not None:
+        return {}
     agree = {(i, k) for i in range(len(model.states)) for k in range(len(model.outputs))}
     for x, _, y in _tries(model):
         agree = {(i, k) for i, k in agree if abs(y[k] - x[i]) < SAME}
@@ -160,6 +166,8 @@ def physical(model: Model) -> tuple[int, ...]:
 def _deflections(model: Model) -> set[int]:
     """Return the exact states that sum up others: of one rate, or of several and of no input."""
     summed = {i for i, _ in stored_from(model)} - set(free_equations(model))
+    if not summed:
+        return set(rate_of(model))
     p, rest = _middle(model, 0), (0.0,) * len(model.inputs)
     inner = {
         i

@@ -60,7 +60,9 @@ class Structure:
 
     @property
     def n_states(self) -> int:
-        """States of the model and of the effects."""
+        """States of the model and of the effects; a black box keeps those to itself."""
+        if self.model.simulate is not None:
+            return len(self.model.states)
         return len(self.model.states) + sum(e.effect.own_state for e in self.effects)
 
     @property
@@ -118,7 +120,7 @@ class Structure:
         """Bounds of the model's states at a start: only parameters of records have any."""
         own = [(-np.inf, np.inf)] * self.model.own_states
         both = [*own, *((p.low, p.high) for p in self.model.per_record.values())]
-        low, high = np.array(both).T
+        low, high = np.array(both).reshape(-1, 2).T
         return low, high
 
     @property
