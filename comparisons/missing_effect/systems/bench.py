@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, runs_of
 from comparisons.missing_effect.systems.simulate import transitions
@@ -29,6 +30,8 @@ BETTER_BETWEEN, BETTER_WHITE = 0.995, 10.0
 TOLERANCE_SHARE, LEAST_TOLERANCE = 0.15, 1e-9
 # Timing offsets that the whitened errors ask for may cost this much of the raw held-out error.
 BETTER_TIMED = 0.95
+# Rows on which candidates race, in windows of so many.
+MOST_RACED, WINDOW_ROWS = 3000, 500
 # Rows of each record, and steps of the search, for the way between samples.
 FITTED_BETWEEN, HELD_OUT_BETWEEN, STEPS_BETWEEN = 4000, 2000, 8
 
@@ -59,6 +62,30 @@ class Bench:
     def raw(self) -> Metric:
         """The raw metric."""
         return raw_metric([run.outputs for run in self.train])
+
+    def raced(self) -> Bench:
+        """Return the bench with windows spread over the fitted rows, where those are many.
+
+        A race tells candidates apart on a few thousand rows; what acts in episodes is met in a
+        window somewhere. Each window begins from what is measured, else from where the model is.
+        """
+        total = sum(run.n_samples for run in self.train)
+        if total <= MOST_RACED:
+            return self
+        stretches, starts = [], []
+        for record, path in zip(self.records.fitted, self.fit.paths, strict=True):
+            count = max(1, round(MOST_RACED * record.n_samples / total / WINDOW_ROWS))
+            for first in np.linspace(0, record.n_samples - WINDOW_ROWS, count).astype(int):
+                stretches.append(record.rows(int(first), int(first) + WINDOW_ROWS))
+                starts.append(path.states[FINE * int(first)])
+        train = runs_of(self.records, stretches, self.fit.structure.between, begun=False)
+        begun = [
+            np.where(np.isfinite(run.x0_sd), run.x0_mean, start[: run.x0_mean.size])
+            for run, start in zip(train, starts, strict=True)
+        ]
+        raw, scale = raw_metric([run.outputs for run in train]), self.fit.scale
+        fit = fit_runs(self.fit.structure, train, raw, self.fit.theta, begun, scale)
+        return replace(self, train=train, fit=fit)
 
     def held_out_rms(self) -> FloatArray:
         """Return the rms error of each output on the held-out rows, starts estimated there."""

@@ -28,7 +28,7 @@ from comparisons.missing_effect.systems.results import (
     SystemDiagnosis,
 )
 from comparisons.missing_effect.systems.score import Prober
-from comparisons.missing_effect.systems.search import Round, search_round
+from comparisons.missing_effect.systems.search import Round, search_round, still_aliases
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
 from surge_core.types import FloatArray
@@ -115,6 +115,7 @@ def diagnose_model(
         if bench is not base and not _worth_adding(rounds[-1], bench, moved, unnamed):
             break
         bench, added = moved, added + len(winner.added)
+    rounds = [replace(step, aliases=still_aliases(bench, step)) for step in rounds]
     report("testing what is left")
     left = leftover_of(bench, catalogue, library)
     report("fitting all rows")
@@ -232,7 +233,7 @@ def _found(
     labels = tuple(c.label(model) for c in aliases) if alone else (placed.label(model),)
     names = tuple(dict.fromkeys(c.placed.name for c in aliases)) if alone else (placed.name,)
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
-    doubts = () if placed.effect.unnamed else _doubts(step, numbers, worse, model)
+    doubts = () if placed.effect.unnamed else _doubts(step, placed, numbers, worse, model)
     return FoundEffect(
         placed.name,
         placed.label(model),
@@ -257,14 +258,18 @@ def _found(
 
 
 def _doubts(
-    step: Round, numbers: Sequence[FittedNumber], worse: Sequence[CheckRun], model: Model
+    step: Round,
+    placed: Placed,
+    numbers: Sequence[FittedNumber],
+    worse: Sequence[CheckRun],
+    model: Model,
 ) -> tuple[str, ...]:
     """Return why a name is not firm; empty where it is."""
     winner = step.winner
     assert winner is not None
     assert winner.evidence is not None
     out = []
-    amplitude = bool(numbers) and winner.placed.effect.linear
+    amplitude = bool(numbers) and placed.effect.linear
     if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
         size = abs(numbers[0].value) / numbers[0].stderr
         out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")

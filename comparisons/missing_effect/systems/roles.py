@@ -30,8 +30,9 @@ ANGLE_UNITS = ("rad", "deg", "°")
 
 
 def free_equations(model: Model) -> tuple[int, ...]:
-    """Return the states in whose equation something may be missing."""
-    return tuple(i for i, name in enumerate(model.state_names) if name not in model.exact)
+    """Return the states in whose equation something may be missing: not the cells of vectors."""
+    names = enumerate(model.state_names)
+    return tuple(i for i, name in names if name not in model.exact and i not in model.cells)
 
 
 def rate_of(model: Model) -> dict[int, int]:
@@ -159,7 +160,7 @@ def physical(model: Model) -> tuple[int, ...]:
     An exact state that is no displacement is a definition of the user's, such as the filter of a
     controller: nothing in the plant feels it.
     """
-    free, known = free_equations(model), _deflections(model)
+    free, known = free_equations(model), _deflections(model) - model.cells
     return tuple(i for i in range(len(model.states)) if i in free or i in known)
 
 

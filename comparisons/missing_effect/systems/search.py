@@ -36,7 +36,7 @@ from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Candidate", "Round", "search_round"]
+__all__ = ["Candidate", "Round", "search_round", "still_aliases"]
 
 # Effects that are nothing at the lower bound of their first number.
 VANISHING = (Kind.INPUT_LAG, Kind.INPUT_DELAY, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
@@ -337,8 +337,9 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
 
     Ahead by either count: errors as they are, and the likelihood in the metric of their own.
     """
-    white = metric_of(bench.fit.errors)
-    begun = {probe: _begun(bench, probe, white) for probe in probes}
+    lane = bench.raced()
+    white = metric_of(lane.fit.errors)
+    begun = {probe: _begun(lane, probe, white) for probe in probes}
     begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
     if not begun:
         return {}
@@ -362,7 +363,7 @@ def _raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
             bench.train,
             bench.raw,
             begun[p].theta,
-            begun[p].starts,
+            begun[p].starts if lane is bench else bench.fit.starts,
             begun[p].scale,
             most=MOST_ITERATIONS,
         )
@@ -600,6 +601,40 @@ def _corrects_the_same(weigher: _Weigher, candidate: Candidate, best: Candidate)
     size = float(np.linalg.norm(one) * np.linalg.norm(two))
     fair = candidate.score > SIMPLE_SHARE * best.score
     return fair and size > 0.0 and float(one @ two) > SAME_COSINE * size
+
+
+def still_aliases(bench: Bench, step: Round) -> tuple[Candidate, ...]:
+    """Return the alias set of a round that stands beside all that was found later.
+
+    What stood in for two effects at once is no rival of either once both are there.
+
+    Parameters
+    ----------
+    bench : Bench
+        With everything that was found.
+    step : Round
+        A round whose winner is part of it.
+    """
+    winner = step.winner
+    keys = [placed.key for placed in bench.fit.structure.effects]
+    if winner is None or len(step.aliases) < 2 or len(keys) < 2 or winner.placed.key not in keys:
+        return step.aliases
+    metric = metric_of(bench.fit.errors)
+    best = whitened_fit(bench, bench.fit, metric).cost
+    first = len(bench.fit.theta) - SLOTS * len(keys)
+    at = first + SLOTS * keys.index(winner.placed.key)
+    kept = [winner]
+    for c in step.aliases[1:]:
+        if len(c.added) > 1 or c.fit is None or c.placed.key in keys:
+            continue
+        effects = [c.placed if e.key == winner.placed.key else e for e in bench.fit.structure.effects]
+        structure = replace(bench.fit.structure, effects=tuple(effects))
+        theta = bench.fit.theta.copy()
+        theta[at : at + SLOTS] = c.fit.theta[-SLOTS:]
+        swapped = bench.refitted(structure, theta)
+        if whitened_fit(replace(bench, white=None), swapped.fit, metric).cost < best + UNNAMED_GAP:
+            kept.append(c)
+    return tuple(kept)
 
 
 def _simple_form(best: Candidate, pool: Sequence[Candidate]) -> Candidate | None:
