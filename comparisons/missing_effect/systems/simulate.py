@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.systems.black_box import black_box_outputs
-from comparisons.missing_effect.systems.dynamics import extended_output, scratch_for
+from comparisons.missing_effect.systems.dynamics import System, extended_output, scratch_for
 from comparisons.missing_effect.systems.integrate import integrated
 from comparisons.missing_effect.systems.linearised import (
     FINE,
@@ -26,7 +26,7 @@ from comparisons.missing_effect.systems.linearised import (
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
 __all__ = ["Path", "answers", "effect_answers", "own_starts", "path_of", "transitions"]
 
@@ -88,18 +88,14 @@ def path_of(
     """
     if structure.model.simulate is not None:
         return _black_box(structure, run, theta, start)
-    ints, floats = structure.ints, filled(structure.floats)
     fine_s = run.sample_period_s / FINE
     times = np.arange(FINE * (run.n_samples - 1) + 1, dtype=np.float64) * fine_s
     n_y = run.outputs.shape[1]
     bound = np.full(start.size, np.inf) if first else RUNAWAY * (scale + np.abs(start))
-    pieces = run.pieces_for(structure, theta)
-    states = integrated(
-        times, start, bound, structure.tolerance, scale, theta, ints, floats, pieces, run.clock
-    )
+    system = run.system(structure, theta)
+    states = integrated(times, start, bound, structure.tolerance, scale, system)
     if states is not None:
-        outputs = _outputs(states, theta, ints, floats, pieces, run.clock, n_y)
-        outputs = structure.recorded(outputs, theta)
+        outputs = structure.recorded(_outputs(states, system, n_y), theta)
         if np.all(np.isfinite(outputs)):
             return Path(states, outputs, False)
     empty = np.zeros((times.size, start.size))
@@ -113,11 +109,6 @@ def _black_box(structure: Structure, run: Run, theta: FloatArray, start: FloatAr
     outputs = structure.recorded(black_box_outputs(structure, run, theta, start), theta)
     failed = not np.all(np.isfinite(outputs))
     return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
-
-
-def filled(floats: FloatArray) -> FloatArray:
-    """Return scales as a contiguous array that is never empty."""
-    return floats if floats.size else np.zeros(1)
 
 
 def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
@@ -150,20 +141,11 @@ def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _outputs(
-    states: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    n_y: int,
-) -> FloatArray:
+def _outputs(states: FloatArray, system: System, n_y: int) -> FloatArray:
     n = (states.shape[0] - 1) // FINE + 1
-    out, scratch = np.empty((n, n_y)), scratch_for(ints)
-    given = (theta, ints, floats, pieces, clock)
+    out, scratch = np.empty((n, n_y)), scratch_for(system[1])
     for k in range(n):
-        extended_output(k * clock[1], states[FINE * k], *given, out[k], scratch)
+        extended_output(k * system[4][1], states[FINE * k], system, out[k], scratch)
     return out
 
 
@@ -201,12 +183,11 @@ def answers(
     """
     if structure.model.simulate is not None:
         return _read(run, _differences(structure, run, theta, path, which, steps))
-    ints, floats = structure.ints, filled(structure.floats)
-    given = (ints, floats, run.pieces_for(structure, theta), run.clock)
-    whole, half = propagators(path.states, theta, *given, scale)
+    system = run.system(structure, theta)
+    whole, half = propagators(path.states, system, scale)
     n_X, m = structure.n_states, which.size
     forcing = np.zeros((path.states.shape[0], n_X, m + n_X))
-    forcing[:, :, :m] = parameter_forcing(path.states, theta, which, steps, *given)
+    forcing[:, :, :m] = parameter_forcing(path.states, system, which, steps)
     n_y = run.outputs.shape[1]
     direct = np.zeros((run.n_samples, n_y, m + n_X))
     filter_at = structure.recording
@@ -218,7 +199,7 @@ def answers(
         )
     start = np.hstack([np.zeros((n_X, m)), np.eye(n_X)])
     moved = forced(whole, half, forcing, start, run.sample_period_s / FINE)
-    slopes = output_slopes(path.states, moved, theta, (which, steps), *given, scale, n_y)
+    slopes = output_slopes(path.states, moved, system, (which, steps), scale, n_y)
     return _read(run, structure.recorded(slopes, theta) + direct)
 
 
@@ -235,18 +216,12 @@ def _filter_forcing(
     above, below = theta.copy(), theta.copy()
     above[which] += FILTER_STEP
     below[which] -= FILTER_STEP
-    ints, floats = structure.ints, filled(structure.floats)
-    forcing, direct = along(
-        path.states,
-        0.0,
-        False,
-        (theta, ints, floats, run.pieces_for(structure, above)),
-        (theta, ints, floats, run.pieces_for(structure, below)),
-        run.clock,
-        run.outputs.shape[1],
+    system, n_y = run.system(structure, theta), run.outputs.shape[1]
+    changed, unchanged = (
+        (*system[:3], run.pieces_for(structure, side), run.clock) for side in (above, below)
     )
-    own = run.pieces_for(structure, theta)
-    bare = _outputs(path.states, theta, ints, floats, own, run.clock, run.outputs.shape[1])
+    forcing, direct = along(path.states, 0.0, False, changed, unchanged, n_y)
+    bare = _outputs(path.states, system, n_y)
     through = structure.recorded(bare, above) - structure.recorded(bare, below)
     direct = structure.recorded(direct, theta) + through
     return forcing[:, :, 0] / (2.0 * FILTER_STEP), direct / (2.0 * FILTER_STEP)
@@ -289,8 +264,7 @@ def transitions(
     """
     if structure.model.simulate is not None:
         return None
-    given = (structure.ints, filled(structure.floats), run.pieces_for(structure, theta), run.clock)
-    return propagators(path.states, theta, *given, scale)
+    return propagators(path.states, run.system(structure, theta), scale)
 
 
 def effect_answers(
@@ -330,9 +304,8 @@ def effect_answers(
         path.states,
         float(own_starts(extended, run, path.states[0])[-1]),
         placed.effect.own_state,
-        (theta_new, extended.ints, filled(extended.floats), run.pieces_for(extended, theta_new)),
-        (theta, structure.ints, filled(structure.floats), run.pieces_for(structure, theta)),
-        run.clock,
+        run.system(extended, theta_new),
+        run.system(structure, theta),
         run.outputs.shape[1],
     )
     # The answer through the recording filter, and what a new one does to the run itself.
@@ -343,37 +316,7 @@ def effect_answers(
         forcing, direct = forcing / SMALL, direct / SMALL
     begun = np.zeros((structure.n_states, 1))
     moved = forced(*steps, forcing, begun, run.sample_period_s / FINE)
-    return output_answers(structure, run, theta, path, scale, moved)[:, :, 0] + direct
-
-
-def output_answers(
-    structure: Structure,
-    run: Run,
-    theta: FloatArray,
-    path: Path,
-    scale: FloatArray,
-    moved: FloatArray,
-) -> FloatArray:
-    """Return how the outputs answer to changes of the state, shape (n, n_y, columns).
-
-    Parameters
-    ----------
-    structure, run, theta, path, scale
-        As of `answers`.
-    moved : ndarray of shape (n, n_X, columns)
-        Changes of the state at the samples.
-    """
-    ints, floats = structure.ints, filled(structure.floats)
-    slopes = output_slopes(
-        path.states,
-        moved,
-        theta,
-        (np.zeros(0, dtype=np.int64), np.zeros(0)),
-        ints,
-        floats,
-        run.pieces_for(structure, theta),
-        run.clock,
-        scale,
-        run.outputs.shape[1],
-    )
-    return _read(run, structure.recorded(slopes, theta))
+    nothing = (np.zeros(0, dtype=np.int64), np.zeros(0))
+    system, n_y = run.system(structure, theta), run.outputs.shape[1]
+    slopes = output_slopes(path.states, moved, system, nothing, scale, n_y)
+    return _read(run, structure.recorded(slopes, theta)[:, :, 0] + direct)

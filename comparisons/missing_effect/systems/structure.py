@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.systems.compiled import compiled, expression_address
-from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS
+from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
 from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
@@ -221,6 +221,11 @@ class Run:
         true = all_pass(inputs, theta[at], theta[at + 1], inverse=True)
         made = [input_pieces(true[:, j], structure.between)[0] for j in range(len(names))]
         return np.ascontiguousarray(np.stack(made))
+
+    def system(self, structure: Structure, theta: FloatArray) -> System:
+        """Return what kernels take of a structure with its θ on this run."""
+        floats = structure.floats if structure.effects else np.zeros(1)
+        return theta, structure.ints, floats, self.pieces_for(structure, theta), self.clock
 
     @property
     def valid(self) -> BoolArray:
