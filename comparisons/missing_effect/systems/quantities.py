@@ -214,5 +214,5 @@ def _channel_unit(model: Model, placed: Placed) -> str:
     if kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
         return list(model.outputs.values())[at]
     if kind in (Kind.STATE_LIMIT, Kind.OVERFLOW):
-        return list(model.states.values())[at]
+        return str(list(model.states.values())[at])
     return list(model.inputs.values())[at]
