@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
-from comparisons.missing_effect.systems.linearised import FINE, propagators
+from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.records import Records, runs_of
-from comparisons.missing_effect.systems.simulate import filled
+from comparisons.missing_effect.systems.simulate import transitions
 from comparisons.missing_effect.systems.structure import FIRST_TOLERANCE, Run, Structure
 from surge_core.types import FloatArray
 
@@ -276,8 +276,9 @@ def growth_of(fit: Fit, bench: Bench) -> float:
     """
     structure, most = fit.structure, 0.0
     for run, path in zip(bench.train, fit.paths, strict=True):
-        given = (structure.ints, filled(structure.floats), run.pieces_for(structure, fit.theta))
-        whole, _ = propagators(path.states, fit.theta, *given, run.clock, fit.scale)
+        steps = transitions(structure, run, fit.theta, path, fit.scale)
+        # A black box does not say how its states change.
+        whole = () if steps is None else steps[0]
         change, size = np.diag(fit.scale), 0.0
         for step in whole:
             change = step @ change

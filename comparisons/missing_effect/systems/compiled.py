@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeAlias
 
+import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
@@ -92,7 +93,7 @@ def compiled(model: Model) -> Compiled:
 
 @lru_cache(maxsize=512)
 def _expression(model: Model, expression: Expression) -> Any:
-    return _cfunc(model, "library", expression(model), 1, numbers=False)
+    return _cfunc(model, "library", expression(model))
 
 
 def expression_address(model: Model, expression: Expression) -> int:
@@ -118,29 +119,33 @@ def _function(model: Model, part: str) -> Any:
     given = getattr(model, part)
     if isinstance(given, AtAddress):
         return given
-    count = model.own_states if part == "rhs" else len(model.outputs)
-    return _cfunc(model, part, given, count, numbers=_returns_tuple(model, part))
+    return _cfunc(model, part, given)
 
 
-def _cfunc(model: Model, part: str, user: Any, count: int, *, numbers: bool) -> Any:
+def _cfunc(model: Model, part: str, user: Any) -> Any:
     """Compile a function as ``void (t, x*, u*, p*, out*)``."""
     own, n_p = model.own_states, len(model.params)
     groups = dict(zip(("x", "u", "p"), model.group_kinds, strict=True))
-    lines = ["def wrapped(t, x, u, p, out):"]
-    fields = {
-        name: [f"{name}[{i}]" for i in range(len(group._fields))] for name, group in groups.items()
+    read = {
+        "x": [
+            f"cells[{at.start}:{at.stop}]" if isinstance(at, slice) else f"x[{at}]"
+            for at in model.state_groups.values()
+        ],
+        "u": [f"u[{i}]" for i in range(len(model.inputs))],
+        # Parameters of records are states behind those of the model.
+        "p": [f"p[{i}]" for i in range(n_p)]
+        + [f"x[{own + i}]" for i in range(len(model.per_record))],
     }
-    # Parameters of records are states behind those of the model.
-    fields["p"] = fields["p"][:n_p] + [f"x[{own + i}]" for i in range(len(model.per_record))]
-    given = [f"{name}_group({', '.join(read)})" for name, read in fields.items()]
+    given = [f"{name}_group({', '.join(fields)})" for name, fields in read.items()]
+    lines = ["def wrapped(t, x, u, p, out):", f"    cells = carray(x, ({own},))"]
     lines.append(f"    found = user(t, {', '.join(given)})")
-    values = [f"found[{i}]" for i in range(count)] if numbers else ["found"]
+    lines += _filling(_tried(model, user))
     if part == "rhs":
-        values += ["0.0"] * len(model.per_record)
-    lines += [f"    out[{i}] = {value}" for i, value in enumerate(values)]
+        lines += [f"    out[{own + i}] = 0.0" for i in range(len(model.per_record))]
     # Only names that were checked to be identifiers reach this source, and none of them does:
     # fields are read by number.
     space: dict[str, Any] = {f"{name}_group": group for name, group in groups.items()}
+    space["carray"] = carray
     try:
         # As numpy does: a division by zero is an infinity that the integrator sees, no exception.
         space["user"] = njit(error_model="numpy")(user)
@@ -155,11 +160,25 @@ def _cfunc(model: Model, part: str, user: Any, count: int, *, numbers: bool) -> 
         ) from error
 
 
-def _returns_tuple(model: Model, part: str) -> bool:
-    """Tell whether a function gives several numbers, or a bare one."""
+def _tried(model: Model, user: Callable[..., Any]) -> Any:
+    """Return what a function gives at one point."""
     p = tuple(float(parameter.start) for parameter in model.params.values())
-    given = model.groups((0.1,) * len(model.states), (0.1,) * len(model.inputs), p)
-    return isinstance(getattr(model, part)(0.0, *given), (tuple, list))
+    x, u = (0.1,) * len(model.states), (0.1,) * len(model.inputs)
+    return user(0.0, *model.groups(x, u, p))
+
+
+def _filling(found: Any) -> list[str]:
+    """Return the lines that fill ``out``: with numbers and arrays, in a tuple or bare."""
+    many = isinstance(found, (tuple, list))
+    lines, at = [], 0
+    for i, part in enumerate(found if many else (found,)):
+        name, size = f"found[{i}]" if many else "found", int(np.size(part))
+        if np.ndim(part):
+            lines += [f"    for i in range({size}):", f"        out[{at} + i] = {name}[i]"]
+        else:
+            lines.append(f"    out[{at}] = {name}")
+        at += size
+    return lines
 
 
 def _first_line(error: Exception) -> str:

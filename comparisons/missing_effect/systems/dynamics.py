@@ -10,6 +10,7 @@ an effect. The state X holds the model's states, then one a lag, a play or a hys
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numba import njit
@@ -23,12 +24,18 @@ __all__ = [
     "HEAD",
     "ROW",
     "SLOTS",
+    "System",
     "add_effect",
     "extended_output",
     "extended_rhs",
     "prepare",
     "scratch_for",
 ]
+
+# What every kernel takes: θ; integers and floats of the layout, as `systems.structure` packs them;
+# inputs between samples, shape (n_u, m, 4); and the clock of the first sample, the sample period,
+# middle and half length of the records' span.
+System: TypeAlias = tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]
 
 # Numbers of an effect in θ: its amplitude or first parameter, and shape parameters.
 SLOTS = 4
@@ -63,18 +70,9 @@ def _input_at(at: float, j: int, ints: IntArray, pieces: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _inputs(
-    t: float,
-    X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    u: FloatArray,
-    dX: FloatArray,
-    clock: FloatArray,
-) -> None:
+def _inputs(t: float, X: FloatArray, system: System, u: FloatArray, dX: FloatArray) -> None:
     """Fill u with the inputs as the system sees them, and dX with what their own states do."""
+    theta, ints, floats, pieces, clock = system
     n_u, n_p, n_eff = ints[3], ints[4], ints[7]
     h = clock[1]
     for j in range(n_u):
@@ -102,15 +100,9 @@ def _inputs(
 
 
 @njit(cache=True, error_model="numpy")
-def _parameters(
-    t: float,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    clock: FloatArray,
-    p: FloatArray,
-) -> None:
+def _parameters(t: float, system: System, p: FloatArray) -> None:
     """Fill p with the model's parameters, drifting ones at the clock."""
+    theta, ints, floats, _, clock = system
     n_u, n_p, n_eff = ints[3], ints[4], ints[7]
     for i in range(n_p):
         p[i] = theta[i]
@@ -129,22 +121,12 @@ def scratch_for(ints: IntArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def prepare(
-    t: float,
-    X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    dX: FloatArray,
-    scratch: FloatArray,
-) -> None:
+def prepare(t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray) -> None:
     """Fill the scratch with states, inputs and parameters as the model sees them.
 
-    In dX what own states of inputs do is filled, and zero elsewhere; parameters as of
-    `extended_rhs`.
+    In dX what own states of inputs do is filled, and zero elsewhere.
     """
+    theta, ints, floats, _, _ = system
     n_x, n_u, n_p = ints[2], ints[3], ints[4]
     x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     # Loops, since numba takes ten times as long to copy a few numbers from slice to slice.
@@ -152,8 +134,8 @@ def prepare(
         dX[i] = 0.0
     for i in range(n_x):
         x[i] = X[i]
-    _inputs(t, X, theta, ints, floats, pieces, u, dX, clock)
-    _parameters(t, theta, ints, floats, clock, p)
+    _inputs(t, X, system, u, dX)
+    _parameters(t, system, p)
     for e in range(ints[7]):
         row = HEAD + ROW * e
         if ints[row] == 8:
@@ -164,20 +146,13 @@ def prepare(
 
 @njit(cache=True, error_model="numpy")
 def add_effect(
-    e: int,
-    t: float,
-    X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    clock: FloatArray,
-    dX: FloatArray,
-    scratch: FloatArray,
+    e: int, t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray
 ) -> None:
     """Add to dX what effect e does, if it is a term, an overflow or a hysteresis.
 
-    Parameters as of `extended_rhs`; the scratch was filled by `prepare`.
+    The scratch was filled by `prepare`.
     """
+    theta, ints, floats, _, clock = system
     n_x, row, at = ints[2], HEAD + ROW * e, ints[4] + ints[3] + SLOTS * e
     kind, i, k = ints[row], ints[row + 2], ints[row + 3]
     amount, a, b = theta[at], theta[at + 1], theta[at + 2]
@@ -215,15 +190,7 @@ def add_effect(
 
 @njit(cache=True, error_model="numpy")
 def extended_rhs(
-    t: float,
-    X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    dX: FloatArray,
-    scratch: FloatArray,
+    t: float, X: FloatArray, system: System, dX: FloatArray, scratch: FloatArray
 ) -> None:
     """Fill dX with dX/dt of the extended system.
 
@@ -231,27 +198,20 @@ def extended_rhs(
     ----------
     t : float
         Seconds since the run's first sample.
-    X : ndarray of shape (n_x + n_own,)
-        State.
-    theta : ndarray
-        Parameters, timing offsets, effects.
-    ints, floats : ndarray
-        Layout and scales, as `systems.structure` packs them.
-    pieces : ndarray of shape (n_u, m, 4)
-        Inputs between samples.
-    clock : ndarray of shape (4,)
-        Clock of the first sample, sample period, middle and half length of the records' span.
-    dX : ndarray of shape (n_x + n_own,)
-        Filled.
+    X, dX : ndarray of shape (n_x + n_own,)
+        State, and its slope.
+    system : System
+        θ, layout, inputs, clock.
     scratch : ndarray
         From `scratch_for`: this is called millions of times, and must make no arrays.
     """
+    theta, ints, _, _, clock = system
     n_x, n_u, n_p = ints[2], ints[3], ints[4]
-    prepare(t, X, theta, ints, floats, pieces, clock, dX, scratch)
+    prepare(t, X, system, dX, scratch)
     x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     call_at(ints[0], t, x, u, p, dX)
     for e in range(ints[7]):
-        add_effect(e, t, X, theta, ints, floats, clock, dX, scratch)
+        add_effect(e, t, X, system, dX, scratch)
     for e in range(ints[7]):
         row = HEAD + ROW * e
         if ints[row] == 6:
@@ -260,17 +220,16 @@ def extended_rhs(
             for i in range(n_x):
                 x[i] = X[i]
             call_at(ints[1], t, x, u, p, y)
-            _map_outputs(e, theta, ints, floats, y)
+            _map_outputs(e, system, y)
             own = ints[row + 5]
             lag_s = max(theta[n_p + n_u + SLOTS * e], 1e-3) * clock[1]
             dX[own] = (y[ints[row + 2]] - X[own]) / lag_s
 
 
 @njit(cache=True, error_model="numpy")
-def _map_outputs(
-    end: int, theta: FloatArray, ints: IntArray, floats: FloatArray, y: FloatArray
-) -> None:
+def _map_outputs(end: int, system: System, y: FloatArray) -> None:
     """Put into y what stands in place of readings, by the effects before number ``end``."""
+    theta, ints, floats, _, _ = system
     at = ints[4] + ints[3]
     for e in range(end):
         row = HEAD + ROW * e
@@ -281,24 +240,17 @@ def _map_outputs(
 
 @njit(cache=True, error_model="numpy")
 def extended_output(
-    t: float,
-    X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    y: FloatArray,
-    scratch: FloatArray,
+    t: float, X: FloatArray, system: System, y: FloatArray, scratch: FloatArray
 ) -> None:
-    """Fill y with the outputs of the extended system; parameters as of `extended_rhs`."""
+    """Fill y with the outputs of the extended system; the rest as of `extended_rhs`."""
+    theta, ints, floats, _, _ = system
     n_x, n_u, n_p = ints[2], ints[3], ints[4]
     x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     for i in range(n_x):
         x[i] = X[i]
     unused = scratch[n_x + n_u + n_p + ints[5] :]
-    _inputs(t, X, theta, ints, floats, pieces, u, unused, clock)
-    _parameters(t, theta, ints, floats, clock, p)
+    _inputs(t, X, system, u, unused)
+    _parameters(t, system, p)
     call_at(ints[1], t, x, u, p, y)
     at = n_p + n_u
     for e in range(ints[7]):

@@ -16,11 +16,11 @@ from comparisons.missing_effect.systems.dynamics import SLOTS
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import rms
 from comparisons.missing_effect.systems.shapes import Kind, Map
-from comparisons.missing_effect.systems.simulate import Path, answers, path_of
+from comparisons.missing_effect.systems.simulate import Path, answers, own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.types import FloatArray
 
-__all__ = ["Fit", "fit_runs", "own_starts", "scales_of", "settled"]
+__all__ = ["Fit", "fit_runs", "scales_of", "settled"]
 
 MOST_ITERATIONS = 40
 # Log-units: a step that wins less ends the search.
@@ -76,33 +76,6 @@ class Fit:
     def params(self) -> dict[str, float]:
         """Return the model's parameters by name."""
         return dict(zip(self.structure.model.param_names, self.theta.tolist(), strict=False))
-
-
-def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
-    """Return the state at the start, with the states of effects in balance.
-
-    Parameters
-    ----------
-    structure : Structure
-        Model and effects.
-    run : Run
-        A run.
-    x0 : ndarray of shape (n_x,) or longer
-        State of the model.
-    """
-    n_x = len(structure.model.states)
-    out = [x0[:n_x]]
-    for placed in structure.effects:
-        if not placed.effect.own_state:
-            continue
-        at = placed.place.at
-        if placed.effect.kind in (Kind.INPUT_LAG, Kind.INPUT_PLAY):
-            out.append(run.pieces[at, :1, 0])
-        elif placed.effect.kind == Kind.OUTPUT_LAG:
-            out.append(run.outputs[run.valid[:, at], at][:1])
-        else:
-            out.append(np.zeros(1))
-    return np.concatenate(out)
 
 
 def scales_of(structure: Structure, paths: Sequence[Path]) -> FloatArray:
@@ -235,7 +208,8 @@ class _Search:
 
     def run(self, point: _Point, scale: FloatArray, most: int) -> _Point:
         """Search from a point."""
-        if not np.isfinite(point.cost):
+        unknowns = self._which.size + len(self.runs) * len(self.structure.model.states)
+        if not np.isfinite(point.cost) or not unknowns:
             return point
         damping, first = FIRST_DAMPING, point.cost
         for _ in range(most):

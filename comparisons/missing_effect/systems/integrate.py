@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.systems.dynamics import SLOTS, extended_rhs, scratch_for
+from comparisons.missing_effect.systems.dynamics import SLOTS, System, extended_rhs, scratch_for
 from comparisons.missing_effect.systems.pointers import INTEGERS, NUMBERS, integers_at, numbers_at
 from surge_core.types import FloatArray
 
@@ -48,7 +48,7 @@ def _slope(out: Any, t: float, state: Any, given: Any) -> None:
     theta, floats = packed[at : at + n_theta], packed[at + n_theta :]
     scratch = carray(numbers_at(given[8]), (given[9],))
     dX = carray(out, (n,))
-    extended_rhs(t, X, theta, ints, floats, pieces, packed[:4], dX, scratch)
+    extended_rhs(t, X, (theta, ints, floats, pieces, packed[:4]), dX, scratch)
 
 
 def integrated(
@@ -57,11 +57,7 @@ def integrated(
     bound: FloatArray,
     tolerance: float,
     scale: FloatArray,
-    theta: FloatArray,
-    ints: NDArray[np.int64],
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
+    system: System,
 ) -> FloatArray | None:
     """Return the states at given times, or None where they cannot be had.
 
@@ -77,13 +73,14 @@ def integrated(
         Relative; and absolute, over the size of each state.
     scale : ndarray of shape (n_X,)
         Size of each state.
-    theta, ints, floats, pieces, clock : ndarray
-        As of `dynamics.extended_rhs`.
+    system : System
+        θ, layout, inputs, clock.
 
     Returns
     -------
     ndarray of shape (m, n_X), or None
     """
+    theta, ints, floats, pieces, clock = system
     packed = np.concatenate([clock, bound, theta, floats])
     if not np.all(np.isfinite(start)):
         return None

@@ -7,8 +7,6 @@ loops.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numba import njit
 
@@ -17,6 +15,7 @@ from comparisons.missing_effect.systems.dynamics import (
     HEAD,
     ROW,
     SLOTS,
+    System,
     add_effect,
     extended_output,
     extended_rhs,
@@ -28,9 +27,6 @@ from surge_core.types import FloatArray, IntArray
 __all__ = ["FINE", "along", "forced", "output_slopes", "parameter_forcing", "propagators"]
 
 
-# θ, ints, floats and pieces of a system, as of `dynamics.extended_rhs`.
-System: TypeAlias = tuple[FloatArray, IntArray, FloatArray, FloatArray]
-
 # Points a sample on which a run is kept.
 FINE = 4
 RELATIVE_STEP = 1e-6
@@ -40,11 +36,7 @@ RELATIVE_STEP = 1e-6
 def _jacobian(
     t: float,
     X: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
+    system: System,
     scale: FloatArray,
     room: tuple[FloatArray, FloatArray],
     out: FloatArray,
@@ -56,9 +48,9 @@ def _jacobian(
     for i in range(X.size):
         step = RELATIVE_STEP * (abs(X[i]) + scale[i])
         moved[i] = X[i] + step
-        extended_rhs(t, moved, theta, ints, floats, pieces, clock, above, scratch)
+        extended_rhs(t, moved, system, above, scratch)
         moved[i] = X[i] - step
-        extended_rhs(t, moved, theta, ints, floats, pieces, clock, below, scratch)
+        extended_rhs(t, moved, system, below, scratch)
         moved[i] = X[i]
         for j in range(X.size):
             out[j, i] = (above[j] - below[j]) / (2.0 * step)
@@ -134,13 +126,7 @@ def _expm(A: FloatArray, space: FloatArray, out: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def propagators(
-    states: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    scale: FloatArray,
+    states: FloatArray, system: System, scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the transition matrices over whole and second half steps, two steps a sample.
 
@@ -148,18 +134,18 @@ def propagators(
     ----------
     states : ndarray of shape (4(n − 1) + 1, n_X)
         The run.
-    theta, ints, floats, pieces, clock : ndarray
+    system : System
         As of `dynamics.extended_rhs`.
     scale : ndarray of shape (n_X,)
         Size of each state, for the differences.
     """
     steps, n = (states.shape[0] - 1) // 2, states.shape[1]
     whole, half = np.empty((steps, n, n)), np.empty((steps, n, n))
-    step_s = 2.0 * clock[1] / FINE
-    scratch, rows, space = scratch_for(ints), np.empty((3, n)), np.empty((4, n, n))
+    step_s = 2.0 * system[4][1] / FINE
+    scratch, rows, space = scratch_for(system[1]), np.empty((3, n)), np.empty((4, n, n))
     first, middle, last = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     ahead, back, power = np.empty((n, n)), np.empty((n, n)), space[3]
-    given = (theta, ints, floats, pieces, clock, scale, (rows, scratch))
+    given = (system, scale, (rows, scratch))
     _jacobian(0.0, states[0], *given, first)
     for k in range(steps):
         _jacobian((k + 0.5) * step_s, states[2 * k + 1], *given, middle)
@@ -196,42 +182,27 @@ def _alone(i: int, ints: IntArray) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _moved_alone(
-    i: int,
-    t: float,
-    X: FloatArray,
-    moved: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    clock: FloatArray,
-    out: FloatArray,
-    scratch: FloatArray,
+    i: int, t: float, X: FloatArray, by: float, system: System, out: FloatArray, scratch: FloatArray
 ) -> None:
-    """Fill out with what number i of θ has a hand in, for it moved."""
+    """Fill out with what number i of θ, moved already by so much, has a hand in."""
+    ints = system[1]
     n_x, n_u, n_p = ints[2], ints[3], ints[4]
     for j in range(out.size):
         out[j] = 0.0
     if i >= n_p:
         e = (i - n_p - n_u) // SLOTS
-        add_effect(e, t, X, moved, ints, floats, clock, out, scratch)
+        add_effect(e, t, X, system, out, scratch)
         return
     x, u, p = scratch[:n_x], scratch[n_x : n_x + n_u], scratch[n_x + n_u : n_x + n_u + n_p]
     value = p[i]
-    p[i] = value + moved[i] - theta[i]
+    p[i] = value + by
     call_at(ints[0], t, x, u, p, out)
     p[i] = value
 
 
 @njit(cache=True, error_model="numpy")
 def parameter_forcing(
-    states: FloatArray,
-    theta: FloatArray,
-    which: IntArray,
-    steps: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
+    states: FloatArray, system: System, which: IntArray, steps: FloatArray
 ) -> FloatArray:
     """Return ∂f/∂θ along a run, by central differences.
 
@@ -239,7 +210,7 @@ def parameter_forcing(
     ----------
     states : ndarray of shape (4(n − 1) + 1, n_X)
         The run.
-    theta, ints, floats, pieces, clock : ndarray
+    system : System
         As of `dynamics.extended_rhs`.
     which : ndarray of int, shape (m,)
         Numbers of θ.
@@ -250,23 +221,25 @@ def parameter_forcing(
     -------
     ndarray of shape (4(n − 1) + 1, n_X, m)
     """
+    theta, ints, floats, pieces, clock = system
     m, n = states.shape
     out = np.zeros((m, n, which.size))
     space, dX = np.empty((2, n)), np.empty(n)
     moved, scratch, spare = theta.copy(), scratch_for(ints), scratch_for(ints)
     alone = np.array([_alone(i, ints) for i in which])
-    given = (ints, floats, pieces, clock)
+    changed = (moved, ints, floats, pieces, clock)
     for k in range(m):
         t, X = k * clock[1] / FINE, states[k]
-        prepare(t, X, theta, *given, dX, scratch)
+        prepare(t, X, system, dX, scratch)
         for c in range(which.size):
             i = which[c]
             for side in range(2):
-                moved[i] = theta[i] + (steps[c] if side == 0 else -steps[c])
+                by = steps[c] if side == 0 else -steps[c]
+                moved[i] = theta[i] + by
                 if alone[c]:
-                    _moved_alone(i, t, X, moved, theta, ints, floats, clock, space[side], scratch)
+                    _moved_alone(i, t, X, by, changed, space[side], scratch)
                 else:
-                    extended_rhs(t, X, moved, *given, space[side], spare)
+                    extended_rhs(t, X, changed, space[side], spare)
             moved[i] = theta[i]
             for j in range(n):
                 out[k, j, c] = (space[0, j] - space[1, j]) / (2.0 * steps[c])
@@ -316,13 +289,7 @@ def forced(
 
 @njit(cache=True, error_model="numpy")
 def along(
-    states: FloatArray,
-    own: float,
-    has_own: bool,
-    changed: System,
-    unchanged: System,
-    clock: FloatArray,
-    n_y: int,
+    states: FloatArray, own: float, has_own: bool, changed: System, unchanged: System, n_y: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return what a change adds to dX/dt and to the outputs along a run that lacks it.
 
@@ -332,11 +299,8 @@ def along(
         The run.
     own : float
         Where the state of a new effect begins, if it has one (``has_own``).
-    changed, unchanged : tuple of ndarray
-        θ, ints, floats and pieces of the changed system and of the run's own, as of
-        `dynamics.extended_rhs`.
-    clock : ndarray of shape (4,)
-        As of `dynamics.extended_rhs`.
+    changed, unchanged : System
+        The changed system and the run's own.
     n_y : int
         Number of outputs.
 
@@ -345,48 +309,27 @@ def along(
     forcing : ndarray of shape (4(n − 1) + 1, n_X, 1)
     direct : ndarray of shape (n, n_y)
     """
-    theta, ints, floats, pieces = changed
-    theta_base, ints_base, floats_base, pieces_base = unchanged
+    theta, ints = changed[0], changed[1]
     m, n = states.shape
     forcing = np.empty((m, n, 1))
     direct = np.empty(((m - 1) // FINE + 1, n_y))
     X = np.empty(n + 1 if has_own else n)
     y, y_base = np.empty(n_y), np.empty(n_y)
     dX, base = np.empty(X.size), np.empty(n)
-    scratch, own_scratch = scratch_for(ints_base), scratch_for(ints)
-    fine_s = clock[1] / FINE
+    scratch, own_scratch = scratch_for(unchanged[1]), scratch_for(ints)
+    fine_s = unchanged[4][1] / FINE
     for k in range(m):
         t = k * fine_s
         X[:n] = states[k]
         if has_own:
             X[n] = own
-        extended_rhs(t, X, theta, ints, floats, pieces, clock, dX, own_scratch)
-        extended_rhs(
-            t,
-            states[k],
-            theta_base,
-            ints_base,
-            floats_base,
-            pieces_base,
-            clock,
-            base,
-            scratch,
-        )
+        extended_rhs(t, X, changed, dX, own_scratch)
+        extended_rhs(t, states[k], unchanged, base, scratch)
         for i in range(n):
             forcing[k, i, 0] = dX[i] - base[i]
         if k % FINE == 0:
-            extended_output(t, X, theta, ints, floats, pieces, clock, y, own_scratch)
-            extended_output(
-                t,
-                states[k],
-                theta_base,
-                ints_base,
-                floats_base,
-                pieces_base,
-                clock,
-                y_base,
-                scratch,
-            )
+            extended_output(t, X, changed, y, own_scratch)
+            extended_output(t, states[k], unchanged, y_base, scratch)
             direct[k // FINE] = y - y_base
         if has_own:
             own += fine_s * dX[n]
@@ -400,13 +343,9 @@ def along(
 @njit(cache=True, error_model="numpy")
 def output_slopes(
     states: FloatArray,
-    answers_: FloatArray,
-    theta: FloatArray,
+    moved_states: FloatArray,
+    system: System,
     differences: tuple[IntArray, FloatArray],
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
     scale: FloatArray,
     n_y: int,
 ) -> FloatArray:
@@ -416,9 +355,9 @@ def output_slopes(
     ----------
     states : ndarray of shape (4(n − 1) + 1, n_X)
         The run.
-    answers_ : ndarray of shape (n, n_X, columns)
+    moved_states : ndarray of shape (n, n_X, columns)
         How the state answers.
-    theta, ints, floats, pieces, clock : ndarray
+    system : System
         As of `dynamics.extended_rhs`.
     differences : (ndarray of int, shape (m,), ndarray of shape (m,))
         Numbers of θ that the first columns stand for, and the steps of their differences.
@@ -432,31 +371,33 @@ def output_slopes(
     ndarray of shape (n, n_y, columns)
     """
     which, steps = differences
-    n, n_x, n_c = answers_.shape
+    theta, ints, floats, pieces, clock = system
+    n, n_x, n_c = moved_states.shape
     out = np.zeros((n, n_y, n_c))
     above, below = np.empty(n_y), np.empty(n_y)
-    moved_X, moved, scratch = np.empty(n_x), theta.copy(), scratch_for(ints)
+    X, moved, scratch = np.empty(n_x), theta.copy(), scratch_for(ints)
+    changed = (moved, ints, floats, pieces, clock)
     for k in range(n):
         t = k * clock[1]
-        moved_X[:] = states[FINE * k]
+        X[:] = states[FINE * k]
         for i in range(n_x):
-            value = moved_X[i]
+            value = X[i]
             step = RELATIVE_STEP * (abs(value) + scale[i])
-            moved_X[i] = value + step
-            extended_output(t, moved_X, theta, ints, floats, pieces, clock, above, scratch)
-            moved_X[i] = value - step
-            extended_output(t, moved_X, theta, ints, floats, pieces, clock, below, scratch)
-            moved_X[i] = value
+            X[i] = value + step
+            extended_output(t, X, system, above, scratch)
+            X[i] = value - step
+            extended_output(t, X, system, below, scratch)
+            X[i] = value
             for j in range(n_y):
                 slope = (above[j] - below[j]) / (2.0 * step)
                 for c in range(n_c):
-                    out[k, j, c] += slope * answers_[k, i, c]
+                    out[k, j, c] += slope * moved_states[k, i, c]
         for c in range(which.size):
             i = which[c]
             moved[i] = theta[i] + steps[c]
-            extended_output(t, moved_X, moved, ints, floats, pieces, clock, above, scratch)
+            extended_output(t, X, changed, above, scratch)
             moved[i] = theta[i] - steps[c]
-            extended_output(t, moved_X, moved, ints, floats, pieces, clock, below, scratch)
+            extended_output(t, X, changed, below, scratch)
             moved[i] = theta[i]
             for j in range(n_y):
                 out[k, j, c] += (above[j] - below[j]) / (2.0 * steps[c])

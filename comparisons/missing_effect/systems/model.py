@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from surge_core.display import Displayed, Field, Grid, Sheet
 from surge_core.errors import InputError
 
@@ -48,12 +50,14 @@ class Model(Displayed):
     Parameters
     ----------
     states, inputs, outputs : mapping of str to str
-        Name and unit of each; names are Python identifiers, since ``rhs`` reads ``x.name``.
+        Name and unit of each; names are Python identifiers, since ``rhs`` reads ``x.name``. A state
+        may be a vector, ``{"T": ("K", 20)}``: ``x.T`` is an array then, its cells are called
+        ``T_0`` to ``T_19``, and effects are not sought on single cells.
     params : mapping of str to P
         Parameters with start, bounds and unit.
     rhs : callable
-        ``rhs(t, x, u, p)`` returns dx/dt, one number a state in their order; arithmetic, ``math``,
-        numpy functions and ``if`` are compiled.
+        ``rhs(t, x, u, p)`` returns dx/dt, one number a state (an array a vector) in their order;
+        arithmetic, ``math``, numpy functions, tables with ``numpy.interp`` and ``if`` are compiled.
     output : callable
         ``output(t, x, u, p)`` returns the measured quantities, one number an output.
     exact : sequence of str
@@ -70,6 +74,10 @@ class Model(Displayed):
         How it is called in reports.
     per_record : mapping of str to P
         Parameters of records, as `with_record_parameters` lays them out; not to be given.
+    simulate : callable, optional
+        A simulation that is a black box, as of `from_simulate`.
+    vectors : mapping of str to int
+        Vectors among the states and their lengths; not to be given.
 
     Raises
     ------
@@ -77,30 +85,74 @@ class Model(Displayed):
         When names, bounds or functions do not fit together.
     """
 
-    states: Mapping[str, str]
+    states: Mapping[str, Any]
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
     params: Mapping[str, P]
-    rhs: Callable[..., Any]
-    output: Callable[..., Any]
+    rhs: Callable[..., Any] | None
+    output: Callable[..., Any] | None
     exact: tuple[str, ...] = ()
     input_between_samples: BetweenSamples = "auto"
     x0: Mapping[str, Any] = field(default_factory=dict)
     balance: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     name: str = "model"
     per_record: Mapping[str, P] = field(default_factory=dict)
+    simulate: Callable[..., Any] | None = None
+    vectors: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for part in ("states", "inputs", "outputs", "params", "x0", "balance", "per_record"):
+        for part in (
+            "states",
+            "inputs",
+            "outputs",
+            "params",
+            "x0",
+            "balance",
+            "per_record",
+            "vectors",
+        ):
             value = getattr(self, part)
             if not isinstance(value, Mapping):
                 raise _refused(part, "a mapping of names", f"{type(value).__name__}")
             object.__setattr__(self, part, MappingProxyType(dict(value)))
         object.__setattr__(self, "exact", tuple(self.exact))
+        _expand_vectors(self)
         _check_names(self)
         _check_params(self)
         _check_options(self)
         _check_functions(self)
+
+    @classmethod
+    def from_simulate(
+        cls,
+        simulate: Callable[..., Any],
+        inputs: Mapping[str, str],
+        outputs: Mapping[str, str],
+        params: Mapping[str, P],
+        **options: Any,
+    ) -> Model:
+        """Return the model of a simulation that is a black box.
+
+        Effects are sought at its inputs and outputs and in its parameters; what acts inside is out
+        of reach. It starts itself, and is run for every difference in a parameter.
+
+        Parameters
+        ----------
+        simulate : callable
+            ``simulate(t, u, p)`` returns the outputs, shape (n, n_y) or one array an output, for
+            times t in seconds from the start, inputs ``u.name`` of shape (n,) and parameters
+            ``p.name``.
+        inputs, outputs, params : mapping
+            As of `Model`.
+        **options
+            ``input_between_samples`` and ``name``.
+
+        Raises
+        ------
+        InputError
+            When names or bounds do not fit together.
+        """
+        return cls({}, inputs, outputs, params, None, None, simulate=simulate, **options)
 
     @classmethod
     def from_fmu(
@@ -199,16 +251,40 @@ class Model(Displayed):
         x, u, p : tuple of float
             States, inputs and parameters, in their order.
         """
+        assert self.rhs is not None
+        assert self.output is not None
         given = self.groups(x, u, p)
         dx = as_numbers(self.rhs(t, *given))
         return (*dx, *(0.0,) * len(self.per_record)), as_numbers(self.output(t, *given))
 
     @property
+    def state_groups(self) -> dict[str, slice | int]:
+        """Where in x each state of the user's is: a number, or the cells of a vector."""
+        out: dict[str, slice | int] = {}
+        names, at = self.state_names[: self.own_states], 0
+        while at < len(names):
+            vector = next((v for v in self.vectors if names[at] == f"{v}_0"), None)
+            if vector is None:
+                out[names[at]], at = at, at + 1
+            else:
+                out[vector] = slice(at, at + self.vectors[vector])
+                at += self.vectors[vector]
+        return out
+
+    @property
+    def cells(self) -> frozenset[int]:
+        """States that are cells of a vector."""
+        spans = (place for place in self.state_groups.values() if isinstance(place, slice))
+        return frozenset(i for span in spans for i in range(span.start, span.stop))
+
+    @property
     def group_kinds(self) -> tuple[Any, Any, Any]:
         """Named tuples of states, inputs and parameters, as the functions take them."""
-        n = self.own_states
-        own = self.state_names[:n], self.input_names, (*self.param_names, *self.state_names[n:])
-        kinds: list[Any] = [namedtuple(kind, names) for kind, names in zip("xup", own, strict=True)]
+        own = (*self.param_names, *self.state_names[self.own_states :])
+        given = (tuple(self.state_groups), self.input_names, own)
+        kinds: list[Any] = [
+            namedtuple(kind, names) for kind, names in zip("xup", given, strict=True)
+        ]
         return kinds[0], kinds[1], kinds[2]
 
     def groups(
@@ -222,7 +298,10 @@ class Model(Displayed):
             In their order.
         """
         n, (states, inputs, params) = self.own_states, self.group_kinds
-        return states(*x[:n]), inputs(*u), params(*p, *x[n:])
+        own = [
+            np.array(x[at]) if isinstance(at, slice) else x[at] for at in self.state_groups.values()
+        ]
+        return states(*own), inputs(*u), params(*p, *x[n:])
 
     def _sheet(self) -> Sheet:
         states = dict(list(self.states.items())[: self.own_states])
@@ -252,16 +331,48 @@ def _shown(unit: str) -> str:
 
 def as_numbers(value: Any) -> tuple[float, ...]:
     """Return what a function of a model gave as numbers: a bare number is a tuple of one."""
-    if isinstance(value, (tuple, list)):
-        return tuple(float(v) for v in value)
-    return (float(value),)
+    parts = value if isinstance(value, (tuple, list)) else (value,)
+    return tuple(float(number) for part in parts for number in np.atleast_1d(part))
+
+
+def _expand_vectors(model: Model) -> None:
+    """Write each vector among the states as its cells, also where it is exact or known at first."""
+    states: dict[str, str] = {}
+    vectors = dict(model.vectors)
+    for name, unit in model.states.items():
+        if not isinstance(unit, tuple):
+            states[name] = unit
+            continue
+        if len(unit) != 2 or not isinstance(unit[1], int) or unit[1] < 1:
+            raise _refused(f"states: {name}", "a unit, or (unit, length)", f"{unit!r}")
+        vectors[name] = unit[1]
+        states.update({f"{name}_{i}": unit[0] for i in range(unit[1])})
+    x0: dict[str, Any] = {}
+    for name, start in model.x0.items():
+        n = vectors.get(name, 0)
+        if not n:
+            x0[name] = start
+            continue
+        many = isinstance(start, (list, np.ndarray))
+        if many and len(start) != n:
+            raise _refused(f"x0: {name}", f"{n} values", f"{len(start)}")
+        x0.update({f"{name}_{i}": float(start[i]) if many else start for i in range(n)})
+    exact = [
+        cell
+        for name in model.exact
+        for cell in ([f"{name}_{i}" for i in range(vectors[name])] if name in vectors else [name])
+    ]
+    for part, value in (("states", states), ("x0", x0), ("vectors", vectors)):
+        object.__setattr__(model, part, MappingProxyType(value))
+    object.__setattr__(model, "exact", tuple(exact))
 
 
 def _check_names(model: Model) -> None:
     seen: set[str] = set()
     for part in ("states", "inputs", "outputs", "params"):
         names = list(getattr(model, part))
-        if not names and part in ("states", "outputs"):
+        needed = part == "outputs" or (part == "states" and model.simulate is None)
+        if not names and needed:
             raise _refused(part, "at least one", "none")
         for name in names:
             good = isinstance(name, str) and name.isidentifier() and not name.startswith("_")
@@ -328,7 +439,11 @@ def _check_options(model: Model) -> None:
 
 
 def _check_functions(model: Model) -> None:
-    """Try both functions once, as Python, at the starts."""
+    """Try both functions once, as Python, at the starts; a black box runs on records alone."""
+    if model.simulate is not None:
+        if not callable(model.simulate):
+            raise _refused("simulate", "a function of (t, u, p)", f"{model.simulate!r}")
+        return
     for part in ("rhs", "output"):
         if not callable(getattr(model, part)):
             raise _refused(part, "a function of (t, x, u, p)", f"{getattr(model, part)!r}")

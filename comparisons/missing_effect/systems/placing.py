@@ -25,6 +25,8 @@ __all__ = ["placed_effects"]
 
 # Rows of a run on which a term of the user's own is sized.
 SIZED_ROWS = 500
+# What acts within a model, where a black box lets nothing in.
+INSIDE = (Kind.TERM, Kind.HYSTERESIS, Kind.STATE_LIMIT, Kind.OVERFLOW)
 
 
 def placed_effects(
@@ -53,6 +55,8 @@ def placed_effects(
     placed: list[Placed] = []
     refused: dict[str, str] = {}
     for effect in effects:
+        if fit.structure.model.simulate is not None and effect.kind in INSIDE:
+            refused.setdefault(effect.name, "acts inside the simulation, which is out of reach")
         for place in effect.places(fit.structure.model):
             own, measured = signals.of(effect, place)
             scaled = measured / rms(measured)
@@ -84,7 +88,7 @@ class _Signals:
         self.outputs = np.concatenate([run.outputs for run in runs])
         self.simulated = np.concatenate([path.outputs for path in fit.paths])
         h = runs[0].sample_period_s
-        self.slopes = np.concatenate([np.gradient(x, h, axis=0) for x in every])
+        self.slopes = np.concatenate([np.gradient(x, h, axis=0) if n_x else x for x in every])
 
     def of(self, effect: SystemEffect, place: Place) -> tuple[FloatArray, FloatArray]:
         """Return the signal that an effect acts on in the model, and as it was measured."""

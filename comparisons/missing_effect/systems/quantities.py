@@ -201,7 +201,8 @@ def _term_factor(model: Model, placed: Placed, slot: int) -> tuple[float, str]:
 def _unit_of_term(model: Model, placed: Placed) -> str:
     """Return the unit of a term of the user's own, "1" for what is no product of powers."""
     written = placed.effect.equation.removeprefix("+ c ")
-    known = {**model.states, **model.inputs, **{n: q.unit for n, q in model.params.items()}}
+    params = {name: q.unit for name, q in model.params.items()}
+    known: dict[str, str] = {**model.states, **model.inputs, **params}
     names = set(re.findall(r"[^\W\d]\w*", written))
     if not names <= set(known) or re.search(r"[^\w\s^*/·²³]", written):
         return "1"
@@ -213,5 +214,5 @@ def _channel_unit(model: Model, placed: Placed) -> str:
     if kind in (Kind.OUTPUT_MAP, Kind.OUTPUT_LAG):
         return list(model.outputs.values())[at]
     if kind in (Kind.STATE_LIMIT, Kind.OVERFLOW):
-        return list(model.states.values())[at]
+        return str(list(model.states.values())[at])
     return list(model.inputs.values())[at]

@@ -30,8 +30,9 @@ ANGLE_UNITS = ("rad", "deg", "°")
 
 
 def free_equations(model: Model) -> tuple[int, ...]:
-    """Return the states in whose equation something may be missing."""
-    return tuple(i for i, name in enumerate(model.state_names) if name not in model.exact)
+    """Return the states in whose equation something may be missing: not the cells of vectors."""
+    names = enumerate(model.state_names)
+    return tuple(i for i, name in names if name not in model.exact and i not in model.cells)
 
 
 def rate_of(model: Model) -> dict[int, int]:
@@ -59,6 +60,8 @@ def rate_factors(model: Model) -> dict[int, float]:
 @lru_cache(maxsize=64)
 def _rates(model: Model) -> dict[int, tuple[int, float]]:
     """Return rate and factor of each exact state; the factor is the same at all states."""
+    if model.simulate is not None:
+        return {}
     states = range(len(model.states))
     exact = [i for i in states if model.state_names[i] in model.exact]
     factors: dict[tuple[int, int], list[float]] = {}
@@ -87,6 +90,8 @@ def stored_from(model: Model) -> dict[tuple[int, int], int]:
         The model. A state is an integral where its own value does not matter to its slope: a
         deflection of speeds, a charge of a current. What resists it acts on those against the sign.
     """
+    if model.simulate is not None:
+        return {}
     n = len(model.states)
     signs: dict[tuple[int, int], set[int]] = {}
     rng = np.random.default_rng(1)
@@ -119,6 +124,8 @@ def measured_as(model: Model) -> dict[int, str]:
     model : Model
         The model; an output that returns x.q makes q measured.
     """
+    if model.simulate is not None:
+        return {}
     agree = {(i, k) for i in range(len(model.states)) for k in range(len(model.outputs))}
     for x, _, y in _tries(model):
         agree = {(i, k) for i, k in agree if abs(y[k] - x[i]) < SAME}
@@ -153,13 +160,15 @@ def physical(model: Model) -> tuple[int, ...]:
     An exact state that is no displacement is a definition of the user's, such as the filter of a
     controller: nothing in the plant feels it.
     """
-    free, known = free_equations(model), _deflections(model)
+    free, known = free_equations(model), _deflections(model) - model.cells
     return tuple(i for i in range(len(model.states)) if i in free or i in known)
 
 
 def _deflections(model: Model) -> set[int]:
     """Return the exact states that sum up others: of one rate, or of several and of no input."""
     summed = {i for i, _ in stored_from(model)} - set(free_equations(model))
+    if not summed:
+        return set(rate_of(model))
     p, rest = _middle(model, 0), (0.0,) * len(model.inputs)
     inner = {
         i

@@ -13,19 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.systems.fit import Fit, own_starts, parameter_steps
-from comparisons.missing_effect.systems.linearised import FINE, along, forced, propagators
+from comparisons.missing_effect.systems.fit import Fit, parameter_steps
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.places import Placed
-from comparisons.missing_effect.systems.shapes import Kind
-from comparisons.missing_effect.systems.simulate import answers, filled, output_answers
+from comparisons.missing_effect.systems.simulate import answers, effect_answers, transitions
 from comparisons.missing_effect.systems.structure import Run
 from surge_core.types import FloatArray
 
 __all__ = ["Answers", "Probe", "Prober"]
 
-# Amplitude at which an effect that is linear in it is laid along the run.
-SMALL = 1e-4
 # A column that keeps less than this share of itself beside what is fitted already says nothing.
 LEAST_OWN_SHARE = 1e-6
 # Flips of sign, the quantile of the largest gain that counts as chance, rows of a block, and
@@ -205,9 +201,7 @@ class Prober:
         for run, path in zip(self.runs, fit.paths, strict=True):
             J = answers(structure, run, fit.theta, path, fit.scale, which, steps)
             self._nuisance.append(J[:, :, : which.size + n_x])
-            pieces = run.pieces_for(structure, fit.theta)
-            given = (structure.ints, filled(structure.floats), pieces, run.clock)
-            self._steps.append(propagators(path.states, fit.theta, *given, fit.scale))
+            self._steps.append(transitions(structure, run, fit.theta, path, fit.scale))
 
     def columns(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
         """Return how the outputs would answer, one array of shape (n, n_y) a run.
@@ -219,39 +213,11 @@ class Prober:
         start : tuple of float
             Its numbers; an amplitude is replaced by a small one.
         """
-        structure = self.fit.structure
-        extended = structure.with_effect(placed)
-        slots = extended.slots((SMALL, *start[1:]) if placed.effect.linear else start)
-        theta = np.concatenate([self.fit.theta, slots])
-        out = []
-        for run, path, (whole, half) in zip(self.runs, self.fit.paths, self._steps, strict=True):
-            first = own_starts(extended, run, path.states[0])
-            forcing, direct = along(
-                path.states,
-                float(first[-1]),
-                placed.effect.own_state,
-                (theta, extended.ints, filled(extended.floats), run.pieces_for(extended, theta)),
-                (
-                    self.fit.theta,
-                    structure.ints,
-                    filled(structure.floats),
-                    run.pieces_for(structure, self.fit.theta),
-                ),
-                run.clock,
-                run.outputs.shape[1],
-            )
-            # The answer through the recording filter, and what a new one does to the run itself.
-            direct = structure.recorded(direct, self.fit.theta)
-            if placed.effect.kind == Kind.RECORDING:
-                direct += extended.recorded(path.outputs, theta) - path.outputs
-            if placed.effect.linear:
-                forcing, direct = forcing / SMALL, direct / SMALL
-            moved = forced(
-                whole, half, forcing, np.zeros((structure.n_states, 1)), run.clock[1] / FINE
-            )
-            slopes = output_answers(structure, run, self.fit.theta, path, self.fit.scale, moved)
-            out.append(slopes[:, :, 0] + direct)
-        return out
+        fit = self.fit
+        return [
+            effect_answers(fit.structure, run, fit.theta, path, fit.scale, steps, placed, start)
+            for run, path, steps in zip(self.runs, fit.paths, self._steps, strict=True)
+        ]
 
     def laid(self, effects: Sequence[Placed], metric: Metric) -> Answers:
         """Return the first-order answers to effects in a metric.

@@ -12,7 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from comparisons.missing_effect.systems.dynamics import extended_output, scratch_for
+from comparisons.missing_effect.systems.black_box import black_box_outputs
+from comparisons.missing_effect.systems.dynamics import System, extended_output, scratch_for
 from comparisons.missing_effect.systems.integrate import integrated
 from comparisons.missing_effect.systems.linearised import (
     FINE,
@@ -22,15 +23,22 @@ from comparisons.missing_effect.systems.linearised import (
     parameter_forcing,
     propagators,
 )
+from comparisons.missing_effect.systems.places import Placed
+from comparisons.missing_effect.systems.shapes import Kind
 from comparisons.missing_effect.systems.structure import Run, Structure
-from surge_core.types import FloatArray, IntArray
+from surge_core.types import FloatArray
 
-__all__ = ["Path", "answers", "filled", "output_answers", "path_of"]
+__all__ = ["Path", "answers", "effect_answers", "own_starts", "path_of", "transitions"]
 
 
 RUNAWAY = 1e4
 # Of the coefficients of the recording filter.
 FILTER_STEP = 1e-4
+# Amplitude at which an effect that is linear in it is laid along the run.
+SMALL = 1e-4
+# Steps of differences of a black box over those of a model that is integrated here: what runs
+# within it rounds as it likes.
+BLACK_BOX_STEP = 100.0
 
 
 @dataclass(frozen=True)
@@ -78,44 +86,66 @@ def path_of(
     first : bool
         Whether the sizes are not known yet, so that no state can be said to run away.
     """
-    ints, floats = structure.ints, filled(structure.floats)
+    if structure.model.simulate is not None:
+        return _black_box(structure, run, theta, start)
     fine_s = run.sample_period_s / FINE
     times = np.arange(FINE * (run.n_samples - 1) + 1, dtype=np.float64) * fine_s
     n_y = run.outputs.shape[1]
     bound = np.full(start.size, np.inf) if first else RUNAWAY * (scale + np.abs(start))
-    pieces = run.pieces_for(structure, theta)
-    states = integrated(
-        times, start, bound, structure.tolerance, scale, theta, ints, floats, pieces, run.clock
-    )
+    system = run.system(structure, theta)
+    states = integrated(times, start, bound, structure.tolerance, scale, system)
     if states is not None:
-        outputs = _outputs(states, theta, ints, floats, pieces, run.clock, n_y)
-        outputs = structure.recorded(outputs, theta)
+        outputs = structure.recorded(_outputs(states, system, n_y), theta)
         if np.all(np.isfinite(outputs)):
             return Path(states, outputs, False)
     empty = np.zeros((times.size, start.size))
     return Path(empty, np.full((run.n_samples, n_y), np.nan), True)
 
 
-def filled(floats: FloatArray) -> FloatArray:
-    """Return scales as a contiguous array that is never empty."""
-    return floats if floats.size else np.zeros(1)
+def _black_box(structure: Structure, run: Run, theta: FloatArray, start: FloatArray) -> Path:
+    """Return a run of a black box: its states are the parameters of its record."""
+    rows = FINE * (run.n_samples - 1) + 1
+    states = np.tile(start[: len(structure.model.states)], (rows, 1))
+    outputs = structure.recorded(black_box_outputs(structure, run, theta, start), theta)
+    failed = not np.all(np.isfinite(outputs))
+    return Path(states, np.full(outputs.shape, np.nan) if failed else outputs, failed)
+
+
+def own_starts(structure: Structure, run: Run, x0: FloatArray) -> FloatArray:
+    """Return the state at the start, with the states of effects in balance.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model and effects.
+    run : Run
+        A run.
+    x0 : ndarray of shape (n_x,) or longer
+        State of the model.
+    """
+    n_x = len(structure.model.states)
+    out = [x0[:n_x]]
+    if structure.model.simulate is not None:
+        return out[0]
+    for placed in structure.effects:
+        if not placed.effect.own_state:
+            continue
+        at = placed.place.at
+        if placed.effect.kind in (Kind.INPUT_LAG, Kind.INPUT_PLAY):
+            out.append(run.pieces[at, :1, 0])
+        elif placed.effect.kind == Kind.OUTPUT_LAG:
+            out.append(run.outputs[run.valid[:, at], at][:1])
+        else:
+            out.append(np.zeros(1))
+    return np.concatenate(out)
 
 
 @njit(cache=True, error_model="numpy")
-def _outputs(
-    states: FloatArray,
-    theta: FloatArray,
-    ints: IntArray,
-    floats: FloatArray,
-    pieces: FloatArray,
-    clock: FloatArray,
-    n_y: int,
-) -> FloatArray:
+def _outputs(states: FloatArray, system: System, n_y: int) -> FloatArray:
     n = (states.shape[0] - 1) // FINE + 1
-    out, scratch = np.empty((n, n_y)), scratch_for(ints)
-    given = (theta, ints, floats, pieces, clock)
+    out, scratch = np.empty((n, n_y)), scratch_for(system[1])
     for k in range(n):
-        extended_output(k * clock[1], states[FINE * k], *given, out[k], scratch)
+        extended_output(k * system[4][1], states[FINE * k], system, out[k], scratch)
     return out
 
 
@@ -151,12 +181,13 @@ def answers(
     -------
     ndarray of shape (n, n_y, m + n_X)
     """
-    ints, floats = structure.ints, filled(structure.floats)
-    given = (ints, floats, run.pieces_for(structure, theta), run.clock)
-    whole, half = propagators(path.states, theta, *given, scale)
+    if structure.model.simulate is not None:
+        return _read(run, _differences(structure, run, theta, path, which, steps))
+    system = run.system(structure, theta)
+    whole, half = propagators(path.states, system, scale)
     n_X, m = structure.n_states, which.size
     forcing = np.zeros((path.states.shape[0], n_X, m + n_X))
-    forcing[:, :, :m] = parameter_forcing(path.states, theta, which, steps, *given)
+    forcing[:, :, :m] = parameter_forcing(path.states, system, which, steps)
     n_y = run.outputs.shape[1]
     direct = np.zeros((run.n_samples, n_y, m + n_X))
     filter_at = structure.recording
@@ -168,7 +199,7 @@ def answers(
         )
     start = np.hstack([np.zeros((n_X, m)), np.eye(n_X)])
     moved = forced(whole, half, forcing, start, run.sample_period_s / FINE)
-    slopes = output_slopes(path.states, moved, theta, (which, steps), *given, scale, n_y)
+    slopes = output_slopes(path.states, moved, system, (which, steps), scale, n_y)
     return _read(run, structure.recorded(slopes, theta) + direct)
 
 
@@ -185,51 +216,107 @@ def _filter_forcing(
     above, below = theta.copy(), theta.copy()
     above[which] += FILTER_STEP
     below[which] -= FILTER_STEP
-    ints, floats = structure.ints, filled(structure.floats)
-    forcing, direct = along(
-        path.states,
-        0.0,
-        False,
-        (theta, ints, floats, run.pieces_for(structure, above)),
-        (theta, ints, floats, run.pieces_for(structure, below)),
-        run.clock,
-        run.outputs.shape[1],
+    system, n_y = run.system(structure, theta), run.outputs.shape[1]
+    changed, unchanged = (
+        (*system[:3], run.pieces_for(structure, side), run.clock) for side in (above, below)
     )
-    own = run.pieces_for(structure, theta)
-    bare = _outputs(path.states, theta, ints, floats, own, run.clock, run.outputs.shape[1])
+    forcing, direct = along(path.states, 0.0, False, changed, unchanged, n_y)
+    bare = _outputs(path.states, system, n_y)
     through = structure.recorded(bare, above) - structure.recorded(bare, below)
     direct = structure.recorded(direct, theta) + through
     return forcing[:, :, 0] / (2.0 * FILTER_STEP), direct / (2.0 * FILTER_STEP)
 
 
-def output_answers(
+def _differences(
     structure: Structure,
     run: Run,
     theta: FloatArray,
     path: Path,
-    scale: FloatArray,
-    moved: FloatArray,
+    which: NDArray[np.int64],
+    steps: FloatArray,
 ) -> FloatArray:
-    """Return how the outputs answer to changes of the state, shape (n, n_y, columns).
+    """Return how a black box answers to each parameter, and to those of its record."""
+    start, out = path.states[0], []
+    ranges = [p.high - p.low for p in structure.model.per_record.values()]
+    moved = [*(BLACK_BOX_STEP * steps), *(SMALL * size for size in ranges)]
+    for c, step in enumerate(moved):
+        sides = []
+        for side in (step, -step):
+            at, begun = theta.copy(), start.copy()
+            if c < which.size:
+                at[which[c]] += side
+            else:
+                begun[c - which.size] += side
+            sides.append(_black_box(structure, run, at, begun).outputs)
+        out.append((sides[0] - sides[1]) / (2.0 * step))
+    return np.stack(out, axis=2) if out else np.zeros((*run.outputs.shape, 0))
+
+
+def transitions(
+    structure: Structure, run: Run, theta: FloatArray, path: Path, scale: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the transition matrices along a run; None for a black box, which has none.
 
     Parameters
     ----------
     structure, run, theta, path, scale
         As of `answers`.
-    moved : ndarray of shape (n, n_X, columns)
-        Changes of the state at the samples.
     """
-    ints, floats = structure.ints, filled(structure.floats)
-    slopes = output_slopes(
+    if structure.model.simulate is not None:
+        return None
+    return propagators(path.states, run.system(structure, theta), scale)
+
+
+def effect_answers(
+    structure: Structure,
+    run: Run,
+    theta: FloatArray,
+    path: Path,
+    scale: FloatArray,
+    steps: tuple[FloatArray, FloatArray] | None,
+    placed: Placed,
+    start: tuple[float, ...],
+) -> FloatArray:
+    """Return how the outputs of a run would answer to one more effect, to first order.
+
+    Parameters
+    ----------
+    structure, run, theta, path, scale
+        As of `answers`.
+    steps : tuple of ndarray, or None
+        Of `transitions`.
+    placed : Placed
+        The effect at its place.
+    start : tuple of float
+        Its numbers; an amplitude is replaced by a small one.
+
+    Returns
+    -------
+    ndarray of shape (n, n_y)
+    """
+    linear = placed.effect.linear
+    extended = structure.with_effect(placed)
+    theta_new = np.concatenate([theta, extended.slots((SMALL, *start[1:]) if linear else start)])
+    if steps is None:
+        with_it = _black_box(extended, run, theta_new, path.states[0]).outputs
+        return _read(run, (with_it - path.outputs) / (SMALL if linear else 1.0))
+    forcing, direct = along(
         path.states,
-        moved,
-        theta,
-        (np.zeros(0, dtype=np.int64), np.zeros(0)),
-        ints,
-        floats,
-        run.pieces_for(structure, theta),
-        run.clock,
-        scale,
+        float(own_starts(extended, run, path.states[0])[-1]),
+        placed.effect.own_state,
+        run.system(extended, theta_new),
+        run.system(structure, theta),
         run.outputs.shape[1],
     )
-    return _read(run, structure.recorded(slopes, theta))
+    # The answer through the recording filter, and what a new one does to the run itself.
+    direct = structure.recorded(direct, theta)
+    if placed.effect.kind == Kind.RECORDING:
+        direct += extended.recorded(path.outputs, theta_new) - path.outputs
+    if linear:
+        forcing, direct = forcing / SMALL, direct / SMALL
+    begun = np.zeros((structure.n_states, 1))
+    moved = forced(*steps, forcing, begun, run.sample_period_s / FINE)
+    nothing = (np.zeros(0, dtype=np.int64), np.zeros(0))
+    system, n_y = run.system(structure, theta), run.outputs.shape[1]
+    slopes = output_slopes(path.states, moved, system, nothing, scale, n_y)
+    return _read(run, structure.recorded(slopes, theta)[:, :, 0] + direct)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from comparisons.missing_effect.systems.compiled import compiled, expression_address
-from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS
+from comparisons.missing_effect.systems.dynamics import HEAD, ROW, SLOTS, System
 from comparisons.missing_effect.systems.experiments import Experiment, input_pieces
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
@@ -60,7 +60,9 @@ class Structure:
 
     @property
     def n_states(self) -> int:
-        """States of the model and of the effects."""
+        """States of the model and of the effects; a black box keeps those to itself."""
+        if self.model.simulate is not None:
+            return len(self.model.states)
         return len(self.model.states) + sum(e.effect.own_state for e in self.effects)
 
     @property
@@ -118,7 +120,7 @@ class Structure:
         """Bounds of the model's states at a start: only parameters of records have any."""
         own = [(-np.inf, np.inf)] * self.model.own_states
         both = [*own, *((p.low, p.high) for p in self.model.per_record.values())]
-        low, high = np.array(both).T
+        low, high = np.array(both).reshape(-1, 2).T
         return low, high
 
     @property
@@ -219,6 +221,11 @@ class Run:
         true = all_pass(inputs, theta[at], theta[at + 1], inverse=True)
         made = [input_pieces(true[:, j], structure.between)[0] for j in range(len(names))]
         return np.ascontiguousarray(np.stack(made))
+
+    def system(self, structure: Structure, theta: FloatArray) -> System:
+        """Return what kernels take of a structure with its θ on this run."""
+        floats = structure.floats if structure.effects else np.zeros(1)
+        return theta, structure.ints, floats, self.pieces_for(structure, theta), self.clock
 
     @property
     def valid(self) -> BoolArray:

@@ -7,11 +7,11 @@ import pytest
 import system_models as make
 import system_truths as truth
 
-from comparisons.missing_effect.systems.fit import own_starts, parameter_steps, scales_of
+from comparisons.missing_effect.systems.fit import parameter_steps, scales_of
 from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind, Map, Term
-from comparisons.missing_effect.systems.simulate import answers, path_of
+from comparisons.missing_effect.systems.simulate import answers, own_starts, path_of
 from comparisons.missing_effect.systems.structure import Run, Structure
 
 TIGHT = 1e-9

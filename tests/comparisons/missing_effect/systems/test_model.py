@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import system_models as make
+from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
 from comparisons.missing_effect.systems.compiled import compiled
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.model import Model, P
-from comparisons.missing_effect.systems.records import Records
+from comparisons.missing_effect.systems.records import Records, runs_of
 from comparisons.missing_effect.systems.roles import (
     displacements,
     free_equations,
@@ -20,6 +23,8 @@ from comparisons.missing_effect.systems.roles import (
     rate_of,
     rates,
 )
+from comparisons.missing_effect.systems.simulate import path_of
+from comparisons.missing_effect.systems.structure import Structure
 from surge_core.errors import InputError
 
 GOOD: Mapping[str, Any] = {
@@ -196,3 +201,117 @@ def test_a_scaled_or_shifted_reading_does_not_measure_a_state() -> None:
     assert measured_as(shifted) == {1: "z"}
     scaled = Model(**{**GOOD, "output": lambda t, x, u, p: 1000.0 * x.q})
     assert measured_as(scaled) == {}
+
+
+CELLS, WIDTH = 20, 0.05
+HEAT = np.array([250.0, 300.0, 350.0, 400.0])
+CONDUCTED = np.array([4e-3, 5e-3, 5.5e-3, 5.8e-3])
+
+
+def rod(**changes: Any) -> Model:
+    """A rod whose first cell is heated, beside a lump at its end."""
+
+    def rhs(t: float, x: Any, u: Any, p: Any) -> Any:
+        flow = p.k * (x.T[1:] - x.T[:-1]) / WIDTH
+        dT = np.zeros(CELLS)
+        dT[0] = (u.q + flow[0]) / WIDTH
+        dT[1:-1] = (flow[1:] - flow[:-1]) / WIDTH
+        dT[-1] = (p.g * (x.lump - x.T[-1]) - flow[-1]) / WIDTH
+        return dT, p.g * (x.T[-1] - x.lump)
+
+    given: dict[str, Any] = {
+        "states": {"T": ("K", CELLS), "lump": "K"},
+        "inputs": {"q": "K m/s"},
+        "outputs": {"T_mid": "K", "T_end": "K"},
+        "params": {"k": P(2e-3, 1e-4, 0.1, "m²/s"), "g": P(0.01, 1e-4, 1.0, "m/s")},
+        "rhs": rhs,
+        "output": lambda t, x, u, p: (x.T[10], x.lump),
+        "x0": {"T": (0.0, 0.01), "lump": (0.0, 0.01)},
+        "name": "rod",
+    }
+    return Model(**{**given, **changes})
+
+
+def rod_record(n: int = 300) -> Experiment:
+    """By scipy, from other equations: the matrix exponential of the whole rod."""
+    k, g, h = 4e-3, 0.02, 0.5
+    A = np.zeros((CELLS + 1, CELLS + 1))
+    for i in range(CELLS - 1):
+        for a, b in ((i, i + 1), (i + 1, i)):
+            A[a, a] -= k / WIDTH**2
+            A[a, b] += k / WIDTH**2
+    A[CELLS - 1, CELLS - 1] -= g / WIDTH
+    A[CELLS - 1, CELLS] += g / WIDTH
+    A[CELLS, CELLS - 1], A[CELLS, CELLS] = g, -g
+    B = np.zeros((CELLS + 1, 1))
+    B[0] = 1.0 / WIDTH
+    rng = np.random.default_rng(2)
+    q = 0.05 * np.repeat(rng.random(n // 20), 20)
+    C = np.zeros((2, CELLS + 1))
+    C[0, 10] = C[1, CELLS] = 1.0
+    y = lsim((A, B, C, np.zeros((2, 1))), q, h * np.arange(n), interp=False)[1]
+    y = y + 0.002 * np.std(y, axis=0) * rng.standard_normal(y.shape)
+    return Experiment("rod", h, {"q": q, "T_mid": y[:, 0], "T_end": y[:, 1]})
+
+
+def test_a_state_may_be_a_vector() -> None:
+    """Twenty cells and a lump: parameters of the truth, and no effect on a single cell."""
+    model = rod(input_between_samples="held")
+    assert model.state_names == (*(f"T_{i}" for i in range(CELLS)), "lump")
+    assert (free_equations(model), physical(model)) == ((CELLS,), (CELLS,))
+    assert measured_as(model) == {10: "T_mid", CELLS: "T_end"}
+    records = Records.of(model, [rod_record()])
+    run = runs_of(records, records.whole, "held", begun=True)[0]
+    fit = make.fitted(Structure(model, (), "held", 1e-6, offsets_free=False), [run])
+    assert fit.theta[:2] == pytest.approx([4e-3, 0.02], rel=0.01)
+    assert np.std(fit.errors[0] / np.std(run.outputs, axis=0)) < 1.2 * 0.002
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"states": {"T": ("K", 0), "lump": "K"}},
+            r"states: T: expected a unit, or \(unit, length",
+        ),
+        ({"x0": {"T": [0.0] * 19}}, "x0: T: expected 20 values, found 19"),
+        ({"states": {"T": ("K", 19), "lump": "K"}}, "rhs"),
+    ],
+)
+def test_a_bad_vector_is_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=f"model: {words}") as caught:
+        rod(**change)
+    one_sentence(caught.value)
+
+
+def test_an_exact_vector_and_a_start_of_each_cell() -> None:
+    model = rod(x0={"T": np.arange(20.0)}, exact=("T",))
+    assert (model.exact[0], len(model.exact)) == ("T_0", 20)
+    assert (model.x0["T_7"], free_equations(model)) == (7.0, (20,))
+
+
+def test_a_table_is_compiled() -> None:
+    """A conductivity that is read from a table, as a function of the temperature."""
+    model = rod(
+        states={"lump": "K"},
+        inputs={"q": "K/s"},
+        outputs={"T_end": "K"},
+        params={"g": P(1.0, 0.1, 9.0)},
+        rhs=lambda t, x, u, p: u.q - p.g * np.interp(x.lump, HEAT, CONDUCTED) * (x.lump - 280.0),
+        output=lambda t, x, u, p: x.lump,
+        x0={},
+    )
+    n, h = 200, 1.0
+    experiment = Experiment("run", h, {"q": np.full(n, 0.5), "T_end": 280.0 + np.arange(n)})
+    run = make.runs_on(model, [experiment])[0]
+    structure = Structure(model, (), "held", 1e-8)
+    path = path_of(structure, run, np.array([1.0, 0.0]), np.array([280.0]), np.array([100.0]))
+    reference = solve_ivp(
+        lambda t, x: 0.5 - np.interp(x, HEAT, CONDUCTED) * (x - 280.0),
+        (0.0, h * (n - 1)),
+        [280.0],
+        t_eval=h * np.arange(n),
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    assert np.max(np.abs(path.outputs[:, 0] - reference.y[0])) < 1e-4

@@ -1,0 +1,151 @@
+"""A simulation that is a black box: what a user's own solver gives, and effects around it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import system_models as make
+import system_truths as truth
+from scipy.signal import lsim
+
+from comparisons.missing_effect.systems.diagnosis import diagnose_model
+from comparisons.missing_effect.systems.fit import parameter_steps
+from comparisons.missing_effect.systems.metric import raw_metric
+from comparisons.missing_effect.systems.model import Model, P
+from comparisons.missing_effect.systems.quantities import covariance
+from comparisons.missing_effect.systems.shapes import Kind, Map
+from comparisons.missing_effect.systems.simulate import answers, path_of
+from comparisons.missing_effect.systems.structure import Structure
+from surge_core.errors import InputError
+
+RUNS = []
+
+
+def circuit(t: np.ndarray, u: Any, p: Any) -> np.ndarray:
+    """The circuit by another solver: lsim, inputs straight between samples."""
+    RUNS.append(t.size)
+    A = [[-p.R / p.L, -1.0 / p.L], [1.0 / p.C, 0.0]]
+    system = (A, [[1.0 / p.L], [0.0]], [[1.0, 0.0]], [[0.0]])
+    return np.asarray(lsim(system, u.v, t)[1])
+
+
+def boxed(**options: Any) -> Model:
+    own = make.circuit()
+    given = {"inputs": own.inputs, "outputs": own.outputs, "params": own.params, **options}
+    return Model.from_simulate(circuit, **given)
+
+
+def test_a_black_box_is_fitted_as_the_model_is() -> None:
+    """The same parameters and errors as by the equations, up to the way between samples."""
+    record = make.experiment("circuit", truth.circuit(3, 800))
+    found = []
+    for model in (boxed(), make.circuit()):
+        run = make.runs_on(model, [record], "linear")[0]
+        structure = Structure(model, (), "linear", 1e-7, offsets_free=False)
+        fit = make.fitted(structure, [run])
+        cov = covariance(fit, [run], raw_metric([run.outputs]))
+        found.append((fit.theta[:3], np.sqrt(np.diag(cov)[:3])))
+    (one, one_error), (other, other_error) = found
+    assert np.all(np.abs(one - other) < 0.2 * other_error)
+    assert one_error == pytest.approx(other_error, rel=0.15)
+
+
+PLACES = {
+    "delay": (Kind.INPUT_DELAY, "transport_delay", None, (3.4,)),
+    "lag of the input": (Kind.INPUT_LAG, "further_lag", None, (4.0,)),
+    "dead zone": (Kind.INPUT_MAP, "dead_zone", Map.DEAD_ZONE, (0.2,)),
+    "play": (Kind.INPUT_PLAY, "backlash", None, (0.15,)),
+    "limit of the sensor": (Kind.OUTPUT_MAP, "saturation", Map.UPPER, (0.9,)),
+    "lag of the sensor": (Kind.OUTPUT_LAG, "further_lag", None, (5.0,)),
+    "drift": (Kind.DRIFT, "parameter_drift", None, (0.1,)),
+}
+
+
+@pytest.mark.parametrize("case", PLACES)
+def test_effects_around_a_black_box_are_those_in_the_equations(case: str) -> None:
+    kind, name, code, numbers = PLACES[case]
+    made = truth.circuit(3, 600, noise=0.0)
+    outs = []
+    for model in (boxed(), make.circuit()):
+        run = make.runs_on(model, [make.experiment("circuit", made)], "linear")[0]
+        scales = (3.0, 8.0 if kind in (Kind.INPUT_MAP, Kind.INPUT_PLAY) else 0.5, 1.0)
+        at = 1 if kind == Kind.DRIFT else 0
+        one = make.placed(
+            name, kind, at, 2 if "INPUT" in kind.name else -1, scales=scales, code=code
+        )
+        structure = Structure(model, (one,), "linear", 1e-8)
+        theta = np.array([*truth.CIRCUIT.values(), 0.3, *numbers, 0.0, 0.0, 0.0])
+        start = np.zeros(structure.n_states)
+        if kind in (Kind.INPUT_LAG, Kind.INPUT_PLAY) and start.size:
+            start[2] = made["v"][0]
+        path = path_of(structure, run, theta, start, np.ones(start.size))
+        assert not path.failed
+        outs.append(path.outputs[:, 0])
+    box, inside = outs
+    size = float(np.std(inside))
+    # A black box sees its inputs at the samples alone: a kink between two of them is rounded.
+    kinked = kind in (Kind.INPUT_PLAY, Kind.INPUT_MAP)
+    assert np.max(np.abs(box - inside)[60:]) < (0.08 if kinked else 0.03) * size
+
+
+def test_the_answers_of_a_black_box_are_its_differences() -> None:
+    model = boxed(params={**make.circuit().params, "R": P(2.0, 0.1, 50.0, "Ω", per_record=True)})
+    model = model.with_record_parameters()
+    run = make.runs_on(model, [make.experiment("circuit", truth.circuit(3, 300))], "linear")[0]
+    structure = Structure(model, (), "linear", 1e-7)
+    theta, start = np.array([0.05, 2e-3, 0.2]), np.array([3.0])
+    path = path_of(structure, run, theta, start, np.ones(1))
+    which = structure.free
+    steps = parameter_steps(structure, theta)[which]
+    columns = answers(structure, run, theta, path, np.ones(1), which, steps)
+    assert columns.shape == (300, 1, 4)
+    for c, (index, step) in enumerate(((0, 1e-4), (1, 1e-5), (2, 1e-2), (None, 1e-2))):
+        sides = []
+        for side in (step, -step):
+            at, begun = theta.copy(), start.copy()
+            if index is None:
+                begun[0] += side
+            else:
+                at[index] += side
+            sides.append(path_of(structure, run, at, begun, np.ones(1)).outputs)
+        wanted = (sides[0] - sides[1]) / (2.0 * step)
+        assert np.linalg.norm(columns[:, :, c] - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
+def test_what_is_missing_at_the_input_of_a_black_box_is_named() -> None:
+    """A drive with a threshold of 1 V; what acts inside is said to be out of reach."""
+    fit = make.experiment("circuit", truth.circuit(1, 600, drive_gap=1.0), "training")
+    check = make.experiment("circuit", truth.circuit(51, 300, drive_gap=1.0), "check")
+    RUNS.clear()
+    found = diagnose_model(boxed(), fit, check, most_effects=1)
+    first = found.missing[0]
+    assert "dead_zone" in first.alias_set
+    assert first.place["input"] == "v"
+    assert abs(first.numbers[0].value - 1.0) < max(4.0 * first.numbers[0].stderr, 0.02)
+    assert "out of reach" in found.unavailable["coulomb_friction"]
+    assert "transport_delay" not in found.unavailable
+    assert found.checks[0].after_rms[0] < 0.3 * found.checks[0].before_rms[0]
+    assert len(RUNS) < 20_000
+
+
+def test_a_black_box_that_fails_loses_and_one_of_another_shape_is_refused() -> None:
+    def stuck(t: np.ndarray, u: Any, p: Any) -> np.ndarray:
+        if p.R < 1.0:
+            raise ZeroDivisionError
+        return circuit(t, u, p)
+
+    model = Model.from_simulate(
+        stuck, make.circuit().inputs, make.circuit().outputs, make.circuit().params
+    )
+    run = make.runs_on(model, [make.experiment("circuit", truth.circuit(3, 200))])[0]
+    structure = Structure(model)
+    theta = structure.start()
+    theta[1] = 0.5
+    assert path_of(structure, run, theta, np.zeros(0), np.zeros(0)).failed
+    short = Model.from_simulate(
+        lambda t, u, p: t[:10], make.circuit().inputs, make.circuit().outputs, model.params
+    )
+    with pytest.raises(InputError, match=r"model: simulate: expected outputs of shape \(200, 1\)"):
+        path_of(Structure(short), run, theta, np.zeros(0), np.zeros(0))
