@@ -70,7 +70,7 @@ class Bench:
         window somewhere. Each window begins from what is measured, else from where the model is.
         """
         total = sum(run.n_samples for run in self.train)
-        if total <= MOST_RACED:
+        if total <= MOST_RACED or self.records.model.per_record:
             return self
         stretches, starts = [], []
         for record, path in zip(self.records.fitted, self.fit.paths, strict=True):
@@ -85,7 +85,7 @@ class Bench:
         ]
         raw, scale = raw_metric([run.outputs for run in train]), self.fit.scale
         fit = fit_runs(self.fit.structure, train, raw, self.fit.theta, begun, scale)
-        return replace(self, train=train, fit=fit)
+        return self if fit.failed else replace(self, train=train, fit=fit)
 
     def held_out_rms(self) -> FloatArray:
         """Return the rms error of each output on the held-out rows, starts estimated there."""

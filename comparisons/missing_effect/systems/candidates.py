@@ -100,9 +100,13 @@ class Candidate:
     def accepted_slow(self) -> bool:
         """Whether it wins in plain errors what chance does not, here and on held-out rows.
 
-        Chance is that of single effects: pairs are too many for it.
+        Chance is that of single effects: pairs are too many for it. The fast part of the errors
+        must not speak against it.
         """
-        return self.slow > 0.0 and len(self.added) == 1 and not self.vanished and not self.wild
+        e = self.evidence
+        if e is None or e.train + e.later <= 0.0 or len(self.added) > 1:
+            return False
+        return self.slow > 0.0 and not self.vanished and not self.wild
 
     @property
     def vanished(self) -> bool:

@@ -128,7 +128,7 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
             found=f"{experiment.sample_period_s:g} s",
             remedy="resample it: lags and timing offsets are given in samples",
         )
-    settle = experiment.settle or _settle_rows(records.model)
+    settle = experiment.settle or _settle_rows(records.model, experiment.n_samples)
     if settle >= experiment.n_samples // 2:
         raise InputError(
             experiment.named("rows"),
@@ -138,9 +138,13 @@ def _checkable(experiment: Experiment, records: Records) -> Experiment:
     return experiment
 
 
-def _settle_rows(model: Model) -> int:
-    """Return how many rows of a check tell its start: several a state."""
-    return max(10, 5 * len(model.states))
+def _settle_rows(model: Model, n_samples: int) -> int:
+    """Return how many rows of a check give its start: several a state.
+
+    A number of the record's own shows slowly: it takes a tenth of the record.
+    """
+    own = n_samples // 10 if model.per_record else 0
+    return max(10, 5 * len(model.states), own)
 
 
 def _worth_adding(step: Round, bench: Bench, moved: Bench, unnamed: bool) -> bool:
@@ -355,7 +359,7 @@ def _checked(
     records: Records, experiment: Experiment, before: Fit, after: Fit, refit: bool
 ) -> CheckRun:
     """Simulate a check record; its start comes from its first rows, which are not scored."""
-    settle = experiment.settle or _settle_rows(records.model)
+    settle = experiment.settle or _settle_rows(records.model, experiment.n_samples)
     simulated = []
     for fit in (before, after):
         run = check_run(records, experiment, fit)

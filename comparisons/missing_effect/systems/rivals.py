@@ -21,9 +21,7 @@ REPEATS, STEPS = 20, 3
 BLOCK_ROWS = 20
 
 
-def rejected(
-    name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.Generator
-) -> float:
+def rejected(name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.Generator) -> float:
     """Return the chance of so large an advantage of a name if its rival were the truth.
 
     The rival is simulated with its own innovations drawn again, both are fitted to it, and the
