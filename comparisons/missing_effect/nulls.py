@@ -102,7 +102,9 @@ def foretold(
     n = error.size
     least = max(1, int(LEAST_SHIFT * n))
     shifts = rng.integers(least, n - least, size=SHIFTS)
-    by_chance = np.array([float(np.sum((basis.T @ np.roll(error, s)) ** 2)) for s in shifts]) / total
+    by_chance = (
+        np.array([float(np.sum((basis.T @ np.roll(error, s)) ** 2)) for s in shifts]) / total
+    )
     p = (1.0 + float(np.count_nonzero(by_chance >= found))) / (1.0 + SHIFTS)
     along = np.abs(features.T @ error) / np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     return p, max(found - float(np.median(by_chance)), 0.0), labels[int(np.argmax(along))]

@@ -7,17 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from comparisons.missing_effect.nulls import Leftover, foretold
+from comparisons.missing_effect.nulls import Leftover
 from comparisons.missing_effect.systems.bench import Bench, base_bench
 from comparisons.missing_effect.systems.catalogue import SYSTEM_CATALOGUE
+from comparisons.missing_effect.systems.doubts import doubts_of, left_words, leftover_of
 from comparisons.missing_effect.systems.experiments import Experiment
 from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
-from comparisons.missing_effect.systems.linearised import FINE
 from comparisons.missing_effect.systems.metric import Metric, metric_of, raw_metric
 from comparisons.missing_effect.systems.model import Model
-from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.open_terms import OPEN_TERMS
-from comparisons.missing_effect.systems.placing import placed_effects
+from comparisons.missing_effect.systems.places import Placed, SystemEffect
 from comparisons.missing_effect.systems.quantities import covariance, numbers_of
 from comparisons.missing_effect.systems.records import Records, check_run, runs_of
 from comparisons.missing_effect.systems.results import (
@@ -27,7 +26,6 @@ from comparisons.missing_effect.systems.results import (
     ParameterRow,
     SystemDiagnosis,
 )
-from comparisons.missing_effect.systems.score import Prober
 from comparisons.missing_effect.systems.search import Round, search_round, still_aliases
 from comparisons.missing_effect.systems.structure import Run, Structure
 from surge_core.errors import InputError
@@ -39,10 +37,8 @@ MOST_EFFECTS = 4
 # What an effect beyond the first must explain: of the squared whitened errors, or of the squared
 # raw errors on held-out rows.
 LEAST_FURTHER_SHARE, LEAST_FURTHER_RAW_SHARE = 0.05, 0.25
-# What a firm name needs: so many standard errors, held-out rows that gain at least this share of
-# what fitted ones gain each, and no rival elsewhere that the record does not reject at this
-# chance. A check whose error grew beyond this factor is worse.
-FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED, WORSE = 3.0, 0.2, 0.01, 1.02
+# A check whose error grew beyond this factor is worse.
+WORSE = 1.02
 # Held-out rows whose rms error is so many times that of fitted ones hold something of their own.
 FORETOLD_BADLY = 2.5
 # Steps of a fit to a check record, for what training records cannot know; said below this share.
@@ -233,7 +229,7 @@ def _found(
     labels = tuple(c.label(model) for c in aliases) if alone else (placed.label(model),)
     names = tuple(dict.fromkeys(c.placed.name for c in aliases)) if alone else (placed.name,)
     numbers = numbers_of(fit, placed, cov, step.bench.train[0].clock)
-    doubts = () if placed.effect.unnamed else _doubts(step, placed, numbers, worse, model)
+    doubts = () if placed.effect.unnamed else doubts_of(step, placed, numbers, worse, model)
     return FoundEffect(
         placed.name,
         placed.label(model),
@@ -257,46 +253,6 @@ def _found(
     )
 
 
-def _doubts(
-    step: Round,
-    placed: Placed,
-    numbers: Sequence[FittedNumber],
-    worse: Sequence[CheckRun],
-    model: Model,
-) -> tuple[str, ...]:
-    """Return why a name is not firm; empty where it is."""
-    winner = step.winner
-    assert winner is not None
-    assert winner.evidence is not None
-    out = []
-    amplitude = bool(numbers) and placed.effect.linear
-    if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
-        size = abs(numbers[0].value) / numbers[0].stderr
-        out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
-    if step.rivalled:
-        out.append("a term without a name explains more")
-    elif step.outfitted:
-        out.append("terms without a name fit the rows fitted better, if not those held out")
-    if not winner.accepted:
-        out.append("it explains the slow part of the error alone, which a disturbance may be")
-    fitted, held = step.rates
-    if held < LEAST_HELD_OUT_RATE * fitted:
-        out.append(
-            f"it explains {100.0 * held / fitted:.0f} % as much a row on held-out rows as on "
-            "those fitted"
-        )
-    rival = step.rival
-    if rival is not None and step.rival_p > REJECTED:
-        share = 100.0 * rival.score / winner.score
-        out.append(
-            f"{rival.label(model)} explains {share:.0f} % as much, and the record does not reject it"
-        )
-    if worse:
-        names = ", ".join(run.experiment.name for run in worse)
-        out.append(f"the error on {names} got no better by it")
-    return tuple(out)
-
-
 def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str:
     if base.fit.failed:
         return "unexplained_structure"
@@ -308,67 +264,6 @@ def _verdict(missing: Sequence[FoundEffect], base: Bench, left: Leftover) -> str
     if any(item.provisional for item in missing):
         return "provisional"
     return "alias_set" if any(len(item.alias_set) > 1 for item in missing) else "named"
-
-
-def _left_words(left: Leftover, named: bool) -> str:
-    """Say that something is missing that nothing here fits: its size, and what it follows."""
-    lead = "Beyond what was found s" if named else "S"
-    if left.structured:
-        follows = f"; it follows {left.follows} most" if left.follows else ""
-        share = (
-            f", and the inputs and states foretell {100.0 * left.foretold_share:.0f} % of the squared "
-            "error on held-out rows"
-            if left.foretold_share > 0.01
-            else ""
-        )
-        return (
-            f"{lead}omething is missing that nothing here fits: the error is {left.ratio:.1f} times "
-            f"what is new in each sample{share}{follows}."
-        )
-    return (
-        f"{lead}omething slow is left: the error is {left.ratio:.0f} times what is new in each "
-        "sample. A disturbance does that, and so does something missing that no input shows."
-    )
-
-
-def leftover_of(
-    bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
-) -> Leftover:
-    """Test what a model leaves for anything that effects, inputs or states still explain.
-
-    Parameters
-    ----------
-    bench : Bench
-        The model and the records.
-    catalogue, library : sequence of SystemEffect
-        Names, and terms without one.
-    """
-    if bench.fit.failed:
-        return Leftover(1.0, 1.0, 0.0, np.inf)
-    rng = np.random.default_rng(0)
-    placed, _ = placed_effects(bench.fit, bench.train, [*catalogue, *library])
-    metric = metric_of(bench.fit.errors)
-    answers = Prober(bench.fit, bench.train).laid(placed, metric)
-    best = answers.best()
-    by_chance = answers.flipped(rng)
-    gain = best[0].gain if best else 0.0
-    flip_p = (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + by_chance.size)
-    later = settled(bench.fit, bench.later, bench.raw)
-    model = bench.records.model
-    names = (*model.state_names, *model.input_names)
-    n_x = len(model.states)
-    signals = [
-        np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
-        for run, path in zip(bench.later, later.paths, strict=True)
-    ]
-    p, share, follows = 1.0, 0.0, ""
-    for j in range(len(model.outputs)):
-        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], signals, names, rng)
-        if found[0] < p or (found[0] == p and found[1] > share):
-            p, share, follows = found
-    size = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
-    ratio = float(np.max(size / np.asarray(metric.sigma)))
-    return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows)
 
 
 def _foretells_badly(bench: Bench) -> bool:
@@ -494,7 +389,7 @@ def _remarks(
 ) -> tuple[str, ...]:
     out = []
     if not base.fit.failed and (left.structured or left.disturbed):
-        out.append(_left_words(left, bool(missing)))
+        out.append(left_words(left, bool(missing)))
     if base.fit.failed:
         out.append(
             "The model could not be simulated from its starts, so that nothing can be said of what "

@@ -157,7 +157,10 @@ class CheckRun:
 
 
 def _rms_columns(errors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
+    scored = np.isfinite(errors)
+    total = np.sum(np.where(scored, errors, 0.0) ** 2, axis=0)
+    count = np.count_nonzero(scored, axis=0)
+    return np.asarray(np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan))
 
 
 @dataclass(frozen=True, eq=False)

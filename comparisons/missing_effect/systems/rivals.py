@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from comparisons.missing_effect.systems.bench import Bench
 from comparisons.missing_effect.systems.fit import Fit, fit_runs
 from comparisons.missing_effect.systems.metric import Metric
 from comparisons.missing_effect.systems.structure import Run
@@ -21,7 +22,7 @@ BLOCK_ROWS = 20
 
 
 def rejected(
-    name: Fit, rival: Fit, runs: Sequence[Run], metric: Metric, rng: np.random.Generator
+    name: Fit, rival: Fit, lane: Bench, metric: Metric, rng: np.random.Generator
 ) -> float:
     """Return the chance of so large an advantage of a name if its rival were the truth.
 
@@ -32,8 +33,8 @@ def rejected(
     ----------
     name, rival : Fit
         To the same runs in the same metric.
-    runs : sequence of Run
-        What both were fitted to.
+    lane : Bench
+        The rows on which candidates race.
     metric : Metric
         Colour of the errors.
     rng : Generator
@@ -41,17 +42,17 @@ def rejected(
     """
     from scipy.stats import norm
 
-    found = rival.cost - name.cost
-    gaps = []
-    for _ in range(REPEATS):
-        again = [
+    def again(f: Fit, runs: Sequence[Run], starts: Sequence[FloatArray]) -> Fit:
+        return fit_runs(f.structure, runs, metric, f.theta, starts, f.scale, most=STEPS)
+
+    name, rival = (again(f, lane.train, lane.fit.starts) for f in (name, rival))
+    found, gaps = rival.cost - name.cost, []
+    for _ in range(REPEATS if not rival.failed else 0):
+        drawn = [
             replace(run, outputs=path.outputs + _drawn(errors, metric, rng))
-            for run, path, errors in zip(runs, rival.paths, rival.errors, strict=True)
+            for run, path, errors in zip(lane.train, rival.paths, rival.errors, strict=True)
         ]
-        one, two = (
-            fit_runs(f.structure, again, metric, f.theta, f.starts, f.scale, most=STEPS)
-            for f in (name, rival)
-        )
+        one, two = (again(f, drawn, f.starts) for f in (name, rival))
         if np.isfinite(one.cost) and np.isfinite(two.cost):
             gaps.append(two.cost - one.cost)
     if len(gaps) < REPEATS // 2:

@@ -136,7 +136,9 @@ class Answers:
         alone = np.array([self.probes[k].gain for k in pool])
         extra = both - np.maximum(alone[:, None], alone[None, :])
         out: list[Probe] = []
-        for at in np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)[: 4 * most]:
+        for at in np.argsort(-np.triu(np.where(extra > least, both, 0.0), 1), axis=None)[
+            : 4 * most
+        ]:
             i, j = divmod(int(at), len(pool))
             one, two = self.probes[pool[i]], self.probes[pool[j]]
             if i >= j or not extra[i, j] > least or len(out) == most:
@@ -234,7 +236,8 @@ class Prober:
         probes, columns = [], []
         for placed in effects:
             for start in placed.starts:
-                column = _joined([own.whitened(c) for c in self._kept(placed, start)])
+                with np.errstate(invalid="ignore"):
+                    column = _joined([own.whitened(c) for c in self._kept(placed, start)])
                 if not np.all(np.isfinite(column)):
                     continue
                 whole = float(column @ column)
@@ -251,7 +254,9 @@ class Prober:
 
     def _blocks(self, metric: Metric) -> NDArray[np.int64]:
         """Return a block of each row: twenty rows, or twice as many as the errors remember."""
-        remembered = max(_memory([e[:, j] for e in self.fit.errors], metric, j) for j in range(len(metric.sigma)))
+        remembered = max(
+            _memory([e[:, j] for e in self.fit.errors], metric, j) for j in range(len(metric.sigma))
+        )
         out, first = [], 0
         for e in self.fit.errors:
             rows = max(FLIPPED_ROWS, min(2 * remembered, e.shape[0] // FEWEST_FLIPPED))
@@ -297,7 +302,9 @@ def _memory(errors: Sequence[FloatArray], metric: Metric, output: int) -> int:
     power = np.abs(np.fft.rfft(white - white.mean(), size)) ** 2
     correlation = np.fft.irfft(power, size)[: white.size]
     # The last lag that still remembers, not the first zero: errors of a resonance swing about it.
-    large = np.flatnonzero(np.abs(correlation[: white.size // FEWEST_FLIPPED]) > REMEMBERED * correlation[0])
+    large = np.flatnonzero(
+        np.abs(correlation[: white.size // FEWEST_FLIPPED]) > REMEMBERED * correlation[0]
+    )
     return int(large[-1]) + 1 if large.size else 1
 
 

@@ -1,0 +1,150 @@
+"""When a name is firm, and what a model leaves: what speaks against an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from comparisons.missing_effect.nulls import Leftover, foretold
+from comparisons.missing_effect.systems.bench import Bench
+from comparisons.missing_effect.systems.fit import settled
+from comparisons.missing_effect.systems.linearised import FINE
+from comparisons.missing_effect.systems.metric import metric_of
+from comparisons.missing_effect.systems.model import Model
+from comparisons.missing_effect.systems.places import Placed, SystemEffect
+from comparisons.missing_effect.systems.placing import placed_effects
+from comparisons.missing_effect.systems.results import CheckRun, FittedNumber
+from comparisons.missing_effect.systems.score import Prober
+from comparisons.missing_effect.systems.search import Round
+
+__all__ = ["doubts_of", "left_words", "leftover_of"]
+
+# What a firm name needs: so many standard errors, held-out rows that gain at least this share of
+# what fitted ones gain each, and no rival elsewhere that the record does not reject at this
+# chance.
+FIRM_ERRORS, LEAST_HELD_OUT_RATE, REJECTED = 3.0, 0.2, 0.01
+
+
+def doubts_of(
+    step: Round,
+    placed: Placed,
+    numbers: Sequence[FittedNumber],
+    worse: Sequence[CheckRun],
+    model: Model,
+) -> tuple[str, ...]:
+    """Return why a name is not firm; empty where it is.
+
+    Parameters
+    ----------
+    step : Round
+        The round that found it.
+    placed : Placed
+        The effect.
+    numbers : sequence of FittedNumber
+        Its numbers.
+    worse : sequence of CheckRun
+        Check records whose error grew.
+    model : Model
+        The model.
+    """
+    winner = step.winner
+    assert winner is not None
+    assert winner.evidence is not None
+    out = []
+    amplitude = bool(numbers) and placed.effect.linear
+    if amplitude and abs(numbers[0].value) < FIRM_ERRORS * numbers[0].stderr:
+        size = abs(numbers[0].value) / numbers[0].stderr
+        out.append(f"{numbers[0].name} is {size:.1f} standard errors from nothing")
+    if step.rivalled:
+        out.append("a term without a name explains more")
+    elif step.outfitted:
+        out.append("terms without a name fit the rows fitted better, if not those held out")
+    if not winner.accepted:
+        out.append("it explains the slow part of the error alone, which a disturbance may be")
+    fitted, held = step.rates
+    if held < LEAST_HELD_OUT_RATE * fitted:
+        out.append(
+            f"it explains {100.0 * held / fitted:.0f} % as much a row on held-out rows as on "
+            "those fitted"
+        )
+    rival = step.rival
+    if rival is not None and step.rival_p > REJECTED:
+        share = 100.0 * rival.score / winner.score
+        out.append(
+            f"{rival.label(model)} explains {share:.0f} % as much, and the record does not reject "
+            "it"
+        )
+    if worse:
+        names = ", ".join(run.experiment.name for run in worse)
+        out.append(f"the error on {names} got no better by it")
+    return tuple(out)
+
+
+def left_words(left: Leftover, named: bool) -> str:
+    """Say that something is missing that nothing here fits: its size, and what it follows.
+
+    Parameters
+    ----------
+    left : Leftover
+        What a model leaves.
+    named : bool
+        Whether something was found before.
+    """
+    lead = "Beyond what was found s" if named else "S"
+    if left.structured:
+        follows = f"; it follows {left.follows} most" if left.follows else ""
+        share = (
+            f", and inputs and states foretell {100.0 * left.foretold_share:.0f} % of the squared "
+            "held-out error"
+            if left.foretold_share > 0.01
+            else ""
+        )
+        return (
+            f"{lead}omething is missing that nothing here fits: the error is {left.ratio:.1f} "
+            f"times what is new in each sample{share}{follows}."
+        )
+    return (
+        f"{lead}omething slow is left: the error is {left.ratio:.0f} times what is new in each "
+        "sample. A disturbance does that, and so does something missing that no input shows."
+    )
+
+
+def leftover_of(
+    bench: Bench, catalogue: Sequence[SystemEffect], library: Sequence[SystemEffect]
+) -> Leftover:
+    """Test what a model leaves for anything that effects, inputs or states still explain.
+
+    Parameters
+    ----------
+    bench : Bench
+        The model and the records.
+    catalogue, library : sequence of SystemEffect
+        Names, and terms without one.
+    """
+    if bench.fit.failed:
+        return Leftover(1.0, 1.0, 0.0, np.inf)
+    rng = np.random.default_rng(0)
+    placed, _ = placed_effects(bench.fit, bench.train, [*catalogue, *library])
+    metric = metric_of(bench.fit.errors)
+    answers = Prober(bench.fit, bench.train).laid(placed, metric)
+    best = answers.best()
+    by_chance = answers.flipped(rng)
+    gain = best[0].gain if best else 0.0
+    flip_p = (1.0 + float(np.count_nonzero(by_chance >= gain))) / (1.0 + by_chance.size)
+    later = settled(bench.fit, bench.later, bench.raw)
+    model = bench.records.model
+    names = (*model.state_names, *model.input_names)
+    n_x = len(model.states)
+    signals = [
+        np.column_stack([path.states[::FINE, :n_x], run.experiment.columns(model.input_names)])
+        for run, path in zip(bench.later, later.paths, strict=True)
+    ]
+    p, share, follows = 1.0, 0.0, ""
+    for j in range(len(model.outputs)):
+        found = foretold([np.nan_to_num(e[:, j]) for e in later.errors], signals, names, rng)
+        if found[0] < p or (found[0] == p and found[1] > share):
+            p, share, follows = found
+    size = np.sqrt(np.nanmean(np.concatenate(bench.fit.errors) ** 2, axis=0))
+    ratio = float(np.max(size / np.asarray(metric.sigma)))
+    return Leftover(flip_p, min(1.0, p * len(model.outputs)), share, ratio, follows)

@@ -1,0 +1,157 @@
+"""The race: which candidates are worth a fit, and their first steps in the raw metric."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from comparisons.missing_effect.systems.bench import Bench
+from comparisons.missing_effect.systems.fit import Fit, fit_runs, settled
+from comparisons.missing_effect.systems.metric import Metric, metric_of
+from comparisons.missing_effect.systems.score import Answers, Probe
+from comparisons.missing_effect.systems.shapes import Kind
+from comparisons.missing_effect.systems.structure import Structure
+from surge_core.types import FloatArray
+
+__all__ = ["FLIP_SEED", "favoured_metric", "promising", "raced"]
+
+# Effects that make an input or a reading come late.
+LATE = (Kind.INPUT_LAG, Kind.INPUT_PLAY, Kind.OUTPUT_LAG)
+# Effects that promise nothing to first order where the model without them went elsewhere: a wall
+# or a rim that the run of a wrong model never meets. They always race.
+BENT = (Kind.INPUT_MAP, Kind.STATE_LIMIT, Kind.OVERFLOW, Kind.OUTPUT_MAP, Kind.INPUT_PLAY)
+# Candidates that are fitted: the most promising of each metric, as long as they promise a
+# hundredth of the best and more than chance; and pairs.
+MOST_FITTED, MOST_PAIRS, LEAST_PROMISE_SHARE = 6, 3, 0.01
+# Steps from each of several starts, steps of the first lap, those that go on by either count, and
+# steps to the end.
+HEAT, FIRST_LAP, FINALISTS, MOST_ITERATIONS = 1, 4, 4, 15
+FLIP_SEED = 0
+
+
+def promising(raw: Answers, white: Answers) -> list[Probe]:
+    """Return the most promising of both metrics, each place once, and every bent shape."""
+    kept: dict[object, Probe] = {}
+    for answers in (white, raw):
+        probes = answers.best()
+        best = probes[0].gain if probes else 0.0
+        chance = answers.chance(np.random.default_rng(FLIP_SEED))
+        least = max(chance, LEAST_PROMISE_SHARE * best)
+        named = [p for p in probes if p.gain > least and not p.unnamed]
+        terms = [p for p in probes if p.gain > least and p.unnamed]
+        pairs = answers.pairs(MOST_PAIRS, least)
+        for probe in (*named[:MOST_FITTED], *terms[: MOST_FITTED // 2], *pairs):
+            kept.setdefault(probe.key, probe)
+    for probe in white.best():
+        if probe.placed.effect.kind in BENT and not probe.placed.effect.linear:
+            kept.setdefault(probe.key, probe)
+    # The plain form of whatever is promising races beside it, and each half of a pair alone.
+    wanted = {(e.name, e.place) for p in kept.values() for e in p.added}
+    for probe in white.best():
+        placed = probe.placed
+        forms = {(name, placed.place) for name in placed.effect.simple_form_of}
+        half = any(p.second is not None and placed.key in p.key for p in kept.values())
+        if forms & wanted or half:
+            kept.setdefault(probe.key, probe)
+    return list(kept.values())
+
+
+def raced(bench: Bench, probes: Sequence[Probe]) -> dict[Probe, Fit]:
+    """Fit a few steps each in the raw metric, and to the end those that are ahead by then.
+
+    Ahead by either count: errors as they are, and the likelihood in the metric of their own.
+    """
+    lane = bench.raced()
+    white = metric_of(lane.fit.errors)
+    begun = {probe: _begun(lane, probe, white) for probe in probes}
+    begun = {probe: fit for probe, fit in begun.items() if not fit.failed}
+    if not begun:
+        return {}
+    own = {p: metric_of(f.errors).log_likelihood(f.errors) for p, f in begun.items()}
+    ahead: list[Probe] = []
+    for unnamed in (False, True):
+        group = [p for p in begun if p.unnamed == unnamed]
+        by_size = sorted(group, key=lambda p: begun[p].cost)[:FINALISTS]
+        by_own = sorted(group, key=lambda p: -own[p])[:FINALISTS]
+        ahead += [p for p in group if p in by_size or p in by_own]
+    forms = {(p.placed.name, p.placed.place) for p in ahead}
+    ahead += [
+        p
+        for p in begun
+        if p not in ahead
+        and {(name, p.placed.place) for name in p.placed.effect.simple_form_of} & forms
+    ]
+    return {
+        p: fit_runs(
+            begun[p].structure,
+            bench.train,
+            bench.raw,
+            begun[p].theta,
+            begun[p].starts if lane is bench else bench.fit.starts,
+            begun[p].scale,
+            most=MOST_ITERATIONS,
+        )
+        for p in ahead
+    }
+
+
+def _begun(bench: Bench, probe: Probe, white: Metric) -> Fit:
+    """Fit a few steps from where the score test points, or from the best of several starts."""
+    structure = bench.fit.structure
+    for placed in probe.added:
+        structure = structure.with_effect(placed)
+
+    def lap(theta: FloatArray, starts: Sequence[FloatArray], most: int) -> Fit:
+        return fit_runs(structure, bench.train, bench.raw, theta, starts, most=most)
+
+    begun = _beginnings(bench, probe, structure)
+    most = MOST_ITERATIONS if probe.placed.effect.begins_afresh else FIRST_LAP
+    if len(begun) == 1:
+        return lap(begun[0], bench.fit.starts, most)
+    heats = [lap(theta, bench.fit.starts, HEAT) for theta in begun]
+    best = min(heats, key=lambda fit: fit.cost)
+    return best if best.failed else lap(best.theta, best.starts, most)
+
+
+def _beginnings(bench: Bench, probe: Probe, structure: Structure) -> list[FloatArray]:
+    """Return where a fit of one more effect, or of two, may begin."""
+    effect, theta = probe.placed.effect, bench.fit.theta
+    first = len(structure.model.params)
+    end = first + len(structure.model.inputs)
+    slots = _slots(structure, probe)
+    if probe.second is not None:
+        return [np.concatenate([theta, slots, _slots(structure, probe.second)])]
+    out = [np.concatenate([theta, slots])]
+    if effect.begins_afresh:
+        # What makes another reading of everything: the model without it may be far off.
+        begun = structure.start()
+        out.append(np.concatenate([begun[:end], theta[end:], slots]))
+    elif effect.kind in LATE:
+        # What comes late through it, the model without it has put down to a timing offset.
+        out.append(np.concatenate([theta[:first], 0.0 * theta[first:end], theta[end:], slots]))
+    if effect.numbers and not effect.linear:
+        # A threshold in the run of a model that lacks it may be nowhere near the true one.
+        others = [start for start in probe.placed.starts if start != probe.start]
+        out += [np.concatenate([theta, structure.slots(start)]) for start in others]
+    return out
+
+
+def _slots(structure: Structure, probe: Probe) -> FloatArray:
+    linear = probe.placed.effect.linear and bool(probe.placed.effect.numbers)
+    return structure.slots((0.0, *probe.start[1:]) if linear else probe.start)
+
+
+def favoured_metric(bench: Bench, raw_fits: dict[Probe, Fit]) -> Metric:
+    """Return the metric of the errors of the candidate that held-out rows favour.
+
+    By its own likelihood on the rows fitted, the most flexible wins, whatever comes after.
+    """
+    good = [bench.fit, *[fit for fit in raw_fits.values() if not fit.failed]]
+
+    def held_out(fit: Fit) -> float:
+        own = metric_of(fit.errors)
+        later = settled(fit, bench.later, own)
+        return -np.inf if later.failed else own.log_likelihood(later.errors)
+
+    return metric_of(max(good, key=held_out).errors)
