@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from comparisons.missing_effect.systems.diagnosis import diagnose_model
     from comparisons.missing_effect.systems.experiments import Experiment
     from comparisons.missing_effect.systems.model import Model, P
+    from comparisons.missing_effect.systems.open_terms import open_effect
     from comparisons.missing_effect.systems.places import SystemEffect
     from comparisons.missing_effect.systems.results import SystemDiagnosis
 
@@ -30,6 +31,7 @@ __all__ = [
     "diagnose",
     "diagnose_model",
     "find_effect",
+    "open_effect",
 ]
 
 _HOMES = {
@@ -44,6 +46,7 @@ _HOMES = {
     "Experiment": "systems.experiments",
     "Model": "systems.model",
     "P": "systems.model",
+    "open_effect": "systems.open_terms",
     "SystemEffect": "systems.places",
     "SystemDiagnosis": "systems.results",
 }

@@ -7,7 +7,6 @@ model are compiled again in each process.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -21,7 +20,7 @@ from comparisons.missing_effect.systems.model import Model
 from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at
 from surge_core.errors import InputError
 
-__all__ = ["Compiled", "call_at", "compiled", "expression_address"]
+__all__ = ["call_at", "compiled", "expression_address"]
 
 Expression: TypeAlias = Callable[[Model], Callable[..., float]]
 
@@ -52,31 +51,9 @@ def _call_at(
 call_at: Any = intrinsic(_call_at)
 
 
-@dataclass(frozen=True)
-class Compiled:
-    """A model whose functions are machine code.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    rhs, output : object
-        Compiled functions; they are kept so that their addresses stay valid.
-    """
-
-    model: Model
-    rhs: Any
-    output: Any
-
-    @property
-    def addresses(self) -> tuple[int, int]:
-        """Where the right-hand side and the output are."""
-        return int(self.rhs.address), int(self.output.address)
-
-
 @lru_cache(maxsize=64)
-def compiled(model: Model) -> Compiled:
-    """Return a model with its functions compiled; the same model is compiled once.
+def compiled(model: Model) -> tuple[Any, Any]:
+    """Return right-hand side and output compiled, each with its address; a model is compiled once.
 
     Parameters
     ----------
@@ -88,7 +65,7 @@ def compiled(model: Model) -> Compiled:
     InputError
         When a function uses what cannot be compiled.
     """
-    return Compiled(model, _function(model, "rhs"), _function(model, "output"))
+    return _function(model, "rhs"), _function(model, "output")
 
 
 @lru_cache(maxsize=512)

@@ -153,7 +153,7 @@ def _gap(d: SystemDiagnosis) -> dict[str, Any]:
     runs = d.checks or d.training
     measured = [run.measured[run.settle :] for run in runs]
     single = len(d.model.outputs) == 1
-    swing = np.ones(1) if single else np.std(np.concatenate(measured), axis=0)
+    swing = np.ones(1) if single else np.nanstd(np.concatenate(measured), axis=0)
     before, after = (
         _joined([m - s for m, s in zip(measured, simulated, strict=True)], swing)
         for simulated in (
@@ -175,7 +175,9 @@ def _gap(d: SystemDiagnosis) -> dict[str, Any]:
 
 def _joined(errors: Sequence[np.ndarray], swing: np.ndarray) -> float:
     """Return the root mean square over all rows of all outputs, each over its swing."""
-    return float(np.sqrt(np.mean((np.concatenate(errors) / swing) ** 2)))
+    shares = np.concatenate(errors) / swing
+    kept = shares[np.isfinite(shares)]
+    return float(np.sqrt(np.mean(kept**2))) if kept.size else math.nan
 
 
 def _shrink(before: float, after: float, floor: float) -> float:

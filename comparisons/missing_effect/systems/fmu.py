@@ -23,6 +23,7 @@ from numba import carray, njit  # type: ignore[attr-defined]
 
 from comparisons.missing_effect.systems.pointers import AtAddress, compiled_at, numbers_at
 from surge_core.errors import InputError
+from surge_core.types import FloatArray
 
 __all__ = ["unit_parts"]
 
@@ -206,7 +207,12 @@ def _functions(
     set_states = _call(unit, f"fmi{version}SetContinuousStates", _ADDRESS, _ADDRESS)
     slopes = "fmi2GetDerivatives" if version == 2 else "fmi3GetContinuousStateDerivatives"
     get_slopes = _call(unit, slopes, _ADDRESS, _ADDRESS)
-    begin, set_values, get_values = (_fmi2 if version == 2 else _fmi3)(unit, component, said_at)
+    own = (_fmi2 if version == 2 else _fmi3)(unit, component, said_at)
+    initialize, update, set_values, get_values = own
+    reset, leave, run = (
+        _call(unit, f"fmi{version}{name}")
+        for name in ("Reset", "ExitInitializationMode", "EnterContinuousTimeMode")
+    )
 
     @njit
     def prepared(t: float, x: Any, u: Any, p: Any) -> int:
@@ -218,7 +224,10 @@ def _functions(
             same = same and initialized[i] == values[i]
         if not same:
             # Of a unit in use only tunable parameters may change; one that begins takes any.
-            status = begin(p_at, n_p, values.ctypes.data)
+            status = reset(component)
+            if n_p > 0:
+                status = max(status, set_values(p_at, n_p, values.ctypes.data))
+            status = max(status, initialize(), leave(component), update(), run(component))
             initialized[0] = 0.0
             for i in range(n_p):
                 initialized[i] = values[i]
@@ -226,104 +235,53 @@ def _functions(
         status = max(status, set_states(component, carray(x, (n_x,)).ctypes.data, n_x))
         if n_u > 0:
             status = max(status, set_values(u_at, n_u, carray(u, (n_u,)).ctypes.data))
-        if status >= DISCARDED:
-            # What failed begins anew at the next call.
-            initialized[0] = np.nan
         return int(status)
+
+    def spoiled(status: int, values: FloatArray) -> None:
+        if status >= DISCARDED:
+            values[:] = np.nan
+            # What failed is initialized at the next call.
+            carray(numbers_at(begun), (1,))[0] = np.nan
+
+    checked: Any = njit(spoiled)
 
     def rhs(t: Any, x: Any, u: Any, p: Any, out: Any) -> None:
         dx = carray(out, (n_x,))
         status = prepared(t, x, u, p)
-        status = max(status, get_slopes(component, dx.ctypes.data, n_x))
-        if status >= DISCARDED:
-            dx[:] = np.nan
+        checked(max(status, get_slopes(component, dx.ctypes.data, n_x)), dx)
 
     def output(t: Any, x: Any, u: Any, p: Any, out: Any) -> None:
         y = carray(out, (n_y,))
         status = prepared(t, x, u, p)
-        status = max(status, get_values(y_at, n_y, y.ctypes.data))
-        if status >= DISCARDED:
-            y[:] = np.nan
+        checked(max(status, get_values(y_at, n_y, y.ctypes.data)), y)
 
     kept = (unit, references, known, said)
     return AtAddress(compiled_at(rhs), n_x, kept), AtAddress(compiled_at(output), n_y, kept)
 
 
-def _fmi2(unit: Any, component: int, said_at: int) -> tuple[Any, Any, Any]:
-    """Return how a unit of FMI 2 begins with parameters, takes values and gives them."""
-    reset, enter, leave, run = (
-        _call(unit, f"fmi2{name}")
-        for name in (
-            "Reset",
-            "EnterInitializationMode",
-            "ExitInitializationMode",
-            "EnterContinuousTimeMode",
-        )
-    )
+def _fmi2(unit: Any, component: int, said_at: int) -> tuple[Any, Any, Any, Any]:
+    """Return what FMI 2 does in its own way: initialize, see to events, take and give values."""
     setup = _call(unit, "fmi2SetupExperiment", _FLAG, _NUMBER, _NUMBER, _FLAG, _NUMBER)
-    discrete = _call(unit, "fmi2NewDiscreteStates", _ADDRESS)
-    set_real, get_real = (
-        _call(unit, f"fmi2{name}", _ADDRESS, _ADDRESS, _ADDRESS) for name in ("SetReal", "GetReal")
+    enter = _call(unit, "fmi2EnterInitializationMode")
+    update = _call(unit, "fmi2NewDiscreteStates", _ADDRESS)
+    set_real, get_real = (_call(unit, f"fmi2{n}Real", *(_ADDRESS,) * 3) for n in ("Set", "Get"))
+    return (
+        njit(lambda: max(setup(component, 0, 0.0, 0.0, 0, 0.0), enter(component))),
+        njit(lambda: update(component, said_at)),
+        njit(lambda references, n, values: set_real(component, references, n, values)),
+        njit(lambda references, n, values: get_real(component, references, n, values)),
     )
 
-    @njit
-    def set_values(references: int, n: int, values: int) -> int:
-        status: int = set_real(component, references, n, values)
-        return status
 
-    @njit
-    def get_values(references: int, n: int, values: int) -> int:
-        status: int = get_real(component, references, n, values)
-        return status
-
-    @njit
-    def begin(references: int, n: int, values: int) -> int:
-        status = reset(component)
-        if n > 0:
-            status = max(status, set_real(component, references, n, values))
-        status = max(status, setup(component, 0, 0.0, 0.0, 0, 0.0))
-        status = max(status, enter(component))
-        status = max(status, leave(component))
-        status = max(status, discrete(component, said_at))
-        status = max(status, run(component))
-        return int(status)
-
-    return begin, set_values, get_values
-
-
-def _fmi3(unit: Any, component: int, said_at: int) -> tuple[Any, Any, Any]:
-    """Return how a unit of FMI 3 begins with parameters, takes values and gives them."""
-    reset, leave, run = (
-        _call(unit, f"fmi3{name}")
-        for name in ("Reset", "ExitInitializationMode", "EnterContinuousTimeMode")
-    )
-    flag = ctypes.c_uint8
+def _fmi3(unit: Any, component: int, said_at: int) -> tuple[Any, Any, Any, Any]:
+    """Return what FMI 3 does in its own way."""
+    flag, at = ctypes.c_uint8, said_at
     enter = _call(unit, "fmi3EnterInitializationMode", flag, _NUMBER, _NUMBER, flag, _NUMBER)
     update = _call(unit, "fmi3UpdateDiscreteStates", *(_ADDRESS,) * 6)
-    set_float, get_float = (
-        _call(unit, f"fmi3{name}", *(_ADDRESS,) * 4) for name in ("SetFloat64", "GetFloat64")
+    set_, get = (_call(unit, f"fmi3{n}Float64", *(_ADDRESS,) * 4) for n in ("Set", "Get"))
+    return (
+        njit(lambda: enter(component, 0, 0.0, 0.0, 0, 0.0)),
+        njit(lambda: update(component, at, at + 8, at + 16, at + 24, at + 32, at + 40)),
+        njit(lambda references, n, values: set_(component, references, n, values, n)),
+        njit(lambda references, n, values: get(component, references, n, values, n)),
     )
-
-    @njit
-    def set_values(references: int, n: int, values: int) -> int:
-        status: int = set_float(component, references, n, values, n)
-        return status
-
-    @njit
-    def get_values(references: int, n: int, values: int) -> int:
-        status: int = get_float(component, references, n, values, n)
-        return status
-
-    @njit
-    def begin(references: int, n: int, values: int) -> int:
-        status = reset(component)
-        if n > 0:
-            status = max(status, set_float(component, references, n, values, n))
-        status = max(status, enter(component, 0, 0.0, 0.0, 0, 0.0))
-        status = max(status, leave(component))
-        at = said_at
-        status = max(status, update(component, at, at + 8, at + 16, at + 24, at + 32, at + 40))
-        status = max(status, run(component))
-        return int(status)
-
-    return begin, set_values, get_values

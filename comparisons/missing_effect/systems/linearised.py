@@ -24,7 +24,15 @@ from comparisons.missing_effect.systems.dynamics import (
 )
 from surge_core.types import FloatArray, IntArray
 
-__all__ = ["FINE", "along", "forced", "output_slopes", "parameter_forcing", "propagators"]
+__all__ = [
+    "FINE",
+    "along",
+    "forced",
+    "output_slopes",
+    "parameter_forcing",
+    "propagators",
+    "terms_along",
+]
 
 
 # Points a sample on which a run is kept.
@@ -284,6 +292,38 @@ def forced(
         now, after = after, now
         if k % 2 == 1:
             out[k // 2 + 1] = now
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def terms_along(states: FloatArray, system: System, extended: System, first: int) -> FloatArray:
+    """Return what terms add to dX/dt along a run that lacks them, one column a term.
+
+    Parameters
+    ----------
+    states : ndarray of shape (4(n − 1) + 1, n_X)
+        The run.
+    system, extended : System
+        The run's own, and the same with the terms behind its own effects.
+    first : int
+        Number of the first term among the effects.
+
+    Returns
+    -------
+    ndarray of shape (4(n − 1) + 1, n_X, terms)
+    """
+    m, n = states.shape
+    count = extended[1][7] - first
+    out, dX, scratch = np.zeros((m, n, count)), np.empty(n), scratch_for(system[1])
+    for k in range(m):
+        t, X = k * system[4][1] / FINE, states[k]
+        prepare(t, X, system, dX, scratch)
+        for c in range(count):
+            for i in range(n):
+                dX[i] = 0.0
+            add_effect(first + c, t, X, extended, dX, scratch)
+            for i in range(n):
+                out[k, i, c] = dX[i]
     return out
 
 

@@ -110,10 +110,13 @@ def _run_panels(
     time_s = e.first_s + e.sample_period_s * np.arange(rows.start, rows.stop)
     measured, before, after = (v[rows, j] for v in (run.measured, run.before, run.after))
     unit = d.model.outputs[run.outputs[j]]
-    scale = scale_of(unit, [float(np.max(np.abs(measured)))])
+    # From reading to reading, also where they are not in every row.
+    there = np.isfinite(measured)
+    read_s, measured = time_s[there], measured[there]
+    scale = scale_of(unit, [float(np.max(np.abs(measured), initial=0.0))])
     same = not d.missing
     upper.plot(
-        time_s, scale.factor * measured, color=MEASURED, lw=3.0, alpha=0.75, label="measured"
+        read_s, scale.factor * measured, color=MEASURED, lw=3.0, alpha=0.75, label="measured"
     )
     if not same:
         upper.plot(time_s, scale.factor * before, color=BEFORE, lw=1.2, label="before")
@@ -128,11 +131,12 @@ def _run_panels(
     upper.set_ylim(*robust_limits(scale.factor * measured, scale.factor * after, margin=0.2))
     upper.tick_params(labelbottom=False)
     upper.set_ylabel(printable(scale.bracketed), fontsize=9)
-    errors = [measured - after] if same else [measured - before, measured - after]
+    runs = (after,) if same else (before, after)
+    errors = [measured - simulated[there] for simulated in runs]
     own = scale_of(unit, [float(np.max(np.abs(_finite(e)), initial=0.0)) for e in errors])
     lower.axhline(0.0, color=INK, lw=0.7)
     for values, colour in zip(errors, (AFTER,) if same else (BEFORE, AFTER), strict=True):
-        lower.plot(time_s, own.factor * values, color=colour, lw=1.0)
+        lower.plot(read_s, own.factor * values, color=colour, lw=1.0)
     lower.set_ylim(*robust_limits(*(own.factor * v for v in errors), margin=0.1))
     lower.set_ylabel(printable(f"residual {own.bracketed}"), fontsize=9)
     lower.set_xlim(float(time_s[0]), float(time_s[-1]))

@@ -152,15 +152,28 @@ def check_run(records: Records, experiment: Experiment, fit: Fit) -> Run:
     model = records.model
     mean, sd = known_start(model, experiment, begun=True)
     sd = np.where(np.isfinite(sd), sd, fit.scale[: sd.size])
+    # The likelihood counts each row as new. Errors that go together for many rows say as much as
+    # one: what is known of a record's parameter must weigh against them so much more.
+    rows = np.sqrt(_rows_together(fit))
     for i, p in enumerate(model.per_record.values(), start=model.own_states):
         found = np.array([start[i] for start in fit.starts])
-        mean[i] = np.mean(found)
-        sd[i] = (
-            max(np.std(found, ddof=1), 1e-3 * (p.high - p.low))
-            if found.size > 1
-            else 0.5 * (p.high - p.low)
-        )
+        whole, least = 0.5 * (p.high - p.low), 1e-3 * (p.high - p.low)
+        spread = max(float(np.std(found, ddof=1)), least) if found.size > 1 else whole
+        mean[i], sd[i] = np.mean(found), spread / rows
     return Run.of(model, experiment, fit.structure.between, records.span, (mean, sd))
+
+
+def _rows_together(fit: Fit) -> float:
+    """Return over how many rows errors of a fit go together: the sum of their correlations."""
+    longest = 1.0
+    for errors in fit.errors:
+        for column in np.nan_to_num(errors - np.nanmean(errors, axis=0)).T:
+            power = np.abs(np.fft.rfft(column, 2 * column.size)) ** 2
+            correlation = np.fft.irfft(power)[: column.size] / max(float(column @ column), 1e-300)
+            until = np.flatnonzero(correlation <= 0.0)
+            whole = float(2.0 * np.sum(correlation[: until[0] if until.size else None]) - 1.0)
+            longest = max(longest, whole)
+    return longest
 
 
 def known_start(

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from comparisons.missing_effect.systems.report_words import (
     between_words,
     candidate_cells,
@@ -309,7 +311,7 @@ def _errors_table(d: SystemDiagnosis) -> Table:
 def _error_cells(d: SystemDiagnosis, run: CheckRun, j: int) -> tuple[str, ...]:
     before, after = float(run.before_rms[j]), float(run.after_rms[j])
     scale = scale_of(d.model.outputs[run.outputs[j]], [typical([before, after])])
-    swing = float(run.measured[run.settle :, j].std())
+    swing = float(np.nanstd(run.measured[run.settle :, j]))
     share = f"{significant(100.0 * after / swing, 3)} %" if swing > 0.0 else ""
     if not d.missing:
         return (run.outputs[j], scale.text(after), share)

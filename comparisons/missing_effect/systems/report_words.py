@@ -86,7 +86,7 @@ def stretch_words(d: SystemDiagnosis, run: CheckRun, rows: slice) -> str:
     for j, output in enumerate(run.outputs):
         measured = run.measured[rows, j]
         before, after = (
-            float(np.sqrt(np.mean((measured - simulated[rows, j]) ** 2)))
+            float(np.sqrt(np.nanmean((measured - simulated[rows, j]) ** 2)))
             for simulated in (run.before, run.after)
         )
         scale = scale_of(d.model.outputs[output], [typical([before, after])])
@@ -282,7 +282,7 @@ def floor_words(d: SystemDiagnosis) -> tuple[tuple[str, ...], ...]:
         floor = d.floor[j]
         measured = np.concatenate([run.measured[run.settle :, j] for run in d.training])
         errors = np.concatenate([(run.measured - run.after)[run.settle :, j] for run in d.training])
-        swing, size = float(np.std(measured)), float(np.sqrt(np.mean(errors**2)))
+        swing, size = float(np.nanstd(measured)), float(np.sqrt(np.nanmean(errors**2)))
         rows.append(
             (
                 output,

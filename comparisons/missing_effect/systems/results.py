@@ -157,10 +157,10 @@ class CheckRun:
 
 
 def _rms_columns(errors: FloatArray) -> FloatArray:
-    scored = np.isfinite(errors)
-    total = np.sum(np.where(scored, errors, 0.0) ** 2, axis=0)
-    count = np.count_nonzero(scored, axis=0)
-    return np.asarray(np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan))
+    """Return the rms of each column over the rows that were read; NaN where none was simulated."""
+    there = np.isfinite(errors)
+    total = np.sum(np.where(there, errors, 0.0) ** 2, axis=0)
+    return np.asarray(np.sqrt(total / np.where(there.any(axis=0), there.sum(axis=0), np.nan)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,8 @@ from surge_core.types import FloatArray
 
 __all__ = ["Answers", "Probe", "Prober"]
 
+# Effects whose columns are made together.
+LAID_TOGETHER = 16
 # A column that keeps less than this share of itself beside what is fitted already says nothing.
 LEAST_OWN_SHARE = 1e-6
 # Flips of sign, the quantile of the largest gain that counts as chance, rows of a block, and
@@ -196,6 +198,7 @@ class Prober:
         which = structure.free
         steps = parameter_steps(structure, fit.theta)[which]
         n_x = len(structure.model.states)
+        self._made: dict[object, list[FloatArray]] = {}
         self._nuisance = []
         self._steps = []
         for run, path in zip(self.runs, fit.paths, strict=True):
@@ -213,11 +216,21 @@ class Prober:
         start : tuple of float
             Its numbers; an amplitude is replaced by a small one.
         """
+        self._lay([(placed, start)])
+        return self._made[placed.key, start]
+
+    def _lay(self, laid: Sequence[tuple[Placed, tuple[float, ...]]]) -> None:
+        """Make the columns that are not there yet, some at a time, once for all metrics."""
         fit = self.fit
-        return [
-            effect_answers(fit.structure, run, fit.theta, path, fit.scale, steps, placed, start)
-            for run, path, steps in zip(self.runs, fit.paths, self._steps, strict=True)
-        ]
+        new = [(placed, start) for placed, start in laid if (placed.key, start) not in self._made]
+        for first in range(0, len(new), LAID_TOGETHER):
+            some = new[first : first + LAID_TOGETHER]
+            each = [
+                effect_answers(fit.structure, run, fit.theta, path, fit.scale, steps, some)
+                for run, path, steps in zip(self.runs, fit.paths, self._steps, strict=True)
+            ]
+            for c, (placed, start) in enumerate(some):
+                self._made[placed.key, start] = [columns[:, :, c] for columns in each]
 
     def laid(self, effects: Sequence[Placed], metric: Metric) -> Answers:
         """Return the first-order answers to effects in a metric.
@@ -234,10 +247,11 @@ class Prober:
         basis = self._basis(own)
         error = error - basis @ (basis.T @ error)
         probes, columns = [], []
+        self._lay([(placed, start) for placed in effects for start in placed.starts])
         for placed in effects:
             for start in placed.starts:
                 with np.errstate(invalid="ignore"):
-                    column = _joined([own.whitened(c) for c in self._kept(placed, start)])
+                    column = _joined([own.whitened(c) for c in self._made[placed.key, start]])
                 if not np.all(np.isfinite(column)):
                     continue
                 whole = float(column @ column)
@@ -264,15 +278,6 @@ class Prober:
             out.append(np.repeat(own, e.shape[1]))
             first = int(own[-1]) + 1
         return np.concatenate(out)
-
-    def _kept(self, placed: Placed, start: tuple[float, ...]) -> list[FloatArray]:
-        """Return the columns, made once for all metrics."""
-        key = (placed.key, start)
-        if not hasattr(self, "_made"):
-            self._made: dict[object, list[FloatArray]] = {}
-        if key not in self._made:
-            self._made[key] = self.columns(placed, start)
-        return self._made[key]
 
     def _basis(self, metric: Metric) -> FloatArray:
         """Return an orthonormal basis of what is fitted already, starts of runs among it."""

@@ -139,7 +139,7 @@ def _missed(run: CheckRun) -> float:
 
 
 def _swing(run: CheckRun) -> FloatArray:
-    swing = np.std(run.measured[run.settle :], axis=0)
+    swing = np.nanstd(run.measured[run.settle :], axis=0)
     return np.asarray(np.where(swing > 0.0, swing, 1.0))
 
 
@@ -155,7 +155,8 @@ def telling_stretch(run: CheckRun) -> slice:
     """
     measured = run.measured[run.settle :]
     n = measured.shape[0]
-    period = max(_period_rows(column) for column in measured.T)
+    level = measured - np.nanmean(measured, axis=0)
+    period = max(_period_rows(column) for column in np.nan_to_num(level).T)
     length = int(min(max(PERIODS * period, FEWEST_ROWS), MOST_ROWS, n))
     before = _squares(run, run.before)
     after = _squares(run, run.after)

@@ -6,7 +6,8 @@ How a run answers to a change of parameters, start or structure is the linearise
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -22,6 +23,7 @@ from comparisons.missing_effect.systems.linearised import (
     output_slopes,
     parameter_forcing,
     propagators,
+    terms_along,
 )
 from comparisons.missing_effect.systems.places import Placed
 from comparisons.missing_effect.systems.shapes import Kind
@@ -274,10 +276,9 @@ def effect_answers(
     path: Path,
     scale: FloatArray,
     steps: tuple[FloatArray, FloatArray] | None,
-    placed: Placed,
-    start: tuple[float, ...],
+    laid: Sequence[tuple[Placed, tuple[float, ...]]],
 ) -> FloatArray:
-    """Return how the outputs of a run would answer to one more effect, to first order.
+    """Return how the outputs of a run would answer to each of some effects, to first order.
 
     Parameters
     ----------
@@ -285,38 +286,55 @@ def effect_answers(
         As of `answers`.
     steps : tuple of ndarray, or None
         Of `transitions`.
-    placed : Placed
-        The effect at its place.
-    start : tuple of float
-        Its numbers; an amplitude is replaced by a small one.
+    laid : sequence of (Placed, tuple of float)
+        Effects at their places and their numbers; an amplitude is replaced by a small one.
 
     Returns
     -------
-    ndarray of shape (n, n_y)
+    ndarray of shape (n, n_y, effects)
     """
-    linear = placed.effect.linear
-    extended = structure.with_effect(placed)
-    theta_new = np.concatenate([theta, extended.slots((SMALL, *start[1:]) if linear else start)])
+    direct = np.zeros((*run.outputs.shape, len(laid)))
+    forcing = np.zeros((*path.states.shape, len(laid)))
+    terms = [c for c, (placed, _) in enumerate(laid) if placed.effect.kind == Kind.TERM]
+    if terms and steps is not None:
+        added = tuple(laid[c][0] for c in terms)
+        extended = replace(structure, effects=(*structure.effects, *added))
+        slots = [structure.slots((1.0, *laid[c][1][1:])) for c in terms]
+        forcing[:, :, terms] = terms_along(
+            path.states,
+            run.system(structure, theta),
+            run.system(extended, np.concatenate([theta, *slots])),
+            len(structure.effects),
+        )
+    for c, (placed, start) in enumerate(laid):
+        if c in terms:
+            continue
+        extended = structure.with_effect(placed)
+        size = SMALL if placed.effect.linear else 1.0
+        slots_of = (SMALL, *start[1:]) if placed.effect.linear else start
+        theta_new = np.concatenate([theta, extended.slots(slots_of)])
+        if steps is None:
+            with_it = _black_box(extended, run, theta_new, path.states[0]).outputs
+            direct[:, :, c] = (with_it - path.outputs) / size
+            continue
+        forced_by, seen = along(
+            path.states,
+            float(own_starts(extended, run, path.states[0])[-1]),
+            placed.effect.own_state,
+            run.system(extended, theta_new),
+            run.system(structure, theta),
+            run.outputs.shape[1],
+        )
+        # The answer through the recording filter, and what a new one does to the run itself.
+        seen = structure.recorded(seen, theta)
+        if placed.effect.kind == Kind.RECORDING:
+            seen += extended.recorded(path.outputs, theta_new) - path.outputs
+        forcing[:, :, c], direct[:, :, c] = forced_by[:, :, 0] / size, seen / size
     if steps is None:
-        with_it = _black_box(extended, run, theta_new, path.states[0]).outputs
-        return _read(run, (with_it - path.outputs) / (SMALL if linear else 1.0))
-    forcing, direct = along(
-        path.states,
-        float(own_starts(extended, run, path.states[0])[-1]),
-        placed.effect.own_state,
-        run.system(extended, theta_new),
-        run.system(structure, theta),
-        run.outputs.shape[1],
-    )
-    # The answer through the recording filter, and what a new one does to the run itself.
-    direct = structure.recorded(direct, theta)
-    if placed.effect.kind == Kind.RECORDING:
-        direct += extended.recorded(path.outputs, theta_new) - path.outputs
-    if linear:
-        forcing, direct = forcing / SMALL, direct / SMALL
-    begun = np.zeros((structure.n_states, 1))
+        return _read(run, direct)
+    begun = np.zeros((structure.n_states, len(laid)))
     moved = forced(*steps, forcing, begun, run.sample_period_s / FINE)
     nothing = (np.zeros(0, dtype=np.int64), np.zeros(0))
     system, n_y = run.system(structure, theta), run.outputs.shape[1]
     slopes = output_slopes(path.states, moved, system, nothing, scale, n_y)
-    return _read(run, structure.recorded(slopes, theta)[:, :, 0] + direct)
+    return _read(run, structure.recorded(slopes, theta) + direct)

@@ -75,7 +75,7 @@ class Structure:
         """Layout for the kernels."""
         model = self.model
         head = [
-            *compiled(model).addresses,
+            *(int(function.address) for function in compiled(model)),
             len(model.states),
             len(model.inputs),
             len(model.params),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from comparisons.missing_effect.systems.results import CheckRun, FoundEffect
 from comparisons.missing_effect.systems.roles import measured_as
 from surge_core.errors import InputError
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from comparisons.missing_effect.systems.model import Model
@@ -192,10 +192,12 @@ def where_of(
     measured = check.measured[scored, column]
     before = measured - check.before[scored, column]
     after = measured - check.after[scored, column]
+    there = np.isfinite(measured)
     signal, values = _signal(check, effects, chosen, model)
     own = signal == chosen
     if own:
         values = _simulated(check, column)
+    bridged = [_bridged(v, there) for v in (before, after, measured)]
     period_s = check.experiment.sample_period_s
     first_s = check.experiment.first_s + check.settle * period_s
     return SystemWhere(
@@ -204,8 +206,8 @@ def where_of(
         signal,
         own,
         _over_time(before, after, first_s, period_s),
-        _over_frequency(before, after, measured, period_s),
-        _over_signal(before, after, values[scored]),
+        _over_frequency(bridged, period_s),
+        _over_signal(before[there], after[there], values[scored][there]),
     )
 
 
@@ -217,7 +219,7 @@ def worst_output(check: CheckRun) -> str:
     check : CheckRun
         A run.
     """
-    swing = np.std(check.measured[check.settle :], axis=0)
+    swing = np.nanstd(check.measured[check.settle :], axis=0)
     share = check.before_rms / np.where(swing > 0.0, swing, 1.0)
     return check.outputs[int(np.argmax(np.where(np.isfinite(share), share, np.inf)))]
 
@@ -277,18 +279,22 @@ def _blocks(n: int) -> list[NDArray[np.int64]]:
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.nanmean(values**2))) if np.any(np.isfinite(values)) else np.nan
 
 
-def _over_frequency(
-    before: FloatArray, after: FloatArray, measured: FloatArray, period_s: float
-) -> tuple[BandRow, ...]:
+def _bridged(values: FloatArray, there: BoolArray) -> FloatArray:
+    """Return values with straight lines over the rows without a reading."""
+    rows = np.arange(values.size, dtype=np.float64)
+    return np.interp(rows, rows[there], values[there])
+
+
+def _over_frequency(curves: Sequence[FloatArray], period_s: float) -> tuple[BandRow, ...]:
     from scipy.signal import welch
 
-    n = before.size
+    n = curves[0].size
     segment = min(n, max(SHORTEST_SEGMENT, n // SEGMENT_SHARE))
     power = []
-    for values in (before, after, measured):
+    for values in curves:
         # The mean of the whole is taken off, not that of each segment: slow drift must show.
         frequency, own = welch(
             values - np.mean(values), 1.0 / period_s, "hann", nperseg=segment, detrend=False

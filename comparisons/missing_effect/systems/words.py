@@ -115,7 +115,9 @@ def _fall_words(d: SystemDiagnosis) -> str:
 
 def _pooled(runs: tuple[CheckRun, ...], j: int, *, before: bool) -> float:
     errors = [(r.measured - (r.before if before else r.after))[r.settle :, j] for r in runs]
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    joined = np.concatenate(errors)
+    kept = joined[np.isfinite(joined)]
+    return float(np.sqrt(np.mean(kept**2))) if kept.size else np.nan
 
 
 def _times(before: float, after: float) -> str:

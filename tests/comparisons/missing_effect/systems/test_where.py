@@ -142,3 +142,17 @@ def test_what_is_no_number_is_none_in_json() -> None:
 
 def _effect_on(signal: str):  # type: ignore[no-untyped-def]
     return replace(made_diagnosis().missing[0], place={"equation": "dv/dt", "signal": signal})
+
+
+def test_rows_without_a_reading_are_left_out() -> None:
+    """Every third row is read, and an outage fills a block of time."""
+    quadratic = parted(0.1 * CLEAN**2, white(11))
+    measured = quadratic.measured.copy()
+    measured[np.arange(N) % 3 != 0] = np.nan
+    measured[2000:2400] = np.nan
+    where = where_of(replace(quadratic, measured=measured))
+    assert sum(math.isnan(row.before_rms) for row in where.time) == 2
+    assert sum(row.n for row in where.flow) == np.count_nonzero(np.isfinite(measured))
+    assert all(math.isfinite(row.before_psd) for row in where.frequency)
+    assert max(abs(row.after_mean) / row.after_stderr for row in where.flow) < 4.5
+    json.dumps(where.to_json(), allow_nan=False)
