@@ -294,7 +294,7 @@ def shape_found(job: tuple[str, bool, bool, int], seed: int) -> dict[str, Any] |
         float(np.sqrt(np.mean((one.characteristic(phi)[0] - drawn[0][1](phi)) ** 2)))
         for one in (fit, parabola)
     ]
-    low, high = (found.cubic + side * 1.96 * found.cubic_stderr for side in (-1.0, 1.0))
+    low, high = found.cubic
     held = low <= SHAPES[shape][1] <= high
     return {
         "shape": shape, "added": added, "pair": pair, "number": number, "gain": found.gain,

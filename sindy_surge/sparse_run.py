@@ -358,14 +358,15 @@ def select_on_free_run(
     degrees: Sequence[int | None],
     cycles: IndexArray,
     *,
-    twins: Sequence[FreeRunEquations] = (),
+    judged: FreeRunEquations | None = None,
+    shows_shape: bool = True,
     max_terms: int = 6,
     common_tau_share: float = 0.0,
     common_curve_share: float = 0.0,
 ) -> SparseRun:
     """Choose a parabola, a cubic or a parabola with a kink, and fit it on free runs.
 
-    The parabola is left only where that saves more of the error than needless terms save on twins.
+    The parabola is left only where that saves more of the error than a needless term does.
 
     Parameters
     ----------
@@ -377,8 +378,11 @@ def select_on_free_run(
         Total degree of each; None for a term that is no polynomial.
     cycles : ndarray of int of shape (n_rows,)
         Number of the cycle of each row: what is left out together.
-    twins : sequence of FreeRunEquations
-        The same runs measured again from a fitted parabola, with the same columns.
+    judged : FreeRunEquations, optional
+        The same columns with other rows scored, on which terms are chosen: more rows show more of
+        the curve, where they would move τ.
+    shows_shape : bool
+        Whether the parabola may be left.
     max_terms : int
         Largest structure considered.
     common_tau_share, common_curve_share : float
@@ -408,8 +412,9 @@ def select_on_free_run(
     ladder = [*polynomial_ladder(powers, most), tuple(range(most))]
     parabola, cubic = ladder[min(1, len(ladder) - 2)], ladder[min(2, max(len(ladder) - 2, 0))]
     hinges = [i for i, name in enumerate(kept) if name.startswith("relu") and most > len(parabola)]
-    again = [replace(twin, columns=twin.columns[:, usable]) for twin in twins]
-    found = departure_from(equations, parabola, cubic, hinges, cycles, again)
+    judge = equations if judged is None else replace(judged, columns=judged.columns[:, usable])
+    seconds = equations.scored.size * equations.sample_period_s / equations.runs.starts.size
+    found = departure_from(judge, parabola, cubic, hinges, seconds if shows_shape else 0.0)
     chosen = found.structure
     for structure in found.tried:
         trials.error(structure)

@@ -16,13 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
-from classic_ml.twin import twin_of
-from classic_ml.whole_record.branches import fit_branches
 from classic_ml.whole_record.passes import passes_of
-from classic_ml.whole_record.rakes import RakeSignals, rake_signals_of
-from classic_ml.whole_record_fit import fit_whole_record
+from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_run import Spread, WholeRunFit, check_rates, specification_spread
 from classic_ml.whole_run_rows import (
     WholeRunRows,
@@ -46,8 +44,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
 
-# Their mean gain is known to a fifth, far better than records differ.
-N_TWINS = 3
+# Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
+LOWEST_PHI, GUARD_S = 0.01, 0.003
 
 
 @dataclass(frozen=True)
@@ -146,8 +144,8 @@ def fit_sparse_whole_runs(
     check_rates(records)
     period_s = records[0].sample_period_s
     ends = [math.inf] * len(records) if until_s is None else until_s
-    measured = [_measured(record, end) for record, end in zip(records, ends, strict=True)]
-    plain = scored_until([whole_run_rows(own) for own, _ in measured], until_s)
+    measured = [_without_cells(record, end) for record, end in zip(records, ends, strict=True)]
+    plain = scored_until([whole_run_rows(record) for record in measured], until_s)
     scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
     if not scored_phi.size:
         nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, 0, FitState.BLOWDOWN
@@ -169,22 +167,19 @@ def fit_sparse_whole_runs(
         segments = Segments.from_labels(runs, psi_p.size)
         return FreeRunEquations(terms, nuisance, psi_p, weight, segments, period_s, hold)
 
-    rows = rows_of([own for own, _ in measured])
+    rows = rows_of(measured)
     equations = equations_of(rows)
-    spread, twins = Spread(0.0, np.zeros((1, 1))), []
-    if not is_blowdown(plain):
-        # Without twins of each record there are none of all.
-        again = zip(*(twin for _, twin in measured), strict=False)
-        twins = [equations_of(rows_of(each)) for each in again]
-        if until_s is None:
-            spread = specification_spread([own for own, _ in measured], hold=hold)
+    spread = Spread(0.0, np.zeros((1, 1)))
+    if until_s is None and not is_blowdown(plain):
+        spread = specification_spread(measured, hold=hold)
     level = spread.level(scored_phi)
     found = select_on_free_run(
         equations,
         library.names,
         [polynomial_degree(name, ["phi"]) for name in library.names],
         np.concatenate([row.cycle for row in rows]),
-        twins=twins,
+        judged=equations_of(scored_until([_all_in_stall(row) for row in rows], until_s)),
+        shows_shape=all(map(_shows_shape, records)),
         max_terms=max_terms,
         common_tau_share=spread.log_tau,
         common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
@@ -192,39 +187,34 @@ def fit_sparse_whole_runs(
     return _result(found, period_s, hold, rows, library.names)
 
 
-def _measured(
-    record: CoefficientSeries, until_s: float
-) -> tuple[CoefficientSeries, list[CoefficientSeries]]:
-    """Return a record without its stall cells, and its twins where the truth is a parabola.
-
-    A record without the signals of its probe pairs stays as it is, and has no twins.
-    """
+def _without_cells(record: CoefficientSeries, until_s: float) -> CoefficientSeries:
+    """Return a record with its stall cells cancelled, as it is where it lacks its probe pairs."""
     signals = rake_signals_of(record)
-    if signals is None or signals.hub_minus_tip() is None:
-        return record, []
+    if signals is None or record.psi_p_unfiltered is None:
+        return record
     window = slice(0, int(np.searchsorted(record.time_s, until_s, side="right")))
     try:
-        fit = fit_whole_record(signals, window, interval=False)
+        phi, psi_p, _ = signals.coefficients(passes_of(signals, window).planes)
     except InputError:
-        return record, []
-    # Hinges would give the twins the very kinks that are asked for.
-    spec = replace(fit.spec, hinges=False)
-    parabola = fit_branches(fit.passes, spec, fit.in_stall, near_s=fit.tau_s)
-    twin = twin_of(signals, fit.passes, spec, fit.in_stall, parabola)
-    rng = np.random.default_rng(0)
-    readings = [twin.measured(rng) for _ in range(N_TWINS)]
-    own, *twins = (_without_cells(record, each, window) for each in (signals, *readings))
-    return own, twins
+        return record
+    known = np.where(np.isfinite(psi_p), psi_p, record.psi_p_unfiltered)
+    return replace(record, phi_unfiltered=phi, psi_p_unfiltered=known)
 
 
-def _without_cells(
-    record: CoefficientSeries, signals: RakeSignals, window: slice
-) -> CoefficientSeries:
-    """Return the record with φ and ψ' of other readings, the stall cells cancelled."""
-    phi, psi_p, _ = signals.coefficients(passes_of(signals, window).planes)
-    if record.psi_p_unfiltered is not None:
-        psi_p = np.where(np.isfinite(psi_p), psi_p, record.psi_p_unfiltered)
-    return replace(record, phi_unfiltered=phi, psi_p_unfiltered=psi_p)
+def _shows_shape(record: CoefficientSeries) -> bool:
+    """Whether cells and state are known well enough: from two rakes, each with hub and tip."""
+    signals = rake_signals_of(record)
+    return signals is not None and not signals.one_rake and signals.hub_minus_tip() is not None
+
+
+def _all_in_stall(row: WholeRunRows) -> WholeRunRows:
+    """Score every row in forward flow whose average holds no unstalled row.
+
+    The first nuisance is the averaged state.
+    """
+    guard = round(GUARD_S / float(row.time_s[1] - row.time_s[0]))
+    left_out = near(row.phi <= LOWEST_PHI, guard, guard) | (row.nuisance[:, 0] > 0.0)
+    return replace(row, weight=np.where(left_out, 0.0, 1.0))
 
 
 def _output_error(sample_period_s: float, hold: Hold) -> LagRegressor:
