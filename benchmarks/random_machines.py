@@ -8,6 +8,13 @@ on log τ from the true signals.
 
     python benchmarks/random_machines.py --machines 60 --seed S [--jobs N] [--json FILE]
     python benchmarks/random_machines.py --records "FOLDER/m*"    # folders with truth.json
+
+With --shapes: does `sindy` leave the parabola where the in-stall curve is none, and only there? The
+bend acts in the plant, or is added to what is measured, behind the lag, so that the flow stays that
+of the parabola: in the plant a kink takes away the loops in stall that would show it. Pairs are one
+machine at two speeds.
+
+    python benchmarks/random_machines.py --shapes --machines 60 --seed S
 """
 
 from __future__ import annotations
@@ -32,7 +39,10 @@ from classic_ml.io.series import read_series, write_series
 from classic_ml.reduction import reduce_record
 from comparisons.harness.compare import compare_records
 from comparisons.harness.estimators import default_estimators
+from comparisons.harness.sparse_whole_run import fit_sparse_whole_runs
 from comparisons.rig import CASES, SensorSettings, simulate, write_run
+from comparisons.rig.cases import RigCase
+from comparisons.rig.gas import CP_J_KG_K
 from surge_core.errors import InputError
 
 # An answer is within if it is off by less than the larger of these.
@@ -45,28 +55,38 @@ FEWEST_REVERSALS = 8
 # Before the surge, where the fourth difference of ψ' is noise alone (its gain on noise: √70).
 NEAR_STALL_S = 0.14
 RATES_HZ = (500.0, 1000.0, 1000.0, 2000.0)
+SPEEDS = ("985", "90", "95")
+# What the in-stall curve has beside a parabola: pressure_kink max(φ − 0.08, 0) + pressure_cubic φ³.
+SHAPES = {"parabola": (0.0, 0.0), "kink 25": (25.0, 0.0)}
+SHAPES |= {f"+{size:g} φ³": (0.0, size) for size in (150.0, 300.0, 600.0)}
 FIXED = ("name", "true_s", "answer_s", "low_s", "high_s", "share", "state", "curve", "refused")
 
 
-def draw(seed: int, number: int, folder: Path) -> dict[str, Any]:
-    """Draw machines until one surges, simulate its record into a folder and return the truth."""
+def draw(
+    seed: int, number: int, folder: Path, speed: str | None = None, shape: str | None = None
+) -> dict[str, Any]:
+    """Draw machines until one surges, simulate its record into a folder and return the truth.
+
+    ``shape``, out of ``SHAPES``, is what the in-stall curve has beside its parabola.
+    """
     rng = np.random.default_rng([seed, number])
     while True:
-        run, about = _machine(rng, number)
+        run, about = _machine(rng, speed or SPEEDS[number % 3], shape)
         phi = run.truth["phi"]
         if np.count_nonzero((phi[1:] < 0.0) & (phi[:-1] >= 0.0)) >= FEWEST_REVERSALS:
             break
     write_run(run, folder)
     truth = {name: run.truth[name] for name in ("phi", "psi_p", "in_stall")}
+    about["truth"] = run.truth
     return about | _hardness(truth, about["tau_s"], run.truth.sample_period_s)
 
 
-def _machine(rng: np.random.Generator, number: int) -> tuple[Any, dict[str, Any]]:
+def _machine(rng: np.random.Generator, speed: str, shape: str | None) -> tuple[Any, dict[str, Any]]:
 
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
-    base = CASES[("985", "90", "95")[number % 3]]
+    base = CASES[speed]
     terms = base.pressure_terms
     cells = between(0.6, 1.6)
     case = replace(
@@ -90,8 +110,9 @@ def _machine(rng: np.random.Generator, number: int) -> tuple[Any, dict[str, Any]
         segmentation=None,
         window_s=None,
     )
+    case = _shaped(case, *SHAPES[shape or "parabola"])
     noise = math.exp(between(math.log(0.05), math.log(0.5)))
-    bent = rng.random() < 0.25
+    bent = rng.random() < 0.25 and shape is None
     # A stream of its own leaves every other number as it was.
     other = rng.spawn(1)[0]
     rate_hz = float(other.choice(RATES_HZ))
@@ -126,6 +147,15 @@ def _machine(rng: np.random.Generator, number: int) -> tuple[Any, dict[str, Any]
         "curve": "bent" if bent else "parabola",
         "speed": base.name,
     }
+
+
+def _shaped(case: RigCase, kink: float, cubic: float) -> RigCase:
+    """Bend the curve about the parabola nearest to it, or the machine would surge otherwise."""
+    phi = np.linspace(0.0, case.recovery_phi, 151)
+    bend = kink * np.maximum(phi - case.kink_phi, 0.0) + cubic * phi**3
+    nearest = np.polynomial.polynomial.polyfit(phi, bend, 2)
+    terms = tuple(map(float, np.array(case.pressure_terms) - nearest))
+    return replace(case, pressure_terms=terms, pressure_kink=kink, pressure_cubic=cubic)
 
 
 def _without(run: Any, what: str, which: str) -> Any:
@@ -173,7 +203,7 @@ def _hardness(truth: dict[str, Any], tau_s: float, period_s: float) -> dict[str,
 def answered(folder: Path, truth: dict[str, Any], n_twins: int) -> dict[str, Any]:
     """Reduce and compare one record, through the series file, against its truth."""
     row: dict[str, Any] = dict.fromkeys(FIXED)
-    row |= {k: v for k, v in truth.items() if k not in ("beta", "tau_s", "curve")}
+    row |= {k: v for k, v in truth.items() if k not in ("beta", "tau_s", "curve", "truth")}
     row |= {"name": folder.name, "true_s": truth["tau_s"], "shape": truth.get("curve", "parabola")}
     try:
         series = reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
@@ -214,6 +244,81 @@ def found(folder: str, n_twins: int) -> dict[str, Any]:
     """Return what is read from the record in a folder."""
     truth = json.loads((Path(folder) / "truth.json").read_text("utf-8"))
     return answered(Path(folder), {"curve": "parabola", **truth}, n_twins)
+
+
+def bent_series(seed: int, number: int, speed: str, shape: str, added: bool) -> tuple[Any, Any]:
+    """Draw a machine; return its series and the true in-stall curve."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "record"
+        truth = draw(seed, number, folder, speed, "parabola" if added else shape)
+        series = reduce_record(*read_raw(folder / "raw.csv", folder / "test.toml")).series
+    kink, cubic = SHAPES[shape]
+    bent = _shaped(replace(CASES[speed], pressure_terms=(0.0, 0.0, 0.0)), kink, cubic)
+    terms = np.array(truth["beta"]) + (bent.pressure_terms if added else 0.0)
+
+    def bend(phi: Any, powers: Any = terms) -> Any:
+        kinked = kink * np.maximum(phi - bent.kink_phi, 0.0)
+        return np.polynomial.polynomial.polyval(phi, powers) + kinked + cubic * phi**3
+
+    if added:
+        plant = truth["truth"]
+        a = math.exp(-plant.sample_period_s / truth["tau_s"])
+        target = plant["stall_blend"] * bend(plant["phi"], bent.pressure_terms)
+        more = lfilter([0.5 * (1.0 - a)] * 2, [1.0, -a], target)
+        head = bent.rotor_velocity_m_s**2 / (2.0 * CP_J_KG_K * plant["T25_K"])
+        rise = 1.0 + plant["psi_p"] * head
+        exit_Pa = plant["P25_Pa"] * ((rise + more * head) ** 3.5 - rise**3.5)
+        more, exit_Pa = (np.interp(series.time_s, plant.time_s, v) for v in (more, exit_Pa))
+        rakes = {k: v + exit_Pa * k.startswith("Pt31") for k, v in series.rakes.items()}
+        psi_p = series.psi_p_unfiltered + more
+        series = replace(series, psi_p_unfiltered=psi_p, rakes=rakes)
+    return series, bend
+
+
+def shape_found(job: tuple[str, bool, bool, int], seed: int) -> dict[str, Any] | None:
+    """Return what `sindy` says of the shape of one record or pair; None where it has no answer."""
+    shape, added, pair, number = job
+    speeds = [SPEEDS[(number + i) % 3] for i in range(1 + pair)]
+    try:
+        drawn = [bent_series(seed, number, speed, shape, added) for speed in speeds]
+        records = [series for series, _ in drawn]
+        fit = fit_sparse_whole_runs(records)
+        parabola = fit_sparse_whole_runs(records, max_terms=3)
+    except InputError:
+        return None
+    found = fit.departure_
+    if found is None or not math.isfinite(fit.time_constant_s_):
+        return None
+    phi = np.linspace(*np.percentile(fit.trusted_phi, [5.0, 95.0]), 41)
+    apart = [
+        float(np.sqrt(np.mean((one.characteristic(phi)[0] - drawn[0][1](phi)) ** 2)))
+        for one in (fit, parabola)
+    ]
+    low, high = found.cubic
+    held = low <= SHAPES[shape][1] <= high
+    return {
+        "shape": shape, "added": added, "pair": pair, "number": number, "gain": found.gain,
+        "needed": found.needed, "finding": found.finding, "ratio": apart[0] / apart[1],
+        "held": held, "terms": fit.terms_,
+    }  # fmt: skip
+
+
+def shapes_table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Return the table of what was found, by shape."""
+    yield (
+        f"{'':34s}{'records':>8s}{'left':>6s}{'kink':>6s}{'either':>8s}{'undecided':>11s}"
+        f"{'φ³ in interval':>16s}{'curve, of the parabola':>24s}"
+    )
+    for key in dict.fromkeys((row["pair"], row["shape"], row["added"]) for row in rows):
+        own = [row for row in rows if (row["pair"], row["shape"], row["added"]) == key]
+        n = {f: sum(r["finding"] == f for r in own) for f in ("kink", "kink or cubic")}
+        left, held = sum(n.values()), sum(row["held"] for row in own)
+        where = "" if key[1] == "parabola" else ", measured" if key[2] else ", in the plant"
+        label = ("pairs, " if key[0] else "") + key[1] + where
+        yield (
+            f"{label:34s}{len(own):8d}{left:6d}{n['kink']:6d}{n['kink or cubic']:8d}"
+            f"{len(own) - left:11d}{held:16d}{np.median([r['ratio'] for r in own]):24.2f}"
+        )
 
 
 def summary(rows: list[dict[str, Any]]) -> str:
@@ -274,9 +379,22 @@ def main() -> None:
     parser.add_argument("--no-twins", action="store_true")
     parser.add_argument("--quick", action="store_true", help="two machines, two twins")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--shapes", action="store_true", help="`sindy` on curves of each shape")
     given = parser.parse_args()
     n_twins = 0 if given.no_twins else 2 if given.quick else 20
     with ProcessPoolExecutor(given.jobs) as pool:
+        if given.shapes:
+            few = 2 if given.quick else given.machines // 3
+            jobs = [("parabola", False, False, i) for i in range(3 * few)]
+            jobs += [(s, a, False, i) for s in SHAPES for a in (True, False) for i in range(few)
+                     if s != "parabola"]  # fmt: skip
+            jobs += [(s, True, True, i) for s in ("parabola", "kink 25") for i in range(few)]
+            rows = []
+            for row in filter(None, pool.map(partial(shape_found, seed=given.seed), jobs)):
+                rows.append(row)
+                print(*row.values(), flush=True)
+            print("\n".join(shapes_table(rows)))
+            return
         if given.records:
             jobs = pool.map(partial(found, n_twins=n_twins), sorted(glob.glob(given.records)))
         else:

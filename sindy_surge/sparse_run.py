@@ -1,8 +1,8 @@
-"""Sparse regression on free runs: the terms chosen by cycles left out, τ and β with their errors.
+"""Sparse regression on free runs: a parabola, or what the runs speak for; τ and β with errors.
 
 For columns that are ready-made, e.g. averaged after the terms were formed, and runs that are
 scored only where the model holds. What such runs leave is coloured by the average and has an
-error of the model in it, so that no likelihood shows the terms: cycles left out do.
+error of the model in it: :mod:`sindy_surge.departure` says when terms may be added.
 """
 
 from __future__ import annotations
@@ -10,32 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from sindy_surge.candidate_terms import independent_columns
+from sindy_surge.departure import Departure, departure_from
 from sindy_surge.free_run import simulate
-from sindy_surge.held_out import (
-    Trials,
-    best_of_each_size,
-    climb,
-    pays,
-    polynomial_ladder,
-    special_structures,
-    with_held_out,
-)
-from sindy_surge.linear_problem import (
-    LinearProblem,
-    Support,
-    least_squares,
-    leave_out_moves,
-    unit_norms,
-    without_nuisances,
-)
+from sindy_surge.held_out import Trials, polynomial_ladder, with_held_out
+from sindy_surge.linear_problem import Support, least_squares, leave_out_moves, unit_norms
 from sindy_surge.segments import Segments, block_slices
 from sindy_surge.selection import PathRow
-from sindy_surge.sparse_paths import proposals
 from surge_core.fit_state import FitState
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.leave_out import scatter
@@ -44,17 +28,9 @@ from surge_core.types import FloatArray, IndexArray
 __all__ = ["FreeRunEquations", "FreeRunFit", "SparseRun", "select_on_free_run"]
 
 
-# On 169 records of the simulated rig, whose truth is a parabola, the best of some 18 structures off
-# the ladder left 0.77 to 0.99 of the ladder's held-out error: by luck, and by learning what comes
-# again in every cycle. With a kink in the true curve 7 of 22 left less than 0.7; the others could
-# not be separated from a polynomial.
-_SHARE_LEFT = 0.7
 # A cycle that alone reaches part of the range of φ cannot be foretold by the others: its error
 # would decide the mean of twenty.
 _MOST_LEVERAGE = 0.5
-# The ladder is entered at the parabola: a straight line does not turn, as a characteristic in stall
-# does, and where noise hid the difference it moved τ by up to 6 ms.
-_START = 1
 # The first terms of a library are its simplest: enough to find the basin of τ.
 _SIMPLEST = 3
 # Scored rows for each parameter; below it nothing is fitted.
@@ -172,14 +148,45 @@ class FreeRunEquations:
         own = np.linalg.norm(left, axis=0) > _ALIAS * np.linalg.norm(stacked[:, n:-1], axis=0)
         return np.where(own, left, 0.0)
 
-    def linear(self, about: Support) -> LinearProblem:
-        """Return the regression on all terms about one fit, nuisances and τ projected out."""
-        fit = self.solve(about)
+    def apart(self) -> list[FreeRunEquations]:
+        """Return the equations of each run alone."""
+        slices = self.runs.slices()
+        return [self._of_run(rows) for rows in slices] if len(slices) > 1 else [self]
+
+    def _of_run(self, rows: slice) -> FreeRunEquations:
+        nuisance = self.nuisance[rows]
+        return replace(
+            self,
+            columns=self.columns[rows],
+            nuisance=nuisance[:, np.ptp(nuisance, axis=0) > 0.0],
+            output=self.output[rows],
+            weight=self.weight[rows],
+            runs=Segments.from_labels(None, rows.stop - rows.start),
+        )
+
+    def profiled(self, support: Support) -> tuple[float, float, float]:
+        """Return the least squared error over a grid of τ, and the last term's coefficient there.
+
+        Returns
+        -------
+        error, coefficient, information : float
+            The error at the vertex of the parabola through the least three; the inverse of the
+            coefficient's variance for errors of variance one.
+        """
+        grid, triangles = self._scan
         n = self.nuisance.shape[1]
-        stacked = self._stacked(float(fit.parameters[-1]), self._all_values)
-        target = fit.residual + fit.joint[:, : len(about)] @ fit.parameters[:-1]
-        nuisances = np.column_stack((fit.joint[:, -1], stacked[:, :n]))
-        return without_nuisances(nuisances, stacked[:, n:-1], target)
+        wanted = [*range(n), *(n + i for i in support)]
+        errors = np.array([_cost(each[:, wanted], each[:, -1]) for each in triangles])
+        at = int(np.clip(np.argmin(errors), 1, grid.size - 2))
+        below, error, above = errors[at - 1 : at + 2]
+        bend = below + above - 2.0 * error
+        if bend > 0.0 and error <= min(below, above):
+            error -= (above - below) ** 2 / (8.0 * bend)
+        best = triangles[int(np.argmin(errors))]
+        before = best[:, wanted[:-1]]
+        last = _projected(best[:, [wanted[-1]]], before)[:, 0]
+        information = max(float(last @ last), 1e-300)
+        return float(error), float(last @ best[:, -1]) / information, information
 
     def blocks(self, cycles: IndexArray, time_constant_s: float) -> list[IndexArray]:
         """Return the scored rows of each cycle, counted among the scored.
@@ -317,10 +324,12 @@ class SparseRun:
     coefficients : ndarray of shape (n_terms,)
         β in physical units.
     covariance : ndarray of shape (n_terms + 1, n_terms + 1)
-        Of β and, last, τ: a jackknife over cycles, what all cycles share and, off the ladder,
-        what structures differ by that the data cannot separate from the chosen one.
+        Of β and, last, τ: a jackknife over cycles, what all cycles share and, where others stand
+        beside it, what structures differ by that the data cannot separate from the chosen one.
     n_blocks : int
         Cycles behind the jackknife.
+    departure : Departure or None
+        What speaks against the parabola.
     path : tuple of PathRow
         Every structure tried, with its error on cycles left out.
     state : FitState
@@ -333,6 +342,7 @@ class SparseRun:
     coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
     covariance: FloatArray = field(default_factory=lambda: np.full((1, 1), np.nan))
     n_blocks: int = 0
+    departure: Departure | None = None
     path: tuple[PathRow, ...] = ()
     state: FitState = FitState.TOO_FEW_ROWS
 
@@ -348,16 +358,15 @@ def select_on_free_run(
     degrees: Sequence[int | None],
     cycles: IndexArray,
     *,
-    optimizer: Any = "SSR",
+    judged: FreeRunEquations | None = None,
+    shows_shape: bool = True,
     max_terms: int = 6,
     common_tau_share: float = 0.0,
     common_curve_share: float = 0.0,
 ) -> SparseRun:
-    """Choose terms by cycles left out, and fit them on free runs.
+    """Choose a parabola, a cubic or a parabola with a kink, and fit it on free runs.
 
-    Complete polynomials are climbed as long as the error on cycles left out falls by more than
-    one standard error of the paired differences, from the parabola upwards; a structure off the
-    ladder is taken only if it leaves less than 0.7 of that error.
+    The parabola is left only where that saves more of the error than a needless term does.
 
     Parameters
     ----------
@@ -369,8 +378,11 @@ def select_on_free_run(
         Total degree of each; None for a term that is no polynomial.
     cycles : ndarray of int of shape (n_rows,)
         Number of the cycle of each row: what is left out together.
-    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
-        What proposes the structures off the ladder.
+    judged : FreeRunEquations, optional
+        The same columns with other rows scored, on which terms are chosen: more rows show more of
+        the curve, where they would move τ.
+    shows_shape : bool
+        Whether the parabola may be left.
     max_terms : int
         Largest structure considered.
     common_tau_share, common_curve_share : float
@@ -395,15 +407,24 @@ def select_on_free_run(
     equations = replace(equations, columns=columns[:, usable])
     blocks = equations.blocks(cycles, pilot_s)
     trials = Trials(equations, [(rows, rows) for rows in blocks], _MOST_LEVERAGE)
-    chosen, rivals = _chosen(equations, trials, [degrees[i] for i in usable], optimizer, most)
+    kept = [names[i] for i in usable]
+    powers = [degrees[i] for i in usable]
+    ladder = [*polynomial_ladder(powers, most), tuple(range(most))]
+    parabola, cubic = ladder[min(1, len(ladder) - 2)], ladder[min(2, max(len(ladder) - 2, 0))]
+    hinges = [i for i, name in enumerate(kept) if name.startswith("relu") and most > len(parabola)]
+    judge = equations if judged is None else replace(judged, columns=judged.columns[:, usable])
+    seconds = equations.scored.size * equations.sample_period_s / equations.runs.starts.size
+    found = departure_from(judge, parabola, cubic, hinges, seconds if shows_shape else 0.0)
+    chosen = found.structure
+    for structure in found.tried:
+        trials.error(structure)
     fit = equations.solve(chosen)
     # The nuisances are estimated again without each cycle as well.
     moves = leave_out_moves(fit.joint, fit.residual, blocks)
     n = len(chosen)
     covariance = scatter(np.delete(moves, np.s_[n : n + fit.nuisance.size], axis=1))
-    covariance += _spread(equations, fit, chosen, rivals)
+    covariance += _spread(equations, fit, chosen, found.rivals)
     covariance += _shared(equations, fit, chosen, common_tau_share, common_curve_share)
-    kept = [names[i] for i in usable]
     tau, stderr = float(fit.parameters[-1]), float(np.sqrt(covariance[-1, -1]))
     if tau < equations.sample_period_s / 2:
         state = FitState.LAG_BELOW_RESOLUTION
@@ -418,31 +439,10 @@ def select_on_free_run(
         fit.parameters[:-1],
         covariance,
         len(blocks),
+        found,
         with_held_out((), trials, chosen, kept),
         state,
     )
-
-
-def _chosen(
-    equations: FreeRunEquations,
-    trials: Trials,
-    degrees: Sequence[int | None],
-    optimizer: Any,
-    max_terms: int,
-) -> tuple[Support, list[Support]]:
-    """Return the structure, and those off the ladder that the data cannot separate from it."""
-    ladder, start = polynomial_ladder(degrees, max_terms), _START
-    if not ladder:
-        linear = equations.linear(tuple(range(min(_SIMPLEST, len(degrees)))))
-        ladder, start = best_of_each_size(linear, proposals(linear, optimizer, max_terms)), 0
-    rung = climb(trials, ladder, min(start, len(ladder) - 1))
-    linear = equations.linear(rung)
-    proposed = proposals(linear, optimizer, max_terms)
-    special = special_structures(trials, linear, proposed, rung, ladder, _SHARE_LEFT)
-    if not special:
-        return rung, []
-    best = min(special, key=lambda s: special[s])
-    return best, [s for s in special if s != best and not pays(trials, s, best)]
 
 
 def _spread(

@@ -9,6 +9,7 @@ import numpy as np
 from classic_ml.emptied_band import emptied_above_hz
 from classic_ml.records import LedgerEntry
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record_run import WholeRecordRun
 from classic_ml.whole_run import has_whole_run
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS
 from comparisons.results import Caution, EstimatorResult, FitRows
@@ -191,7 +192,12 @@ def _shared_rows(results: tuple[EstimatorResult, ...]) -> list[Caution]:
     if len(whole) < 2:
         return []
     if all(whole.values()):
-        shared = "the forward rows in stall that sindy scores are among those of classic_ml"
+        shared = (
+            "they read the same probes, the stall cells cancelled alike, though sindy scores rows "
+            "in stall averaged over a cell period and classic_ml both branches on a shorter average"
+            if isinstance(whole["classic_ml"], WholeRecordRun)
+            else "both score the same rows in stall, averaged alike"
+        )
     elif not any(whole.values()):
         shared = "both are fitted to the same rows"
     else:

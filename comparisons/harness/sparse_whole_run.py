@@ -1,7 +1,9 @@
 """The sparse regression by one free run through whole records, from unfiltered signals.
 
-Rows, average and nuisances are those of `classic_ml.whole_run`; terms, τ and errors are found by
-`sindy_surge.sparse_run`.
+Its rows are those in stall and forward flow, the stall cells cancelled and then averaged over one
+period of them; `classic_ml` scores both branches on a shorter average, and its second reading keeps
+the cells. Terms, τ and errors are found by `sindy_surge.sparse_run`, the errors from cycles left
+out; whether the curve is a parabola, against twins of the record.
 """
 
 from __future__ import annotations
@@ -9,13 +11,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from classic_ml.free_run import near
 from classic_ml.lag_regressor import LagRegressor
 from classic_ml.series import CoefficientSeries
+from classic_ml.whole_record.passes import passes_of
+from classic_ml.whole_record.rakes import rake_signals_of
 from classic_ml.whole_run import Spread, WholeRunFit, check_rates, specification_spread
 from classic_ml.whole_run_rows import (
     WholeRunRows,
@@ -26,16 +31,21 @@ from classic_ml.whole_run_rows import (
     whole_run_rows,
 )
 from comparisons.results import evaluate_terms
+from surge_core.errors import InputError
 from surge_core.fit_state import FitState
 from surge_core.lag import Hold
 from surge_core.types import FloatArray
 
 if TYPE_CHECKING:
+    from sindy_surge.departure import Departure
     from sindy_surge.selection import PathRow
     from sindy_surge.sparse_run import SparseRun
     from sindy_surge.summary import ModelSummary
 
 __all__ = ["SparseWholeRunFit", "fit_sparse_whole_runs"]
+
+# Rows on which the shape of the curve is judged: above this φ, and this far from lower flows.
+LOWEST_PHI, GUARD_S = 0.01, 0.003
 
 
 @dataclass(frozen=True)
@@ -51,10 +61,19 @@ class SparseWholeRunFit(WholeRunFit):
         Every name of the library.
     path_ : tuple of PathRow
         Every structure tried, with its error on cycles left out.
+    departure_ : Departure or None
+        What speaks against the parabola.
     """
 
     candidate_terms_: tuple[str, ...]
     path_: tuple[PathRow, ...]
+    departure_: Departure | None = None
+
+    @property
+    def cautions_(self) -> tuple[str, ...]:
+        """Whether the curve is a parabola."""
+        known = self.departure_ is not None and math.isfinite(self.time_constant_s_)
+        return (self.departure_.text,) if known and self.departure_ else ()
 
     def characteristic(self, phi: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return ψ'_QS and its standard error at φ, of shape (n,)."""
@@ -93,7 +112,6 @@ def fit_sparse_whole_runs(
     *,
     hold: Hold = "first",
     until_s: Sequence[float] | None = None,
-    optimizer: Any = "SSR",
     max_terms: int = 6,
 ) -> SparseWholeRunFit:
     """Choose the terms of one lag model on whole runs through one or several records.
@@ -106,8 +124,6 @@ def fit_sparse_whole_runs(
         How φ acts between samples.
     until_s : sequence of float, optional
         Score each record up to this time only; the rest is held out.
-    optimizer : {"SSR", "STLSQ", "FROLS", "best-subset"} or pysindy optimizer
-        What proposes structures.
     max_terms : int
         Largest structure considered.
 
@@ -126,8 +142,10 @@ def fit_sparse_whole_runs(
     from sindy_surge.sparse_run import FreeRunEquations, select_on_free_run
 
     check_rates(records)
-    plain = scored_until([whole_run_rows(record) for record in records], until_s)
     period_s = records[0].sample_period_s
+    ends = [math.inf] * len(records) if until_s is None else until_s
+    measured = [_without_cells(record, end) for record, end in zip(records, ends, strict=True)]
+    plain = scored_until([whole_run_rows(record) for record in measured], until_s)
     scored_phi = np.concatenate([row.phi[row.weight > 0.0] for row in plain])
     if not scored_phi.size:
         nothing = np.zeros(0), np.zeros((0, 0)), 0, 0, 0, FitState.BLOWDOWN
@@ -135,35 +153,68 @@ def fit_sparse_whole_runs(
         return SparseWholeRunFit(math.nan, math.nan, [], *nothing, model, plain, (), (), ())
     # Knots and scales where the curve is asked for, not where φ is only simulated through.
     library = CandidateTerms(None, scored_phi[:, None], ["phi"])
-    rows = scored_until(
-        [whole_run_rows(r, terms=lambda phi: library(phi[:, None])) for r in records], until_s
-    )
-    inputs, psi_p, weight, runs = stacked_rows(rows)
-    n_terms = len(library.names)
-    kept = moving_columns(inputs, n_terms)
-    equations = FreeRunEquations(
-        inputs[:, :n_terms],
-        inputs[:, kept[n_terms:]],
-        psi_p,
-        weight,
-        Segments.from_labels(runs, psi_p.size),
-        period_s,
-        hold,
-    )
+
+    def rows_of(chosen: Sequence[CoefficientSeries]) -> tuple[WholeRunRows, ...]:
+        return scored_until(
+            [whole_run_rows(r, terms=lambda phi: library(phi[:, None])) for r in chosen], until_s
+        )
+
+    def equations_of(rows: Sequence[WholeRunRows]) -> FreeRunEquations:
+        inputs, psi_p, weight, runs = stacked_rows(rows)
+        n_terms = len(library.names)
+        kept = moving_columns(inputs, n_terms)
+        terms, nuisance = inputs[:, :n_terms], inputs[:, kept[n_terms:]]
+        segments = Segments.from_labels(runs, psi_p.size)
+        return FreeRunEquations(terms, nuisance, psi_p, weight, segments, period_s, hold)
+
+    rows = rows_of(measured)
+    equations = equations_of(rows)
     spread = Spread(0.0, np.zeros((1, 1)))
     if until_s is None and not is_blowdown(plain):
-        spread = specification_spread(records, hold=hold)
+        spread = specification_spread(measured, hold=hold)
+    level = spread.level(scored_phi)
     found = select_on_free_run(
         equations,
         library.names,
         [polynomial_degree(name, ["phi"]) for name in library.names],
         np.concatenate([row.cycle for row in rows]),
-        optimizer=optimizer,
+        judged=equations_of(scored_until([_all_in_stall(row) for row in rows], until_s)),
+        shows_shape=all(map(_shows_shape, records)),
         max_terms=max_terms,
         common_tau_share=spread.log_tau,
-        common_curve_share=spread.level(scored_phi) / float(np.mean(np.abs(psi_p[weight > 0.0]))),
+        common_curve_share=level / float(np.mean(np.abs(equations.output[equations.scored]))),
     )
     return _result(found, period_s, hold, rows, library.names)
+
+
+def _without_cells(record: CoefficientSeries, until_s: float) -> CoefficientSeries:
+    """Return a record with its stall cells cancelled, as it is where it lacks its probe pairs."""
+    signals = rake_signals_of(record)
+    if signals is None or record.psi_p_unfiltered is None:
+        return record
+    window = slice(0, int(np.searchsorted(record.time_s, until_s, side="right")))
+    try:
+        phi, psi_p, _ = signals.coefficients(passes_of(signals, window).planes)
+    except InputError:
+        return record
+    known = np.where(np.isfinite(psi_p), psi_p, record.psi_p_unfiltered)
+    return replace(record, phi_unfiltered=phi, psi_p_unfiltered=known)
+
+
+def _shows_shape(record: CoefficientSeries) -> bool:
+    """Whether cells and state are known well enough: from two rakes, each with hub and tip."""
+    signals = rake_signals_of(record)
+    return signals is not None and not signals.one_rake and signals.hub_minus_tip() is not None
+
+
+def _all_in_stall(row: WholeRunRows) -> WholeRunRows:
+    """Score every row in forward flow whose average holds no unstalled row.
+
+    The first nuisance is the averaged state.
+    """
+    guard = round(GUARD_S / float(row.time_s[1] - row.time_s[0]))
+    left_out = near(row.phi <= LOWEST_PHI, guard, guard) | (row.nuisance[:, 0] > 0.0)
+    return replace(row, weight=np.where(left_out, 0.0, 1.0))
 
 
 def _output_error(sample_period_s: float, hold: Hold) -> LagRegressor:
@@ -207,4 +258,5 @@ def _result(
         kept,
         names,
         found.path,
+        found.departure,
     )

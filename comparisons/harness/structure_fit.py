@@ -139,7 +139,7 @@ def find_structure(
     needs = ["--rows"] * rows + ["--bootstrap"] * bool(given)
     whole, reason = _whole_or_rows(records, needs)
     if whole:
-        run = fit_sparse_whole_runs(records, **settings)
+        run = fit_sparse_whole_runs(records, hold="first", max_terms=max_terms)
         inputs, scored = run.stacked()
         phi, psi_p, n_runs = inputs.phi[scored], inputs.psi_p[scored], len(run.rows_)
         return FoundStructure(

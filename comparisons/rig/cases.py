@@ -32,6 +32,8 @@ class RigCase:
         Total temperature and pressure at plane 25 before the surge (``T_ref``, ``P_in0``).
     pressure_terms : tuple of float
         ψ'_QS in stall = β₁ + β₂ φ + β₃ φ² (Eq 12).
+    pressure_cubic, pressure_kink, kink_phi : float
+        What else ψ'_QS in stall may have: pressure_cubic φ³ + pressure_kink max(φ − kink_phi, 0).
     work_intercept, work_slopes, work_breaks : float, tuple, tuple
         ψ_QS in stall at φ = 0, the slopes of its three straight pieces, and where they meet.
     tau_s : float
@@ -104,6 +106,9 @@ class RigCase:
 
     # Compressor branches: beta, k_rev and phi_rec of the set that was found, tau of the paper.
     pressure_terms: tuple[float, float, float] = (1.2135, 2.941, 47.358)
+    pressure_cubic: float = 0.0
+    pressure_kink: float = 0.0
+    kink_phi: float = 0.08
     # Value at zero flow and three slopes of three straight pieces. Breaks: a choice
     # inside the range 0 < φ < 0.175 that in-stall data reach.
     work_intercept: float = 3.4

@@ -152,6 +152,8 @@ def _targets(
     extra = (
         c.characteristic_shape * exp(-(((phi - BUMP_PHI) / BUMP_WIDTH_PHI) ** 2))
         - c.hysteresis * deep
+        + c.pressure_cubic * phi**3
+        + c.pressure_kink * max(phi - c.kink_phi, 0.0)
     )
     p = min(
         (c.pressure_terms[0] + c.pressure_terms[1] * phi + c.pressure_terms[2] * phi * phi + extra)

@@ -71,34 +71,42 @@ def test_tau_and_curve_over_seeds_and_speeds(folder: Path) -> None:
     assert inside >= 3
 
 
-def test_the_structure_is_chosen_and_mostly_the_true_parabola(folder: Path) -> None:
+def test_the_true_parabola_is_not_left(folder: Path) -> None:
     chosen = [fitted(case, seed, folder).terms_ for case, seed in RECORDS]
-    assert chosen.count(["1", "phi", "phi^2"]) >= 3
-    # On 95 % rows that reach over the recovery point may pay for a cubic.
-    assert all(set(terms) <= {"1", "phi", "phi^2", "phi^3"} for terms in chosen)
+    assert chosen == [["1", "phi", "phi^2"]] * 4
     fit = fitted("985", 0, folder)
     assert len(fit.candidate_terms_) >= 15
     (row,) = [row for row in fit.path_ if row.chosen]
     assert list(row.terms) == fit.terms_
-    assert any("relu" in "".join(row.terms) for row in fit.path_)
+    assert len(fit.path_) >= 2
 
 
-def test_two_codes_agree_on_the_parabola(folder: Path) -> None:
-    """Both are one least-squares problem, solved by code that has nothing in common."""
-    compared = 0
+def test_without_its_rakes_two_codes_agree_on_the_parabola(folder: Path) -> None:
+    """Both are then one least-squares problem, solved by code that has nothing in common."""
     for case, seed in RECORDS:
-        sparse = fitted(case, seed, folder)
-        if sparse.terms_ != ["1", "phi", "phi^2"]:
-            continue
-        compared += 1
-        twin = fit_whole_runs([series(case, seed, folder)])
+        record = replace(series(case, seed, folder), rakes={})
+        sparse, twin = fit_sparse_whole_runs([record]), fit_whole_runs([record])
+        assert sparse.terms_ == ["1", "phi", "phi^2"]
         assert sparse.time_constant_s_ == pytest.approx(twin.time_constant_s_, rel=1e-4)
         np.testing.assert_allclose(sparse.coef_, twin.coef_, rtol=1e-3)
         # The blocks differ: whole cycles here, stretches of scored rows there.
         ratio = sparse.time_constant_stderr_s_ / twin.time_constant_stderr_s_
         assert 0.6 < ratio < 1.6
         assert sparse.n_scored_ == twin.n_scored_
-    assert compared >= 3
+
+
+def test_rakes_make_it_another_estimate_than_that_of_the_rows_in_stall(folder: Path) -> None:
+    record = series("985", 0, folder)
+    own, other = fitted("985", 0, folder), fit_whole_runs([record])
+    assert abs(own.time_constant_s_ / other.time_constant_s_ - 1.0) > 1e-3
+
+
+def test_a_cubic_of_150_beside_the_parabola_is_undecidable(folder: Path) -> None:
+    parabola = fitted("985", 0, folder)
+    assert parabola.departure_.finding == "undecidable"
+    low, high = parabola.departure_.cubic
+    assert low < 0.0 < 150.0 < high
+    assert "undecidable" in parabola.cautions_[0]
 
 
 def test_blowdowns_are_refused_with_advice(folder: Path) -> None:

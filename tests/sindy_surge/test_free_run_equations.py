@@ -78,13 +78,6 @@ def test_it_is_the_least_squares_solution_over_everything_at_once() -> None:
     np.testing.assert_allclose(own[alike], found.x[alike], rtol=1e-5)
 
 
-def test_the_linear_problem_has_the_residual_of_the_fit_and_of_no_other_tau() -> None:
-    eq = equations(4, 0.05)
-    for support in ((0, 1), (0, 1, 2), (0, 1, 2, 4)):
-        rest = eq.solve(support).residual
-        assert eq.linear(support).chi2(support) == pytest.approx(rest @ rest, rel=1e-5)
-
-
 def test_a_run_without_a_scored_row_adds_nothing() -> None:
     eq = equations(6, 0.05)
     silent = replace(eq, weight=np.where(np.arange(2 * N) < N, eq.weight, 0.0))
