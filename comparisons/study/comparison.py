@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -173,9 +173,9 @@ class GroupComparison(Displayed):
             words += f"; against {self.reference}: {', '.join(others)}"
         return f"{words}; paired over {best.against.n_records} records."
 
-    def cells(self) -> tuple[tuple[str, ...], ...]:
-        """Return the table of methods in words, under the heads of `COLUMNS`."""
-        return tuple(
+    def grid(self) -> Grid:
+        """Return the table of methods, under the heads of `COLUMNS`."""
+        rows = tuple(
             (
                 str(row.rank or "–"),
                 row.method,
@@ -190,6 +190,8 @@ class GroupComparison(Displayed):
             )
             for row in self.rows
         )
+        words = frozenset([1, len(COLUMNS) - 1])
+        return Grid(self.caption, tuple(COLUMNS), rows, words, marked=0 if self.best else None)
 
     def _difference(self, row: MethodRow) -> str:
         if row.method == self.reference:
@@ -197,17 +199,12 @@ class GroupComparison(Displayed):
         return round_to_error(row.against.difference, row.against.stderr)
 
     def _sheet(self) -> Sheet:
-        grid = Grid(
-            self.caption,
-            tuple(COLUMNS)[:-1],
-            tuple(row[:-1] for row in self.cells()),
-            frozenset([1]),
-            marked=0 if self.best else None,
-        )
+        grid = self.grid()
+        shown = replace(grid, header=grid.header[:-1], rows=tuple(row[:-1] for row in grid.rows))
         fields = [Field("in short", self.lead())]
         if cautions := tuple(f"{row.method}: {row.trust}" for row in self.rows if row.trust):
             fields.append(Field("caution", cautions, "advice"))
-        return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (grid,))
+        return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (shown,))
 
 
 def compare_methods(
