@@ -19,6 +19,7 @@ from comparisons.page.style import (
     robust_limits,
 )
 from comparisons.show.structure_output import left_out_words, opening_words
+from surge_core.terms import pretty_term
 
 __all__ = ["structure_report"]
 
@@ -74,8 +75,6 @@ def _summary(found: FoundStructure) -> tuple[Block, ...]:
 
 def _curve_picture(found: FoundStructure) -> Picture:
     """Draw the characteristic with its band over the measured points and the histogram of φ."""
-    from surge_core.terms import pretty_term
-
     phi, value, stderr = found.curve()
     figure = new_figure(height_in=6.0)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import rankdata
-from scipy.stats import t as student_t
 
 from comparisons.study.scores import Score, loss_label, score_named
 from surge_core.display import Displayed, Field, Grid, Sheet
@@ -42,7 +41,6 @@ FAILED, ENDED_WELL = "failed", ("ok", "converged")
 FEWEST_RECORDS = 5
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
-STANDARD_ERRORS = 2.0
 # Differences that agree to so many digits of the greatest loss share a rank, and an error smaller
 # than that is none.
 DIGITS = 12
@@ -79,13 +77,6 @@ class Paired:
     n_records: int = 0
     difference: float = math.nan
     stderr: float = math.nan
-
-    @property
-    def reach(self) -> float:
-        """Half width of the 95 % interval: two standard errors, more with few records (t)."""
-        if self.n_records < 2:
-            return math.nan
-        return max(STANDARD_ERRORS, float(student_t.ppf(0.975, self.n_records - 1))) * self.stderr
 
 
 @dataclass(frozen=True)
