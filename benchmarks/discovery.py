@@ -18,7 +18,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -105,11 +105,18 @@ GREITZER = {
     "phi": {"1": 1.2, "phi": 1.2, "phi^3": -1.0, "psi": -1.0},
     "psi": {"1": 0.3, "phi": 0.45, "sqrt(psi)": -0.42},
 }
-GREITZER_LAG = {
-    "phi": {"psi_c": 1.8, "psi": -1.8},
-    "psi": {"phi": 0.55, "sqrt(psi)": -0.36},
-    "psi_c": {"1": 1.2, "phi^2": 6.0, "phi^3": -4.0, "psi_c": -4.0},
-}
+GREITZER_LAG = _system(
+    ("phi", "psi", "psi_c"),
+    {
+        "phi": {"psi_c": 1.8, "psi": -1.8},
+        "psi": {"phi": 0.55, "sqrt(psi)": -0.36},
+        "psi_c": {"1": 1.2, "phi^2": 6.0, "phi^3": -4.0, "psi_c": -4.0},
+    },
+    low=(0.2, 0.3, 0.3),
+    high=(1.2, 0.9, 0.9),
+    step_s=0.02,
+    library=partial(_with_root, 1, 3),
+)
 MOORE_GREITZER = {
     "phi": {"1": 0.6, "psi": -2.0, "phi^2": 3.0, "phi^3": -1.0, "J": 1.5, "phi J": -1.5},
     "psi": {"phi": 0.5, "sqrt(psi)": -0.62},
@@ -139,23 +146,8 @@ SYSTEMS = {
         step_s=0.02,
         library=partial(_with_root, 1, 2),
     ),
-    "greitzer_lag": _system(
-        ("phi", "psi", "psi_c"),
-        GREITZER_LAG,
-        low=(0.2, 0.3, 0.3),
-        high=(1.2, 0.9, 0.9),
-        step_s=0.02,
-        library=partial(_with_root, 1, 3),
-    ),
-    "greitzer_lag_hidden": _system(
-        ("phi", "psi", "psi_c"),
-        GREITZER_LAG,
-        low=(0.2, 0.3, 0.3),
-        high=(1.2, 0.9, 0.9),
-        step_s=0.02,
-        library=partial(_with_root, 1, 3),
-        hidden="psi_c",
-    ),
+    "greitzer_lag": GREITZER_LAG,
+    "greitzer_lag_hidden": replace(GREITZER_LAG, hidden="psi_c"),
     "moore_greitzer": _system(
         ("phi", "psi", "J"),
         MOORE_GREITZER,

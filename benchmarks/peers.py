@@ -130,7 +130,7 @@ def sparse_rows(options: argparse.Namespace) -> list[Row]:
             model, seconds = timed(SparseLagRegressor(PERIOD_S).fit, phi, psi_p)
             right, off = same_structure(model.terms_, terms), model.time_constant_s_ - TAU_S
             trials.append({**base, "what": own, "right": right, "off": off, "s": seconds})
-            swept = plain_pysindy(made.measured, terms, crowded=False)
+            swept = plain_pysindy(made.measured, terms)
             for name in DERIVATIVES:
                 one, _ = make_model(name, False)
                 _, seconds = timed(fit_once, one, made.measured)

@@ -18,9 +18,7 @@ RIDGES = (0.05, 0.0)  # its default, and none
 KNOTS = tuple(round(0.05 * k, 2) for k in range(11))
 
 
-def plain_pysindy(
-    record: Record, truth: dict[str, float], *, crowded: bool
-) -> dict[str, dict[str, Any]]:
+def plain_pysindy(record: Record, truth: dict[str, float]) -> dict[str, dict[str, Any]]:
     """Fit one record by pysindy alone, at every threshold.
 
     Parameters
@@ -29,24 +27,16 @@ def plain_pysindy(
         In one piece.
     truth : dict
         Terms and coefficients: which settings are right is told by them.
-    crowded : bool
-        Whether to offer powers of ψ' also where the truth holds none.
 
     Returns
     -------
     dict
         For the finite difference ("FD") and the smoothed one over 11 samples ("SFD"): `right`, the
         settings that give the truth; `tau_s` of the regression on the true terms alone; `cpu_s` of
-        one fit at one threshold; and with `crowded`, `right_crowded`.
+        one fit at one threshold.
     """
     needed = any("psi_p" in name for name in truth)
-    result: dict[str, dict[str, Any]] = {}
-    for derivative in DERIVATIVES:
-        result[derivative] = _fit(record, truth, derivative, needed)
-        if crowded and not needed:
-            other = _fit(record, truth, derivative, True)
-            result[derivative]["right_crowded"] = other["right"]
-    return result
+    return {name: _fit(record, truth, name, needed) for name in DERIVATIVES}
 
 
 def make_model(derivative: str, with_psi: bool) -> tuple[Any, list[str]]:

@@ -9,8 +9,7 @@ pysindy gets the same record, the same kind of library and every favour: the ter
 normalised columns, with and without its ridge, and the record counts if ANY threshold of a fine
 range gives the truth (`any`; `one` is the count at the single best setting for all records of the
 row); its τ is that of its regression on the true terms alone. FD is its finite difference, SFD its
-smoothed one over 11 samples. Powers of ψ' are offered to it only where the truth holds one; what
-they do to it elsewhere is in the columns `+psi`.
+smoothed one over 11 samples. Powers of ψ' are offered to it only where the truth holds one.
 """
 
 from __future__ import annotations
@@ -41,8 +40,6 @@ LEVELS = (0.01, 0.02, 0.05)
 # A knot that is in no library is found if it is within a tenth of the library's own step.
 KNOT_TOLERANCE = 0.005
 NORMAL_975 = 1.959964
-COVERAGE_SEED_OFFSET = 100_000
-NOT_FOR_PYSINDY = ("pieces", "coverage")
 
 
 @dataclass(frozen=True)
@@ -160,9 +157,8 @@ def try_record(case: Case, seed: int, with_pysindy: bool) -> Trial:
     with threadpool_limits(1):
         record = case.record(seed)
         trial = _own_fit(record, TRUTHS[case.truth], seed)
-        if with_pysindy and case.group not in NOT_FOR_PYSINDY:
-            peer = plain_pysindy(record, TRUTHS[case.truth], crowded=case.group == "white")
-            trial = replace(trial, pysindy=peer)
+        if with_pysindy and not case.pieces:
+            trial = replace(trial, pysindy=plain_pysindy(record, TRUTHS[case.truth]))
     return trial
 
 
@@ -249,9 +245,8 @@ class Row:
     dead_time_samples : float
         Median delay found.
     pysindy : dict
-        For each derivative the records with the right terms (`any`, `one` and, with powers of ψ' in
-        its library too, `any_crowded`), `tau_bias_percent`, and `cpu_ratio`: our time by that of
-        one fit at one threshold.
+        For each derivative the records with the right terms (`any`, `one`), `tau_bias_percent`, and
+        `cpu_ratio`: our time by that of one fit at one threshold.
     wrong : list of dict
         Every record that failed: seed, terms, rivals and state.
     """
@@ -322,16 +317,14 @@ def _pysindy_of(trials: list[Trial], own_s: float) -> dict[str, dict[str, float]
             "tau_bias_percent": float(off.mean()),
             "cpu_ratio": own_s / float(np.median([fit["cpu_s"] for fit in fits])),
         }
-        if "right_crowded" in fits[0]:
-            result[derivative]["any_crowded"] = sum(bool(fit["right_crowded"]) for fit in fits)
     return result
 
 
 HEADER = (
-    f"{'':<71} {'covered':^17} {'CPU s':^11}   {'plain pysindy, FD':^19} {'SFD':^19}\n"
+    f"{'':<71} {'covered':^17} {'CPU s':^11}   {'plain pysindy, FD':^13} {'SFD':^13}\n"
     f"{'case':<9}{'truth':<15}{'noise':>5}{'N':>7}{'right':>8} "
     f"{'tau off %':>16} {'stated':>7} {'tau':>8} {'beta':>9} {'med':>5} {'most':>5} "
-    + f" {'right':>6} {'+psi':>5} {'tau %':>6}" * 2
+    + f" {'right':>6} {'tau %':>6}" * 2
     + f" {'x':>4}"
 )
 
@@ -351,8 +344,7 @@ def line(row: Row) -> str:
     for found in row.pysindy.values():
         counts = f"{found['any']:.0f}/{found['one']:.0f}"
         bias = found["tau_bias_percent"]
-        text += f" {counts:>6} {found.get('any_crowded', ''):>5}"
-        text += f" {'' if np.isnan(bias) else f'{bias:+.2f}':>6}"
+        text += f" {counts:>6} {'' if np.isnan(bias) else f'{bias:+.2f}':>6}"
     if row.pysindy:
         text += f" {row.pysindy['FD']['cpu_ratio']:>4.0f}"
     if row.dead_time_samples:
@@ -397,7 +389,6 @@ def report(rows: list[Row]) -> None:
         ("white, N = 5000", main),
         ("ar1", [row for row in rows if row.case.group == "ar1"]),
         ("late", [row for row in rows if row.case.group == "late"]),
-        ("the coverage study", [row for row in rows if row.case.group == "coverage"]),
     ):
         if group:
             tau = _share(sum(r.tau_covered for r in group), sum(r.n_records for r in group))
@@ -432,12 +423,7 @@ def chosen_cases(options: argparse.Namespace) -> list[tuple[Case, range]]:
         cases = [case for case in cases if case.group in options.only.split(",")]
     elif options.quick:
         cases = [case for case in cases if f"{case.group} {case.truth} {case.noise}" in QUICK]
-    jobs = [(case, seeds) for case in cases]
-    if options.coverage_seeds:
-        first = options.first_seed + COVERAGE_SEED_OFFSET
-        study = range(first, first + options.coverage_seeds)
-        jobs += [(Case("coverage", "quadratic", s), study) for s in LEVELS[1:]]
-    return jobs
+    return [(case, seeds) for case in cases]
 
 
 def run(jobs: list[tuple[Case, range]], workers: int, with_pysindy: bool) -> Iterator[Row]:
@@ -472,10 +458,6 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=300, metavar="SEED")
     parser.add_argument("--only", metavar="CASE,...", help=f"of {groups}")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes")
-    parser.add_argument(
-        "--coverage-seeds", type=int, default=0, metavar="N",
-        help="beside the rest, so many records of the quadratic at 2 and 5 %% for the intervals",
-    )  # fmt: skip
     parser.add_argument("--without-pysindy", action="store_true")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows as JSON")
     options = parser.parse_args()

@@ -37,6 +37,8 @@ __all__ = [
 # Down and up again, and once more: less than three sweeps is a single excursion.
 FEWEST_SWEEPS = 3
 FALSE_ALARM = 0.01
+# Lags that are looked at.
+N_LAGS = 20
 # Below this the omnibus test's approximations do not hold (D'Agostino, Belanger, D'Agostino 1990).
 FEWEST_FOR_NORMALITY = 20
 CURVE_PERCENTILES = (5.0, 50.0, 95.0)
@@ -124,7 +126,7 @@ def residual_checks(
     return tuple(rows)
 
 
-def whiteness(errors: FloatArray, runs: list[slice], n_lags: int = 20) -> CheckRow:
+def whiteness(errors: FloatArray, runs: list[slice]) -> CheckRow:
     """Check that one-step errors do not predict each other.
 
     Parameters
@@ -133,17 +135,15 @@ def whiteness(errors: FloatArray, runs: list[slice], n_lags: int = 20) -> CheckR
         One-step errors.
     runs : list of slice
         Their segments; no product straddles two.
-    n_lags : int
-        Lags that are looked at.
 
     Notes
     -----
-    The largest ``|ρ(k)|`` is held against the 1 % point of the largest of ``n_lags`` normal values
+    The largest ``|ρ(k)|`` is held against the 1 % point of the largest of ``N_LAGS`` normal values
     of variance 1/n.
     """
-    correlations = lagged_correlation(errors, errors, runs, n_lags)[n_lags + 1 :]
+    correlations = lagged_correlation(errors, errors, runs, N_LAGS)[N_LAGS + 1 :]
     largest = float(np.max(np.abs(correlations)))
-    limit = _limit(errors.size, n_lags)
+    limit = _limit(errors.size, N_LAGS)
     passed = largest < limit
     meaning = (
         "one-step errors are white within the noise"
@@ -159,7 +159,6 @@ def input_correlation(
     errors: FloatArray,
     phi: FloatArray,
     runs: list[slice],
-    n_lags: int = 20,
     *,
     name: str = "phi",
 ) -> CheckRow:
@@ -173,15 +172,13 @@ def input_correlation(
         The input, φ as a rule.
     runs : list of slice
         Their segments.
-    n_lags : int
-        Lags to either side.
     name : str
         What the input is called.
     """
     smooth = phi - phi.mean()
-    correlations = lagged_correlation(errors, smooth, runs, n_lags)
+    correlations = lagged_correlation(errors, smooth, runs, N_LAGS)
     largest = float(np.max(np.abs(correlations)))
-    limit = _limit(errors.size, 2 * n_lags + 1) * bartlett_widening(errors, smooth, runs, n_lags)
+    limit = _limit(errors.size, 2 * N_LAGS + 1) * bartlett_widening(errors, smooth, runs, N_LAGS)
     passed = largest < limit
     symbol = "φ" if name == "phi" else name
     meaning = (

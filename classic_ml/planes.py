@@ -90,7 +90,7 @@ def local_flows(
     return record.after(entry, add=added)
 
 
-def plane_averages(record: Record, test: TestDescription, probes: str = "all") -> Record:
+def plane_averages(record: Record, test: TestDescription) -> Record:
     """Average over rakes and immersions, and compute the physical flow (Eq 4).
 
     The arithmetic mean over the rakes is taken at each immersion and then over the immersions,
@@ -103,8 +103,6 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
         Local flows, and temperatures in K.
     test : TestDescription
         Places of the probes.
-    probes : {"all", "tip", "hub"}
-        Immersions to use.
 
     Returns
     -------
@@ -115,18 +113,17 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
     Raises
     ------
     InputError
-        When no pair is left at an immersion that is wanted.
+        When no pair is left.
     """
     columns: dict[str, FloatArray] = {}
-    parameters: dict[str, str | int | float | bool] = {"probes": probes}
+    parameters: dict[str, str | int | float | bool] = {}
     for plane in test.areas_m2:
         pairs = _present_pairs(record, test, plane)
         present = [i for i in ("tip", "hub") if any(pair.immersion == i for pair in pairs)]
-        used = [i for i in present if probes in ("all", i)]
-        if not used:
+        if not present:
             raise InputError(
                 f"{record.source}: plane {plane}",
-                expected="at least one usable probe pair at the immersions to be averaged",
+                expected="at least one usable probe pair",
                 found="none",
                 remedy="the history of the record says which were left out and why",
             )
@@ -138,12 +135,12 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
             if f"Wc{names[0]}_kg_s" in record:
                 flow[immersion] = _mean([record[f"Wc{name}_kg_s"] for name in names])
                 columns[f"Wc{plane}_{immersion}_kg_s"] = flow[immersion]
-        columns[f"P{plane}_Pa"] = _mean([total[i] for i in used])
+        columns[f"P{plane}_Pa"] = _mean(list(total.values()))
         couples = [c.name for c in test.thermocouples(plane) if c.name in record]
         if couples:
             columns[f"T{plane}_K"] = _mean([record[name] for name in couples])
         if flow:
-            corrected = _mean([flow[i] for i in used])
+            corrected = _mean(list(flow.values()))
             columns[f"Wc{plane}_kg_s"] = corrected
             if couples:
                 plane_Pa, plane_K = columns[f"P{plane}_Pa"], columns[f"T{plane}_K"]
@@ -151,7 +148,7 @@ def plane_averages(record: Record, test: TestDescription, probes: str = "all") -
         parameters[f"pairs_{plane}"] = len(pairs)
     units = {"s": "kg/s", "Pa": "Pa", "K": "K"}
     added = [Channel.adopt(n, v, units[n.rpartition("_")[2]]) for n, v in columns.items()]
-    did = f"arithmetic mean over rakes and immersions ({probes}), Eq 4 at each plane"
+    did = "arithmetic mean over rakes and immersions, Eq 4 at each plane"
     return record.after(LedgerEntry("plane averages", did, parameters), add=added)
 
 

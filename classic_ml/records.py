@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -21,6 +21,7 @@ __all__ = [
     "counted",
     "fault_name",
     "ledger_grid",
+    "ledger_lines",
     "ledger_words",
 ]
 
@@ -256,7 +257,17 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
-def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
+def ledger_lines(history: Iterable[LedgerEntry]) -> list[str]:
+    """Return a history line by line, for a terminal."""
+    lines = []
+    for entry in history:
+        lines.append(f"{entry.step}: {entry.did}")
+        lines += [f"  left out {d.what} ({d.count}): {d.why}" for d in entry.dropped]
+        lines += [f"  note: {flag}" for flag in entry.flags]
+    return lines
+
+
+def ledger_grid(history: Sequence[LedgerEntry]) -> tuple[Grid, ...]:
     """Return a history as a table, or nothing where there is none."""
     rows = tuple(
         (
@@ -267,7 +278,7 @@ def ledger_grid(history: tuple[LedgerEntry, ...]) -> tuple[Grid, ...]:
                 for name, value in entry.parameters.items()
             )
             or "none",
-            "; ".join(f"{d.what} ({d.count}): {d.why}" for d in entry.dropped) or "nothing",
+            "; ".join(f"{d.what} ({d.count}): {d.why}" for d in entry.dropped) or "nothing dropped",
             "; ".join(entry.flags) or "none",
         )
         for entry in history

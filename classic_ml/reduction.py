@@ -158,16 +158,14 @@ def reduce_record(
     if not keep_probes:
         averaged = averaged.without(_of_probes(averaged, test))
     done(1)
-    unfiltered, rakes = _unfiltered(record, test, chosen)
+    unfiltered, rakes = _unfiltered(record, test)
     del record
     done(1)
     reduced = _with_coefficients(averaged, unfiltered, test, chosen, window.rows)
     del averaged
     reduced = _with_states(reduced, unfiltered, test, chosen, window)
     done(1)
-    # A flow of one immersion alone was asked for: all rakes would answer another question.
-    kept = rakes if chosen.probes == "all" else None
-    return Reduction(_series(reduced, kept), reduced, chosen, test, window.times_s)
+    return Reduction(_series(reduced, rakes), reduced, chosen, test, window.times_s)
 
 
 def near_stall_shifts(record: Record, test: TestDescription) -> dict[str, float]:
@@ -293,7 +291,7 @@ def _averaged(
     filtered = _low_passed(record, test, settings, known[:2] if known else None)
     inverted = invert_thermocouples(filtered, test, invert=settings.thermocouple_inversion)
     flows = local_flows(inverted, test, ahead=known[2] if known else None)
-    return plane_averages(flows, test, settings.probes)
+    return plane_averages(flows, test)
 
 
 def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
@@ -305,9 +303,7 @@ def _of_probes(record: Record, test: TestDescription) -> Iterable[str]:
         yield from (f"Wc{pair.name}_kg_s", f"Pt{pair.name}_Pa")
 
 
-def _unfiltered(
-    record: Record, test: TestDescription, settings: ReductionSettings
-) -> tuple[Record, RakeSignals]:
+def _unfiltered(record: Record, test: TestDescription) -> tuple[Record, RakeSignals]:
     """Reduce without any low-pass, for the free run, for spectra and for Fig 5 and 6.
 
     The thermocouples' lag is undone whatever the settings say: behind no filter it is what it is.
@@ -315,7 +311,7 @@ def _unfiltered(
     """
     plain = local_flows(invert_thermocouples(record, test), test, planes=(25,))
     rakes = rake_signals(plain, test)
-    plain = plane_averages(plain, test, settings.probes)
+    plain = plane_averages(plain, test)
     faults = {fault_name(name) for name in test.channel_names}
     plain = plain.without(set(_of_probes(plain, test)) - faults)
     plain = coefficients(plain, test)
@@ -376,12 +372,6 @@ def _with_states(
             "no line of rotating stall stands out of the spectrum of P25: averages are taken over "
             f"{1e3 * period_s:g} ms",
         )
-    if settings.probes != "all":
-        parameters["probes"] = settings.probes
-        flags += (
-            f"the flow is that of the {settings.probes} alone, not of the plane: the shift between "
-            "hub and tip enters φ, and neither the curve nor the time constant can be quoted",
-        )
     differ = float(np.mean(in_stall[rows] != stalled[rows]))
     if threshold is not None and differ > REGIMES_DIFFER:
         flags += (
@@ -427,12 +417,12 @@ def _segmented(
     return segmented, threshold
 
 
-def _series(record: Record, rakes: RakeSignals | None) -> CoefficientSeries:
+def _series(record: Record, rakes: RakeSignals) -> CoefficientSeries:
     columns: dict[str, Any] = {name: record[name] for name in COLUMNS if name in record}
     return CoefficientSeries(
         time_s=record.time_s,
-        rakes={} if rakes is None else rakes.columns(),
+        rakes=rakes.columns(),
         source=record.source,
-        history=(*record.history, *(() if rakes is None else (rakes.chain.entry(),))),
+        history=(*record.history, rakes.chain.entry()),
         **columns,
     )

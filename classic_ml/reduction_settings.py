@@ -15,7 +15,6 @@ __all__ = ["ReductionSettings"]
 _CHOICES = {
     "filter_order": (3, 5),
     "phase": ("zero", "causal", "none"),
-    "probes": ("all", "tip", "hub"),
     "work_form": WORK_FORMS,
 }
 # The slowest surge cycles last some seconds; what a filter below leaves of others is none.
@@ -34,8 +33,6 @@ class ReductionSettings:
         Its −3 dB frequency in one pass.
     phase : {"zero", "causal", "none"}
         Forth and back; once, as in the paper (delays by about 8 ms); or no filter at all.
-    probes : {"all", "tip", "hub"}
-        Immersions in the plane averages.
     threshold_lbm_s : float, "none" or None
         Corrected flow between in-stall and unstalled; None takes what test.toml states, and
         estimates it where that states none.
@@ -61,7 +58,6 @@ class ReductionSettings:
     filter_order: int = 3
     cutoff_hz: float = 48.0
     phase: str = "zero"
-    probes: str = "all"
     threshold_lbm_s: float | str | None = None
     hysteresis_lbm_s: float | None = None
     thermocouple_inversion: bool = False

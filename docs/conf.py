@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import builtins
 import importlib
 import sys
 from functools import cache
 from importlib.metadata import version as installed_version
-from inspect import Signature
 from pathlib import Path
 from typing import Any
-
-from sphinx.util import inspect
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
@@ -26,7 +22,6 @@ language = "en_GB"
 
 extensions = [
     "mathml",
-    "session_lexer",
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
@@ -35,21 +30,10 @@ extensions = [
 root_doc = "index"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
-nitpicky = True
-# Imported for type checkers alone, so that nothing of the name is there when docs are built.
-nitpick_ignore = {
-    ("py:class", "pd.DataFrame"),
-    ("py:class", "Constants"),
-    ("py:class", "Inlet"),
-}
 templates_path = ["_templates"]
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
-# Pages show shell sessions with Greek letters and tables, which no lexer knows better than as text.
-
-
-math_numfig = False
 html_math_renderer = "mathml"
 html_theme = "alabaster"
 html_static_path = ["_static"]
@@ -102,26 +86,6 @@ def _public_names() -> dict[str, str]:
     return out
 
 
-def _exists(target: str, module: str | None) -> bool:
-    """Return whether a dotted name is one of Python's or of an installed package."""
-    if hasattr(builtins, target):
-        return True
-    for path in (target, f"{module}.{target}" if module else target):
-        parts = path.split(".")
-        for cut in range(len(parts) - 1, 0, -1):
-            try:
-                thing: Any = importlib.import_module(".".join(parts[:cut]))
-            except ImportError:
-                continue
-            try:
-                for part in parts[cut:]:
-                    thing = getattr(thing, part)
-            except AttributeError:
-                continue
-            return True
-    return False
-
-
 def _public_name(target: str, doc: str) -> str | None:
     """Return the documented name of what a docstring calls by its own path or by its last name."""
     if target in _public_names():
@@ -132,20 +96,15 @@ def _public_name(target: str, doc: str) -> str | None:
 
 
 def _resolve(app: Any, env: Any, node: Any, contnode: Any) -> Any:
-    """Link what is documented under another path; leave without a link what only exists.
-
-    A name that is nowhere stays unresolved, and nitpicky reports it.
-    """
+    """Link what is documented under another path."""
     if node.get("refdomain") != "py":
         return None
     target, doc = node["reftarget"], node["refdoc"]
     public = _public_name(target, doc)
     if public is not None and public != target:
         domain = env.get_domain("py")
-        found = domain.resolve_xref(env, doc, app.builder, "obj", public, node, contnode)
-        if found is not None:
-            return found
-    return contnode if _exists(target, node.get("py:module")) else None
+        return domain.resolve_xref(env, doc, app.builder, "obj", public, node, contnode)
+    return None
 
 
 # Stands for a colon while napoleon looks at a property: it takes what is before one for a type.
@@ -166,21 +125,8 @@ def _restore(app: Any, what: str, name: str, thing: Any, options: Any, lines: li
         lines[i] = restored.replace(":raises InputError:", ":raises ~classic_ml.InputError:")
 
 
-def _say_return(
-    app: Any, what: str, name: str, thing: Any, options: Any, signature: str, returned: str | None
-) -> tuple[str, str] | None:
-    """Add what a function returns, which its first sentence often says without the type."""
-    if what not in ("function", "method"):
-        return None
-    annotation = inspect.signature(thing).return_annotation
-    if annotation in (Signature.empty, None, type(None)):
-        return None
-    return signature, inspect.stringify_annotation(annotation, "smart", short_literals=True)
-
-
 def setup(app: Any) -> None:
     """Register what is above."""
     app.connect("missing-reference", _resolve)
     app.connect("autodoc-process-docstring", _hide_colons, priority=400)
     app.connect("autodoc-process-docstring", _restore, priority=600)
-    app.connect("autodoc-process-signature", _say_return)

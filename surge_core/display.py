@@ -83,6 +83,18 @@ class Grid:
     marked: int | None = None
     folded: bool = False
 
+    def lines(self) -> list[str]:
+        """Return head and rows as aligned text."""
+        rows = (self.header, *self.rows)
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return [
+            "  ".join(
+                cell.ljust(width) if column in self.words else cell.rjust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -118,7 +130,9 @@ class Sheet:
                     break_on_hyphens=False,
                 )
         for grid in self.grids:
-            lines += ["", f"{grid.title} (not shown)"] if grid.folded else ["", *_text_grid(grid)]
+            folded = [f"{grid.title} (not shown)"]
+            shown = [grid.title, *(f"  {line}" for line in grid.lines())]
+            lines += ["", *(folded if grid.folded else shown)]
         return "\n".join(lines)
 
     def html(self) -> str:
@@ -190,19 +204,6 @@ class FittedDisplay:
         if hasattr(self, "_repr_html_"):
             shown["text/html"] = sheet.html()
         return shown
-
-
-def _text_grid(grid: Grid) -> list[str]:
-    cells = (grid.header, *grid.rows)
-    widths = [max(len(row[column]) for row in cells) for column in range(len(grid.header))]
-    lines = [grid.title]
-    for row in cells:
-        shown = (
-            cell.ljust(width) if column in grid.words else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        lines.append(f"  {'  '.join(shown)}".rstrip())
-    return lines
 
 
 def _html_grid(grid: Grid) -> str:

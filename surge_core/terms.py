@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from typing import Any
 
-__all__ = ["pretty_term"]
+__all__ = ["pretty_term", "terms_json"]
 
 _GREEK = {"phi": "φ", "psi_p": "ψ'", "psi": "ψ", "plenum": "Ψ"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -28,3 +30,13 @@ def pretty_term(term: str) -> str:
         term = re.sub(rf"\b{name}\b", symbol, term)
     term = re.sub(r"sqrt\(([φψΨ])\)", r"√\1", term)
     return re.sub(r"\^(-?\d+)(?![\d.])", lambda m: m.group(1).translate(_SUPERSCRIPTS), term)
+
+
+def terms_json(
+    names: Iterable[str], coefficients: Iterable[float], stderr: Iterable[float]
+) -> list[dict[str, Any]]:
+    """Return terms with their coefficients and standard errors, as every document has them."""
+    return [
+        {"name": name, "coefficient": float(value), "stderr": float(error)}
+        for name, value, error in zip(names, coefficients, stderr, strict=True)
+    ]

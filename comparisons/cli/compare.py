@@ -104,7 +104,6 @@ def _compare(
 ) -> tuple[Comparison, Comparison | None]:
     from comparisons.harness.compare import compare_records
 
-    _check_tau(records, given.tau)
     options: dict[str, Any] = {
         "hold": given.hold,
         "time_constant_s": given.tau,
@@ -135,22 +134,6 @@ def _n_twins(given: argparse.Namespace) -> int:
 
 def _measuring(twins: Iterable[int]) -> Iterable[int]:
     return shown_over(twins, unit="twin", words="measuring twins")
-
-
-def _check_tau(records: Sequence[CoefficientSeries], tau_s: float | None) -> None:
-    """Refuse a τ to be held that is longer than any segment: no row could show it."""
-    from comparisons.harness.rows import stack_rows
-
-    if tau_s is None:
-        return
-    rows = stack_rows(records)
-    longest_s = max(run.stop - run.start for run in rows.runs) * rows.sample_period_s
-    if tau_s > longest_s:
-        raise InputError(
-            "--tau",
-            expected=f"a time constant shorter than the longest segment, of {longest_s:.2g} s",
-            found=f"{tau_s:g} s",
-        )
 
 
 def _with_model(given: argparse.Namespace) -> tuple[EstimatorSpec, ...] | None:

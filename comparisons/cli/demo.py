@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from comparisons.cli.shared import Command, argument, command_line, drawing, seed
 from surge_core.errors import InputError
+from surge_core.files import write_whole
 from surge_core.progress import shown_steps
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         raise InputError(str(folder), expected="a folder to write to", found="a file") from None
     with shown_steps(STEPS, lines=True) as begin:
         begin("loading; the first run compiles for some seconds")
-        from comparisons.show.report import write_report
+        from comparisons.show.report import render_report
 
         demo = _Demo(folder, given.seed, begin)
         (untouched, tau_s), *_ = [_fitted(demo, case, title) for case, title in FITTED]
@@ -80,7 +81,8 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         begin("drawing the report")
         title = "A simulated surge test, end to end"
         page = folder / "report.html"
-        write_report(page, demo.sections, title=title, command=command_line(), progress=drawing)
+        report = render_report(demo.sections, title=title, command=command_line(), progress=drawing)
+        write_whole(page, report)
     for comparison, work in demo.comparisons:
         yield from comparison_lines(comparison, work)
     yield from demo.lines

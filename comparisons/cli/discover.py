@@ -111,40 +111,34 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 def _table(path: Path, columns: Sequence[str]) -> FloatArray:
     """Return time and columns of a CSV file, (n_rows, 1 + n_columns)."""
     import numpy as np
-    import pandas as pd
 
-    try:
-        frame = pd.read_csv(path)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(
-            str(path), expected="a CSV table with a header", found=str(error).strip()
-        ) from None
+    from classic_ml.description import FileLayout
+    from classic_ml.io.csv import open_csv
+
     wanted = ("time_s", *columns)
-    missing = [name for name in wanted if name not in frame.columns]
-    if missing:
-        raise InputError(
-            str(path),
-            expected="the columns " + ", ".join(wanted),
-            found="none called " + ", ".join(missing),
-            remedy="its columns are " + ", ".join(map(str, frame.columns)),
-        )
-    for name in wanted:
-        values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=np.float64)
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
+    with open_csv(path, FileLayout()) as stored:
+        if missing := [name for name in wanted if name not in stored.names]:
             raise InputError(
-                f"{path}, column {name}",
-                expected="finite numbers",
-                found=f"{frame[name].iloc[bad[0]]} in row {bad[0] + 2}",
+                str(path),
+                expected="the columns " + ", ".join(wanted),
+                found="none called " + ", ".join(missing),
+                remedy="its columns are " + ", ".join(stored.names),
+            )
+        blocks = stored.blocks(wanted)
+        table = np.concatenate([np.column_stack(block) for block in blocks]).astype(np.float64)
+    for name, values in zip(wanted, table.T, strict=True):
+        if not np.isfinite(values).all():
+            raise InputError(
+                f"{path}: column {name}",
+                expected="a finite number in every row",
+                found=f"{values[~np.isfinite(values)][0]:g}",
                 remedy="cut the record there and give the parts as files",
             )
-        frame[name] = values
-    table = frame[list(wanted)].to_numpy(dtype=np.float64)
     steps = np.diff(table[:, 0])
     odd = np.flatnonzero((steps <= 0.0) | (steps > 5.0 * np.median(steps)))
-    if steps.size and odd.size:
+    if odd.size:
         raise InputError(
-            f"{path}, column time_s",
+            f"{path}: column time_s",
             expected="times that rise without gaps",
             found=f"{table[odd[0], 0]:g} s followed by {table[odd[0] + 1, 0]:g} s",
             remedy="cut the record there and give the parts as files",

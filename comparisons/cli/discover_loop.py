@@ -9,6 +9,7 @@ import numpy as np
 
 from comparisons.page.blocks import Head, Part, Table, Words
 from surge_core.fit_state import FitState
+from surge_core.terms import terms_json
 
 if TYPE_CHECKING:
     from classic_ml.series import CoefficientSeries
@@ -106,8 +107,7 @@ def _equations(loop: SurgeLoop) -> tuple[str, ...]:
 
 
 def _terms(part: Branch | Balance) -> list[dict[str, Any]]:
-    values = zip(part.terms, part.coefficients.tolist(), part.stderr.tolist(), strict=True)
-    return [{"name": n, "coefficient": c, "stderr": error} for n, c, error in values]
+    return terms_json(part.terms, part.coefficients, part.stderr)
 
 
 def _fields(loop: SurgeLoop) -> list[tuple[str, str]]:

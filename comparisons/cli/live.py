@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from comparisons.cli.reduce import SERIES_SUFFIXES, reduction_lines
+from comparisons.cli.reduce import SERIES_SUFFIXES
 from comparisons.cli.reduction_options import REDUCTION, options_named, reduction_settings
 from comparisons.cli.shared import Command, argument, whole
 from surge_core.errors import InputError
@@ -70,6 +70,7 @@ class _WithFormats(argparse.RawDescriptionHelpFormatter):
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io import read_test_description
     from classic_ml.io.series import write_series
+    from classic_ml.records import ledger_lines
     from comparisons.live.display import Terminal
     from comparisons.live.monitor import Monitor
     from comparisons.live.page import Page
@@ -110,7 +111,7 @@ def _run(given: argparse.Namespace) -> Iterable[str]:
         return []
     which = f" of piece {piece.number}" if len(pieces) > 1 else ""
     raw_records = [f"raw record: {each.path}" for each in pieces if kept]
-    return [*reduction_lines(reduction), f"series{which}: {out}", *raw_records]
+    return [*ledger_lines(reduction.record.history), f"series{which}: {out}", *raw_records]
 
 
 def _targets(given: argparse.Namespace) -> tuple[Path, Path]:

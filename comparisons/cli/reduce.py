@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from surge_core.progress import shown_count
 if TYPE_CHECKING:
     from classic_ml.reduction import Reduction, ReductionSettings
 
-__all__ = ["COMMAND", "SERIES_SUFFIXES", "reduction_lines"]
+__all__ = ["COMMAND", "SERIES_SUFFIXES"]
 
 SERIES_SUFFIXES = (".csv", ".nc", ".nc4", ".netcdf")
 # More points than this only blacken a picture: 100 s at 1 kHz.
@@ -34,13 +34,14 @@ REPORT_ROWS = 100_000
 
 def _run(given: argparse.Namespace) -> Iterable[str]:
     from classic_ml.io.series import write_series
+    from classic_ml.records import ledger_lines
 
     with options_named():
         settings = reduction_settings(given)
         reduction = _reduced(given.raw, given.test, settings, _part(given))
     write_series(reduction.series, given.out)
     written = write_asked(given, report=lambda: _page(reduction))
-    return *reduction_lines(reduction), f"series: {given.out}", *written
+    return *ledger_lines(reduction.record.history), f"series: {given.out}", *written
 
 
 def _part(given: argparse.Namespace) -> tuple[float, float] | None:
@@ -66,22 +67,6 @@ def _reduced(
     with shown_count("reducing", unit="step", total=STEPS) as done:
         # Popped, so that the readings go as soon as they are calibrated.
         return reduce_record(records.pop(), description, settings, keep_probes=False, progress=done)
-
-
-def reduction_lines(reduction: Reduction) -> Iterator[str]:
-    """Return the ledger of a reduction as lines.
-
-    Parameters
-    ----------
-    reduction : Reduction
-        A reduced record.
-    """
-    for entry in reduction.record.history:
-        yield f"{entry.step}: {entry.did}"
-        for dropped in entry.dropped:
-            yield f"  left out {dropped.what} ({dropped.count}): {dropped.why}"
-        for flag in entry.flags:
-            yield f"  note: {flag}"
 
 
 def _page(reduction: Reduction) -> str:

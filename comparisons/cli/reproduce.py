@@ -60,8 +60,9 @@ def claims_sections(
     progress : callable
         Wraps the iteration over the pictures, to show how far it is.
     """
+    from comparisons.page.blocks import Part, Words
     from comparisons.paper.claim import claims_block
-    from comparisons.show.report import Part, ReportSection, Words
+    from comparisons.show.report import ReportSection
 
     table = Part("Table", (Words(ABOUT, "quiet"), claims_block(claims)))
     shown = tuple(Part(picture.title, (picture,)) for picture in progress(pictures))

@@ -22,9 +22,6 @@ __all__ = [
     "unknown_work",
 ]
 
-# A surge cycle lasts a tenth of a second to a few: slower than this none is seen, and faster no
-# rake follows.
-SLOWEST_HZ, FASTEST_HZ = 20.0, 1e5
 # Records this far apart in corrected speed have different characteristics.
 SPEED_SPREAD = 0.03
 # Estimators that differ by more than this in τ are not measuring one thing.
@@ -172,9 +169,6 @@ def _of_records(records: Sequence[CoefficientSeries]) -> list[Caution]:
             cautions.append(Caution("no_ledger", record.source))
         if record.n_segments == 1 and bool(record.scored.all()):
             cautions.append(Caution("one_segment", record.source))
-        rate_hz = record.sample_rate_hz
-        if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
-            cautions.append(Caution.of("odd_rate", record.source, rate_hz=rate_hz))
     each = ", ".join(f"{name} {100.0 * speed:.0f} %" for name, speed in spread_speeds(records))
     if each:
         cautions.append(Caution.of("speeds_apart", each=each))

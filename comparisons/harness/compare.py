@@ -118,8 +118,8 @@ def _quotable(
 ) -> tuple[str, ...]:
     """Return the estimators whose τ is free of what a low-pass does: fitted, and measured.
 
-    From whole unfiltered records of one speed, with all probes and the stall state from hub and
-    tip, φ joined by lines, not refused, not held, separated from zero, with φ over the range
+    From whole unfiltered records of one speed, with the stall state from hub and tip, φ joined by
+    lines, not refused, not held, separated from zero, with φ over the range
     of the rows that were scored, and errors that do not depend on φ: else the model lacks something
     (a record whose plane 31 was 5 ms late read 34 ± 3 ms for 18).
     """
@@ -142,11 +142,9 @@ def _quotable(
 
 
 def _is_clean_run(record: CoefficientSeries) -> bool:
-    """Whether the ledger shows a free run on all probes, with the state from hub and tip."""
+    """Whether the ledger shows a free run with the state from hub and tip."""
     return any(
-        entry.step == "free run"
-        and entry.parameters.get("stall_rule", "hub-tip") == "hub-tip"
-        and entry.parameters.get("probes", "all") == "all"
+        entry.step == "free run" and entry.parameters.get("stall_rule", "hub-tip") == "hub-tip"
         for entry in record.history
     )
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, ConfigDict, Field, WrapValidator
 
 from comparisons.results import FittedLag, LagModel
 from surge_core.errors import InputError
-from surge_core.files import write_whole
+from surge_core.files import to_strict_json, write_whole
 from surge_core.models import Table, validated
 
 __all__ = [
@@ -152,7 +152,7 @@ def write_models(models: Mapping[str, LagModel], path: str | Path, form: ModelFo
     """
     tables = {name: model.to_json() for name, model in models.items()}
     document = {"schema": form.schema, "models": tables}
-    write_whole(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_whole(Path(path), to_strict_json(document))
 
 
 def read_models(path: str | Path, form: ModelFormat, kind: type[M]) -> dict[str, M]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
+
+from surge_core.display import Grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,6 +127,44 @@ class Table:
     heads: tuple[Head, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
     marks: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        grid: Grid,
+        *,
+        caption: str = "",
+        meanings: Mapping[str, str] | None = None,
+        prose: Collection[str] = (),
+        zero: str = "",
+    ) -> Table:
+        """Return a grid as a table of a page: what is no column of words is one of numbers.
+
+        Parameters
+        ----------
+        grid : Grid
+            Its cells; the marked row is the best.
+        caption : str
+            In place of the grid's title.
+        meanings : mapping of str to str, optional
+            What each column says, by its head.
+        prose : collection of str
+            Heads of the columns of sentences.
+        zero : str
+            The word that is sorted as a zero among numbers.
+        """
+        heads = tuple(
+            Head(
+                text,
+                (meanings or {}).get(text, ""),
+                column not in grid.words,
+                text in prose,
+                zero if column not in grid.words else "",
+            )
+            for column, text in enumerate(grid.header)
+        )
+        marks = tuple("best" if row == grid.marked else "" for row in range(len(grid.rows)))
+        return cls(caption or grid.title, heads, grid.rows, marks)
 
     @property
     def sortable(self) -> bool:

@@ -33,7 +33,6 @@ def render_page(
     *,
     title: str,
     command: str,
-    version: str | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> str:
     """Return a page that holds its style, its script and its pictures.
@@ -44,8 +43,6 @@ def render_page(
         Headings and what stands below them.
     title, command : str
         Title of the page and the command line that made it.
-    version : str, optional
-        Version of this package; that of the installed one without it.
     progress : callable
         Wraps the iteration over the pictures, to show how far the drawing is.
 
@@ -77,12 +74,12 @@ def render_page(
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; "
         f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'none'"
     )
-    chosen = version_of("sindy-surge") if version is None else version
+    own = version_of("sindy-surge")
     page = environment.get_template("report.html.jinja").render(
         title=title,
         command=command,
-        version=chosen,
-        versions=_versions(chosen),
+        version=own,
+        versions=_versions(own),
         sections=sections,
         uri_of=lambda picture: uris[id(picture)],
         policy=policy,

@@ -51,7 +51,6 @@ PAPER_SETTINGS = ReductionSettings(
     filter_order=3,
     cutoff_hz=48.0,
     phase="causal",
-    probes="all",
     thermocouple_inversion=False,
     # The paper's Eq 13 takes W31 as measured; on the rig the two planes' flows disagree by too much
     # for that (claim 40 says what comes of it).

@@ -28,7 +28,6 @@ SENTENCES: Mapping[str, str] = {
     "before the flow equation makes τ come out high",
     "one_segment": "all its rows are one segment: unstalled rows, if there are any, are fitted as "
     "in-stall",
-    "odd_rate": "{rate_hz:g} rows a second: is time_s in seconds?",
     "speeds_apart": "one curve and one τ are fitted to records of different corrected speeds "
     "(medians of their fitted rows: {each}), and are those of none of them",
     "no_whole_run": "classic_ml (armax) and sindy were fitted to the rows: {records} without the "

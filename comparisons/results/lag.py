@@ -17,6 +17,7 @@ from comparisons.results.terms import evaluate_terms, is_known_term
 from surge_core.lag import FirstOrderLag, Hold
 from surge_core.rounding import bracketed
 from surge_core.segments import runs_of
+from surge_core.terms import terms_json
 from surge_core.types import FloatArray, IntArray
 
 __all__ = ["FittedLag", "LagModel"]
@@ -145,10 +146,6 @@ class FittedLag:
         )
 
     @property
-    def _rows(self) -> list[tuple[str, float, float]]:
-        return list(zip(self.terms, self.coefficients, self.stderr, strict=True))
-
-    @property
     def measured(self) -> bool:
         """Whether τ was measured: fitted, and two standard errors or more above zero."""
         return 0.0 < 2.0 * self.time_constant_stderr_s < self.time_constant_s < math.inf
@@ -260,7 +257,7 @@ class FittedLag:
     def equation(self) -> str:
         """Return the model in one line, each number rounded to its standard error."""
         symbol = SYMBOLS.get(self.target, self.target)
-        terms = [_term(*row) for row in self._rows]
+        terms = map(_term, self.terms, self.coefficients, self.stderr)
         right = " ".join(terms).removeprefix("+ ") or "0"
         if not math.isfinite(self.time_constant_s):
             return f"{symbol} = {right}"
@@ -269,21 +266,18 @@ class FittedLag:
         return f"{tau_ms} ms · d{symbol}/dt + {symbol} = {right}{late}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the value as plain JSON types, null for what is not known."""
+        """Return the value as plain JSON types, NaN for what is not known."""
         return {
             "estimator": self.estimator,
             "target": self.target,
-            "time_constant_s": _finite(self.time_constant_s),
-            "time_constant_stderr_s": _finite(self.time_constant_stderr_s),
-            "terms": [
-                {"name": name, "coefficient": value, "stderr": _finite(stderr)}
-                for name, value, stderr in self._rows
-            ],
+            "time_constant_s": self.time_constant_s,
+            "time_constant_stderr_s": self.time_constant_stderr_s,
+            "terms": terms_json(self.terms, self.coefficients, self.stderr),
             "hold": self.hold,
             "valid_phi": list(self.valid_phi),
             "n_blocks": self.n_blocks,
             "dead_time_s": self.dead_time_s,
-            "characteristic": [[_finite(v) for v in row] for row in self.table],
+            "characteristic": [list(row) for row in self.table],
         }
 
 
@@ -291,7 +285,3 @@ def _term(name: str, value: float, stderr: float) -> str:
     sign = "-" if value < 0.0 else "+"
     factor = "" if name == "1" else f" {name.replace('phi', 'φ')}"
     return f"{sign} {bracketed(abs(value), stderr)}{factor}"
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -88,7 +88,6 @@ def diagnosis_report(
     limits: Any = None,
     separation: Any = None,
     command: str = "sindy-surge diagnose",
-    version: str | None = None,
 ) -> str:
     """Return a diagnosis as one self-contained HTML page.
 
@@ -98,8 +97,6 @@ def diagnosis_report(
         See :func:`diagnosis_parts`.
     command : str
         The command line that made it.
-    version : str, optional
-        Version of this package; that of the installed one without it.
     """
     names = ", ".join(PurePath(source).name for source in d.data.sources)
     parts = diagnosis_parts(d, before, after, limits=limits, separation=separation)
@@ -107,7 +104,6 @@ def diagnosis_report(
         [(names, parts)],
         title=f"What is missing in the lag model of {names}",
         command=command,
-        version=version,
     )
 
 

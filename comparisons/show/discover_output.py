@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,9 +51,7 @@ def _equations(
     return [
         {
             "state": state,
-            "terms": [
-                {"name": t.name, "coefficient": t.coefficient, "stderr": t.stderr} for t in terms
-            ],
+            "terms": [asdict(term) for term in terms],
         }
         for state, terms in zip(model.state_names_, equations, strict=True)
     ]

@@ -7,6 +7,9 @@ from dataclasses import asdict
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
+from classic_ml.records import counted, ledger_lines
+from surge_core.display import Grid
+
 if TYPE_CHECKING:
     from classic_ml.inspect import (
         ChannelFacts,
@@ -59,18 +62,15 @@ def _file_text(inspection: Inspection) -> str:
     clock = inspection.clock
     lines.append("clock: no column looks like one" if clock is None else _clock_text(clock))
     lines += _surge_text(inspection)
-    width = max([len("column"), *(len(c.name) for c in inspection.channels)])
-    units = max([len("unit"), *(len(c.unit) for c in inspection.channels)])
-    head = "".join(f"{word:>12s}" for word in ("minimum", "mean", "maximum"))
-    lines += ["", f"{'column':{width}s}  {'unit':{units}s}{head}  notes"]
     rate_hz = clock.rate_hz if clock is not None else 0.0
+    rows = []
     for channel in inspection.channels:
         is_clock = clock is not None and channel.name == clock.name
-        notes = () if is_clock else _notes(channel, rate_hz)
-        lines.append(
-            f"{channel.name:{width}s}  {channel.unit or '-':{units}s}{channel.minimum:12.6g}"
-            f"{channel.mean:12.6g}{channel.maximum:12.6g}  {'; '.join(notes)}".rstrip()
-        )
+        notes = "" if is_clock else "; ".join(_notes(channel, rate_hz))
+        ends = (f"{v:.6g}" for v in (channel.minimum, channel.mean, channel.maximum))
+        rows.append((channel.name, channel.unit or "-", *ends, notes))
+    heads = ("column", "unit", "minimum", "mean", "maximum", "notes")
+    lines += ["", *Grid("", heads, tuple(rows), frozenset({0, 1, 5})).lines()]
     if inspection.left_aside:
         lines += ["", "left aside:", *(f"  {n}: {why}" for n, why in inspection.left_aside.items())]
     return "\n".join(lines)
@@ -82,7 +82,7 @@ def _clock_text(clock: ClockFacts) -> str:
         f"{clock.rate_hz:.6g} rows a second, steps even to {clock.jitter:.2g} of one"
     )
     troubles = [
-        f"{kind} {_counted(count, 'time', 'times')} (the first before row {first})"
+        f"{kind} {counted(count, 'time')} (the first before row {first})"
         for kind, (count, first) in clock.troubles.items()
     ]
     return f"{text}; " + (", ".join(troubles) or "no gap, repeat or step back")
@@ -105,7 +105,7 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
     if channel.not_finite == channel.rows:
         return ("no number in it",)
     if channel.not_finite:
-        notes.append(f"{_counted(channel.not_finite, 'row', 'rows')} not finite")
+        notes.append(f"{counted(channel.not_finite, 'row')} not finite")
     if channel.constant:
         return (*notes, "constant")
     for end in channel.plateaus:
@@ -118,18 +118,10 @@ def _notes(channel: ChannelFacts, rate_hz: float) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _counted(count: int, one: str, more: str) -> str:
-    return f"{count} {one if count == 1 else more}"
-
-
 def _match_text(match: TestMatch) -> str:
     lines = [f"as the test '{match.test}':"]
-    rows = [(c.channel, c.column, c.unit, _range_text(c)) for c in match.channels]
-    head = ("channel", "column", "unit", "range")
-    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
-    for row in (head, *rows):
-        cells = (f"{cell:{width}s}" for cell, width in zip(row, widths, strict=True))
-        lines.append("  ".join(cells).rstrip())
+    rows = tuple((c.channel, c.column, c.unit, _range_text(c)) for c in match.channels)
+    lines += Grid("", ("channel", "column", "unit", "range"), rows, frozenset(range(4))).lines()
     if match.left_over:
         lines.append("columns that feed nothing: " + ", ".join(match.left_over))
     return "\n".join(lines)
@@ -149,9 +141,4 @@ def _in_shown_unit(value: float, si_unit: str) -> str:
 def _reduction_text(match: TestMatch) -> str:
     if match.refusal:
         return f"reduce would refuse it: {match.refusal}"
-    lines = ["reduce would do this:"]
-    lines += [f"  {entry.step}: {entry.did}" for entry in match.history]
-    dropped = [dropped for entry in match.history for dropped in entry.dropped]
-    lines += [f"  left out {d.what} ({d.count}): {d.why}" for d in dropped]
-    lines += [f"  note: {flag}" for entry in match.history for flag in entry.flags]
-    return "\n".join(lines)
+    return "\n".join(["reduce would do this:", *ledger_lines(match.history)])

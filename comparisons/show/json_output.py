@@ -9,6 +9,7 @@ import numpy as np
 
 from classic_ml.series import CoefficientSeries
 from comparisons.results import Comparison, EstimatorResult
+from surge_core.terms import terms_json
 
 __all__ = ["COMPARE_SCHEMA", "comparison_document", "record_document"]
 
@@ -82,12 +83,7 @@ def _estimator(result: EstimatorResult) -> dict[str, Any]:
         },
         **_second_reading(result),
         "time_constant_held": model.time_constant_stderr_s == 0.0,
-        "terms": [
-            {"name": name, "coefficient": known * coefficient, "stderr": error}
-            for name, coefficient, error in zip(
-                model.terms, model.coefficients, model.stderr, strict=True
-            )
-        ],
+        "terms": terms_json(model.terms, known * np.array(model.coefficients), model.stderr),
         "characteristic": {
             "phi": phi.tolist(),
             model.target: (known * psi_p).tolist(),

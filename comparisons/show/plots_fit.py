@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from comparisons.results import Reconstruction
 
-__all__ = ["NAMES", "characteristics", "largest", "reconstruction", "shade", "validation"]
+__all__ = ["NAMES", "characteristics", "reconstruction", "shade", "validation"]
 
 NAMES = {"psi_p": "pressure coefficient ψ'", "psi": "work coefficient ψ"}
 # Standard errors that a band takes.
@@ -142,7 +142,7 @@ def reconstruction(comparison: Comparison, record: int = 0) -> Picture:
         figure,
         f"Measured {SYMBOLS[rows.target]} of {source} from {time_s[0]:.2f} to {time_s[-1]:.2f} s "
         "and its free runs by fits to the rows not held out. rms of the error: "
-        f"{errors}. {_worst_words(first.label, time_s, measured, first.trained[own])}",
+        f"{errors}.",
         f"As Fig 27 of the paper. Above: {first.label}; below: all estimators around the border to "
         "the held-out cycles. A free run knows the measured flow, and of the measured coefficient "
         "only the first row of each segment. Shaded cycles were held out: the lines drawn are of a "
@@ -187,13 +187,11 @@ def validation(runs: Sequence[Reconstruction]) -> Picture:
     scores = ", ".join(
         f"{estimator_label(run.model.estimator)} {significant(run.score.rms, 2)}" for run in runs
     )
-    label = estimator_label(best.model.estimator)
     return Picture.of(
         f"Validation on {source}: {symbol}",
         figure,
         f"Measured {symbol} of {source} and free runs of models fitted elsewhere; rms {scores}. "
-        f"{_worst_words(label, time_s, rows.measured, best.reconstructed)} In "
-        f"{100.0 * best.outside:.0f} % of the rows φ lies beyond where it dwelt in the fit.",
+        f"In {100.0 * best.outside:.0f} % of the rows φ lies beyond where it dwelt in the fit.",
         "Nothing was fitted to this record. Above the model with the least error over the whole "
         "record, below all models in its middle. Shaded: φ beyond where it dwelt in the fit (5th "
         "to 95th percentile), where the reconstruction rests on extrapolated curves.",
@@ -223,17 +221,6 @@ def shade(ax: Axes, time_s: FloatArray, where: BoolArray, label: str) -> None:
             left, right = time_s[run.start] - 0.5 * step, time_s[run.stop - 1] + 0.5 * step
             ax.axvspan(left, right, color=SHADE, lw=0, zorder=0, label=name)
             name = None
-
-
-def largest(values: FloatArray) -> int:
-    """Return where a signal is furthest from zero; a refused fit is known nowhere.
-
-    Parameters
-    ----------
-    values : ndarray of shape (n,)
-        The signal.
-    """
-    return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
 
 
 def _curve_with_band(
@@ -319,16 +306,6 @@ def _draw_runs(
         line = broken(time_s, values, runs)
         ax.plot(*line, color=style.colour, ls=dashes, lw=width, label=printable(label))
     ax.set_ylim(*robust_limits(measured, margin=0.15))
-
-
-def _worst_words(
-    label: str, time_s: FloatArray, measured: FloatArray, simulated: FloatArray
-) -> str:
-    at = largest(measured - simulated)
-    return (
-        f"Measurement and {label} part most at {time_s[at]:.2f} s: "
-        f"{significant(float(measured[at]), 3)} against {significant(float(simulated[at]), 3)}."
-    )
 
 
 def _rms(error: FloatArray) -> str:

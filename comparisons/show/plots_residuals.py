@@ -17,7 +17,7 @@ from comparisons.page.style import (
     robust_limits,
 )
 from comparisons.results import SYMBOLS, Comparison
-from comparisons.show.plots_fit import NAMES, largest, shade
+from comparisons.show.plots_fit import NAMES, shade
 from surge_core.rounding import significant
 from surge_core.types import FloatArray
 
@@ -48,11 +48,7 @@ def errors_in_time(comparison: Comparison) -> Picture:
         ax.axhline(0.0, color=INK, lw=0.6)
         colour, label = styles[result.name].colour, printable(result.label)
         ax.plot(*broken(axis, error, rows.runs), color=colour, lw=0.9, label=label)
-        at = largest(error)
-        shown.append(
-            f"{result.label} {significant(result.free_run.rms, 2)}, at most "
-            f"{significant(abs(float(error[at])), 2)} at {rows.time_s[at]:.2f} s"
-        )
+        shown.append(f"{result.label} {significant(result.free_run.rms, 2)}")
     panels[0].set_ylim(*robust_limits(*errors, margin=0.1))
     panels[0].set_xlim(float(axis[0]), float(axis[-1]))
     panels[-1].set_xlabel("facility clock [s]" if by_clock else "fitted rows in a row [s]")

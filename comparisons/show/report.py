@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from comparisons.page.blocks import (
-    Block,
-    Bullets,
-    Cell,
-    Head,
-    Part,
-    Picture,
-    Table,
-    Words,
-)
+from comparisons.page.blocks import Block, Part, Words
 from comparisons.page.html import render_page
 from comparisons.results import Comparison, Reconstruction, Truth
 from comparisons.show import plots_fit, plots_record, plots_residuals, plots_series
@@ -37,25 +27,12 @@ from comparisons.show.report_words import (
     truth_list,
     unknown_work_list,
 )
-from surge_core.files import check_target, write_whole
 
 if TYPE_CHECKING:
     from classic_ml.records import LedgerEntry
     from classic_ml.reduction import Reduction
 
-__all__ = [
-    "Bullets",
-    "Cell",
-    "Head",
-    "Part",
-    "Picture",
-    "ReportSection",
-    "Table",
-    "Truth",
-    "Words",
-    "render_report",
-    "write_report",
-]
+__all__ = ["ReportSection", "render_report"]
 
 # Of many records fitted together the first few are drawn; the tables hold all.
 RECORDS_DRAWN = 4
@@ -115,7 +92,6 @@ def render_report(
     *,
     title: str,
     command: str,
-    version: str | None = None,
     progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
 ) -> str:
     """Return a report as one self-contained HTML page.
@@ -128,8 +104,6 @@ def render_report(
         Title of the page.
     command : str
         The command line that made it.
-    version : str, optional
-        Version of this package; that of the installed one without it.
     progress : callable
         Wraps the iteration over the pictures, to show how far the drawing is.
 
@@ -143,38 +117,8 @@ def render_report(
         [(section.title, section_parts(section)) for section in sections],
         title=title,
         command=command,
-        version=version,
         progress=progress,
     )
-
-
-def write_report(
-    path: str | Path,
-    sections: Sequence[ReportSection],
-    *,
-    title: str,
-    command: str,
-    version: str | None = None,
-    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
-) -> None:
-    """Write a report, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or path
-        Target, ending in ``.html``.
-    sections, title, command, version, progress
-        See :func:`render_report`.
-
-    Raises
-    ------
-    InputError
-        When the target cannot be written; it is refused before any picture is drawn.
-    """
-    target = Path(path)
-    check_target(target, (".html", ".htm"))
-    page = render_report(sections, title=title, command=command, version=version, progress=progress)
-    write_whole(target, page)
 
 
 def section_parts(section: ReportSection) -> tuple[Part, ...]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
-from classic_ml.records import Dropped, LedgerEntry
+from classic_ml.records import LedgerEntry, ledger_grid
 from comparisons.page.blocks import Cell, Head, Table
 from comparisons.results import (
     COLUMNS,
@@ -24,6 +25,9 @@ __all__ = [
     "validation_table",
 ]
 
+# Columns of a ledger that hold sentences.
+LEDGER_PROSE = ("did", "parameters", "left out", "flags")
+
 
 def summary_table(fit: Comparison) -> Table:
     """Return the comparison table, from the same fields as that of the terminal.
@@ -33,20 +37,10 @@ def summary_table(fit: Comparison) -> Table:
     fit : Comparison
         Estimators side by side.
     """
-    first = fit.recommended
-    grid = fit.grid()
-    numeric = [i not in grid.words for i in range(len(grid.header))]
-    heads = tuple(
-        Head(text, COLUMNS[text], number, text == "trust", "least" if number else "")
-        for text, number in zip(grid.header, numeric, strict=True)
-    )
-    rows = tuple(
-        _with_name(cells, row.label, row.estimator)
-        for cells, row in zip(grid.rows, fit.table, strict=True)
-    )
-    order = "the recommended first" if first else "none is recommended"
-    marks = ("best",) if first else ()
-    return Table(f"Estimators of the {NAMES[fit.rows.target]}, {order}", heads, rows, marks)
+    order = "the recommended first" if fit.recommended else "none is recommended"
+    caption = f"Estimators of the {NAMES[fit.rows.target]}, {order}"
+    table = Table.of(fit.grid(), caption=caption, meanings=COLUMNS, prose=("trust",), zero="least")
+    return _with_names(table, ((row.label, row.estimator) for row in fit.table))
 
 
 def checks_table(fit: Comparison) -> Table:
@@ -89,16 +83,10 @@ def validation_table(runs: Sequence[Reconstruction]) -> Table:
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    grid = reconstruction_grid(runs)
-    heads = tuple(
-        Head(text, RECONSTRUCTION_COLUMNS[text], i not in grid.words)
-        for i, text in enumerate(grid.header)
-    )
-    rows = tuple(
-        _with_name(cells, estimator_label(run.model.estimator), run.model.estimator)
-        for cells, run in zip(grid.rows, runs, strict=True)
-    )
-    return Table("Validation: models fitted elsewhere, nothing refitted", heads, rows)
+    caption = "Validation: models fitted elsewhere, nothing refitted"
+    table = Table.of(reconstruction_grid(runs), caption=caption, meanings=RECONSTRUCTION_COLUMNS)
+    names = (run.model.estimator for run in runs)
+    return _with_names(table, ((estimator_label(name), name) for name in names))
 
 
 def ledger_tables(ledgers: Mapping[str, Sequence[LedgerEntry]]) -> tuple[Table, ...]:
@@ -109,36 +97,18 @@ def ledger_tables(ledgers: Mapping[str, Sequence[LedgerEntry]]) -> tuple[Table, 
     ledgers : mapping of str to sequence of LedgerEntry
         By the record they belong to.
     """
-    prose = ("did", "parameters", "dropped", "flags")
-    heads = (Head("#", numeric=True), Head("step"), *(Head(text, prose=True) for text in prose))
-    tables = []
-    for source, history in ledgers.items():
-        rows = tuple(
-            (
-                str(number),
-                entry.step,
-                entry.did,
-                "; ".join(f"{name} = {_value(v)}" for name, v in entry.parameters.items())
-                or "none",
-                "; ".join(map(_dropped, entry.dropped)) or "nothing dropped",
-                "; ".join(entry.flags) or "none",
-            )
-            for number, entry in enumerate(history, start=1)
-        )
-        empty = "" if history else ": no ledger came with this record"
-        tables.append(Table(f"{source}{empty}", heads, rows))
-    return tuple(tables)
+    return tuple(
+        Table.of(ledger_grid(history)[0], caption=source, prose=LEDGER_PROSE)
+        if history
+        else Table(f"{source}: no ledger came with this record", (), ())
+        for source, history in ledgers.items()
+    )
 
 
-def _with_name(cells: Sequence[str], label: str, name: str) -> tuple[str | Cell, ...]:
-    """Print below the label of an estimator the name that the command line knows it by."""
-    named = label != name
-    return tuple(Cell(cell, name) if named and cell == label else cell for cell in cells)
-
-
-def _value(value: str | int | float | bool) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _dropped(dropped: Dropped) -> str:
-    return f"{dropped.what} ({dropped.count}): {dropped.why}"
+def _with_names(table: Table, named: Iterable[tuple[str, str]]) -> Table:
+    """Print below the label of each row's estimator the name that the command line knows it by."""
+    rows = tuple(
+        tuple(Cell(label, name) if cell == label != name else cell for cell in cells)
+        for cells, (label, name) in zip(table.rows, named, strict=True)
+    )
+    return replace(table, rows=rows)

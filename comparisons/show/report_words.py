@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from classic_ml.records import LedgerEntry
+from classic_ml.records import LedgerEntry, counted
 from comparisons.harness.cautions import tau_caution, unknown_work
 from comparisons.page.blocks import Bullets, Words
 from comparisons.results import SYMBOLS, Caution, Comparison, ComparisonRow, Truth, texts_of
@@ -91,8 +91,8 @@ def summary_list(fit: Comparison) -> Bullets:
     low, high = fit.valid_phi
     items = (
         _tau_sentence(fit),
-        f"{rows.phi.size} rows in {_count(rows.n_segments, 'segment')} of "
-        f"{_count(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
+        f"{rows.phi.size} rows in {counted(rows.n_segments, 'segment')} of "
+        f"{counted(len(fit.records), 'record')} at {1.0 / rows.sample_period_s:g} Hz were fitted; "
         f"the last {held_out} rows were held out for the score.",
         "What the model lacks repeats in every cycle, so that a flexible curve learns it and is "
         "rewarded on held-out cycles too: held-out rms says how well "
@@ -171,7 +171,3 @@ def _tau_sentence(fit: Comparison) -> str:
             f" All estimators: {significant(min(all_ms), 3)} to {significant(max(all_ms), 3)} ms."
         )
     return words
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")

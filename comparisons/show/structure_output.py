@@ -10,6 +10,7 @@ import numpy as np
 
 from comparisons.harness.structure_fit import FoundStructure
 from comparisons.show.json_output import record_document
+from surge_core.terms import pretty_term, terms_json
 
 if TYPE_CHECKING:
     from sindy_surge.selection import PathRow
@@ -53,8 +54,6 @@ def opening_words(found: FoundStructure) -> str:
     found : FoundStructure
         The structure.
     """
-    from surge_core.terms import pretty_term
-
     names = ", ".join(Path(record.source).name for record in found.records)
     return f"{pretty_term(found.target)} of {names}: {found.phi.size} rows; {found.reason}"
 
@@ -71,8 +70,6 @@ def left_out_words(found: FoundStructure) -> str:
     found : FoundStructure
         The structure.
     """
-    from surge_core.terms import pretty_term
-
     known = found.inclusion
     if not known:
         return f"No inclusion probabilities: {_why_no_inclusion(found)}."
@@ -129,13 +126,8 @@ def structure_document(found: FoundStructure) -> dict[str, Any]:
             "stderr": getattr(fit, "dead_time_stderr_s_", None),
         },
         "terms": [
-            {
-                "name": name,
-                "coefficient": coefficient,
-                "stderr": stderr,
-                "inclusion_probability": known.get(name),
-            }
-            for name, coefficient, stderr in zip(parts.terms, parts.coef, parts.stderr, strict=True)
+            {**term, "inclusion_probability": known.get(term["name"])}
+            for term in terms_json(parts.terms, parts.coef, parts.stderr)
         ],
         "candidates": list(fit.candidate_terms_),
         "inclusion_probability": known,

@@ -19,6 +19,7 @@ from comparisons.page.style import (
     robust_limits,
 )
 from comparisons.show.structure_output import left_out_words, opening_words
+from surge_core.terms import pretty_term
 
 __all__ = ["structure_report"]
 
@@ -26,9 +27,7 @@ POINTS_DRAWN = 4000
 BAND = 1.96
 
 
-def structure_report(
-    found: FoundStructure, *, command: str = "sindy-surge structure", version: str | None = None
-) -> str:
+def structure_report(found: FoundStructure, *, command: str = "sindy-surge structure") -> str:
     """Return all that is known as one self-contained HTML page.
 
     Parameters
@@ -37,15 +36,12 @@ def structure_report(
         From :func:`find_structure`.
     command : str
         The command line that made it.
-    version : str, optional
-        Version of this package; that of the installed one without it.
     """
     names = ", ".join(Path(record.source).name for record in found.records)
     return render_page(
         [(names, _parts(found))],
         title=f"Structure of the characteristic of {names}",
         command=command,
-        version=version,
     )
 
 
@@ -74,25 +70,11 @@ def _summary(found: FoundStructure) -> tuple[Block, ...]:
             for number, line in enumerate(field.lines)
         ),
     )
-    tables = (
-        Table(
-            table.title,
-            tuple(
-                Head(text, numeric=column not in table.words, prose=text == "terms")
-                for column, text in enumerate(table.header)
-            ),
-            table.rows,
-            tuple("best" if row == table.marked else "" for row in range(len(table.rows))),
-        )
-        for table in sheet.grids
-    )
-    return (fields, *tables)
+    return (fields, *map(Table.of, sheet.grids))
 
 
 def _curve_picture(found: FoundStructure) -> Picture:
     """Draw the characteristic with its band over the measured points and the histogram of φ."""
-    from surge_core.terms import pretty_term
-
     phi, value, stderr = found.curve()
     figure = new_figure(height_in=6.0)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[4, 1])

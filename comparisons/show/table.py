@@ -18,7 +18,6 @@ from surge_core.display import Grid
 __all__ = ["comparison_table", "reconstruction_table"]
 
 WIDTH = 110
-GAP = "  "
 
 
 def comparison_table(comparison: Comparison) -> str:
@@ -36,7 +35,7 @@ def comparison_table(comparison: Comparison) -> str:
     """
     grid = comparison.grid()
     shown = replace(grid, header=grid.header[:-1], rows=tuple(row[:-1] for row in grid.rows))
-    head, rule, *starts = _aligned(shown)
+    head, rule, *starts = _ruled(shown)
     lines = [head, rule]
     # What to trust is prose of any length: it goes below the row it belongs to, behind the name
     # that the command line knows the estimator by.
@@ -59,7 +58,7 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     runs : sequence of Reconstruction
         Models and the records they were run on.
     """
-    lines = _aligned(reconstruction_grid(runs))
+    lines = _ruled(reconstruction_grid(runs))
     names = dict.fromkeys(run.model.estimator for run in runs)
     called = [
         f"{name} ({estimator_label(name)})" for name in names if estimator_label(name) != name
@@ -69,18 +68,10 @@ def reconstruction_table(runs: Sequence[Reconstruction]) -> str:
     return "\n".join([*lines, *([""] if legend else []), *legend])
 
 
-def _aligned(grid: Grid) -> list[str]:
-    rows = [grid.header, *grid.rows]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(grid.header))]
-    lines = [
-        GAP.join(
-            text.ljust(width) if i in grid.words else text.rjust(width)
-            for i, (text, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
-    rule = "─" * (sum(widths) + len(GAP) * (len(widths) - 1))
-    return [lines[0], rule, *lines[1:]]
+def _ruled(grid: Grid) -> list[str]:
+    """Return the lines of a table with a rule below its head."""
+    head, *rows = grid.lines()
+    return [head, "─" * max(map(len, (head, *rows))), *rows]
 
 
 def _wrapped(prose: str, indent: str, later: str | None = None) -> list[str]:

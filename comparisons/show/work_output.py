@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surge_core.rounding import bracketed, round_to_error
+from surge_core.terms import terms_json
 
 if TYPE_CHECKING:
     from classic_ml.work.coefficient import WorkCharacteristic
@@ -39,10 +40,7 @@ def work_document(fit: WorkCharacteristic, source: str) -> dict[str, Any]:
             "stderr": fit.time_constant_stderr_s,
         },
         "breakpoints": list(fit.breakpoints),
-        "terms": [
-            {"name": name, "coefficient": float(b), "stderr": float(s)}
-            for name, b, s in zip(fit.terms, fit.coef, errors, strict=True)
-        ],
+        "terms": terms_json(fit.terms, fit.coef, errors),
         "characteristic": {
             "phi": phi.tolist(),
             "psi": value.tolist(),

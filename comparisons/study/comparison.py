@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import rankdata
-from scipy.stats import t as student_t
 
 from comparisons.study.scores import Score, loss_label, score_named
 from surge_core.display import Displayed, Field, Grid, Sheet
@@ -42,7 +41,6 @@ FAILED, ENDED_WELL = "failed", ("ok", "converged")
 FEWEST_RECORDS = 5
 # A method with fewer than this share of the cells of the fullest one is not ranked.
 RUNNING_SHARE = 0.5
-STANDARD_ERRORS = 2.0
 # Differences that agree to so many digits of the greatest loss share a rank, and an error smaller
 # than that is none.
 DIGITS = 12
@@ -79,13 +77,6 @@ class Paired:
     n_records: int = 0
     difference: float = math.nan
     stderr: float = math.nan
-
-    @property
-    def reach(self) -> float:
-        """Half width of the 95 % interval: two standard errors, more with few records (t)."""
-        if self.n_records < 2:
-            return math.nan
-        return max(STANDARD_ERRORS, float(student_t.ppf(0.975, self.n_records - 1))) * self.stderr
 
 
 @dataclass(frozen=True)
@@ -173,9 +164,9 @@ class GroupComparison(Displayed):
             words += f"; against {self.reference}: {', '.join(others)}"
         return f"{words}; paired over {best.against.n_records} records."
 
-    def cells(self) -> tuple[tuple[str, ...], ...]:
-        """Return the table of methods in words, under the heads of `COLUMNS`."""
-        return tuple(
+    def grid(self) -> Grid:
+        """Return the table of methods, under the heads of `COLUMNS`."""
+        rows = tuple(
             (
                 str(row.rank or "–"),
                 row.method,
@@ -190,6 +181,8 @@ class GroupComparison(Displayed):
             )
             for row in self.rows
         )
+        words = frozenset([1, len(COLUMNS) - 1])
+        return Grid(self.caption, tuple(COLUMNS), rows, words, marked=0 if self.best else None)
 
     def _difference(self, row: MethodRow) -> str:
         if row.method == self.reference:
@@ -197,17 +190,12 @@ class GroupComparison(Displayed):
         return round_to_error(row.against.difference, row.against.stderr)
 
     def _sheet(self) -> Sheet:
-        grid = Grid(
-            self.caption,
-            tuple(COLUMNS)[:-1],
-            tuple(row[:-1] for row in self.cells()),
-            frozenset([1]),
-            marked=0 if self.best else None,
-        )
+        grid = self.grid()
+        shown = replace(grid, header=grid.header[:-1], rows=tuple(row[:-1] for row in grid.rows))
         fields = [Field("in short", self.lead())]
         if cautions := tuple(f"{row.method}: {row.trust}" for row in self.rows if row.trust):
             fields.append(Field("caution", cautions, "advice"))
-        return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (grid,))
+        return Sheet(f"Methods by {loss_label(self.score)}", tuple(fields), (shown,))
 
 
 def compare_methods(

@@ -59,7 +59,7 @@ class Point:
     @property
     def reduction(self) -> str:
         """Key of what was done to the record before any fit."""
-        return "d-" + _key([self.table("reduction"), self.table("series")])
+        return "d-" + _key(self.table("reduction"))
 
 
 @dataclass(frozen=True)

@@ -62,13 +62,7 @@ def _score_parts(groups: Sequence[GroupComparison]) -> list[Part]:
 
 
 def _method_table(group: GroupComparison) -> Table:
-    words = ("method", "trust")
-    heads = tuple(
-        Head(head, meaning, head not in words, head == "trust", "reference" * (head not in words))
-        for head, meaning in COLUMNS.items()
-    )
-    marks = tuple("best" if row.method == group.best else "" for row in group.rows)
-    return Table(group.caption, heads, group.cells(), marks)
+    return Table.of(group.grid(), meanings=COLUMNS, prose=("trust",), zero="reference")
 
 
 def _failures(table: pd.DataFrame) -> Table:

@@ -198,7 +198,7 @@ def _row(cell: Cell, record: Callable[[Point], Made], series: Callable[[Point], 
     np.random.seed(int(cell.key.removeprefix("c-"), 16) % 2**32)  # noqa: NPY002
     begun = time.perf_counter()
     try:
-        reduced = series(_only(point, "record", "reduction", "series"))
+        reduced = series(_only(point, "record", "reduction"))
         made = record(_only(point, "record"))
         found = scores_of(cell.method, reduced, made, FIT_DEFAULTS | point.table("fit"))
     except Exception as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,27 +69,25 @@ def make_record(point: Point) -> Made:
 
 
 def prepare(made: Made, point: Point) -> tuple[CoefficientSeries, ...]:
-    """Reduce the record of a point, and cut and thin the series as it asks.
+    """Reduce the record of a point, where it is counts.
 
     Parameters
     ----------
     made : Made
         The record.
     point : Point
-        Its reduction and series settings.
+        Its reduction settings.
     """
-    series = made.series
     if made.raw is not None:
         from classic_ml.reduction import ReductionSettings, reduce_record
 
         settings = ReductionSettings(**point.table("reduction"))  # type: ignore[arg-type]
-        series = (reduce_record(*made.raw, settings).series,)
-    elif point.table("reduction"):
+        return (reduce_record(*made.raw, settings).series,)
+    if point.table("reduction"):
         raise InputError(
             "[reduction]", expected="a raw record to reduce", found="a file of coefficients"
         )
-    changes = point.table("series")
-    return tuple(_altered(one, changes) for one in series)
+    return made.series
 
 
 def _coefficients(seed: int, given: Mapping[str, Scalar]) -> Made:
@@ -152,21 +150,3 @@ def _files(_: int, given: Mapping[str, Scalar]) -> Made:
     if path.is_dir():
         return Made((), read_raw(path / "raw.csv", path / "test.toml"), nan, ())
     return Made((read_series(path),), None, nan, ())
-
-
-def _altered(series: CoefficientSeries, changes: Mapping[str, Scalar]) -> CoefficientSeries:
-    """Return a series cut and thinned."""
-    if not changes:
-        return series
-    every, first_s = int(changes.get("keep_every") or 1), changes.get("first_s")
-    n = series.time_s.size
-    if first_s is not None:
-        n = int(np.count_nonzero(series.time_s - series.time_s[0] < float(first_s)))
-    columns: dict[str, Any] = {
-        name: values[:n:every] for name, values in series.columns().items() if values is not None
-    }
-    if every > 1:
-        # The free run's marks rest on the rate of the record.
-        whole_run = ("phi_unfiltered", "psi_p_unfiltered", "stalled", "free_run")
-        columns |= dict.fromkeys(whole_run)
-    return replace(series, **columns)

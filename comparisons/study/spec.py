@@ -1,7 +1,7 @@
 """The declaration of a study: a TOML file, checked before anything is computed.
 
-Under ``[record]``, ``[reduction]``, ``[series]`` and ``[fit]`` a single value holds for all cells
-and a list is an axis: the grid has every combination. A random design draws from the lists, and
+Under ``[record]``, ``[reduction]`` and ``[fit]`` a single value holds for all cells and a list is
+an axis: the grid has every combination. A random design draws from the lists, and
 from ranges ``{from = 0.1, to = 5.0, log = true}``.
 """
 
@@ -32,7 +32,7 @@ __all__ = ["BUILT_IN", "Method", "Random", "Range", "Scalar", "StudySpec", "read
 BUILT_IN = ("classic_ml", "paper", "classic_ml_arx", "classic_ml_output_error", "sindy")
 MOST_CELLS = 1_000_000
 CLASS = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
-TABLES = ("record", "reduction", "series", "fit")
+TABLES = ("record", "reduction", "fit")
 
 Scalar = float | int | str | bool | None
 
@@ -141,7 +141,6 @@ _switches = get_type_hints(ReductionSettings)
 _Reduction: Any = _axes(
     "Reduction", {n: _or_none(kind) for n, kind in _switches.items() if n != "window_s"}
 )
-_Series: Any = _axes("Series", {"keep_every": Count, "first_s": Positive})
 _Fit: Any = _axes("Fit", {"degree": Count, "hold": Literal["zero", "first"]})
 
 
@@ -208,7 +207,7 @@ class StudySpec(Table):
         So many points drawn at random; None ("grid" in the file): every combination.
     method : list of Method
         Estimators.
-    record, reduction, series, fit : Table
+    record, reduction, fit : Table
         Settings; one value or several of each, or a `Range`.
     """
 
@@ -230,7 +229,6 @@ class StudySpec(Table):
     )
     record: _Record = Field({}, validate_default=True)
     reduction: _Reduction = _Reduction()
-    series: _Series = _Series()
     fit: _Fit = _Fit()
 
     @field_validator("seeds", mode="before")

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from comparisons.total_system.facility import Facility
 from surge_core.display import Displayed, Field, Sheet
 from surge_core.rounding import round_to_error, significant
+from surge_core.terms import terms_json
 from surge_core.types import FloatArray
 from surge_core.validation import one_of, positive
 
@@ -161,12 +162,7 @@ class TotalSystemFit(Displayed):
         settings = vars(self.settings) | {"facility": self.settings.facility.model_dump()}
         return {
             "time_constant_s": {"value": self.tau_s, "stderr": self.tau_stderr_s},
-            "terms": [
-                {"name": name, "coefficient": value, "stderr": stderr}
-                for name, value, stderr in zip(
-                    ("1", "phi", "phi^2"), self.beta, self.beta_stderr, strict=True
-                )
-            ],
+            "terms": terms_json(("1", "phi", "phi^2"), self.beta, self.beta_stderr),
             "start_s": self.start_s,
             "state": {"code": self.state.code, "advice": self.state.value},
             "rms": dict(self.rms),

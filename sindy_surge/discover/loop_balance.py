@@ -160,7 +160,6 @@ def fit_balance(
     starts: IntArray,
     period_samples: int,
     sample_period_s: float,
-    forms: IntArray | None = None,
 ) -> Balance:
     """Fit dx/dt = Σ c_j s_j in integral form, its terms chosen by the extended BIC.
 
@@ -176,8 +175,6 @@ def fit_balance(
         Rows of a cycle; x starts freely in each.
     sample_period_s : float
         Sample period in seconds.
-    forms : ndarray of int of shape (n_candidates, 4), optional
-        Exponents of the candidates.
 
     Returns
     -------
@@ -186,8 +183,7 @@ def fit_balance(
     """
     from scipy.integrate import cumulative_simpson
 
-    exponents = _EXPONENTS if forms is None else forms
-    values = term_values(states, exponents)
+    values = term_values(states, _EXPONENTS)
     edges = []
     for begin, end in zip(starts, np.append(starts[1:], len(states)), strict=True):
         n_windows = max((end - begin) // period_samples, 1)
@@ -206,4 +202,4 @@ def fit_balance(
     own = columns[chosen]
     coefficients = np.asarray(np.linalg.lstsq(own.T, goal, rcond=None)[0], dtype=np.float64)
     spread = sandwich(own, goal - coefficients @ own, blocks)
-    return Balance(exponents[chosen], coefficients, spread)
+    return Balance(_EXPONENTS[chosen], coefficients, spread)

@@ -59,8 +59,8 @@ class SurgeLoop:
         Sample period of the record in seconds.
     measured_cycles, simulated_cycles : Cycles
         What the cycles of the record and of the model measure.
-    single_branch_rest, noise : float
-        What the richest single branch leaves of ψ', and the white noise of ψ'.
+    noise : float
+        White noise of ψ'.
     plenum_hidden : bool
         Whether Ψ was not measured but taken from the duct.
     state : FitState
@@ -74,7 +74,6 @@ class SurgeLoop:
     sample_period_s: float
     measured_cycles: Cycles
     simulated_cycles: Cycles
-    single_branch_rest: float
     noise: float
     plenum_hidden: bool
     state: FitState
@@ -295,7 +294,6 @@ def discover_loop(
         sample_period_s=step,
         measured_cycles=cycles,
         simulated_cycles=none,
-        single_branch_rest=richest,
         noise=noise[1],
         plenum_hidden=plenum is None,
         state=FitState.OK,

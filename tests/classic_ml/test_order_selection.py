@@ -57,7 +57,7 @@ def test_bic_finds_the_right_orders(truth: str) -> None:
         if table.recommended is best:
             assert "BIC holds" in table.reason
     # Twenty of twenty over the four truths: with 95 % confidence the rate is above 0.05**(1/20),
-    # 86 %. benchmarks/false_alarms_of_checks.py counts over more.
+    # 86 %.
     assert right == n_seeds
 
 

@@ -95,7 +95,7 @@ def test_clean_records_pass_and_false_alarms_are_as_rare_as_stated() -> None:
     for seed in range(n_seeds):
         alarms.update(row.check for row in checked(*cycles(seed)).values() if not row.passed)
     # Three standard deviations of a binomial count above its mean: 1 in 30 where 1 % is stated,
-    # 2 where 2 % is. benchmarks/false_alarms_of_checks.py counts over hundreds.
+    # 2 where 2 % is.
     stated = {"whiteness": 0.01, "input_correlation": 0.01, "normality": 0.01, "leverage": 0.02}
     for check, p in stated.items():
         assert alarms[check] <= n_seeds * p + 3.0 * np.sqrt(n_seeds * p * (1.0 - p)), check

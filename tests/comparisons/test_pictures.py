@@ -149,9 +149,6 @@ def test_the_words_on_a_comparison_are_its_errors() -> None:
             error = rows.measured - getattr(result, part)
             rms = float(np.sqrt(np.mean(error**2)))
             assert numbers(words.split(result.label, 1)[1])[0] == pytest.approx(rms, rel=0.06)
-    first = fit.result(fit.table[0].estimator)
-    at = int(np.argmax(np.abs(rows.measured - first.trained)))
-    assert f"part most at {rows.time_s[at]:.2f} s" in plots_fit.reconstruction(fit).alt
 
 
 def test_a_refused_fit_is_described_without_numbers() -> None:
@@ -162,7 +159,7 @@ def test_a_refused_fit_is_described_without_numbers() -> None:
     with np.errstate(invalid="ignore"):
         for picture in (plots_residuals.errors_in_time(fit), plots_fit.reconstruction(fit)):
             assert "nan" not in picture.alt
-            assert "n/a" in picture.alt
+    assert "n/a" in plots_fit.reconstruction(fit).alt
 
 
 def test_a_validation_says_how_far_phi_went_beyond() -> None:

@@ -13,8 +13,9 @@ from raw_data import make_test
 
 from classic_ml.reduction import Reduction, reduce_record
 from comparisons.harness.structure_fit import FoundStructure
+from comparisons.page.blocks import Part, Words
 from comparisons.results import Caution, Truth
-from comparisons.show.report import Part, ReportSection, Words, render_report
+from comparisons.show.report import ReportSection, render_report
 
 __all__ = ["EVIL", "PAGES", "made_page"]
 

@@ -70,9 +70,7 @@ def system_parts(d: SystemDiagnosis) -> tuple[Part, ...]:
     return tuple(part for part in parts if part.blocks)
 
 
-def system_report(
-    diagnoses: Mapping[str, SystemDiagnosis], command: str, *, version: str | None = None
-) -> str:
+def system_report(diagnoses: Mapping[str, SystemDiagnosis], command: str) -> str:
     """Return diagnoses as one self-contained HTML page, a section each.
 
     Parameters
@@ -81,8 +79,6 @@ def system_report(
         Diagnoses by what each section is called.
     command : str
         The command line that made it.
-    version : str, optional
-        Version of this package; that of the installed one without it.
 
     Returns
     -------
@@ -93,7 +89,6 @@ def system_report(
         [(name, system_parts(d)) for name, d in diagnoses.items()],
         title=f"What is missing in {', '.join(diagnoses)}",
         command=command,
-        version=version,
     )
 
 

@@ -67,7 +67,7 @@ def test_one_state_alone_is_not_called_ok(files, capsys):
         (["--states", "x,v", "--hidden", "h"], None, "hidden"),
         (["--states", "x,v", "--known", "q: x=1"], None, "known"),
         (["--states", "x,v", "--known", "nonsense"], None, "--known"),
-        (["--states", "x,v"], ("x", 3, "n/a"), "row 5"),
+        (["--states", "x,v"], ("x", 3, "n/a"), "row 4"),
         (["--states", "x,v"], ("time_s", 7, 0.0), "time_s"),
         (["--states", "x,v"], ("x", slice(None), 1.0), "constant"),
     ],

@@ -30,7 +30,7 @@ def test_a_series_gives_text_document_and_report() -> None:
     assert [t["name"] for t in document["equations"][1]["terms"]] == ["phi", "sqrt(plenum)"]
     assert document["fit_state"]["code"] == loop.state.code
     assert any("[stalled]" in line for line in loop_text(loop))
-    page = render_page([("s", loop_parts(loop, "s.csv"))], title="t", command="c", version=None)
+    page = render_page([("s", loop_parts(loop, "s.csv"))], title="t", command="c")
     assert "Surge loop of s.csv" in page
 
 

@@ -21,8 +21,7 @@ GIVEN: dict[str, Any] = {
     "title": "small",
     "seeds": 2,
     "record": {"duration_s": 4.0, "noise_percent": [1.0, 5.0], "n_records": 2},
-    "series": {"keep_every": [1, 2]},
-    "fit": {"degree": 3},
+    "fit": {"degree": [2, 3]},
     "method": [
         {"name": "classic_ml_arx"},
         {"name": "line", "class": "sklearn.linear_model:LinearRegression"},
@@ -104,7 +103,7 @@ def test_a_cell_that_fails_is_a_row_with_its_reason(tmp_path: Path) -> None:
         record={"duration_s": 4.0, "sample_period_s": [0.01, 0.1]},
         method=[{"name": "classic_ml_arx"}, *others],
         seeds=1,
-        series={},
+        fit={},
     )
     table = run_study(made, tmp_path / "out").set_index(["record.sample_period_s", "method"])
     assert table.loc[(0.01, "classic_ml_arx"), "state"] == "ok"
@@ -118,7 +117,7 @@ def test_a_cell_that_fails_is_a_row_with_its_reason(tmp_path: Path) -> None:
 
 
 def test_failed_cells_are_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = spec(method=[{"name": "m", "class": "study_methods:Fails"}], seeds=1, series={})
+    made = spec(method=[{"name": "m", "class": "study_methods:Fails"}], seeds=1, fit={})
     monkeypatch.setenv("STUDY_METHODS_FAIL", "1")
     assert set(run_study(made, tmp_path)["state"]) == {"failed"}
     monkeypatch.delenv("STUDY_METHODS_FAIL")

@@ -19,20 +19,20 @@ def spec(**given: Any) -> StudySpec:
 def test_a_grid_has_every_combination_once() -> None:
     made = spec(
         record={"noise_percent": [1.0, 2.0, 5.0], "hide": ["none", "sensitivity_drift"]},
-        series={"keep_every": [1, 2]},
+        fit={"degree": [1, 2]},
         seeds=[7, 8],
     )
     points = list(points_of(made))
     assert len({(point.settings, point.seed) for point in points}) == len(points) == 3 * 2 * 2 * 2
-    assert set(made.axes) == {"record.noise_percent", "record.hide", "series.keep_every"}
+    assert set(made.axes) == {"record.noise_percent", "record.hide", "fit.degree"}
     assert {dict(p.settings)["record.hide"] for p in points} == {None, "sensitivity_drift"}
     assert {point.seed for point in points} == {7, 8}
 
 
 def test_points_that_share_a_record_share_its_key_and_no_others_do() -> None:
     made = spec(
-        record={"noise_percent": [1.0, 2.0]},
-        series={"keep_every": [1, 2]},
+        record={"source": "rig", "noise_percent": [1.0, 2.0]},
+        reduction={"cutoff_hz": [30.0, 48.0]},
         fit={"degree": [2, 3]},
         seeds=3,
     )
@@ -47,9 +47,7 @@ def test_points_that_share_a_record_share_its_key_and_no_others_do() -> None:
 
 
 def test_tasks_hold_every_cell_once_and_keep_records_together() -> None:
-    made = spec(
-        record={"noise_percent": [1.0, 2.0]}, series={"keep_every": list(range(1, 20))}, seeds=3
-    )
+    made = spec(record={"noise_percent": [1.0, 2.0]}, fit={"degree": list(range(1, 20))}, seeds=3)
     cells = cells_of(made)
     tasks = tasks_of(cells)
     assert [c.number for task in tasks for c in task] == list(range(len(cells)))
