@@ -106,7 +106,7 @@ def solved(structure: Structure, data: LagData, metric: Metric, nonlinear: Float
         log τ and the parameters of the effects.
     """
     answer = structure.respond(data, nonlinear)
-    joint = np.column_stack([answer.columns, data.measured])
+    joint = np.column_stack([answer.columns, data.measured - answer.known])
     seen = metric.seen(joint, answer.decay, data)
     columns, target = seen[:, :-1], seen[:, -1]
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))

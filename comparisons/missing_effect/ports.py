@@ -8,7 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
+from comparisons.missing_effect.kernels import (
+    lag_pass,
+    second_order_pass,
+    shifted,
+    varying_lag_pass,
+)
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.results import evaluate_terms
 from surge_core.lag import FirstOrderLag
@@ -43,6 +48,8 @@ class Ports:
         Their names.
     degree : int
         Highest power of φ up to which the base terms hold all.
+    late_s : float
+        How late the pressure behind the blading comes; what the flow's inertia adds to ψ' does not.
     """
 
     phi: FloatArray
@@ -55,6 +62,7 @@ class Ports:
     added: FloatArray | None = None
     added_names: tuple[str, ...] = ()
     degree: int = 0
+    late_s: float = 0.0
 
     @classmethod
     def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
@@ -116,10 +124,13 @@ class Response:
         One a linear coefficient: inputs of the lag, nuisances, what is added behind it.
     decay : ndarray of shape (n,)
         What is left, at each sample, of a start of its run that is off by one.
+    known : ndarray of shape (n,) or float
+        What the model adds to them without a coefficient.
     """
 
     columns: FloatArray
     decay: FloatArray
+    known: FloatArray | float = 0.0
 
 
 def respond(
@@ -148,11 +159,18 @@ def respond(
     if extra.shape[1]:
         driven = np.column_stack([driven, extra])
     columns, decay = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
+    known: FloatArray | float = 0.0
+    if ports.late_s != 0.0:
+        # What is late is taken back, not the model put off: what it has in reversed flow would
+        # move into the rows that are scored.
+        steps, exit_Pa = ports.late_s / data.step_s, data["exit_Pa"]
+        change = data["psi_p_per_Pa"] * (exit_Pa - shifted(exit_Pa, -steps, data.fine_runs))
+        known = data.sampled(data.averaged(change[:, None])[:, 0])
     if ports.out_gain is not None:
         columns = columns * ports.out_gain[:, None]
     if ports.added is not None:
         columns = np.column_stack([columns, ports.added])
-    return Response(columns, decay)
+    return Response(columns, decay, known)
 
 
 def _lagged(

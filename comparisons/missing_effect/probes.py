@@ -153,7 +153,7 @@ class Prober:
         q, k = ports.driven.shape[1], data.nuisance.shape[1]
         nuisance = data.nuisance @ coefficients[q : q + k, None] if k else data.nuisance
         answer = respond(ports.contracted(coefficients), data, self.fit.tau_s, nuisance)
-        return np.asarray(answer.columns.sum(axis=1))
+        return np.asarray(answer.columns.sum(axis=1) + answer.known)
 
     def _score(self, columns: FloatArray) -> tuple[float, FloatArray, float]:
         """Return gain, own orthonormal columns, and the amplitude of a single column."""

@@ -25,6 +25,9 @@ def no_shape(data: LagData) -> FloatArray:
 
 
 def _delayed(ports: Ports, data: LagData, values: FloatArray) -> Ports:
+    if "exit_Pa" in data:
+        # From raw counts: the pressures behind the blading are late, and ψ' is made of them.
+        return replace(ports, late_s=float(values[0]))
     # Only what is smooth is shifted: noise on φ says nothing about a delay, but its own shift
     # would correlate with what it leaves in the errors.
     smooth = np.ascontiguousarray(data["phi_smooth"])

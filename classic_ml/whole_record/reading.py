@@ -1,0 +1,93 @@
+"""A record as a diagnosis reads it: its rows, and a state that no error of ψ' can move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from classic_ml.twin import Twin, twin_of
+from classic_ml.whole_record.branches import Specification, fit_branches, specification
+from classic_ml.whole_record.passes import Passes, passes_of
+from classic_ml.whole_record.rakes import RakeSignals
+from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
+from surge_core.types import BoolArray, FloatArray
+
+__all__ = ["RecordReading"]
+
+
+@dataclass(frozen=True)
+class RecordReading:
+    """The signals of a record and what a fit takes for granted of them.
+
+    The state comes from hub and tip flow alone: what is missing in ψ' would move levels that ψ'
+    had a say in, and with them hide.
+
+    Parameters
+    ----------
+    signals : RakeSignals
+        Every probe pair.
+    window : slice or None
+        Rows to stay in.
+    passes : Passes
+        The rows.
+    spec : Specification
+        Average, guards, blend.
+    in_stall : ndarray of bool, shape (n,)
+        The state.
+    levels : StallLevels or None
+        The flows of recovery and entry.
+    """
+
+    signals: RakeSignals
+    window: slice | None
+    passes: Passes
+    spec: Specification
+    in_stall: BoolArray
+    levels: StallLevels | None
+
+    @classmethod
+    def of(
+        cls, signals: RakeSignals, window: slice | None = None, degree: int = 2
+    ) -> RecordReading:
+        """Read a record.
+
+        Raises
+        ------
+        InputError
+            When it has no rows to fit.
+        """
+        passes = passes_of(signals, window)
+        spec = specification(signals, passes, degree)
+        state, levels = estimated_state(passes, spec, by_flow=True)
+        return cls(signals, window, passes, spec, state, levels)
+
+    def again(self, twin: Twin, rng: np.random.Generator) -> RecordReading:
+        """Return the reading of a twin, measured and read as the record was."""
+        signals = twin.measured(rng)
+        passes = passes_of(signals, self.window)
+        state = refined_state(passes, self.spec, self.levels, by_flow=True)
+        return replace(self, signals=signals, passes=passes, in_stall=state)
+
+    def twin(self, psi_p: FloatArray) -> Twin:
+        """Return the twin of the record under the lag model fitted to a ψ'.
+
+        Parameters
+        ----------
+        psi_p : ndarray of shape (n,)
+            On the rows of ``passes``, without what is not to be in the twin.
+        """
+        passes = replace(self.passes, psi_p=psi_p)
+        fit = fit_branches(passes, self.spec, self.in_stall)
+        return twin_of(self.signals, passes, self.spec, self.in_stall, fit)
+
+    @property
+    def stated_inertia_s(self) -> float:
+        """What the stated ∫dx/A adds to ψ' for each unit of dφ/dt, in seconds."""
+        chain = self.signals.chain
+        machine = chain.compressor.model_copy(update={"inertia_per_m": 0.0})
+        bare = replace(self.signals, chain=replace(chain, compressor=machine))
+        added = self.passes.psi_p - bare.coefficients(self.passes.planes)[1][self.passes.row]
+        rate = np.gradient(self.passes.phi, self.passes.sample_period_s)
+        known = np.isfinite(added)
+        return float(added[known] @ rate[known] / (rate[known] @ rate[known]))
