@@ -168,10 +168,8 @@ def _around(
     return min(tried, key=lambda levels: _misfit(passes, spec, levels, taus_s))
 
 
-def _misfit(
-    passes: Passes, spec: Specification, levels: StallLevels, taus_s: FloatArray
-) -> float:
-    """Return twice the negative log likelihood of ψ', for any τ at all, and of hub-minus-tip flow."""
+def _misfit(passes: Passes, spec: Specification, levels: StallLevels, taus_s: FloatArray) -> float:
+    """Return twice the negative log likelihood of ψ', given a τ, and of hub-minus-tip flow."""
     state = state_by_levels(passes, levels)
     if min(np.count_nonzero(state), np.count_nonzero(~state)) < FEWEST_ROWS:
         return math.inf

@@ -87,6 +87,7 @@ def _compressor(given: argparse.Namespace) -> list[str]:
     from comparisons.missing_effect import diagnose
     from comparisons.missing_effect.document import diagnosis_document
     from comparisons.missing_effect.terminal import diagnosis_text
+    from comparisons.missing_effect.whole_runs import N_TWINS
     from comparisons.show.diagnose_report import diagnosis_report
 
     steps = 4 + (given.base == "sindy") + given.limits + given.separate
@@ -101,7 +102,7 @@ def _compressor(given: argparse.Namespace) -> list[str]:
             given.degree or DEFAULT_DEGREE,
             terms=terms,
             most_effects=given.max_effects or MOST_EFFECTS,
-            **({"n_twins": 0} if given.no_twins else {}),
+            n_twins=0 if given.no_twins else N_TWINS,
             progress=lambda twins: shown_over(twins, unit="twin", words="measuring twins"),
         )
         begin("looking where")

@@ -102,9 +102,7 @@ def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
     return RecordReading.of(signals, window_of(record), degree)
 
 
-def whole_data(
-    records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]
-) -> LagData:
+def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]) -> LagData:
     """Return the rows of free runs: all that flow forward, of both branches, are scored.
 
     Parameters

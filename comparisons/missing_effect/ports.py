@@ -8,12 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from comparisons.missing_effect.kernels import (
-    lag_pass,
-    second_order_pass,
-    shifted,
-    varying_lag_pass,
-)
+from comparisons.missing_effect.kernels import lag_pass, second_order_pass, varying_lag_pass
 from comparisons.missing_effect.lag_data import LagData
 from comparisons.results import evaluate_terms
 from surge_core.lag import FirstOrderLag
@@ -48,8 +43,8 @@ class Ports:
         Their names.
     degree : int
         Highest power of φ up to which the base terms hold all.
-    late_s : float
-        How late the pressure behind the blading comes; what the flow's inertia adds to ψ' does not.
+    known : ndarray of shape (n,), optional
+        What is added at the samples without a coefficient.
     """
 
     phi: FloatArray
@@ -62,7 +57,7 @@ class Ports:
     added: FloatArray | None = None
     added_names: tuple[str, ...] = ()
     degree: int = 0
-    late_s: float = 0.0
+    known: FloatArray | None = None
 
     @classmethod
     def of(cls, data: LagData, phi: FloatArray, terms: Sequence[str]) -> Ports:
@@ -81,6 +76,10 @@ class Ports:
             driven=np.column_stack([self.driven, columns]),
             names=(*self.names, *names),
         )
+
+    def with_known(self, values: FloatArray) -> Ports:
+        """Return the ports with more that is added without a coefficient."""
+        return replace(self, known=values if self.known is None else self.known + values)
 
     def with_added(self, columns: FloatArray, names: Sequence[str]) -> Ports:
         """Return the ports with more columns behind the lag."""
@@ -159,18 +158,11 @@ def respond(
     if extra.shape[1]:
         driven = np.column_stack([driven, extra])
     columns, decay = _lagged(np.ascontiguousarray(driven), ports, data, tau_s)
-    known: FloatArray | float = 0.0
-    if ports.late_s != 0.0:
-        # What is late is taken back, not the model put off: what it has in reversed flow would
-        # move into the rows that are scored.
-        steps, exit_Pa = ports.late_s / data.step_s, data["exit_Pa"]
-        change = data["psi_p_per_Pa"] * (exit_Pa - shifted(exit_Pa, -steps, data.fine_runs))
-        known = data.sampled(data.averaged(change[:, None])[:, 0])
     if ports.out_gain is not None:
         columns = columns * ports.out_gain[:, None]
     if ports.added is not None:
         columns = np.column_stack([columns, ports.added])
-    return Response(columns, decay, known)
+    return Response(columns, decay, 0.0 if ports.known is None else ports.known)
 
 
 def _lagged(

@@ -96,8 +96,8 @@ class Absent:
 
     Parameters
     ----------
-    effect : str
-        Its name.
+    effect, parameter : str
+        Its name, and that of its number; ``"rms"`` for the part of ψ' that it makes.
     size : float
         Of its number.
     unit : str
@@ -105,6 +105,7 @@ class Absent:
     """
 
     effect: str
+    parameter: str
     size: float
     unit: str
 

@@ -92,7 +92,7 @@ class Structure:
         for effect in self.in_order:
             if effect.port == "input":
                 ports = effect.acts(ports, data, self.values_of(effect, nonlinear))
-        return replace(Ports.of(data, ports.phi, self.terms), late_s=ports.late_s)
+        return replace(Ports.of(data, ports.phi, self.terms), known=ports.known)
 
     @property
     def in_order(self) -> tuple[Effect, ...]:

@@ -31,6 +31,7 @@ from comparisons.missing_effect.uncertainty import LEAST_SIZE, without_amplitude
 from comparisons.missing_effect.whole_run_spectra import RippleLine, averaged_noise, ripple_line
 from comparisons.missing_effect.whole_runs import (
     N_TWINS,
+    SHAPED,
     Nulls,
     Progress,
     cycles_left_out,
@@ -135,9 +136,9 @@ def _of_leader(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
     """Return what the effect that explains most adds to ψ', on the fine rows.
 
     With it in the twins the null would hold what is looked for: a drift that the model without it
-    takes for a τ of a second, say.
+    takes for a τ of a second, say. What is shaped by φ has no part of its own.
     """
-    fits = fitted(bench, effects)
+    fits = fitted(bench, [e for e in effects if e.name not in SHAPED])
     effect = min((e for e in effects if e.name in fits), key=lambda e: fits[e.name].cost)
     fit, data = fits[effect.name], bench.data
     added = fit.output(data) - without_amplitude(fit, effect, data).output(data)
@@ -161,12 +162,14 @@ def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
 
 
 def _absent(effects: Sequence[Effect], nulls: Nulls) -> tuple[Absent, ...]:
-    known = [(e.name, nulls.by_effect[e.name]) for e in effects if e.name in nulls.by_effect]
-    return tuple(
-        Absent(name, max(null.seen_from, 0.5 * null.matters), null.unit)
-        for name, null in known
-        if null.can_be_told and np.isfinite(null.matters)
-    )
+    found = []
+    for effect in effects:
+        null = nulls.by_effect.get(effect.name)
+        if null is not None and null.can_be_told and np.isfinite(null.matters):
+            name = "rms" if effect.name in SHAPED else effect.parameters[0].name
+            size = max(null.seen_from, 0.5 * null.matters)
+            found.append(Absent(effect.name, name, size, null.unit))
+    return tuple(found)
 
 
 def _gap(base: Bench, final: Bench, floor_rms: float) -> Gap:

@@ -9,7 +9,7 @@ import numpy as np
 
 from classic_ml.filters import period_average
 from classic_ml.whole_record.reading import RecordReading
-from surge_core.types import FloatArray
+from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["RippleLine", "averaged_noise", "ripple_line"]
 
@@ -111,7 +111,7 @@ def ripple_line(reading: RecordReading) -> RippleLine | None:
     return RippleLine(float(frequency[best]), amplitude, tall, spread_hz)
 
 
-def _held(quick: FloatArray, stalled: FloatArray) -> FloatArray:
+def _held(quick: FloatArray, stalled: BoolArray) -> FloatArray:
     """Return what is in stall; reversals are spikes whose comb would hide a line: held down."""
     return np.where(stalled, np.clip(quick, *np.quantile(quick[stalled], [0.02, 0.98])), 0.0)
 

@@ -31,6 +31,7 @@ from surge_core.types import FloatArray
 
 __all__ = [
     "N_TWINS",
+    "SHAPED",
     "Null",
     "Nulls",
     "Progress",
@@ -63,6 +64,7 @@ MATTERS_OF_INERTIA, MATTERS_OF_PSI_P = 0.4, 0.03
 SHAPED = ("characteristic_shape", "hysteresis", "flow_dependent_lag")
 # Explaining this share of what the best explains is as good.
 RIVAL_SHARE = 0.8
+OFFSET = ("bias_drift", "sensitivity_drift")
 # Cycles are left out every so many at a time.
 FOLDS = 4
 # A drift draws τ far away: a search begins here too, in the middle of what compressors have.
@@ -313,9 +315,7 @@ def _null(
     return Null(mean[0], sd[0], mean[1], float(np.hypot(sd[1], sd_of_specs)), matters, unit)
 
 
-def weighed(
-    bench: Bench, effects: Sequence[Effect], nulls: Nulls
-) -> tuple[Candidate, ...]:
+def weighed(bench: Bench, effects: Sequence[Effect], nulls: Nulls) -> tuple[Candidate, ...]:
     """Fit each effect to all rows and weigh it by what it explains, and by cycles left out.
 
     Parameters
@@ -387,7 +387,13 @@ def rivals(
         What each reads of twins.
     """
     least = RIVAL_SHARE * _excess(winner, nulls)
-    others = [c for c in candidates if c is not winner and _excess(c, nulls) >= least]
+    others = [
+        c
+        for c in candidates
+        if c is not winner
+        # Far from its reference a transducer loses an offset with its sensitivity.
+        and (_excess(c, nulls) >= least or (winner.name, c.name) == OFFSET)
+    ]
     return (winner, *others)
 
 
