@@ -8,6 +8,7 @@ import numpy as np
 
 from classic_ml.twin import Twin, twin_of
 from classic_ml.whole_record.branches import Specification, fit_branches, specification
+from classic_ml.whole_record.interval import specifications
 from classic_ml.whole_record.passes import Passes, passes_of
 from classic_ml.whole_record.rakes import RakeSignals
 from classic_ml.whole_record.stall_state import StallLevels, estimated_state, refined_state
@@ -64,10 +65,7 @@ class RecordReading:
 
     def again(self, twin: Twin, rng: np.random.Generator) -> RecordReading:
         """Return the reading of a twin, measured and read as the record was."""
-        signals = twin.measured(rng)
-        passes = passes_of(signals, self.window)
-        state = refined_state(passes, self.spec, self.levels, by_flow=True)
-        return replace(self, signals=signals, passes=passes, in_stall=state)
+        return self._read(twin.measured(rng))
 
     def twin(self, psi_p: FloatArray) -> Twin:
         """Return the twin of the record under the lag model fitted to a ψ'.
@@ -81,13 +79,20 @@ class RecordReading:
         fit = fit_branches(passes, self.spec, self.in_stall)
         return twin_of(self.signals, passes, self.spec, self.in_stall, fit)
 
-    @property
-    def stated_inertia_s(self) -> float:
-        """What the stated ∫dx/A adds to ψ' for each unit of dφ/dt, in seconds."""
+    def varied(self) -> tuple[RecordReading, ...]:
+        """Return the record under what could as well have been taken for granted."""
+        specs = [spec for spec in specifications(self.spec) if spec.degree == self.spec.degree]
+        plain = replace(self, in_stall=self.passes.in_stall)
+        return (plain, *(replace(self, spec=spec) for spec in specs))
+
+    def with_inertia(self, factor: float) -> RecordReading:
+        """Return the record reduced with another ∫dx/A, by a factor of the one stated."""
         chain = self.signals.chain
-        machine = chain.compressor.model_copy(update={"inertia_per_m": 0.0})
-        bare = replace(self.signals, chain=replace(chain, compressor=machine))
-        added = self.passes.psi_p - bare.coefficients(self.passes.planes)[1][self.passes.row]
-        rate = np.gradient(self.passes.phi, self.passes.sample_period_s)
-        known = np.isfinite(added)
-        return float(added[known] @ rate[known] / (rate[known] @ rate[known]))
+        per_m = factor * chain.compressor.inertia_per_m
+        machine = chain.compressor.model_copy(update={"inertia_per_m": per_m})
+        return self._read(replace(self.signals, chain=replace(chain, compressor=machine)))
+
+    def _read(self, signals: RakeSignals) -> RecordReading:
+        passes = passes_of(signals, self.window)
+        state = refined_state(passes, self.spec, self.levels, by_flow=True)
+        return replace(self, signals=signals, passes=passes, in_stall=state)

@@ -53,6 +53,7 @@ MUCH = 2.0
 LEAST_LOSS = 1e-5
 LEAST_REVERSED_ROWS = 10
 LEAST_LOSS_SHARE = 0.4
+REVERSED = "reverse_flow_branch"
 BETTER_RECORDS = "or a record with loops in stall between the deep cycles, or at a higher rate"
 
 
@@ -88,18 +89,21 @@ def diagnose_whole_runs(
     data = whole_data(ordered, readings)
     line = _strongest_line(readings)
     unavailable = {e.name: why for e in catalogue if (why := e.missing_channel(data)) is not None}
-    effects = [e for e in catalogue if e.name not in unavailable and not e.episodes]
+    # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
+    apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
+    effects = [e for e in catalogue if e.name not in apart]
     base = bench = plain_bench(data, terms, len(effects), block_rows(data))
     nulls = Nulls({}, np.nan)
     if n_twins:
-        apart = _of_leader(base, effects)
+        leader = _of_leader(base, effects)
         nulls = nulls_of(
-            ordered, readings, base, effects, apart, n_twins=n_twins, progress=progress
+            ordered, readings, base, effects, leader, n_twins=n_twins, progress=progress
         )
     rounds: list[Round] = []
     sets: dict[str, tuple[Candidate, ...]] = {}
     while len(sets) < most_effects:
-        candidates = weighed(bench, [e for e in effects if e.name not in sets], nulls)
+        known = {candidate.name for members in sets.values() for candidate in members}
+        candidates = weighed(bench, [e for e in effects if e.name not in known], nulls)
         winner = next((c for c in candidates if c.evidence.accepted), None)
         rounds.append(Round(bench, _noise(bench), candidates, (), (), winner, NOTHING_LEFT))
         if winner is None:
@@ -246,8 +250,8 @@ def _with_reverse_loss(diagnosis: Diagnosis, bench: Bench) -> Diagnosis:
     if size < LEAST_SIZE * stderr:
         return diagnosis
     found = MissingEffect(
-        "reverse_flow_branch",
-        ("reverse_flow_branch",),
+        REVERSED,
+        (REVERSED,),
         False,
         (
             FittedParameter("c", size, stderr, "1"),

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.interval import specifications
 from classic_ml.whole_record.reading import RecordReading
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
@@ -59,8 +58,11 @@ MATTERS = {
     "sensitivity_drift": 0.02,
     "bias_drift": 0.05,
 }
-# Of the stated ∫dx/A; of the mean ψ', for effects whose numbers mean little one by one.
-MATTERS_OF_INERTIA, MATTERS_OF_PSI_P = 0.4, 0.03
+# Of the mean ψ', for effects whose numbers mean little one by one.
+MATTERS_OF_PSI_P = 0.03
+# What a ∫dx/A that is stated too large by this factor does to its number is seen on twins: τ and
+# the curve make up for a part of it.
+INERTIA, INERTIA_FACTOR, INERTIA_TWINS = "flow_inertia", 1.5, 8
 SHAPED = ("characteristic_shape", "hysteresis", "flow_dependent_lag")
 # Explaining this share of what the best explains is as good.
 RIVAL_SHARE = 0.8
@@ -263,37 +265,44 @@ def nulls_of(
 
     rms = []
 
-    def read(others: Sequence[RecordReading]) -> dict[str, tuple[float, float]]:
+    def read(others: Sequence[RecordReading], tried: Sequence[Effect]) -> Read:
         data = whole_data(records, others)
         own = plain_bench(data, bench.fit.structure.terms, bench.n_names, bench.block_rows)
-        fits = fitted(own, effects)
+        fits = fitted(own, tried)
         rms.append(rms_left(own))
         return {
             e.name: (1.0 - fits[e.name].cost / own.fit.cost, number_of(e, fits[e.name], own))
-            for e in effects
+            for e in tried
             if e.name in fits
         }
 
-    over_twins = [
-        read([one.again(twin, rng) for one, twin in zip(readings, twins, strict=True)])
-        for _ in progress(range(n_twins))
+    measured = [
+        [one.again(twin, rng) for one, twin in zip(readings, twins, strict=True)]
+        for _ in range(n_twins)
     ]
-    varied = zip(*(specifications(one.spec) for one in readings), strict=True)
-    over_specs = [
-        read([replace(one, spec=spec) for one, spec in zip(readings, specs, strict=True)])
-        for specs in varied
-        if all(s.degree == one.spec.degree for s, one in zip(specs, readings, strict=True))
+    over_twins = [read(measured[i], effects) for i in progress(range(n_twins))]
+    left_rms = float(np.mean(rms))
+    varied = zip(*(one.varied() for one in readings), strict=True)
+    over_specs = [read(others, effects) for others in varied]
+    inertia = [effect for effect in effects if effect.name == INERTIA]
+    wrong = [
+        read([one.with_inertia(INERTIA_FACTOR) for one in others], inertia)
+        for others in measured[:INERTIA_TWINS]
+        if inertia
     ]
-    inertia_s = float(np.mean([one.stated_inertia_s for one in readings]))
-    by_effect = {e.name: _null(e, bench.data, over_twins, over_specs, inertia_s) for e in effects}
-    return Nulls(by_effect, float(np.mean(rms[:n_twins])))
+    by_effect = {e.name: _null(e, bench.data, over_twins, over_specs, wrong) for e in effects}
+    return Nulls(by_effect, left_rms)
 
 
 Read = Mapping[str, tuple[float, float]]
 
 
 def _null(
-    effect: Effect, data: LagData, twins: Sequence[Read], specs: Sequence[Read], inertia_s: float
+    effect: Effect,
+    data: LagData,
+    twins: Sequence[Read],
+    specs: Sequence[Read],
+    wrong: Sequence[Read],
 ) -> Null:
     read = np.array([one[effect.name] for one in twins if effect.name in one]).reshape(-1, 2)
     varied = np.array([one[effect.name][1] for one in specs if effect.name in one])
@@ -301,13 +310,13 @@ def _null(
     matters, unit = MATTERS.get(effect.name, np.inf), effect.parameters[0].unit
     if effect.name in SHAPED:
         matters, unit = MATTERS_OF_PSI_P * mean_psi_p, "1"
-    if effect.name == "flow_inertia":
-        matters = MATTERS_OF_INERTIA * inertia_s
     if effect.name == "bias_drift":
         matters *= mean_psi_p
     if len(read) < 2:
         return Null(np.inf, 0.0, 0.0, np.inf, matters, unit)
     mean, sd = read.mean(axis=0), read.std(axis=0, ddof=1)
+    if effect.name == INERTIA:
+        matters = abs(float(np.mean([one[INERTIA][1] for one in wrong])) - mean[1])
     sd_of_specs = float(np.std(varied)) if varied.size else 0.0
     return Null(mean[0], sd[0], mean[1], float(np.hypot(sd[1], sd_of_specs)), matters, unit)
 

@@ -388,9 +388,9 @@ def _refused_words(d: Diagnosis) -> str:
 def _too_small(row: CandidateRow) -> str:
     explains = f"explains {100.0 * row.share:.0f} % of the squared errors"
     if np.isinf(row.least_share):
-        return f"{explains}, by a number that twins of these records take, too, or that is small"
+        return f"{explains}, by a number that is small or that twins take, too"
     if "share" in row.refused_on:
-        return f"{explains}, where twins of these records give up to {100.0 * row.least_share:.0f} %"
+        return f"{explains}, where twins of these records give {100.0 * row.least_share:.0f} %"
     return f"{explains}, but not of cycles left out"
 
 
