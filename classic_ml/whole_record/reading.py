@@ -38,6 +38,8 @@ class RecordReading:
         The state.
     levels : StallLevels or None
         The flows of recovery and entry.
+    stalled : ndarray of bool, shape (N,), optional
+        The state of all rows as the reduction sees it, for records with one immersion.
     """
 
     signals: RakeSignals
@@ -46,10 +48,15 @@ class RecordReading:
     spec: Specification
     in_stall: BoolArray
     levels: StallLevels | None
+    stalled: BoolArray | None = None
 
     @classmethod
     def of(
-        cls, signals: RakeSignals, window: slice | None = None, degree: int = 2
+        cls,
+        signals: RakeSignals,
+        window: slice | None = None,
+        degree: int = 2,
+        stalled: BoolArray | None = None,
     ) -> RecordReading:
         """Read a record.
 
@@ -58,10 +65,10 @@ class RecordReading:
         InputError
             When it has no rows to fit.
         """
-        passes = passes_of(signals, window)
+        passes = _passes(signals, window, stalled)
         spec = specification(signals, passes, degree)
         state, levels = estimated_state(passes, spec, by_flow=True)
-        return cls(signals, window, passes, spec, state, levels)
+        return cls(signals, window, passes, spec, state, levels, stalled)
 
     def again(self, twin: Twin, rng: np.random.Generator) -> RecordReading:
         """Return the reading of a twin, measured and read as the record was."""
@@ -93,6 +100,13 @@ class RecordReading:
         return self._read(replace(self.signals, chain=replace(chain, compressor=machine)))
 
     def _read(self, signals: RakeSignals) -> RecordReading:
-        passes = passes_of(signals, self.window)
+        passes = _passes(signals, self.window, self.stalled)
         state = refined_state(passes, self.spec, self.levels, by_flow=True)
         return replace(self, signals=signals, passes=passes, in_stall=state)
+
+
+def _passes(signals: RakeSignals, window: slice | None, stalled: BoolArray | None) -> Passes:
+    passes = passes_of(signals, window)
+    if passes.shift is None and stalled is not None:
+        passes = replace(passes, in_stall=stalled[passes.row])
+    return passes

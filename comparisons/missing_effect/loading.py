@@ -99,7 +99,8 @@ def reading_of(record: CoefficientSeries, degree: int = 2) -> RecordReading:
     """
     signals = rake_signals_of(record)
     assert signals is not None
-    return RecordReading.of(signals, window_of(record), degree)
+    stalled = None if record.stalled is None else np.asarray(record.stalled, dtype=np.bool_)
+    return RecordReading.of(signals, window_of(record), degree, stalled)
 
 
 def whole_data(records: Sequence[CoefficientSeries], readings: Sequence[RecordReading]) -> LagData:
