@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from classic_ml.filters import period_average
+from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
 from classic_ml.whole_record.branches import design, has_loss, scored_rows
 from classic_ml.whole_record.rakes import rake_signals_of
-from classic_ml.whole_record.reading import RecordReading
 from classic_ml.whole_record_run import has_rakes, window_of
 from classic_ml.whole_run import check_rates
 from comparisons.harness.rows import MINIMUM_SEGMENT_ROWS

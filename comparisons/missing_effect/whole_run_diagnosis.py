@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.reading import RecordReading
 from classic_ml.whole_run import check_rates
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.conclusion import concluded

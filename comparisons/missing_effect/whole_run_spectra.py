@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from classic_ml.filters import period_average
-from classic_ml.whole_record.reading import RecordReading
+from classic_ml.record_reading import RecordReading
 from surge_core.types import BoolArray, FloatArray
 
 __all__ = ["RippleLine", "averaged_noise", "ripple_line"]

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from classic_ml.record_reading import RecordReading
 from classic_ml.series import CoefficientSeries
-from classic_ml.whole_record.reading import RecordReading
 from comparisons.missing_effect.candidates import Bench, Candidate
 from comparisons.missing_effect.catalogue.characteristic_effects import clock_s
 from comparisons.missing_effect.effect import Effect
