@@ -92,9 +92,12 @@ def diagnose_whole_runs(
     # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
     effects = [e for e in catalogue if e.name not in apart]
+    # One immersion does not show when the machine is in stall: nothing can be told without.
+    blind = effects if any(one.passes.shift is None for one in readings) else []
+    effects = [] if blind else effects
     base = bench = plain_bench(data, terms, len(effects), block_rows(data))
     nulls = Nulls({}, np.nan)
-    if n_twins:
+    if n_twins and effects:
         leader = _of_leader(base, effects)
         nulls = nulls_of(
             ordered, readings, base, effects, leader, n_twins=n_twins, progress=progress
@@ -110,7 +113,7 @@ def diagnose_whole_runs(
             break
         sets[winner.name] = rivals(winner, candidates, nulls)
         bench = replace(bench, fit=winner.fit)
-    much = not rms_left(bench) <= MUCH * nulls.rms
+    much = not (blind or rms_left(bench) <= MUCH * nulls.rms)
     diagnosis = concluded(
         _verdict(sets, line, much=much and bool(n_twins or sets)),
         base,
@@ -124,14 +127,22 @@ def diagnose_whole_runs(
         gap=_gap(base, bench, averaged_noise(readings)),
     )
     # Twins lack the first effect, so that they are no null of a second beside it.
+    firm = [i == 0 and _firm(sets[item.effect], nulls) for i, item in enumerate(diagnosis.missing)]
     missing = tuple(
-        replace(item, provisional=item.provisional or i > 0)
-        for i, item in enumerate(diagnosis.missing)
+        replace(item, provisional=item.provisional or not sure)
+        for item, sure in zip(diagnosis.missing, firm, strict=True)
     )
-    named = {name for item in missing for name in item.alias_set}
-    others = [e for e in effects if e.name not in named]
+    verdict = diagnosis.verdict
+    if missing and all(item.provisional for item in missing):
+        verdict = "provisional"
+    named = {name for item in missing if not item.provisional for name in item.alias_set}
+    others = [e for e in (*effects, *blind) if e.name not in named]
     diagnosis = replace(
-        diagnosis, missing=missing, untold=_untold(others, nulls), absent=_absent(others, nulls)
+        diagnosis,
+        verdict=verdict,
+        missing=missing,
+        untold=_untold(others, nulls, blind=bool(blind)),
+        absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench), line)
 
@@ -149,7 +160,19 @@ def _of_leader(bench: Bench, effects: Sequence[Effect]) -> FloatArray:
     return np.asarray(np.interp(np.arange(data["phi"].size), data.rows, added))
 
 
-def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
+def _firm(members: Sequence[Candidate], nulls: Nulls) -> bool:
+    """Return whether one of a set is beyond its null on a record that can tell of it."""
+    by_effect = nulls.by_effect
+    return any(
+        c.evidence.accepted and c.name in by_effect and by_effect[c.name].can_be_told
+        for c in members
+    )
+
+
+def _untold(effects: Sequence[Effect], nulls: Nulls, *, blind: bool) -> tuple[Untold, ...]:
+    if blind:
+        why = "with probes at one immersion alone it is not seen when the machine is in stall"
+        return tuple(Untold(e.name, why, "probes at hub and tip") for e in effects)
     found = []
     for effect in effects:
         null = nulls.by_effect.get(effect.name)

@@ -276,11 +276,10 @@ def nulls_of(
             if e.name in fits
         }
 
-    measured = [
-        [one.again(twin, rng) for one, twin in zip(readings, twins, strict=True)]
-        for _ in range(n_twins)
-    ]
-    over_twins = [read(measured[i], effects) for i in progress(range(n_twins))]
+    measured, over_twins = [], []
+    for _ in progress(range(n_twins)):
+        measured.append([one.again(twin, rng) for one, twin in zip(readings, twins, strict=True)])
+        over_twins.append(read(measured[-1], effects))
     left_rms = float(np.mean(rms))
     varied = zip(*(one.varied() for one in readings), strict=True)
     over_specs = [read(others, effects) for others in varied]

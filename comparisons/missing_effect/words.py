@@ -307,7 +307,7 @@ def _doubt_words(d: Diagnosis) -> list[str]:
         return said
     names, word = _listed([item.effect for item in doubted]), _word(doubted)
     if d.whole_runs:
-        why = f"For {names} twins of these records are no measure"
+        why = f"Twins of these records, measured or not, are no measure of {names}"
     elif d.leftover.structured:
         why = (
             f"The model with {names} still leaves structure in its errors (what else was tested "
