@@ -54,6 +54,12 @@ LEAST_LOSS = 1e-5
 LEAST_REVERSED_ROWS = 10
 LEAST_LOSS_SHARE = 0.4
 REVERSED = "reverse_flow_branch"
+ONE_IMMERSION = "one immersion alone does not show when the machine is in stall"
+SECOND_PATTERN = "what a second pattern of stall cells leaves takes other names"
+BLIND = {
+    ONE_IMMERSION: "probes at hub and tip",
+    SECOND_PATTERN: "a record at a throttle or speed without the second pattern",
+}
 BETTER_RECORDS = "or a record with loops in stall between the deep cycles, or at a higher rate"
 
 
@@ -92,8 +98,8 @@ def diagnose_whole_runs(
     # A ripple is looked for as a line, the loss in reversed flow in rows that are not scored.
     apart = {e.name for e in catalogue if e.episodes or e.name == REVERSED} | unavailable.keys()
     effects = [e for e in catalogue if e.name not in apart]
-    # One immersion does not show when the machine is in stall: nothing can be told without.
-    blind = effects if any(one.passes.shift is None for one in readings) else []
+    why = ONE_IMMERSION if any(one.passes.shift is None for one in readings) else ""
+    blind = effects if why or line else []
     effects = [] if blind else effects
     base = bench = plain_bench(data, terms, len(effects), block_rows(data))
     nulls = Nulls({}, np.nan)
@@ -141,7 +147,7 @@ def diagnose_whole_runs(
         diagnosis,
         verdict=verdict,
         missing=missing,
-        untold=_untold(others, nulls, blind=bool(blind)),
+        untold=_blind(others, why or SECOND_PATTERN) if blind else _untold(others, nulls),
         absent=_absent([e for e in others if e.name not in diagnosis.names], nulls),
     )
     return _with_line(_with_reverse_loss(diagnosis, bench), line)
@@ -169,10 +175,11 @@ def _firm(members: Sequence[Candidate], nulls: Nulls) -> bool:
     )
 
 
-def _untold(effects: Sequence[Effect], nulls: Nulls, *, blind: bool) -> tuple[Untold, ...]:
-    if blind:
-        why = "with probes at one immersion alone it is not seen when the machine is in stall"
-        return tuple(Untold(e.name, why, "probes at hub and tip") for e in effects)
+def _blind(effects: Sequence[Effect], why: str) -> tuple[Untold, ...]:
+    return tuple(Untold(e.name, why, BLIND[why]) for e in effects)
+
+
+def _untold(effects: Sequence[Effect], nulls: Nulls) -> tuple[Untold, ...]:
     found = []
     for effect in effects:
         null = nulls.by_effect.get(effect.name)

@@ -135,10 +135,10 @@ def test_what_is_hidden_is_in_the_set_named(diagnosed: Diagnosed, hidden: str) -
     d = diagnosed("985", hidden)
     firm = [set(item.alias_set) for item in d.missing if not item.provisional]
     assert any(hidden in names for names in firm)
-    assert d.gap.after_rms < 0.8 * d.gap.before_rms
-    assert tau_error_ms(d.tau_before_s) > 3.0
+    assert d.gap.after_rms < 0.9 * d.gap.before_rms
     assert tau_error_ms(d.tau_after_s) < 3.0
     if hidden == "transport_delay":
+        assert tau_error_ms(d.tau_before_s) > 5.0
         # 5 ms of P31; the part of ψ' that comes from P25 and dW25/dt is not late.
         assert value_of(d, hidden, "d") == pytest.approx(0.005, abs=0.0015)
 
